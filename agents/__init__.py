@@ -1,0 +1,1 @@
+"""Training, classical controllers and headless evaluation for the flexarm environments."""
