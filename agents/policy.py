@@ -122,7 +122,7 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
 def save_policy(policy: Policy, folder: Path) -> None:
     """Write `policy.json` and `weights.npz` into the folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    arrays = {f"W{i}": W for i, W in enumerate(policy.weights)}
+    arrays: dict[str, Any] = {f"W{i}": W for i, W in enumerate(policy.weights)}
     arrays |= {f"b{i}": b for i, b in enumerate(policy.biases)}
     np.savez(folder / WEIGHTS_FILE, **arrays)
     sizes = [policy.weights[0].shape[1], *(W.shape[0] for W in policy.weights)]

@@ -1,0 +1,162 @@
+"""Classical controllers with the `predict` of a trained policy, and the search for PD gains."""
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from agents.evaluation import episode_metrics, make_batch, record, summarise
+from agents.policy import Array, Controller
+
+# Gains in the arm's own measures, so that one grid suits every arm:
+# stiffness = inertia x (ratio x first bending frequency)^2, damping = 2 x ratio x ... as usual.
+FREQUENCY_RATIOS = tuple(np.geomspace(0.05, 2.0, 12).tolist())
+DAMPING_RATIOS = (0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
+TUNING_SEED = 500_000  # tasks the gains are chosen on; not those they are judged on
+TUNING_EPISODES = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointPD:
+    """tau = -stiffness (q - q_target) - damping q_rate per joint, saturated at the torque limit."""
+
+    stiffness: Array  # (n_joint,) or one row per environment (n_env, n_joint) [N m/rad]
+    damping: Array  # same shape [N m s/rad]
+    torque_limit: Array  # (n_joint,) [N m]
+    slices: Mapping[str, slice]  # where the observation holds "joint_error" and "joint_rate"
+    scales: Mapping[str, Array]  # physical value = observation x scale
+
+    def predict(
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Array | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """Actions from the measured joint angles and rates."""
+        x = np.asarray(observation, float)
+        error = x[..., self.slices["joint_error"]] * self.scales["joint_error"]
+        rate = x[..., self.slices["joint_rate"]] * self.scales["joint_rate"]
+        torque = -self.stiffness * error - self.damping * rate
+        return np.clip(torque / self.torque_limit, -1.0, 1.0), state
+
+
+@dataclass(frozen=True, kw_only=True)
+class Zero:
+    """No torque at all: what doing nothing is worth."""
+
+    n_joint: int
+
+    def predict(
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Array | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """Zero actions."""
+        return np.zeros((*np.shape(observation)[:-1], self.n_joint)), state
+
+
+class Random:
+    """Uniformly random actions, the same ones for the same seed."""
+
+    def __init__(self, n_joint: int, seed: int = 0) -> None:
+        self.n_joint = n_joint
+        self.rng = np.random.default_rng(seed)
+
+    def predict(
+        self,
+        observation: Array,
+        state: Any = None,
+        episode_start: Array | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Array, Any]:
+        """Actions drawn from [-1, 1]."""
+        return self.rng.uniform(-1.0, 1.0, (*np.shape(observation)[:-1], self.n_joint)), state
+
+
+def joint_pd(env: Any, frequency_ratio: Array | float, damping_ratio: Array | float) -> JointPD:
+    """A JointPD for this environment's arm from dimensionless gains.
+
+    stiffness = I (r w)^2, damping = 2 z I (r w): I the inertia about each joint of the straight
+    arm (the diagonal of M), w its first frequency with the joints locked, r and z the two ratios.
+    Ratios of shape (n_env, 1) give every environment of a batch its own gains.
+    """
+    base = env.unwrapped
+    model = base.model
+    rest = np.zeros(model.n)
+    inertia = np.diag(model.mass_matrix(rest))[list(model.arm.joint_index)]
+    locked = np.asarray(model.frequencies(rest, joints="locked"))
+    limit = np.asarray(base.torque_limit, float)
+    # A rigid arm has no bending frequency: take one that uses the full torque at one radian.
+    w = float(locked[0]) if locked.size else float(np.sqrt(np.min(limit / inertia)))
+    bandwidth = np.asarray(frequency_ratio, float) * w
+    return JointPD(
+        stiffness=inertia * bandwidth**2,
+        damping=2.0 * np.asarray(damping_ratio, float) * inertia * bandwidth,
+        torque_limit=limit,
+        slices=base.observation_slices,
+        scales=base.observation_scales,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TunedPD:
+    """The best gains of a grid, and how every other pair did."""
+
+    frequency_ratio: float
+    damping_ratio: float
+    table: tuple[dict[str, float], ...]  # one row per pair: the two ratios and the summary
+
+
+def tune_pd(
+    env_id: str,
+    kwargs: Mapping[str, Any] | None = None,
+    *,
+    frequency_ratios: Sequence[float] = FREQUENCY_RATIOS,
+    damping_ratios: Sequence[float] = DAMPING_RATIOS,
+    episodes: int = TUNING_EPISODES,
+    seed: int = TUNING_SEED,
+) -> TunedPD:
+    """Try every pair of the grid on the same tasks, all in one batch.
+
+    The best pair has the highest success rate, then the shortest median settling time, then the
+    smallest tip error.
+    """
+    pairs = list(itertools.product(frequency_ratios, damping_ratios))
+    envs = make_batch(env_id, len(pairs) * episodes, kwargs)
+    try:
+        ratios = np.repeat(np.array(pairs), episodes, axis=0)
+        controller = joint_pd(envs, ratios[:, :1], ratios[:, 1:])
+        seeds = [seed + i for i in range(episodes)] * len(pairs)
+        metrics = episode_metrics(record(controller, envs, seeds))
+    finally:
+        envs.close()
+    table = []
+    for p, (r, z) in enumerate(pairs):
+        rows = slice(p * episodes, (p + 1) * episodes)
+        summary = summarise({name: values[rows] for name, values in metrics.items()})
+        table.append({"frequency_ratio": r, "damping_ratio": z} | summary)
+    best = min(table, key=lambda t: (-t["success_rate"], t["settling_time"], t["tip_error_rms"]))
+    return TunedPD(
+        frequency_ratio=best["frequency_ratio"],
+        damping_ratio=best["damping_ratio"],
+        table=tuple(table),
+    )
+
+
+def tuned_joint_pd(env: Any, env_id: str, kwargs: Mapping[str, Any], seed: int) -> Controller:
+    """The joint PD controller with the best gains of the grid."""
+    tuned = tune_pd(env_id, kwargs)
+    return joint_pd(env, tuned.frequency_ratio, tuned.damping_ratio)
+
+
+# name: (environment, its id, its keywords, seed) -> controller
+CONTROLLERS: dict[str, Callable[[Any, str, Mapping[str, Any], int], Controller]] = {
+    "pd": tuned_joint_pd,
+    "zero": lambda env, env_id, kwargs, seed: Zero(n_joint=env.unwrapped.n_joint),
+    "random": lambda env, env_id, kwargs, seed: Random(env.unwrapped.n_joint, seed),
+}
