@@ -1,0 +1,194 @@
+"""Pictures without a display: learning curves, tip error and root curvature, the moving arm."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image, ImageDraw, ImageFont
+
+from agents.evaluation import SETTLED_BAND, Recording
+from agents.policy import Array, Controller
+
+COLOURS = ("#0072b2", "#d55e00", "#7f7f7f", "#009e73", "#cc79a7")  # told apart by everybody
+GIF_SECONDS_PER_FRAME = 0.04
+GIF_HEIGHT = 300  # [px] of the arm's picture
+STRIP_HEIGHT = 130  # [px] of each strip below
+
+
+def new_figure(width: float, height: float, dpi: int = 130) -> Figure:
+    """A figure that no window system and no global state knows about."""
+    figure = Figure(figsize=(width, height), dpi=dpi, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def tidy(axes: Any) -> None:
+    """Less ink."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25, linewidth=0.6)
+
+
+def plot_learning_curve(path: Path, runs: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    """Mean episode return and settled share against steps, one line per run."""
+    figure = new_figure(8.0, 3.2)
+    columns = (("return", "episode return"), ("settled", "episodes ending on target [%]"))
+    for axes, (key, label) in zip(figure.subplots(1, 2), columns, strict=True):
+        for i, (name, rows) in enumerate(runs.items()):
+            points = [(r["steps"], r[key]) for r in rows if r.get(key) is not None]
+            if points:
+                x, y = np.array(points, float).T
+                y = 100.0 * y if key == "settled" else y
+                axes.plot(x / 1e3, y, color=COLOURS[i % len(COLOURS)], linewidth=1.4, label=name)
+        axes.set(xlabel="environment steps [thousands]", ylabel=label)
+        axes.set_xlim(left=0.0)
+        tidy(axes)
+    if len(runs) > 1:
+        figure.axes[0].legend(frameon=False, fontsize=8)
+    figure.axes[1].set_ylim(-3.0, 103.0)
+    figure.savefig(path)
+
+
+def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str) -> None:
+    """Tip error (median and 10-90 % of all episodes) and root curvature of the first episode."""
+    figure = new_figure(8.0, 5.6)
+    error, curvature = figure.subplots(2, 1, sharex=True)
+    for i, (name, r) in enumerate(recordings.items()):
+        colour = COLOURS[i % len(COLOURS)]
+        percent = np.maximum(100.0 * r.tip_error / r.reach, 1e-3)
+        low, middle, high = np.nanquantile(percent, (0.1, 0.5, 0.9), axis=1)
+        error.plot(r.time, middle, color=colour, linewidth=1.6, label=name)
+        error.fill_between(r.time, low, high, color=colour, alpha=0.15, linewidth=0.0)
+        worst = np.nanargmax(np.nanmax(np.abs(r.root_curvature[:, 0]), axis=0))
+        curvature.plot(r.time, r.root_curvature[:, 0, worst], color=colour, linewidth=1.2)
+    band = 100.0 * SETTLED_BAND
+    error.axhline(band, color="black", linewidth=0.8, linestyle="--")
+    error.annotate(
+        "settled", (1.0, band), xycoords=("axes fraction", "data"), ha="right", va="bottom"
+    )
+    error.set(yscale="log", ylabel="tip error [% of reach]")
+    error.set_title(title, loc="left", fontsize=10)
+    error.set_ylim(bottom=max(0.01, error.get_ylim()[0]))
+    figure.legend(frameon=False, loc="outside upper right", ncols=len(recordings))
+    curvature.set(xlabel="time [s]", ylabel="curvature at the root [1/m]\n(first episode)")
+    curvature.set_xlim(0.0, max(r.time[-1] for r in recordings.values()))
+    for axes in (error, curvature):
+        tidy(axes)
+    figure.savefig(path)
+
+
+def film(
+    env_id: str, kwargs: Mapping[str, Any], controller: Controller, seed: int
+) -> tuple[list[Array], Recording]:
+    """One episode on one environment: its rendered frames, and what was measured."""
+    import flexarm_env  # noqa: F401  (registers the ids)
+
+    env = gym.make(env_id, render_mode="rgb_array", **kwargs)
+    try:
+        base: Any = env.unwrapped
+        observation, info = env.reset(seed=seed)
+        every = max(1, round(GIF_SECONDS_PER_FRAME / base.control_dt))
+        frames: list[Array] = [np.asarray(env.render())]
+        samples: dict[str, list[Any]] = {name: [info[name]] for name in SAMPLED}
+        state, ended, failed, step = None, False, False, 0
+        while not ended:
+            action, state = controller.predict(observation, state)
+            action = np.clip(np.asarray(action, np.float32), -1.0, 1.0)
+            observation, _, terminated, truncated, info = env.step(action)
+            ended, failed, step = terminated or truncated, terminated, step + 1
+            for name, values in samples.items():
+                values.append(info[name])
+            if step % every == 0:
+                frames.append(np.asarray(env.render()))
+        columns = {name: np.array(values, float)[:, None] for name, values in samples.items()}
+        for name in ("root_curvature", "torque"):
+            columns[name] = columns[name].reshape(step + 1, 1, -1)
+        recording = Recording(
+            time=base.control_dt * np.arange(step + 1),
+            action=columns["torque"] / np.asarray(base.torque_limit, float),
+            failed=np.array([failed]),
+            reach=float(base.reach),
+            **columns,
+        )
+        return frames, recording
+    finally:
+        env.close()
+
+
+SAMPLED = ("tip_error", "tip_deflection", "root_curvature", "torque")
+
+
+def write_gif(path: Path, films: Mapping[str, tuple[list[Array], Recording]]) -> None:
+    """The arms side by side above strips of tip error and root curvature with a moving cursor."""
+    n_frames = max(len(frames) for frames, _ in films.values())
+    pictures = {name: [scaled(f) for f in frames] for name, (frames, _) in films.items()}
+    width = sum(frames[0].width for frames in pictures.values())
+    strips, to_pixel = draw_strips({name: r for name, (_, r) in films.items()}, width)
+    font = ImageFont.load_default(size=15)
+    images = []
+    for i in range(n_frames):
+        canvas = Image.new("RGB", (width, GIF_HEIGHT + strips.height), "white")
+        left = 0
+        for k, (name, frames) in enumerate(pictures.items()):
+            canvas.paste(frames[min(i, len(frames) - 1)], (left, 0))
+            pen = ImageDraw.Draw(canvas)
+            pen.text((left + 10, 8), name, fill=COLOURS[k % len(COLOURS)], font=font)
+            left += frames[0].width
+        canvas.paste(strips, (0, GIF_HEIGHT))
+        x = to_pixel(i * GIF_SECONDS_PER_FRAME)
+        ImageDraw.Draw(canvas).line((x, GIF_HEIGHT, x, canvas.height), fill="#444444")
+        images.append(canvas)
+    # One palette for all frames: smaller, and no flicker.
+    sample = Image.new("RGB", (width, images[0].height * 2))
+    sample.paste(images[0], (0, 0))
+    sample.paste(images[n_frames // 2], (0, images[0].height))
+    palette = sample.quantize(64, dither=Image.Dither.NONE)
+    images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    images[0].save(
+        path,
+        save_all=True,
+        append_images=images[1:],
+        duration=int(1000 * GIF_SECONDS_PER_FRAME),
+        loop=0,
+        optimize=False,
+    )
+
+
+def scaled(frame: Array) -> Image.Image:
+    """A rendered frame at the GIF's height."""
+    image = Image.fromarray(np.asarray(frame, np.uint8))
+    size = (round(image.width * GIF_HEIGHT / image.height), GIF_HEIGHT)
+    return image if image.size == size else image.resize(size, Image.Resampling.LANCZOS)
+
+
+def draw_strips(recordings: Mapping[str, Recording], width: int) -> tuple[Image.Image, Any]:
+    """The strips as one picture, and the function from time [s] to its pixel column."""
+    dpi = 100
+    figure = new_figure(width / dpi, 2 * STRIP_HEIGHT / dpi, dpi)
+    error, curvature = figure.subplots(2, 1, sharex=True)
+    for i, r in enumerate(recordings.values()):
+        colour = COLOURS[i % len(COLOURS)]
+        error.plot(r.time, 100.0 * r.tip_error[:, 0] / r.reach, color=colour, linewidth=1.4)
+        worst = np.nanargmax(np.nanmax(np.abs(r.root_curvature[:, 0]), axis=0))
+        curvature.plot(r.time, r.root_curvature[:, 0, worst], color=colour, linewidth=1.2)
+    error.axhspan(0.0, 100.0 * SETTLED_BAND, color="#009e73", alpha=0.2, linewidth=0.0)
+    error.set_ylim(bottom=0.0)
+    error.set_ylabel("tip error\n[% of reach]", fontsize=8)
+    curvature.set_ylabel("root\ncurvature [1/m]", fontsize=8)
+    curvature.set_xlabel("time [s]", fontsize=8)
+    curvature.set_xlim(0.0, max(r.time[-1] for r in recordings.values()))
+    for axes in (error, curvature):
+        tidy(axes)
+        axes.tick_params(labelsize=7)
+    canvas: Any = figure.canvas
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+    transform = curvature.transData
+
+    def to_pixel(t: float) -> int:
+        return round(transform.transform((min(t, curvature.get_xlim()[1]), 0.0))[0])
+
+    return picture, to_pixel
