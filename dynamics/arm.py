@@ -1,0 +1,288 @@
+"""What people write: an arm, its links, joints and modes. SI units; a description checks itself."""
+
+import math
+from collections import Counter
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any
+
+from dynamics import checks
+from dynamics.checks import IDENTITY, ZEROS, Matrix, Vector
+from dynamics.shapes import KINDS, are_independent
+
+NORMS = ("tip-unit", "mass", "raw")
+ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # word in a file -> meaning
+STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy"}  # direction of a mode -> what resists it
+MAX_INDEX = 50
+
+
+def _clean(self: object, **values: object) -> None:
+    """Store checked values in a frozen dataclass."""
+    for name, value in values.items():
+        object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """One assumed shape s(x) of a link; see `dynamics.shapes` for the kinds."""
+
+    kind: str
+    index: int  # 1, 2, ... within its kind
+    direction: str  # "y", "z": bending displacement along that axis; "x": torsion
+    norm: str = "tip-unit"  # s(l) = 1 | "mass": modal mass 1 | "raw": as in the formula
+
+    def __post_init__(self) -> None:
+        kind = checks.choice(self.kind, "Mode.kind", KINDS)
+        index = checks.integer(self.index, "Mode.index", 1, MAX_INDEX)
+        direction = checks.choice(self.direction, "Mode.direction", STIFFNESS)
+        checks.choice(self.norm, "Mode.norm", NORMS)
+        if direction not in KINDS[kind]:
+            raise ValueError(
+                f"Mode.direction {direction!r} does not fit kind {kind!r}; "
+                f"possible: {list(KINDS[kind])}."
+            )
+        _clean(self, index=index)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """A revolute joint about its local z, at the root of its link."""
+
+    rotation: Matrix = IDENTITY  # (3, 3) [-] end frame of the link before -> joint frame at q = 0
+    offset: Vector = (0.0, 0.0, 0.0)  # [m] from that end to the joint, in that end frame
+    rotor_inertia: float = 0.0  # [kg m^2] turns with the joint rate (relative)
+    hub_inertia: float = 0.0  # [kg m^2] about z, turns with the link's root (absolute)
+    viscous: float = 0.0  # [N m s/rad] friction
+    coulomb: float = 0.0  # [N m] friction, times tanh(rate / coulomb_speed)
+    coulomb_speed: float = 0.05  # [rad/s]
+
+    def __post_init__(self) -> None:
+        _clean(
+            self,
+            rotation=checks.rotation(self.rotation, "Joint.rotation"),
+            offset=checks.vector(self.offset, "Joint.offset", "m"),
+            rotor_inertia=checks.nonnegative(self.rotor_inertia, "Joint.rotor_inertia", "kg m^2"),
+            hub_inertia=checks.nonnegative(self.hub_inertia, "Joint.hub_inertia", "kg m^2"),
+            viscous=checks.nonnegative(self.viscous, "Joint.viscous", "N m s/rad"),
+            coulomb=checks.nonnegative(self.coulomb, "Joint.coulomb", "N m"),
+            coulomb_speed=checks.positive(self.coulomb_speed, "Joint.coulomb_speed", "rad/s"),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """A slender link behind a revolute joint; flexible if it has modes, rigid if it has none."""
+
+    length: float  # [m] joint axis to tip
+    rho_A: float  # [kg/m] mass per unit length
+    EIz: float | None = None  # [N m^2] flexural rigidity for deflection along y
+    EIy: float | None = None  # [N m^2] flexural rigidity for deflection along z
+    GJ: float | None = None  # [N m^2] torsional rigidity
+    rho_Ip: float = 0.0  # [kg m] polar rotary inertia per unit length
+    tip_mass: float = 0.0  # [kg] point mass at the tip
+    tip_inertia: Matrix = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
+    modes: tuple[Mode, ...] = ()
+    damping_ratio: float = 0.0  # [-] the same for every mode
+    damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
+    segments: int = 1
+    joint: Joint = field(default_factory=Joint)
+
+    def __post_init__(self) -> None:
+        _clean(
+            self,
+            length=checks.positive(self.length, "Link.length", "m"),
+            rho_A=checks.positive(self.rho_A, "Link.rho_A", "kg/m"),
+            rho_Ip=checks.nonnegative(self.rho_Ip, "Link.rho_Ip", "kg m"),
+            tip_mass=checks.nonnegative(self.tip_mass, "Link.tip_mass", "kg"),
+            tip_inertia=checks.inertia(self.tip_inertia, "Link.tip_inertia"),
+            damping_ratio=checks.nonnegative(self.damping_ratio, "Link.damping_ratio", "-"),
+            damping_beta=checks.nonnegative(self.damping_beta, "Link.damping_beta", "s"),
+            segments=checks.integer(self.segments, "Link.segments", 1, 1000),
+            modes=tuple(checks.sequence(self.modes, "Link.modes")),
+        )
+        for name in STIFFNESS.values():
+            value = getattr(self, name)
+            if value is not None:
+                _clean(self, **{name: checks.nonnegative(value, f"Link.{name}", "N m^2")})
+        if self.segments > 1:
+            raise ValueError(
+                f"Link.segments = {self.segments} is not supported yet; use 1 and more modes."
+            )
+        if self.damping_ratio > 0.0 and self.damping_beta > 0.0:
+            raise ValueError(
+                f"Link.damping_ratio ({self.damping_ratio!r}) and Link.damping_beta "
+                f"({self.damping_beta!r}) exclude each other; give one."
+            )
+        if not isinstance(self.joint, Joint):
+            raise ValueError(f"Link.joint must be a Joint, got {self.joint!r}.")
+        self._check_modes()
+
+    def _check_modes(self) -> None:
+        for mode in self.modes:
+            if not isinstance(mode, Mode):
+                raise ValueError(f"Link.modes must hold Mode objects, got {mode!r}.")
+            stiffness = getattr(self, STIFFNESS[mode.direction])
+            if stiffness is None or not stiffness > 0.0:
+                raise ValueError(
+                    f"Link.{STIFFNESS[mode.direction]} must be positive for the mode along "
+                    f"{mode.direction!r} ({mode.kind} {mode.index}), got {stiffness!r}. "
+                    "Unit: [N m^2]."
+                )
+        repeated = Counter((mode.kind, mode.index, mode.direction) for mode in self.modes)
+        for (kind, index, direction), count in repeated.items():
+            if count > 1:
+                raise ValueError(
+                    f"Link.modes holds {kind} {index} along {direction!r} {count} times; "
+                    "list each mode once."
+                )
+        torsion = self.in_direction("x")
+        if len(torsion) > 1 and self.rho_Ip == 0.0:
+            raise ValueError(
+                f"Link.rho_Ip must be positive for {len(torsion)} torsion modes, got 0.0: "
+                "a tip inertia alone carries only one."
+            )
+        polar = self.rho_Ip + self.tip_inertia[0][0]
+        if polar == 0.0 and any(mode.norm == "mass" for mode in torsion):
+            raise ValueError(
+                "Mode.norm 'mass' of a torsion mode needs Link.rho_Ip or Link.tip_inertia about x, "
+                'got 0.0 for both; use "tip-unit".'
+            )
+        for direction in STIFFNESS:
+            modes = self.in_direction(direction)
+            if not are_independent(modes, self):
+                named = [f"{mode.kind} {mode.index}" for mode in modes]
+                raise ValueError(
+                    f"Link.modes along {direction!r} are linearly dependent ({', '.join(named)}); "
+                    "leave out the shape that repeats another."
+                )
+
+    def in_direction(self, direction: str) -> tuple[Mode, ...]:
+        """The link's modes along "x" (torsion), "y" or "z" (bending)."""
+        return tuple(mode for mode in self.modes if mode.direction == direction)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Payload:
+    """A rigid body held at the last link's tip; it joins that link's tip mass and inertia.
+
+    It does not change the assumed shapes, so one arm can carry many payloads.
+    """
+
+    mass: float  # [kg]
+    inertia: Matrix = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
+
+    def __post_init__(self) -> None:
+        _clean(
+            self,
+            mass=checks.nonnegative(self.mass, "Payload.mass", "kg"),
+            inertia=checks.inertia(self.inertia, "Payload.inertia"),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Base:
+    """What the first joint stands on."""
+
+    type: str = "fixed"
+
+    def __post_init__(self) -> None:
+        if self.type == "free":
+            raise ValueError("Base.type 'free' is not supported yet; use \"fixed\".")
+        checks.choice(self.type, "Base.type", ("fixed",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm:
+    """A serial chain of links on a base."""
+
+    links: tuple[Link, ...]
+    name: str = ""
+    description: str = ""
+    gravity: Vector = (0.0, 0.0, 0.0)  # [m/s^2] in the world frame
+    rotation: str = "exp"  # of a bent end: "exp" is a true rotation, "linear" is 1 + theta~
+    foreshortening: bool = False
+    base: Base = field(default_factory=Base)
+    payload: Payload | None = None
+
+    def __post_init__(self) -> None:
+        links = tuple(checks.sequence(self.links, "Arm.links"))
+        if not links:
+            raise ValueError("Arm.links must hold at least one link, got [].")
+        for link in links:
+            if not isinstance(link, Link):
+                raise ValueError(f"Arm.links must hold Link objects, got {link!r}.")
+        if self.foreshortening is not False:
+            raise ValueError(
+                f"Arm.foreshortening must be false, got {self.foreshortening!r}: "
+                "foreshortening is not supported yet."
+            )
+        if not isinstance(self.base, Base):
+            raise ValueError(f"Arm.base must be a Base, got {self.base!r}.")
+        if self.payload is not None and not isinstance(self.payload, Payload):
+            raise ValueError(f"Arm.payload must be a Payload or None, got {self.payload!r}.")
+        _clean(
+            self,
+            links=links,
+            name=checks.text(self.name, "Arm.name"),
+            description=checks.text(self.description, "Arm.description"),
+            gravity=checks.vector(self.gravity, "Arm.gravity", "m/s^2"),
+            rotation=ROTATIONS[checks.choice(self.rotation, "Arm.rotation", ROTATIONS)],
+        )
+        last = self.links[-1]
+        polar = last.rho_Ip + last.tip_inertia[0][0]
+        polar += self.payload.inertia[0][0] if self.payload else 0.0
+        if last.in_direction("x") and polar == 0.0:
+            raise ValueError(
+                "The last link has a torsion mode but no inertia about x (the mass matrix would be "
+                "singular), got Link.rho_Ip = 0.0 and Link.tip_inertia[0][0] = 0.0; give one."
+            )
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates: joint angles and modal amplitudes."""
+        return sum(1 + len(link.modes) for link in self.links)
+
+    @property
+    def n_joint(self) -> int:
+        """Number of joints, one per link."""
+        return len(self.links)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coordinates link by link: "q1", "d1_1", "d1_2", ..., "q2", ..."""
+        return tuple(
+            name
+            for i, link in enumerate(self.links, 1)
+            for name in (f"q{i}", *(f"d{i}_{j}" for j in range(1, len(link.modes) + 1)))
+        )
+
+    @property
+    def joint_index(self) -> tuple[int, ...]:
+        """(n_joint,) place of each joint angle among the coordinates."""
+        return tuple(k for k, name in enumerate(self.names) if name.startswith("q"))
+
+    @property
+    def reach(self) -> float:
+        """Length of the stretched arm, joint offsets included [m]."""
+        return sum(link.length + math.hypot(*link.joint.offset) for link in self.links)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The arm as plain lists, numbers and text, defaults left out; `load_arm` reads it back."""
+        return _plain(self)
+
+
+def _plain(value: Any) -> Any:
+    """A description as JSON would hold it."""
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    if not hasattr(value, "__dataclass_fields__"):
+        return value
+    return {
+        entry.name: _plain(getattr(value, entry.name))
+        for entry in fields(value)
+        if getattr(value, entry.name) != _default(entry)
+    }
+
+
+def _default(entry: Any) -> object:
+    """Default of a dataclass field; MISSING equals no value."""
+    return entry.default if entry.default_factory is MISSING else entry.default_factory()

@@ -1,0 +1,148 @@
+"""Arm files: JSON, YAML or a plain dict into an `Arm`, and back by `Arm.to_dict`."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dynamics import checks
+from dynamics.arm import Arm, Base, Joint, Link, Mode, Payload
+from dynamics.arms import ARMS
+
+ARM_KEYS = (*(entry.name for entry in fields(Arm)), "units")
+CASE_KEYS = (  # what an arm file may hold besides the arm: a motion and what is known of it
+    "initial",
+    "torque",
+    "t_end",
+    "n_out",
+    "states",
+    "expected",
+    "conventions",
+    "checks",
+)
+
+
+def load_arm(source: "str | PathLike[str] | Mapping[str, Any] | Arm") -> Arm:
+    """An arm from a preset's name, a path (.json, .yaml, .yml), a dict, or itself.
+
+    A case file is an arm file too: its motion and expectations are left aside.
+    """
+    if isinstance(source, Arm):
+        return source
+    if isinstance(source, Mapping):
+        return arm_from_dict(source)
+    if isinstance(source, str) and source in ARMS:
+        return ARMS[source]
+    if not isinstance(source, str | PathLike):
+        raise ValueError(
+            f"An arm is a preset name, a path, a dict or an Arm, got {type(source).__name__}."
+        )
+    path = Path(fspath(source))
+    if isinstance(source, str) and path.suffix == "" and not path.exists():
+        raise ValueError(f"Unknown arm {source!r}. Presets: {sorted(ARMS)}; or give a path.")
+    try:
+        return arm_from_dict(read_mapping(path))
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """The mapping in a JSON or YAML file; a key given twice is refused."""
+    if path.suffix not in (".json", ".yaml", ".yml"):
+        raise ValueError(f"must end in .json, .yaml or .yml, got {path.suffix!r}.")
+    try:
+        content = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ValueError(f"no such file: {path}.") from None
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror or error}.") from None
+    except UnicodeDecodeError as error:
+        raise ValueError(f"must be UTF-8 text ({error.reason} at byte {error.start}).") from None
+    try:
+        if path.suffix == ".json":
+            data = json.loads(content, object_pairs_hook=_unique)
+        else:
+            data = yaml.load(content, _UniqueKeyLoader)  # a SafeLoader
+    except json.JSONDecodeError as error:
+        raise ValueError(
+            f"is not valid JSON: {error.msg} at line {error.lineno}, column {error.colno}."
+        ) from None
+    except yaml.YAMLError as error:
+        raise ValueError(f"is not valid YAML: {' '.join(str(error).split())}.") from None
+    except RecursionError:
+        raise ValueError("is nested too deeply to be an arm.") from None
+    if not isinstance(data, dict):
+        raise ValueError(f"must hold a mapping at the top, got a {type(data).__name__}.")
+    return data
+
+
+def arm_from_dict(data: Mapping[str, Any]) -> Arm:
+    """An arm from plain lists, numbers and text; every unknown key is refused."""
+    keys = checks.mapping(data, "the arm", (*ARM_KEYS, *CASE_KEYS))
+    if keys.get("units", "SI") != "SI":
+        raise ValueError(f'units must be "SI", got {keys["units"]!r}.')
+    values = {key: keys[key] for key in ARM_KEYS if key in keys and key != "units"}
+    if values.get("base") is not None:
+        values["base"] = _base(values["base"])
+    else:
+        values.pop("base", None)
+    if values.get("payload") is not None:
+        values["payload"] = _build(Payload, values["payload"], "payload")
+    links = checks.sequence(values.get("links", []), "links")
+    values["links"] = [_link(entry, f"links[{i}]") for i, entry in enumerate(links)]
+    return Arm(**values)  # type: ignore[arg-type]
+
+
+def _link(data: object, where: str) -> Link:
+    values = checks.mapping(data, where, [entry.name for entry in fields(Link)])
+    if "joint" in values:
+        values["joint"] = _build(Joint, values["joint"], f"{where}.joint")
+    if "modes" in values:
+        modes = checks.sequence(values["modes"], f"{where}.modes")
+        values["modes"] = [_build(Mode, m, f"{where}.modes[{j}]") for j, m in enumerate(modes)]
+    link: Link = _build(Link, values, where)
+    return link
+
+
+def _base(data: object) -> Base:
+    kind = data.get("type", "fixed") if isinstance(data, Mapping) else None
+    if kind == "free":  # it has further keys, which would be refused one by one
+        return Base(type="free")
+    base: Base = _build(Base, data, "base")
+    return base
+
+
+def _build(cls: Any, data: object, where: str) -> Any:
+    """A description from a mapping; errors say where in the file it stands."""
+    values = checks.mapping(data, where, [entry.name for entry in fields(cls)])
+    for entry in fields(cls):
+        required = entry.default is MISSING and entry.default_factory is MISSING
+        if required and entry.name not in values:
+            raise ValueError(f"{where}: {cls.__name__}.{entry.name} is missing.")
+    try:
+        return cls(**values)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; a key given twice is refused."""
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        names = [name for name, _ in pairs]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        raise ValueError(f"the keys {repeated} stand twice in one object; keep one of each.")
+    return result
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML's safe loader, which would silently keep the last of two equal keys."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        pairs = [(str(self.construct_object(key, deep=True)), None) for key, _ in node.value]
+        _unique(pairs)
+        return super().construct_mapping(node, deep=deep)

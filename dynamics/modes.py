@@ -1,0 +1,250 @@
+"""Off-line integrals of one link: what the recursion needs of its shapes, once, as plain floats.
+
+Equation numbers are those of Korayem & Shafei (2009). A point of the link is
+r = [x, 0, 0] + sum_j delta_j r_j(x); the shape s_j of a mode acts along one direction:
+
+| direction | displacement r_j | rotation theta_j |
+|-----------|------------------|------------------|
+| "y"       | (0, s, 0)        | (0, 0, s')       |
+| "z"       | (0, 0, s)        | (0, -s', 0)      |
+| "x"       | (0, 0, 0)        | (s, 0, 0)        |
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from dynamics.arm import STIFFNESS, Link, Payload
+from dynamics.checks import Matrix, Vector
+from dynamics.shapes import Array, Shape, quadrature, shape
+
+__all__ = ["LinkConstants", "curvature", "deflection", "link_constants", "shape"]
+
+_ROUND_OFF = 1e-12  # [-] integrals this small beside their natural size are exact zeros
+_ENTRY_ROUND_OFF = 1e-14  # [-] the same for the entries of a mounting rotation
+
+_DISPLACEMENT: dict[str, Vector] = {"x": (0, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}  # times s
+_TILT: dict[str, Vector] = {"x": (0, 0, 0), "y": (0, 0, 1), "z": (0, -1, 0)}  # times s'
+_TWIST: dict[str, Vector] = {"x": (1, 0, 0), "y": (0, 0, 0), "z": (0, 0, 0)}  # times s
+_E_X = np.array((1.0, 0.0, 0.0))
+_E_Z = np.array((0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkConstants:
+    """One link as the recursion sees it: m modes, mu = rho_A, int over 0 <= eta <= l.
+
+    The integrals are (34)-(42), with eta = (x, 0, 0); K is (51)-(54). Exact zeros where nothing is.
+    """
+
+    length: float  # [m]
+    mass: float  # [kg] of the beam
+    first_moment: Vector  # [kg m] int mu eta
+    epsilon: tuple[Vector, ...]  # (m) [kg] int mu r_j
+    s: tuple[tuple[float, ...], ...]  # (m, m) [kg] int mu r_j . r_k
+    c_jk: tuple[tuple[Vector, ...], ...]  # (m, m) [kg] int mu r_j x r_k
+    c: tuple[Vector, ...]  # (m) [kg m] int mu eta x r_j
+    C: tuple[Matrix, ...]  # (m) [kg m] int mu eta~' r_j~
+    D: tuple[tuple[Matrix, ...], ...]  # (m, m) [kg] int mu r_j~' r_k~
+    C0: Matrix  # [kg m^2] int mu eta~' eta~
+    tip_phi: tuple[Vector, ...]  # (m) [-] displacement at the tip
+    tip_theta: tuple[Vector, ...]  # (m) [1/m] rotation at the tip
+    root_slope: tuple[float, ...]  # (m) [1/m] rotation about z at the root
+    K: tuple[tuple[float, ...], ...]  # (m, m) [N/m]
+    damping: tuple[tuple[float, ...], ...]  # (m, m) [N s/m]
+    tip_mass: float  # [kg] with the payload
+    tip_inertia: Matrix  # [kg m^2] with the payload
+    rotation: Matrix  # [-] mounting
+    offset: Vector  # [m] mounting
+    rotor_inertia: float  # [kg m^2]
+    viscous: float  # [N m s/rad]
+    coulomb: float  # [N m]
+    coulomb_speed: float  # [rad/s]
+
+
+def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
+    """All constants of one link; `payload` joins its tip body.
+
+    The rotary inertia rho_Ip and the hub are rotors: a rotor about the unit axis e with inertia I
+    that modes turn at t_j per unit rate adds I e e' to C0, I t_j e to c_j, I t_j t_k to s and
+    -1/2 I t_j e~ to C_j. The damping ratio counts the link's own tip body, not the payload.
+    """
+    x, weights = quadrature(link.length, link.modes)
+    shapes = [shape(mode, link) for mode in link.modes]
+    values = _table([s.value(x) for s in shapes], x.size)
+    directions = [mode.direction for mode in link.modes]
+    along = np.array([_DISPLACEMENT[d] for d in directions]).reshape(-1, 3)
+    twist = np.array([_TWIST[d][0] for d in directions])  # 1 for torsion, 0 for bending
+
+    mass = link.rho_A * link.length
+    moment = mass * link.length / 2.0
+    square = (values * weights) @ values.T  # int s_j s_k
+    size = np.sqrt(np.diag(square))
+    square = _snap(square, np.outer(size, size))
+    zeroth = link.rho_A * _snap(values @ weights, math.sqrt(link.length) * size)
+    first = link.rho_A * _snap(values @ (weights * x), link.length**1.5 * size)
+    second = link.rho_A * square
+
+    epsilon = zeroth[:, None] * along
+    s = second * (along @ along.T)
+    c = first[:, None] * np.cross(_E_X, along)
+    C = [i * _skew(_E_X).T @ _skew(u) for i, u in zip(first, along, strict=True)]
+    C0 = mass * link.length**2 / 3.0 * np.diag((0.0, 1.0, 1.0))
+
+    polar = link.rho_Ip * twist  # rotary inertia about x, spread along the link
+    spin = polar * _snap(values @ weights, math.sqrt(link.length) * size)  # int rho_Ip s_j
+    s += link.rho_Ip * square * np.outer(twist, twist)
+    root_slope = np.array([
+        float(s_j.slope(0.0)) if mode.kind == "pinned-free" else 0.0
+        for s_j, mode in zip(shapes, link.modes, strict=True)
+    ])  # fmt: skip
+    hub = link.joint.hub_inertia
+    s += hub * np.outer(root_slope, root_slope)
+    for axis, inertia, rates in (
+        (_E_X, link.rho_Ip * link.length, spin),
+        (_E_Z, hub, hub * root_slope),
+    ):
+        C0 = C0 + inertia * np.outer(axis, axis)
+        c = c + rates[:, None] * axis
+        C = [C_j - 0.5 * rate * _skew(axis) for C_j, rate in zip(C, rates, strict=True)]
+
+    K = _stiffness(link, shapes, x, weights)
+    tip_value = np.array([float(s_j.value(link.length)) for s_j in shapes])
+    tip_value = _snap(tip_value, size / math.sqrt(link.length))
+    tip_slope = np.array([float(s_j.slope(link.length)) for s_j in shapes])
+    tip_slope = _snap(tip_slope, size / link.length**1.5)
+    tilt = np.array([_TILT[d] for d in directions]).reshape(-1, 3)
+    modal_mass = link.rho_A * np.diag(square) + link.tip_mass * tip_value**2
+    modal_polar = link.rho_Ip * np.diag(square) + link.tip_inertia[0][0] * tip_value**2
+    modal = np.where(twist == 1.0, modal_polar, modal_mass)
+    damping = 2.0 * link.damping_ratio * np.diag(np.sqrt(np.diag(K) * modal))
+    damping = damping + link.damping_beta * K
+
+    tip_inertia = np.array(link.tip_inertia)
+    if payload is not None:
+        tip_inertia = tip_inertia + np.array(payload.inertia)
+    mounting = np.array(link.joint.rotation)
+    mounting = np.where(np.abs(mounting) < _ENTRY_ROUND_OFF, 0.0, mounting)
+    mounting = np.where(
+        np.abs(np.abs(mounting) - 1.0) < _ENTRY_ROUND_OFF, np.sign(mounting), mounting
+    )
+    constants = LinkConstants(
+        length=link.length,
+        mass=mass,
+        first_moment=(moment, 0.0, 0.0),
+        epsilon=_tuples(epsilon),
+        s=_tuples(s),
+        c_jk=_tuples(_pairs(second, np.cross, along)),
+        c=_tuples(c),
+        C=_tuples(C),
+        D=_tuples(_pairs(second, lambda u, w: _skew(u).T @ _skew(w), along)),
+        C0=_tuples(C0),
+        tip_phi=_tuples(tip_value[:, None] * along),
+        tip_theta=_tuples(tip_slope[:, None] * tilt + (tip_value * twist)[:, None] * _E_X),
+        root_slope=_tuples(root_slope),
+        K=_tuples(K),
+        damping=_tuples(damping),
+        tip_mass=link.tip_mass + (payload.mass if payload is not None else 0.0),
+        tip_inertia=_tuples(tip_inertia),
+        rotation=_tuples(mounting),
+        offset=link.joint.offset,
+        rotor_inertia=link.joint.rotor_inertia,
+        viscous=link.joint.viscous,
+        coulomb=link.joint.coulomb,
+        coulomb_speed=link.joint.coulomb_speed,
+    )
+    _check_finite(constants)
+    return constants
+
+
+def deflection(link: Link, delta: Iterable[float], x: Array) -> Array:
+    """Elastic displacement of the points x of a link, in the link's frame.
+
+    Parameters
+    ----------
+    delta : (m,) [m] modal amplitudes.
+    x : (n,) [m] places along the undeformed link.
+
+    Returns
+    -------
+    (n, 3) [m]
+    """
+    x = np.asarray(x, dtype=np.float64)
+    result = np.zeros((x.size, 3))
+    for mode, d in zip(link.modes, delta, strict=True):
+        result += d * np.outer(shape(mode, link).value(x), _DISPLACEMENT[mode.direction])
+    return result
+
+
+def curvature(link: Link, x: float) -> Array:
+    """Twist rate and curvatures at x per unit amplitude of each mode.
+
+    Returns
+    -------
+    (m, 3) [1/m^2] about x: s' of a torsion mode; about y: -s'' of a "z" mode; about z: s'' of a
+    "y" mode.
+    """
+    rows = []
+    for mode in link.modes:
+        s = shape(mode, link)
+        about = _TWIST if mode.direction == "x" else _TILT
+        rate = s.slope(x) if mode.direction == "x" else s.curvature(x)
+        rows.append(float(rate) * np.array(about[mode.direction]))
+    return np.array(rows).reshape(-1, 3)
+
+
+def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Array:
+    """int GJ s_j' s_k' (torsion), int EI s_j'' s_k'' (bending), none between directions."""
+    bent = _table(
+        [
+            s.slope(x) if mode.direction == "x" else s.curvature(x)
+            for s, mode in zip(shapes, link.modes, strict=True)
+        ],
+        x.size,
+    )
+    rigidity = np.array([getattr(link, STIFFNESS[mode.direction]) for mode in link.modes])
+    same = np.array([[j.direction == k.direction for k in link.modes] for j in link.modes])
+    K = (bent * weights) @ bent.T * same.reshape(len(shapes), len(shapes))
+    size = np.sqrt(np.diag(K))
+    return rigidity.reshape(-1, 1) * _snap(K, np.outer(size, size))
+
+
+def _table(rows: list[Array], columns: int) -> Array:
+    return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
+
+
+def _pairs(second: Array, product: Callable[[Array, Array], Array], along: Array) -> list[Any]:
+    """second[j][k] * product(u_j, u_k) for every pair of modes."""
+    return [
+        [second[j, k] * product(u, w) for k, w in enumerate(along)] for j, u in enumerate(along)
+    ]
+
+
+def _snap(values: Array, size: Array) -> Array:
+    """Exact zeros where a value is round-off beside its natural size."""
+    return np.where(np.abs(values) <= _ROUND_OFF * size, 0.0, values)
+
+
+def _skew(a: Array) -> Array:
+    """a~, with a~ b = a x b."""
+    return np.array(((0.0, -a[2], a[1]), (a[2], 0.0, -a[0]), (-a[1], a[0], 0.0)))
+
+
+def _tuples(values: Any) -> Any:
+    """Nested tuples of plain floats; no negative zeros."""
+    if np.ndim(values) == 0:
+        return float(values) + 0.0
+    return tuple(_tuples(value) for value in values)
+
+
+def _check_finite(constants: LinkConstants) -> None:
+    for entry in fields(constants):
+        values = np.array(getattr(constants, entry.name), dtype=np.float64)
+        if not np.isfinite(values).all():
+            raise ValueError(
+                f"A link of length {constants.length!r} m and mass {constants.mass!r} kg has no "
+                f"finite {entry.name}; check its units."
+            )
