@@ -78,7 +78,7 @@ def numbers(value: object, name: str, size: int | None = None, unit: str = "") -
     """(size,) finite floats from a list, tuple or array."""
     entries = sequence(value, name)
     if size is not None and len(entries) != size:
-        raise ValueError(f"{name} must have {size} numbers, got {len(entries)}.")
+        raise ValueError(f"{name} must have {size} numbers, got {len(entries)}: {_short(value)}.")
     return tuple(number(entry, f"{name}[{k}]", unit) for k, entry in enumerate(entries))
 
 

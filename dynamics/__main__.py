@@ -1,0 +1,138 @@
+"""Evaluate an arm file without a window: `python -m dynamics evaluate CASE.json [--out FILE]`."""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynamics.arms import ARMS
+from dynamics.case import Case, Motion, load_case
+
+BAD_INPUT = 2  # exit status: the file cannot be evaluated as it stands
+DIVERGED = 3  # exit status: the motion left the finite numbers
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m dynamics", description="Arms with flexible links, without a window."
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    evaluation = commands.add_parser(
+        "evaluate", help="M, h, accelerations, frequencies and motion of a case, as JSON"
+    )
+    evaluation.add_argument("case", type=Path, metavar="CASE", help="arm file (.json, .yaml)")
+    evaluation.add_argument("--out", type=Path, metavar="FILE", help="instead of standard output")
+    commands.add_parser("list", help="the preset arms")
+    options = parser.parse_args(arguments)
+    if options.command == "list":
+        print(listing())
+        return 0
+    try:
+        if options.out is not None:
+            check_target(options.out)
+        case = load_case(options.case)
+    except ValueError as error:
+        return _fail(error, BAD_INPUT)
+    from dynamics.model import Diverged  # late: a wrong file is refused at once
+
+    try:
+        text = _json(evaluate(case))
+        if options.out is None:
+            print(text)
+        else:
+            write(options.out, text)
+    except Diverged as error:
+        return _fail(error, DIVERGED)
+    except (ValueError, OSError) as error:
+        return _fail(error, BAD_INPUT)
+    return 0
+
+
+def listing() -> str:
+    """The presets, one per line: name, links, coordinates, reach, description."""
+    rows = [
+        f"{arm.name:18} {arm.n_joint} links  {arm.n:2} coordinates  {arm.reach:.2f} m  "
+        f"{arm.description}"
+        for arm in ARMS.values()
+    ]
+    return "\n".join(rows)
+
+
+def evaluate(case: Case) -> dict[str, Any]:
+    """What a case asks for, as plain lists and numbers."""
+    from dynamics.model import compile_arm
+
+    model = compile_arm(case.arm)
+    q = np.zeros(model.n)
+    q[list(case.arm.joint_index)] = case.joint_angles
+    result: dict[str, Any] = {"names": list(model.names), "states": []}
+    for state in case.states:
+        at, rate, tau = np.array(state.q), np.array(state.qd), np.array(state.tau)
+        result["states"].append({
+            "M": model.mass_matrix(at).tolist(),
+            "h": model.bias(at, rate).tolist(),
+            "acc": model.accelerations(at, rate, tau).tolist(),
+        })  # fmt: skip
+    result["frequencies_rad_s"] = {
+        f"joints_{joints}": model.frequencies(q, joints=joints).tolist()
+        for joints in ("locked", "free")
+    }
+    if case.motion is not None:
+        result["motion"] = _follow(model, case.motion)
+    return result
+
+
+def check_target(path: Path) -> None:
+    """Refuse, before any work, a file that could not be written."""
+    if path.is_dir():
+        raise ValueError(f"--out must be a file, got the folder {path}.")
+    if not path.parent.is_dir():
+        raise ValueError(f"--out needs an existing folder, got {path.parent}; create it first.")
+
+
+def write(path: Path, text: str) -> None:
+    """Replace a file in one step: it is either the old one or complete."""
+    with tempfile.NamedTemporaryFile(
+        "w", encoding="utf-8", dir=path.parent, prefix=f".{path.name}.", delete=False
+    ) as file:
+        file.write(text + "\n")
+    os.replace(file.name, path)
+
+
+def _follow(model: Any, motion: Motion) -> dict[str, Any]:
+    from dynamics.model import simulate
+
+    path = simulate(model, np.array(motion.q), np.array(motion.qd), motion.torque, motion.times)
+    energies = [model.energy(q, v) for q, v in zip(path.q, path.v, strict=True)]
+    return {
+        "t": path.t.tolist(),
+        "tip": path.tip.tolist(),
+        "q": path.q.tolist(),
+        "qd": path.v.tolist(),
+        "T": [float(kinetic) for kinetic, _, _ in energies],
+        "V": [float(elastic + gravity) for _, elastic, gravity in energies],
+    }
+
+
+def _json(result: dict[str, Any]) -> str:
+    try:
+        return json.dumps(result, allow_nan=False)
+    except ValueError:
+        raise ValueError(
+            "A result is not finite: a state is too large, or the mass matrix is singular there."
+        ) from None
+
+
+def _fail(error: Exception, status: int) -> int:
+    print(" ".join(str(error).split()), file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())
