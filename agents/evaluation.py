@@ -30,6 +30,10 @@ METRICS = {  # name: (unit, meaning)
     "command_variation": ("-", "total variation of the action"),
     "saturated": ("-", "share of the time with a joint at its torque limit"),
 }
+CAPTION = (
+    "Medians over episodes. Success: tip error below 2 % of the reach, held to the end. "
+    "Settling: since when. Tip error: at the end. Vibration: RMS elastic tip deflection over the last second."
+)
 NOTE = (
     "Medians over episodes; an episode that ends early counts as infinite in every metric but "
     "success. JSON has no infinity: null stands for an infinite value. SI units: "
@@ -178,19 +182,19 @@ def write_results(
                 writer.writerow([name, seed, *(float(metrics[m][i]) for m in METRICS)])
 
 
-def print_table(results: Mapping[str, Mapping[str, Array]], reach: float) -> None:
+def print_table(results: Mapping[str, Mapping[str, Array]]) -> None:
     """The comparison a reader wants first."""
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title="Medians over episodes; settled = tip error below 2 % of the reach, held")
+    table = Table()
     for column in (
         "",
         "success",
-        "settling time [s]",
-        "final tip error [mm]",
-        "residual vibration [mm]",
-        "torque effort [N²m²s]",
+        "settling [s]",
+        "tip error [mm]",
+        "vibration [mm]",
+        "effort [N²m²s]",
     ):
         table.add_column(column, justify="right" if column else "left")
     for name, metrics in results.items():
@@ -203,4 +207,6 @@ def print_table(results: Mapping[str, Mapping[str, Array]], reach: float) -> Non
             f"{1e3 * s['residual_vibration']:.3f}",
             f"{s['effort']:.3g}",
         )
-    Console(width=None if Console().is_terminal else 110).print(table)
+    console = Console(width=None if Console().is_terminal else 100)
+    console.print(table)
+    console.print(CAPTION, style="dim")
