@@ -32,7 +32,8 @@ METRICS = {  # name: (unit, meaning)
 }
 CAPTION = (
     "Medians over episodes. Success: tip error below 2 % of the reach, held to the end. "
-    "Settling: since when. Tip error: at the end. Vibration: RMS elastic tip deflection over the last second."
+    "Settling: since when. Tip error: at the end. "
+    "Vibration: RMS elastic tip deflection over the last second."
 )
 NOTE = (
     "Medians over episodes; an episode that ends early counts as infinite in every metric but "
@@ -97,7 +98,7 @@ def episode_metrics(recording: Recording) -> dict[str, Array]:
     time = r.time
     settling = np.array([settling_time(time, e, SETTLED_BAND * r.reach) for e in r.tip_error.T])
     last = np.array([np.flatnonzero(np.isfinite(e))[-1] for e in r.tip_error.T])
-    at_end = time[:, None] > time[last] - RESIDUAL_WINDOW - 1e-9
+    at_end = time[:, None] > time[last] - RESIDUAL_WINDOW + 1e-9
     dt = time[1] - time[0]
     steps = np.diff(r.action[1:], axis=0)
     saturated = (np.abs(r.action[1:]) >= SATURATED).any(axis=-1)

@@ -1,0 +1,78 @@
+"""Experiment files are read strictly, and every refusal is a sentence that names key and value."""
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import pytest
+import stable_baselines3
+
+from agents.config import AGENT_KWARGS, Config, ConfigError, config_from_dict, load_config
+
+CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs").glob("*.yaml"))
+GOOD = """
+env: {id: FlexArm/OneLink-Reach-v0, n_envs: 4, reward: {tracking: 1.0}}
+agent: {name: ppo, kwargs: {n_steps: 64, batch_size: 128, learning_rate: lin_3.0e-4}}
+total_steps: 300_000
+"""
+
+
+def load(tmp_path: Path, text: str) -> Config:
+    path = tmp_path / "experiment.yaml"
+    path.write_text(text, encoding="utf-8")
+    return load_config(path)
+
+
+def test_a_config_survives_being_written_and_read(tmp_path: Path) -> None:
+    config = load(tmp_path, GOOD)
+    assert config.name == "experiment"
+    assert config.total_steps == 300_000
+    assert config_from_dict(config.to_dict()) == config
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_shipped_configs_load_and_state_what_to_expect(path: Path) -> None:
+    assert load_config(path).name == path.stem
+    comments = [line for line in path.read_text().splitlines() if line.startswith("#")]
+    assert any("Expected:" in line for line in comments)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("300_000", "3e5", r"total_steps must be an int, got '3e5' \(write 300_000\)\."),
+        ("300_000", "1.5", r"total_steps must be an int, got 1\.5\."),
+        ("300_000", "true", r"total_steps must be an int, got True\."),
+        ("300_000", "-5", r"total_steps must be positive, got -5\."),
+        ("total_steps", "n_timesteps", r"unknown key 'n_timesteps'\. Here it is total_steps\."),
+        ("n_steps", "n_step", r"unknown key 'agent\.kwargs\.n_step'\. Did you mean 'n_steps'\?"),
+        ("lin_3.0e-4", "3e-4", r"learning_rate must be a number, got '3e-4' .*write 3\.0e-4"),
+        ("lin_3.0e-4", "lin_x", r"learning_rate must be a number or 'lin_NUMBER', got 'lin_x'"),
+        ("lin_3.0e-4", ".nan", r"learning_rate must be .*, got nan"),
+        ("128", "100", r"batch_size \(100\) must divide n_steps x n_envs \(256\)"),
+        ("name: ppo", "name: dqn", r"agent\.name must be one of \['ppo', 'sac'\], got 'dqn'"),
+        ("id: FlexArm/OneLink-Reach-v0, ", "", r"env\.id is missing"),
+        ("tracking: 1.0", "tracking: high", r"env\.reward\.tracking must be a number, got 'high'"),
+        ("agent: {", "agent: [", r"is not valid YAML near line"),
+    ],
+)
+def test_doubtful_files_are_refused(tmp_path: Path, old: str, new: str, sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        load(tmp_path, GOOD.replace(old, new, 1))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "5", "!!python/object/apply:os.getcwd []"])
+def test_other_yaml_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ConfigError):
+        load(tmp_path, text)
+
+
+def test_a_missing_file_is_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="No such file"):
+        load_config(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("name", sorted(AGENT_KWARGS))
+def test_every_accepted_agent_key_is_a_keyword_of_stable_baselines3(name: str) -> None:
+    algorithm: Any = getattr(stable_baselines3, name.upper())
+    assert set(AGENT_KWARGS[name]) <= set(inspect.signature(algorithm).parameters)

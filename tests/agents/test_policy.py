@@ -1,0 +1,154 @@
+"""A stored policy is arrays and JSON, and acts exactly as the network it came from."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import PPO, SAC
+
+from agents.checkpoints import CheckpointError, restore_checkpoint, save_checkpoint
+from agents.policy import (
+    PolicyError,
+    export_policy,
+    load_policy,
+    load_zip,
+    save_policy,
+)
+
+
+class Toy(gym.Env):
+    """Three numbers in, two out; no dynamics worth the name."""
+
+    observation_space = gym.spaces.Box(-5.0, 5.0, (3,), np.float32)
+    action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        super().reset(seed=seed)
+        return self.np_random.uniform(-1.0, 1.0, 3).astype(np.float32), {}
+
+    def step(self, action: Any) -> Any:
+        observation = self.np_random.uniform(-1.0, 1.0, 3).astype(np.float32)
+        return observation, -float(action @ action), False, bool(self.np_random.random() < 0.1), {}
+
+
+def build(name: str, seed: int = 0) -> Any:
+    if name == "ppo":
+        network = {"net_arch": [16, 8], "log_std_init": -0.5}
+        return PPO("MlpPolicy", Toy(), policy_kwargs=network, n_steps=32, batch_size=32, seed=seed)
+    network = {"net_arch": {"pi": [16], "qf": [16, 16]}}
+    return SAC("MlpPolicy", Toy(), policy_kwargs=network, learning_starts=10, seed=seed)
+
+
+@pytest.fixture(scope="module", params=["ppo", "sac"])
+def model(request: pytest.FixtureRequest) -> Any:
+    model = build(request.param)
+    model.learn(64)
+    with_large_actions = model.policy.action_net if request.param == "ppo" else model.actor.mu
+    with_large_actions.weight.data *= 30.0  # so that clipping and squashing have work to do
+    return model
+
+
+def test_stored_policy_acts_as_the_network(model: Any, tmp_path: Path) -> None:
+    save_policy(export_policy(model, {"env_id": "toy"}), tmp_path)
+    policy = load_policy(tmp_path)
+    observations = np.random.default_rng(0).uniform(-5.0, 5.0, (200, 3)).astype(np.float32)
+
+    expected, _ = model.predict(observations, deterministic=True)
+    actions, _ = policy.predict(observations)
+
+    np.testing.assert_allclose(actions, expected, atol=2e-6)  # float32 sums in another order
+    assert (np.abs(actions) > 0.99).any()
+    single, _ = policy.predict(observations[0])
+    np.testing.assert_allclose(single, actions[0], atol=2e-6)
+    assert policy.about["env_id"] == "toy"
+
+
+def test_policy_files_hold_no_pickle(model: Any, tmp_path: Path) -> None:
+    """Every array loads with pickling forbidden, and the rest is JSON."""
+    save_policy(export_policy(model, {}), tmp_path)
+    assert {file.name for file in tmp_path.iterdir()} == {"policy.json", "weights.npz"}
+    json.loads((tmp_path / "policy.json").read_text())
+    with np.load(tmp_path / "weights.npz", allow_pickle=False) as arrays:
+        assert all(arrays[name].dtype == np.float32 for name in arrays.files)
+
+
+def test_a_zip_is_unpickled_only_on_trust(model: Any, tmp_path: Path) -> None:
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(PolicyError, match="--trust"):
+        load_zip(tmp_path / "model.zip")
+
+    policy = load_zip(tmp_path / "model.zip", trust=True)
+
+    observation = np.array([0.3, -0.2, 0.9], np.float32)
+    expected = model.predict(observation, deterministic=True)[0]
+    np.testing.assert_allclose(policy.predict(observation)[0], expected, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("damage", "sentence"),
+    [
+        ({"format": "other"}, "format must be"),
+        ({"layer_sizes": [3, 99, 2]}, "not a stored policy|layer sizes"),
+        ({"layer_sizes": "three"}, "not a stored policy"),
+        ({"activation": "system"}, "unknown activation"),
+        ({"observation_low": [0.0]}, "layer sizes"),
+    ],
+)
+def test_damaged_policies_are_refused(
+    model: Any, tmp_path: Path, damage: dict[str, Any], sentence: str
+) -> None:
+    save_policy(export_policy(model, {}), tmp_path)
+    description = json.loads((tmp_path / "policy.json").read_text())
+    (tmp_path / "policy.json").write_text(json.dumps(description | damage))
+    with pytest.raises(PolicyError, match=sentence):
+        load_policy(tmp_path)
+
+
+def test_an_object_array_is_refused(model: Any, tmp_path: Path) -> None:
+    """numpy can hide a pickle in an array; it is not opened."""
+    policy = export_policy(model, {})
+    save_policy(policy, tmp_path)
+    arrays = {f"W{i}": W for i, W in enumerate(policy.weights)}
+    arrays["b0"] = np.array([{"a": 1}], dtype=object)
+    np.savez(tmp_path / "weights.npz", **arrays)
+    with pytest.raises(PolicyError, match="allow_pickle"):
+        load_policy(tmp_path)
+
+
+def test_policies_refuse_what_they_cannot_do(model: Any) -> None:
+    policy = export_policy(model, {})
+    with pytest.raises(ValueError, match="takes 3 observations"):
+        policy.predict(np.zeros(4))
+    with pytest.raises(ValueError, match="mean action only"):
+        policy.predict(np.zeros(3), deterministic=False)
+
+
+@pytest.mark.parametrize("name", ["ppo", "sac"])
+def test_a_checkpoint_restores_the_whole_learner(name: str, tmp_path: Path) -> None:
+    """Parameters, optimizer moments, loose tensors, counters and the replay buffer."""
+    trained, fresh = build(name), build(name, seed=1)
+    trained.learn(64)
+    folder = save_checkpoint(trained, tmp_path, {"session": 3})
+
+    assert restore_checkpoint(fresh, folder) == {"session": 3}
+
+    again = save_checkpoint(fresh, tmp_path / "again", {"session": 3})
+    assert (again / "state.json").read_text() == (folder / "state.json").read_text()
+    with np.load(folder / "arrays.npz") as a, np.load(again / "arrays.npz") as b:
+        assert a.files == b.files
+        for array in a.files:
+            np.testing.assert_array_equal(a[array], b[array])
+    assert any("exp_avg" in text for text in [(folder / "state.json").read_text()])
+
+
+def test_only_whole_checkpoints_of_the_same_kind_are_used(tmp_path: Path) -> None:
+    folder = save_checkpoint(build("ppo"), tmp_path, {})
+    with pytest.raises(CheckpointError, match="does not fit this run"):
+        restore_checkpoint(build("sac"), folder)
+    shutil.rmtree(folder)
+    with pytest.raises(CheckpointError, match="does not fit this run"):
+        restore_checkpoint(build("ppo"), folder)
