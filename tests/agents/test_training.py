@@ -1,0 +1,165 @@
+"""Whole runs in miniature: what they leave, and that a kill loses nothing that was logged."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+from agents.checkpoints import list_checkpoints
+from agents.evaluate import main as evaluate
+from agents.runs import RunFolder
+from agents.training import main as train
+
+ROOT = Path(__file__).resolve().parents[2]
+ENV_ID = "FlexArm/OneLink-Reach-v0"
+PPO = {"n_steps": 16, "batch_size": 64, "n_epochs": 1}
+SAC = {"batch_size": 16, "learning_starts": 64, "buffer_size": 4096}
+
+
+def write_config(folder: Path, name: str, total_steps: int) -> Path:
+    """A small experiment with a checkpoint after every rollout or so."""
+    path = folder / f"tiny_{name}.yaml"
+    experiment = {
+        "env": {"id": ENV_ID, "n_envs": 8},
+        "agent": {"name": name, "kwargs": {"ppo": PPO, "sac": SAC}[name]},
+        "total_steps": total_steps,
+        "checkpoint_seconds": 0.1,
+        "evaluation": {"episodes": 3},
+    }
+    path.write_text(yaml.safe_dump(experiment), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A finished run."""
+    folder = tmp_path_factory.mktemp("run")
+    out = folder / "out"
+    assert train(["--config", str(write_config(folder, "ppo", 1024)), "--out", str(out)]) == 0
+    return RunFolder(out)
+
+
+def test_a_run_leaves_its_whole_record(run: RunFolder) -> None:
+    files = {str(f.relative_to(run.path)) for f in run.path.rglob("*") if f.is_file()}
+    expected = "config.yaml versions.json metrics.jsonl metrics.csv evaluation.json evaluation.csv"
+    expected += " learning_curve.png trajectories.png arm.gif pd_gains.json"
+    expected += " policy/policy.json policy/weights.npz untrained/policy.json"
+    assert set(expected.split()) <= files
+    assert any(name.startswith("tensorboard/events.out") for name in files)
+    assert json.loads((run.path / "versions.json").read_text())["seed"] == 0
+    with open(run.path / "evaluation.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [r["controller"] for r in rows[::3]] == [
+        "trained policy",
+        "joint PD",
+        "untrained policy",
+    ]
+
+
+def test_no_file_of_a_run_needs_unpickling(run: RunFolder) -> None:
+    """Neither pickles nor zips of stable-baselines3: arrays and text only."""
+    suffixes = {f.suffix for f in run.path.rglob("*") if f.is_file() and "events" not in f.name}
+    assert suffixes <= {".yaml", ".json", ".jsonl", ".csv", ".npz", ".png", ".gif"}
+
+
+def test_evaluation_repeats_itself_exactly(run: RunFolder, tmp_path: Path) -> None:
+    texts = []
+    for name in ("a", "b"):
+        arguments = [str(run.path), "--env", ENV_ID, "--episodes", "3", "--seed", "5"]
+        assert evaluate([*arguments, "--out", str(tmp_path / name)]) == 0
+        texts.append((tmp_path / name / "evaluation.json").read_text())
+    assert texts[0] == texts[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["nothing", "--env", ENV_ID], "neither a run's folder nor a controller"),
+        (["pd", "--env", "FlexArm/NoSuch-Reach-v0"], "NoSuch"),
+        (["pd"], "--env is needed"),
+        (["pd", "--env", ENV_ID, "--episodes", "0"], "--episodes must be positive"),
+        (["pd", "--env", ENV_ID, "--env-kwargs", "{no_such: 1}"], "no_such"),
+        ([str(ROOT / "configs"), "--env", ENV_ID], "holds no policy.json"),
+        ([str(ROOT / "train.py"), "--env", ENV_ID], "--trust"),
+    ],
+)
+def test_bad_command_lines_end_with_one_sentence(
+    arguments: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate([*arguments, "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert error.count("\n") == 1
+
+
+def test_the_output_folder_is_checked_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert evaluate(["nothing", "--out", str(tmp_path / "file")]) == 2
+    assert "cannot be written to" in capsys.readouterr().err
+    assert train(["--out", str(tmp_path)]) == 2
+    assert "is not empty" in capsys.readouterr().err
+
+
+def test_training_refuses_bad_requests(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, sentence in (
+        (["--resume", str(tmp_path)], "is not a run"),
+        (["--config", str(tmp_path / "none.yaml")], "No such file"),
+        (["--steps", "0"], "--steps must be positive"),
+        (["--resume", str(tmp_path), "--seed", "1"], "--resume goes with --steps only"),
+    ):
+        assert train(arguments) == 2
+        assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["ppo", "sac"])
+def test_a_killed_run_resumes_and_loses_nothing(name: str, tmp_path: Path) -> None:
+    """SIGKILL in the middle of training, then --resume: every logged row is still there, the
+    steps go on from the last checkpoint, and the run ends where it would have ended."""
+    total = 6000 if name == "sac" else 120_000
+    config = write_config(tmp_path, name, total)
+    run = RunFolder(tmp_path / "out")
+    command = [sys.executable, str(ROOT / "train.py")]
+    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+    process = subprocess.Popen(
+        [*command, "--config", str(config), "--out", str(run.path)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+    deadline = time.monotonic() + 120.0
+    while len(list_checkpoints(run.checkpoints)) < 2 and time.monotonic() < deadline:
+        assert process.poll() is None, process.stdout and process.stdout.read().decode()
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    before = run.log.read_text(encoding="utf-8")
+    checkpoint = int(list_checkpoints(run.checkpoints)[-1].name.removeprefix("step_"))
+    assert 0 < checkpoint < total, "the kill came too late to show anything"
+
+    steps = checkpoint + 2000 if name == "ppo" else checkpoint + 200
+    resumed = subprocess.run(
+        [*command, "--resume", str(run.path), "--steps", str(steps)],
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+
+    assert resumed.returncode == 0, resumed.stderr
+    assert f"Resuming at {checkpoint:,}" in resumed.stdout
+    after = run.log.read_text(encoding="utf-8")
+    assert after.startswith(before)
+    new = [row for row in run.rows() if row["session"] == 1]
+    assert new[0]["steps"] > checkpoint
+    assert new[-1]["steps"] >= steps
+    curve = [row["steps"] for row in run.curve()]
+    assert curve == sorted(set(curve))
+    assert (run.policy / "policy.json").is_file()
