@@ -7,7 +7,7 @@ from typing import Any
 
 from dynamics import checks
 from dynamics.checks import IDENTITY, ZEROS, Matrix, Vector
-from dynamics.shapes import KINDS, are_independent
+from dynamics.shapes import KINDS, are_independent, shape
 
 NORMS = ("tip-unit", "mass", "raw")
 ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # word in a file -> meaning
@@ -146,6 +146,8 @@ class Link:
                 "Mode.norm 'mass' of a torsion mode needs Link.rho_Ip or Link.tip_inertia about x, "
                 'got 0.0 for both; use "tip-unit".'
             )
+        for mode in self.modes:
+            shape(mode, self)  # refuses what it cannot shape
         for direction in STIFFNESS:
             modes = self.in_direction(direction)
             if not are_independent(modes, self):

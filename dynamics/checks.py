@@ -13,6 +13,7 @@ Matrix = tuple[Vector, Vector, Vector]
 ZEROS: Matrix = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
+_LARGEST = 1e30  # in any SI unit; beyond it, and for a length below its inverse, floats overflow
 _ORTHONORMAL = 1e-9  # [-] largest entry of R'R - 1 of a mounting rotation
 _SYMMETRIC = 1e-9  # [-] largest asymmetry of an inertia, relative to its largest entry
 
@@ -31,6 +32,8 @@ def number(value: object, name: str, unit: str = "") -> float:
         result = math.inf
     if not math.isfinite(result):
         raise ValueError(f"{what} must be a finite number, got {_short(value)}.")
+    if abs(result) > _LARGEST:
+        raise ValueError(f"{what} must be at most {_LARGEST:g} in size, got {result!r}.")
     return result
 
 
@@ -39,6 +42,8 @@ def positive(value: object, name: str, unit: str) -> float:
     result = number(value, name, unit)
     if not result > 0.0:
         raise ValueError(f"{name} must be positive, got {result!r}. Unit: [{unit}].")
+    if result < 1.0 / _LARGEST:
+        raise ValueError(f"{name} [{unit}] must be at least {1.0 / _LARGEST:g}, got {result!r}.")
     return result
 
 

@@ -12,7 +12,7 @@ r = [x, 0, 0] + sum_j delta_j r_j(x); the shape s_j of a mode acts along one dir
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -131,7 +131,7 @@ def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
     mounting = np.where(
         np.abs(np.abs(mounting) - 1.0) < _ENTRY_ROUND_OFF, np.sign(mounting), mounting
     )
-    constants = LinkConstants(
+    return LinkConstants(
         length=link.length,
         mass=mass,
         first_moment=(moment, 0.0, 0.0),
@@ -156,8 +156,6 @@ def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
         coulomb=link.joint.coulomb,
         coulomb_speed=link.joint.coulomb_speed,
     )
-    _check_finite(constants)
-    return constants
 
 
 def deflection(link: Link, delta: Iterable[float], x: Array) -> Array:
@@ -238,13 +236,3 @@ def _tuples(values: Any) -> Any:
     if np.ndim(values) == 0:
         return float(values) + 0.0
     return tuple(_tuples(value) for value in values)
-
-
-def _check_finite(constants: LinkConstants) -> None:
-    for entry in fields(constants):
-        values = np.array(getattr(constants, entry.name), dtype=np.float64)
-        if not np.isfinite(values).all():
-            raise ValueError(
-                f"A link of length {constants.length!r} m and mass {constants.mass!r} kg has no "
-                f"finite {entry.name}; check its units."
-            )

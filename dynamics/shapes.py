@@ -45,6 +45,7 @@ _BRACKETS = {  # (tip mass, tip inertia) -> root k lies between (k + these) pi
     (0.0, math.inf): (-0.5, 0.0),  # slope held
     (math.inf, math.inf): (0.0, 1.0),  # clamped
 }
+_HEAVIEST = 1e6  # [-] tip body over beam for which the shapes keep 11 digits
 _DEPENDENT = 1e-12  # [-] smallest eigenvalue of the shapes' correlation matrix
 
 
@@ -192,9 +193,8 @@ def _raw(mode: "Mode", link: "Link") -> Shape:
         return BeamShape(
             length=length, beta=beta, grow=ratio, decay=-ratio * math.exp(-beta), sin=1.0
         )
-    mass = inertia = 0.0
-    if mode.kind == "clamped-tip-mass":
-        mass, inertia = _tip_ratios(mode, link)
+    bare = mode.kind == "clamped-free"
+    mass, inertia = (0.0, 0.0) if bare else _tip_ratios(mode, link)
     return _clamped(clamped_root(index, mass, inertia), mass, inertia, length)
 
 
@@ -202,7 +202,13 @@ def _tip_ratios(mode: "Mode", link: "Link") -> tuple[float, float]:
     """Tip mass and tip inertia over those of the beam [-]."""
     axis = {"y": 2, "z": 1}[mode.direction]
     beam = link.rho_A * link.length
-    return link.tip_mass / beam, link.tip_inertia[axis][axis] / (beam * link.length**2)
+    ratios = (link.tip_mass / beam, link.tip_inertia[axis][axis] / (beam * link.length**2))
+    if max(ratios) > _HEAVIEST:
+        raise ValueError(
+            f"Link.tip_mass or Link.tip_inertia is {max(ratios):.3g} times that of the link; above "
+            f"{_HEAVIEST:g} clamped-tip-mass shapes lose their digits, use another kind."
+        )
+    return ratios
 
 
 def _clamped(beta: float, mass: float, inertia: float, length: float) -> BeamShape:
