@@ -4,7 +4,6 @@ import argparse
 import json
 import os
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -98,11 +97,12 @@ def check_target(path: Path) -> None:
 
 def write(path: Path, text: str) -> None:
     """Replace a file in one step: it is either the old one or complete."""
-    with tempfile.NamedTemporaryFile(
-        "w", encoding="utf-8", dir=path.parent, prefix=f".{path.name}.", delete=False
-    ) as file:
-        file.write(text + "\n")
-    os.replace(file.name, path)
+    fresh = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        fresh.write_text(text + "\n", encoding="utf-8")
+        fresh.replace(path)
+    finally:
+        fresh.unlink(missing_ok=True)
 
 
 def _follow(model: Any, motion: Motion) -> dict[str, Any]:

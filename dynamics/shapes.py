@@ -45,7 +45,7 @@ _BRACKETS = {  # (tip mass, tip inertia) -> root k lies between (k + these) pi
     (0.0, math.inf): (-0.5, 0.0),  # slope held
     (math.inf, math.inf): (0.0, 1.0),  # clamped
 }
-_HEAVIEST = 1e6  # [-] tip body over beam for which the shapes keep 11 digits
+_HEAVIEST = 1e4  # [-] tip body over beam for which the shapes keep 11 digits
 _DEPENDENT = 1e-12  # [-] smallest eigenvalue of the shapes' correlation matrix
 
 
