@@ -256,6 +256,21 @@ def test_hub_and_rotary_inertia_are_the_energy_of_their_rates(rates: list[float]
     assert added == pytest.approx(expected, rel=1e-9, abs=1e-10)
 
 
+def test_a_rotor_that_modes_turn_resists_like_a_gyroscope() -> None:
+    """The moment 2 C_j w d_j of a rotor is w x (I t_j d_j e): its momentum, carried round."""
+    chosen = (
+        Mode(kind="pinned-free", index=1, direction="y"),
+        Mode(kind="torsion-poly", index=1, direction="x"),
+    )
+    bare = link_constants(a_link(*chosen, rho_Ip=0.0))
+    k = link_constants(a_link(*chosen, rho_Ip=0.05, joint=Joint(hub_inertia=0.3)))
+    momenta = ((0.0, 0.0, 0.3 * k.root_slope[0]), (0.05 * 0.7 / 2.0, 0.0, 0.0))  # int x/l = l/2
+    w = np.array((0.3, -1.1, 0.7))
+    for j, momentum in enumerate(momenta):
+        added = np.array(k.C[j]) - np.array(bare.C[j])
+        assert_allclose(2.0 * added @ w, np.cross(w, momentum), atol=1e-14)
+
+
 def test_damping_is_the_ratio_of_each_clamped_mode() -> None:
     """c_j = 2 zeta sqrt(K_jj m_jj), with the tip mass in bending and the tip inertia in torsion."""
     chosen = (*modes("clamped-free", 2), Mode(kind="torsion-poly", index=1, direction="x"))
