@@ -1,0 +1,133 @@
+"""Straight-line Python to LLVM vector code, without numba's type inference.
+
+A generated function has one form only: `x3 = w[2]`, `x7 = x3 * x5`, `x8 = floor(x7)`, `w[9] = x8`,
+where `w[s]` stands for slot s of every lane. Type inference would take half a millisecond per
+operation, and the loop vectoriser's success would be a matter of luck; emitting the operations on
+vectors of lanes is a hundred times faster and certain.
+"""
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+
+WIDTH = 4  # lanes per vector: 256 bits of float64; LLVM splits or joins for other machines
+
+_FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive to be seen
+
+
+def straight_line(lanes: int) -> Callable[[Callable[..., None]], Any]:
+    """Decorator: compile a generated function of `w` for this many lanes, as njit would."""
+
+    def decorate(function: Callable[..., None]) -> Any:
+        @intrinsic
+        def body(typingctx, w):  # type: ignore[no-untyped-def]
+            def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+                array = context.make_array(signature.args[0])(context, builder, args[0])
+                _emit(builder, array.data, inspect.getsource(function), lanes)
+                return context.get_dummy_value()
+
+            return types.void(w), codegen
+
+        @njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+        def run(w):  # type: ignore[no-untyped-def]
+            body(w)
+
+        return run
+
+    return decorate
+
+
+def _emit(builder: ir.IRBuilder, data: ir.Value, source: str, lanes: int) -> None:
+    """The function's statements, once for a single lane, else looped over vectors of lanes."""
+    tree = ast.parse(textwrap.dedent(source)).body[0]
+    assert isinstance(tree, ast.FunctionDef)
+    scalar = ir.DoubleType()
+    if lanes == 1:
+        _Block(builder, data, scalar, lanes).emit(tree.body)
+        return
+    vector = ir.VectorType(scalar, WIDTH)
+    index = ir.IntType(64)
+    before, loop = builder.block, builder.append_basic_block("lanes")
+    builder.branch(loop)
+    builder.position_at_end(loop)
+    lane = builder.phi(index)
+    lane.add_incoming(index(0), before)
+    _Block(builder, builder.gep(data, [lane]), vector, lanes).emit(tree.body)
+    following = builder.add(lane, index(WIDTH))
+    lane.add_incoming(following, builder.block)
+    after = builder.append_basic_block("done")
+    builder.cbranch(builder.icmp_unsigned("<", following, index(lanes)), loop, after)
+    builder.position_at_end(after)
+
+
+class _Block:
+    """Emits statements on values of one type: a number, or a vector of lanes."""
+
+    def __init__(self, builder: ir.IRBuilder, data: ir.Value, kind: ir.Type, lanes: int) -> None:
+        self.builder, self.data, self.kind, self.lanes = builder, data, kind, lanes
+        self.values: dict[str, ir.Value] = {}
+
+    def emit(self, statements: list[ast.stmt]) -> None:
+        for statement in statements:
+            if not isinstance(statement, ast.Assign):
+                continue  # the docstring
+            value = self._value(statement.value)
+            target = statement.targets[0]
+            if isinstance(target, ast.Name):
+                self.values[target.id] = value
+            else:
+                assert isinstance(target, ast.Subscript)
+                self.builder.store(value, self._slot(target), align=8)
+
+    def _slot(self, node: ast.Subscript) -> ir.Value:
+        assert isinstance(node.slice, ast.Constant)
+        offset = ir.IntType(64)(int(node.slice.value) * self.lanes)
+        address = self.builder.gep(self.data, [offset])
+        return self.builder.bitcast(address, self.kind.as_pointer())
+
+    def _value(self, node: ast.expr) -> ir.Value:
+        b = self.builder
+        match node:
+            case ast.Name():
+                return self.values[node.id]
+            case ast.Constant():
+                return self._constant(float(node.value))
+            case ast.Subscript():
+                return b.load(self._slot(node), align=8)
+            case ast.UnaryOp(operand=ast.Constant() as number):
+                return self._constant(-float(number.value))
+            case ast.UnaryOp():
+                return b.fneg(self._value(node.operand), flags=_FLAGS)
+            case ast.BinOp():
+                operation = {
+                    ast.Add: b.fadd, ast.Sub: b.fsub, ast.Mult: b.fmul, ast.Div: b.fdiv,
+                }[type(node.op)]  # fmt: skip
+                return operation(self._value(node.left), self._value(node.right), flags=_FLAGS)
+            case ast.Call(func=ast.Name(id=name)):
+                return self._call(name, [self._value(a) for a in node.args])
+        raise ValueError(f"No code for {ast.unparse(node)}.")
+
+    def _constant(self, value: float) -> ir.Value:
+        if isinstance(self.kind, ir.VectorType):
+            return ir.Constant(self.kind, [value] * WIDTH)
+        return ir.Constant(self.kind, value)
+
+    def _call(self, name: str, args: list[ir.Value]) -> ir.Value:
+        b = self.builder
+        if name in ("min", "max"):  # ordered comparisons: a NaN in the first argument survives
+            beyond = b.fcmp_ordered(">" if name == "min" else "<", args[0], args[1])
+            return b.select(beyond, args[1], args[0])
+        suffix = f"v{WIDTH}f64" if isinstance(self.kind, ir.VectorType) else "f64"
+        intrinsic_name = {"floor": "floor", "sqrt": "sqrt", "abs": "fabs"}[name]
+        module = b.module
+        full = f"llvm.{intrinsic_name}.{suffix}"
+        function = module.globals.get(full) or ir.Function(
+            module, ir.FunctionType(self.kind, [self.kind]), full
+        )
+        return b.call(function, args)

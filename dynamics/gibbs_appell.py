@@ -1,0 +1,375 @@
+"""The recursive Gibbs-Appell equations of an arm with flexible links, over any scalar type.
+
+Equation numbers are those of Korayem & Shafei, "Inverse/forward dynamics of flexible-link arms by
+recursive Gibbs-Appell formulation and assumed modes" (2009); docs/theory.md lists the corrections.
+Every vector of link i lives in the frame of link i: origin at its joint, x along the undeformed
+link, z the joint axis. Run on floats this is the plain reference; run on symbols it is the
+expression graph of one arm.
+
+Two ways to the accelerations share all of it: `mass_matrix` and `bias` (the composite form, as
+in the paper) and `accelerations`, which eliminates each link's modes and joint on the way inward.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from dynamics.algebra import (
+    ZERO,
+    ZEROS,
+    Matrix,
+    Scalar,
+    Vector,
+    add,
+    combine,
+    congruence,
+    cross,
+    dot,
+    is_zero,
+    madd,
+    matmul,
+    matvec,
+    mcombine,
+    minus,
+    msub,
+    mul,
+    plus,
+    rotate,
+    scale,
+    skew,
+    sub,
+    symmetric,
+    tanh,
+    tmatvec,
+    transpose,
+)
+from dynamics.kinematics import Chain, Frame, outward
+from dynamics.modes import LinkConstants
+
+
+class Inertia(NamedTuple):
+    """Inertia seen at a point: force = A a + B' alpha, moment = B a + D alpha."""
+
+    A: Matrix
+    B: Matrix
+    D: Matrix
+
+    def moved(self, r: Vector) -> "Inertia":
+        """The same inertia seen at a point from which this one lies at `r`."""
+        if all(is_zero(x) for x in r):
+            return self
+        B = madd(self.B, matmul(skew(r), self.A))
+        Br, rB = matmul(B, skew(r)), matmul(skew(r), transpose(self.B))
+        D = symmetric(lambda i, j: plus(self.D[i][j], minus(rB[i][j], Br[i][j])))
+        return Inertia(self.A, B, D)
+
+    def turned(self, R: Matrix) -> "Inertia":
+        """The same inertia in a frame turned by R."""
+        return Inertia(congruence(R, self.A), rotate(R, self.B), congruence(R, self.D))
+
+
+def _friction(link: LinkConstants, rate: Scalar) -> Scalar:
+    """Joint friction torque [N m]: viscous, and Coulomb smoothed by tanh."""
+    viscous = mul(link.viscous, rate)
+    if is_zero(link.coulomb):
+        return viscous
+    return plus(viscous, mul(link.coulomb, tanh(mul(1.0 / link.coulomb_speed, rate))))
+
+
+def _own_bias(f: Frame) -> tuple[Vector, Vector, list[Scalar]]:
+    """Force, moment and modal forces of a link alone, second derivatives zero: (96), (97), (102).
+
+    The link itself between joint and tip, and the body at its tip (returned at the joint).
+    """
+    link, w = f.link, f.w
+    eps_dot = combine(f.delta_dot, link.epsilon)
+    B8w = matvec(mcombine(f.delta_dot, f.beta), w)
+    force = add(scale(link.mass, f.a), matvec(f.Phi, f.rho), scale(2.0, cross(w, eps_dot)))
+    moment = add(
+        cross(f.rho, f.a),
+        scale(2.0, B8w),
+        matvec(f.B9, f.w_dot),
+        cross(w, matvec(f.B9, w)),
+    )
+    modal = []
+    for j, beta in enumerate(f.beta):
+        gyroscopic = plus(
+            mul(2.0, dot(w, combine(f.delta_dot, link.c_jk[j]))), dot(w, matvec(beta, w))
+        )
+        modal.append(minus(plus(dot(f.a, link.epsilon[j]), dot(f.w_dot, f.alpha[j])), gyroscopic))
+    return force, moment, modal
+
+
+def _tip_body_bias(f: Frame) -> tuple[Vector, Vector]:
+    """Force and moment that accelerate the body at the tip, at the tip."""
+    J = congruence(f.E, f.link.tip_inertia)
+    moment = add(matvec(J, f.w_dot_tip), cross(f.w_tip, matvec(J, f.w_tip)))
+    return scale(f.link.tip_mass, f.a_tip), moment
+
+
+class Wrench(NamedTuple):
+    """Force and moment about a point."""
+
+    force: Vector
+    moment: Vector
+
+    def from_next(self, R: Matrix, offset: Vector) -> "Wrench":
+        """Wrench at the next joint seen at this link's tip, in this link's frame."""
+        force = matvec(R, self.force)
+        return Wrench(force, add(matvec(R, self.moment), cross(offset, force)))
+
+
+def _load(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
+    """Wrench at the joint and generalized forces (modes, then joint) that the bias needs.
+
+    `outer` acts at the tip. Sums of (98) to (103), with elastic, dissipative and friction forces.
+    """
+    link = f.link
+    force, moment, modal = _own_bias(f)
+    body = _tip_body_bias(f)
+    tip = Wrench(add(body[0], outer.force), add(body[1], outer.moment))
+    slip = plus(rate, dot(link.root_slope, f.delta_dot))
+    friction = _friction(link, slip)
+    for j, inertial in enumerate(modal):
+        modal[j] = plus(
+            inertial,
+            dot(link.tip_phi[j], tip.force),
+            dot(f.tip_theta[j], tip.moment),
+            dot(link.K[j], f.delta),
+            dot(link.damping[j], f.delta_dot),
+            mul(link.root_slope[j], friction),
+        )
+    total = Wrench(add(force, tip.force), add(moment, tip.moment, cross(f.r, tip.force)))
+    return total, [*modal, plus(total.moment[2], friction)]
+
+
+def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]:
+    """(n,) h of M qdd + h = B tau: inertial, gravity, elastic and dissipative forces."""
+    frames = outward(chain, q, v)
+    outer = Wrench(ZERO, ZERO)
+    h: list[Scalar] = []
+    for f, (rate, _) in zip(reversed(frames), reversed(chain.split(v)), strict=True):
+        wrench, forces = _load(f, rate, outer)
+        h = [forces[-1], *forces[:-1], *h]
+        outer = wrench.from_next(f.R, f.offset)
+    return h
+
+
+class Block(NamedTuple):
+    """A link and all beyond it as a column of accelerations sees them."""
+
+    inertia: Inertia  # at the joint
+    columns: list[Wrench]  # per coordinate (modes, then joint): wrench at the joint
+    D: list[list[Scalar]]  # coupling of the coordinates, upper triangle filled
+
+
+def _block(f: Frame, outer: Inertia) -> Block:
+    """Blocks of the mass matrix of one link carrying `outer` at its tip: (75), (81), (85)."""
+    link, m = f.link, len(f.delta)
+    A, B, D = outer
+    columns, couplings = [], [[0.0] * (m + 1) for _ in range(m + 1)]
+    at_tip = [
+        Wrench(
+            add(matvec(A, phi), tmatvec(B, theta)),
+            add(matvec(B, phi), matvec(D, theta)),
+        )
+        for phi, theta in zip(link.tip_phi, f.tip_theta, strict=True)
+    ]
+    shifted = outer.moved(f.r)
+    inertia = Inertia(
+        symmetric(lambda i, j: plus(shifted.A[i][j], link.mass if i == j else 0.0)),
+        madd(skew(f.rho), shifted.B),
+        symmetric(lambda i, j: plus(f.B9[i][j], shifted.D[i][j])),
+    )
+    for j, tip in enumerate(at_tip):
+        force = add(link.epsilon[j], tip.force)
+        columns.append(Wrench(force, add(f.alpha[j], tip.moment, cross(f.r, tip.force))))
+        for k in range(j, m):
+            couplings[j][k] = plus(
+                link.s[j][k],
+                dot(link.tip_phi[j], at_tip[k].force),
+                dot(f.tip_theta[j], at_tip[k].moment),
+                link.rotor_inertia * link.root_slope[j] * link.root_slope[k],
+            )
+        couplings[j][m] = plus(columns[j].moment[2], link.rotor_inertia * link.root_slope[j])
+    columns.append(Wrench(inertia.B[2], transpose(inertia.D)[2]))
+    couplings[m][m] = plus(inertia.D[2][2], link.rotor_inertia)
+    return Block(inertia, columns, couplings)
+
+
+def _with_tip_body(f: Frame, outer: Inertia) -> Inertia:
+    """Add the body at the tip."""
+    m, J = f.link.tip_mass, congruence(f.E, f.link.tip_inertia)
+    A = symmetric(lambda i, j: plus(outer.A[i][j], m if i == j else 0.0))
+    return Inertia(A, outer.B, symmetric(lambda i, j: plus(outer.D[i][j], J[i][j])))
+
+
+_NOTHING = Inertia(ZEROS, ZEROS, ZEROS)
+
+
+def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
+    """(n, n) M from composite inertias; the joint-deflection block is mirrored, not recomputed."""
+    n = len(q)
+    frames = outward(chain, q, [0.0] * n)
+    M: list[list[Scalar]] = [[0.0] * n for _ in range(n)]
+    starts = [0]
+    for f in frames:
+        starts.append(starts[-1] + 1 + len(f.delta))
+
+    def place(i: int, c: int) -> int:  # a link's modes come first inside a block, last outside
+        return starts[i] + (c + 1) % (len(frames[i].delta) + 1)
+
+    outer = _NOTHING
+    for i in reversed(range(len(frames))):
+        f = frames[i]
+        block = _block(f, _with_tip_body(f, outer))
+        for c, column in enumerate(block.columns):
+            for d in range(c, len(block.columns)):
+                M[place(i, c)][place(i, d)] = M[place(i, d)][place(i, c)] = block.D[c][d]
+            wrench, child = column, f
+            for k in reversed(range(i)):
+                parent = frames[k]
+                tip = wrench.from_next(child.R, child.offset)
+                wrench = Wrench(tip.force, add(tip.moment, cross(parent.r, tip.force)))
+                entries = [
+                    plus(dot(phi, tip.force), dot(theta, tip.moment))
+                    for phi, theta in zip(parent.link.tip_phi, parent.tip_theta, strict=True)
+                ]
+                for d, entry in enumerate([*entries, wrench.moment[2]]):
+                    M[place(k, d)][place(i, c)] = M[place(i, c)][place(k, d)] = entry
+                child = parent
+        # B stays a skew matrix in a composite: turn its vector, not the matrix
+        b = (block.inertia.B[2][1], block.inertia.B[0][2], block.inertia.B[1][0])
+        turned = Inertia(
+            block.inertia.A, skew(matvec(f.R, b)), congruence(f.R, block.inertia.D)
+        )
+        outer = turned.moved(f.offset)
+    return M
+
+
+class Implicit(NamedTuple):
+    """Linear forces taken implicitly: M + stiffness K + damping C replaces M (integrators.py)."""
+
+    stiffness: Scalar = 0.0  # [s^2] h^2/4 for the midpoint rule
+    damping: Scalar = 0.0  # [s] h/2 for the midpoint rule
+    guess: Sequence[Scalar] = ()  # (n,) accelerations with which v was extrapolated
+
+
+def accelerations(
+    chain: Chain,
+    q: Sequence[Scalar],
+    v: Sequence[Scalar],
+    tau: Sequence[Scalar],
+    implicit: Implicit | None = None,
+) -> list[Scalar]:
+    """(n,) accelerations in O(n): each link's modes and joint are eliminated on the way inward."""
+    frames = outward(chain, q, v)
+    rates = chain.split(v)
+    guesses = chain.split(implicit.guess) if implicit else [(0.0, ())] * len(frames)
+    solved = []
+    outer, load = _NOTHING, Wrench(ZERO, ZERO)
+    for i in reversed(range(len(frames))):
+        f = frames[i]
+        wrench, forces = _load(f, rates[i][0], load)
+        block = _block(f, _with_tip_body(f, outer))
+        drive = [*(mul(s, tau[i]) for s in f.link.root_slope), tau[i]]
+        residual = [minus(t, h) for t, h in zip(drive, forces, strict=True)]
+        if implicit:
+            _take_implicitly(f.link, block.D, residual, implicit, guesses[i])
+        pivots = _eliminate(block, residual)
+        solved.append((block, residual, pivots))
+        if i:
+            inertia = _reduced(f.link, block, pivots)
+            outer = inertia.turned(f.R).moved(f.offset)
+            push = [mul(e, p) for e, p in zip(residual, pivots, strict=True)]
+            load = Wrench(
+                add(wrench.force, combine(push, [c.force for c in block.columns])),
+                add(wrench.moment, combine(push, [c.moment for c in block.columns])),
+            ).from_next(f.R, f.offset)
+    return _outward_solution(frames, solved[::-1])
+
+
+def _take_implicitly(
+    link: LinkConstants,
+    D: list[list[Scalar]],
+    residual: list[Scalar],
+    implicit: Implicit,
+    guess: tuple[Scalar, Sequence[Scalar]],
+) -> None:
+    """Add stiffness K + damping C to one link's block, and the damping already in the guess."""
+    m = len(link.K)
+    slopes = [*link.root_slope, 1.0]
+    values = [*guess[1], guess[0]]
+    for j in range(m + 1):
+        row: list[Scalar] = []
+        for k in range(m + 1):
+            C = link.viscous * slopes[j] * slopes[k] if not is_zero(link.viscous) else 0.0
+            if j < m and k < m:
+                C = plus(C, link.damping[j][k])
+            C = mul(implicit.damping, C)
+            row.append(C)
+            if k >= j:
+                K = mul(implicit.stiffness, link.K[j][k]) if k < m else 0.0
+                D[j][k] = plus(D[j][k], C, K)
+        residual[j] = plus(residual[j], dot(row, values))
+
+
+def _eliminate(block: Block, residual: list[Scalar]) -> list[Scalar]:
+    """LDL' of one link's coordinates, modes first: inverse pivots; columns and D are reduced."""
+    D, columns = block.D, block.columns
+    pivots = []
+    for c in range(len(columns)):
+        inverse = 1.0 / D[c][c]
+        pivots.append(inverse)
+        for d in range(c + 1, len(columns)):
+            factor = mul(D[c][d], inverse)
+            if is_zero(factor):
+                continue
+            columns[d] = Wrench(
+                sub(columns[d].force, scale(factor, columns[c].force)),
+                sub(columns[d].moment, scale(factor, columns[c].moment)),
+            )
+            for e in range(d, len(columns)):
+                D[d][e] = minus(D[d][e], mul(factor, D[c][e]))
+            residual[d] = minus(residual[d], mul(factor, residual[c]))
+            D[c][d] = factor
+    return pivots
+
+
+def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar]) -> Inertia:
+    """Articulated inertia: what is left at the joint once the link's coordinates move freely."""
+    A, B, D = block.inertia
+    for column, pivot in zip(block.columns, pivots, strict=True):
+        F, N = column
+        pF, pN = scale(pivot, F), scale(pivot, N)
+        A = symmetric(lambda i, j, A=A, pF=pF, F=F: minus(A[i][j], mul(pF[i], F[j])))
+        B = msub(B, tuple(tuple(mul(pN[i], F[j]) for j in range(3)) for i in range(3)))
+        D = symmetric(lambda i, j, D=D, pN=pN, N=N: minus(D[i][j], mul(pN[i], N[j])))
+    if any(link.root_slope) and link.rotor_inertia:
+        return Inertia(A, B, D)
+    # about the free axis only the rotor resists: exactly zero without one
+    keep = mul(link.rotor_inertia, pivots[-1])
+    z = Wrench(*(scale(keep, u) for u in block.columns[-1]))
+    B = (B[0], B[1], z.force)
+    D = symmetric(lambda i, j, D=D: z.moment[i] if j == 2 else D[i][j])
+    return Inertia(A, B, D)
+
+
+def _outward_solution(
+    frames: list[Frame], solved: list[tuple[Block, list[Scalar], list[Scalar]]]
+) -> list[Scalar]:
+    """Back substitution from base to tip."""
+    result: list[Scalar] = []
+    a, w_dot = ZERO, ZERO  # at the tip of the link before, beyond the bias accelerations
+    for f, (block, residual, pivots) in zip(frames, solved, strict=True):
+        a = tmatvec(f.R, add(a, cross(w_dot, f.offset)))
+        w_dot = tmatvec(f.R, w_dot)
+        u: list[Scalar] = [0.0] * len(pivots)
+        for c in reversed(range(len(pivots))):
+            F, N = block.columns[c]
+            driven = minus(residual[c], plus(dot(F, a), dot(N, w_dot)))
+            u[c] = minus(mul(driven, pivots[c]), dot(block.D[c][c + 1 :], u[c + 1 :]))
+        result += [u[-1], *u[:-1]]
+        w_dot = add(w_dot, (0.0, 0.0, u[-1]))
+        a = add(a, cross(w_dot, f.r), combine(u[:-1], f.link.tip_phi))
+        w_dot = add(w_dot, combine(u[:-1], f.tip_theta))
+    return result

@@ -1,0 +1,93 @@
+"""One step of each integration method, and the table of them.
+
+A method works in place on the flat workspace `w`: `n` values (coordinates times lanes) of q, v and
+a start at these offsets, scratch space for four times as many at `s`. `evaluate(w)` writes the
+accelerations of the present q and v. The functions are plain Python; stepper.py compiles them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+def rk4(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
+    """Classical Runge-Kutta, order 4; stable on an undamped mode up to omega h = 2.83."""
+    q0, v0, dq, dv = s, s + n, s + n + n, s + n + n + n
+    half = 0.5 * h
+    evaluate(w)
+    for i in range(n):
+        w[q0 + i] = w[q + i]
+        w[v0 + i] = w[v + i]
+        w[dq + i] = w[v + i]
+        w[dv + i] = w[a + i]
+        w[q + i] = w[q0 + i] + half * w[v + i]
+        w[v + i] = w[v0 + i] + half * w[a + i]
+    evaluate(w)
+    for i in range(n):
+        w[dq + i] += 2.0 * w[v + i]
+        w[dv + i] += 2.0 * w[a + i]
+        w[q + i] = w[q0 + i] + half * w[v + i]
+        w[v + i] = w[v0 + i] + half * w[a + i]
+    evaluate(w)
+    for i in range(n):
+        w[dq + i] += 2.0 * w[v + i]
+        w[dv + i] += 2.0 * w[a + i]
+        w[q + i] = w[q0 + i] + h * w[v + i]
+        w[v + i] = w[v0 + i] + h * w[a + i]
+    evaluate(w)
+    sixth = h / 6.0
+    for i in range(n):
+        w[q + i] = w[q0 + i] + sixth * (w[dq + i] + w[v + i])
+        w[v + i] = w[v0 + i] + sixth * (w[dv + i] + w[a + i])
+
+
+def start_nothing(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
+    """A one-step method that needs no preparation."""
+
+
+def midpoint(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
+    """Augmented-mass midpoint rule, order 2: stiffness and linear damping taken implicitly.
+
+    (M + h^2/4 K + h/2 C) a = f(q + h/2 v, v + h/2 a_before) + h/2 C a_before,  one solve a step;
+    A-stable on the modal part, whatever h.
+    """
+    guess = implicit + lanes + lanes
+    half = 0.5 * h
+    for i in range(n):
+        w[guess + i] = w[a + i]
+        w[s + i] = w[v + i]
+        w[q + i] += half * w[v + i]
+        w[v + i] += half * w[a + i]
+    evaluate(w)
+    for i in range(n):
+        w[v + i] = w[s + i] + h * w[a + i]
+        w[q + i] += half * w[v + i]
+
+
+def start_midpoint(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
+    """First accelerations, with nothing taken implicitly; then the implicit weights."""
+    for b in range(lanes):
+        w[implicit + b] = 0.0
+        w[implicit + lanes + b] = 0.0
+    for i in range(n):
+        w[implicit + lanes + lanes + i] = 0.0
+    evaluate(w)
+    for b in range(lanes):
+        w[implicit + b] = 0.25 * h * h
+        w[implicit + lanes + b] = 0.5 * h
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """A method: what it does once per call, what it does each step, and what to expect of it."""
+
+    step: Callable[..., None]
+    start: Callable[..., None]
+    order: int
+    implicit: bool  # needs the graph with stiffness and damping in the mass matrix
+    limit: float  # largest omega h on an undamped mode
+
+
+INTEGRATORS = {
+    "rk4": Integrator(rk4, start_nothing, order=4, implicit=False, limit=2.828),
+    "midpoint": Integrator(midpoint, start_midpoint, order=2, implicit=True, limit=float("inf")),
+}

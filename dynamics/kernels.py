@@ -1,0 +1,136 @@
+"""The compiled loops around an arm's own code, on the flat workspace that lowering.py describes.
+
+A generated module holds `accelerations(w)` and `measure(w)` of one arm for one number of lanes,
+imports the small loops from here and ends with `GLUE`, its entry points.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+__all__ = ["GLUE", "LANES", "compiled", "count_finite", "gather", "outermost", "prange", "scatter"]
+
+LANES = 16  # of a batch's blocks
+
+_FAST = {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy", "nogil": True}
+compiled = njit(**_FAST, inline="always")
+
+
+def outermost(parallel: bool = False) -> Any:
+    """Decorator of what Python calls: cached on disk."""
+    return njit(**_FAST, cache=True, parallel=parallel)
+
+
+@compiled
+def gather(rows, first, count, lanes, w, at):  # type: ignore[no-untyped-def]
+    """Rows of environments into workspace lanes; idle lanes repeat the last environment."""
+    for b in range(lanes):
+        row = first + min(b, count - np.uint64(1))
+        for i in range(np.uint64(rows.shape[1])):
+            w[at + i * lanes + b] = rows[row, i]
+
+
+@compiled
+def scatter(w, at, lanes, b, row, rows):  # type: ignore[no-untyped-def]
+    """One lane of the workspace into its environment's row."""
+    for i in range(np.uint64(rows.shape[1])):
+        rows[row, i] = w[at + i * lanes + b]
+
+
+@compiled
+def count_finite(w, lanes, first, stop, check, good):  # type: ignore[no-untyped-def]
+    """Add one to `good` of each lane whose values, this time and before, are all finite."""
+    for at in range(first, stop, lanes):
+        for b in range(lanes):
+            w[check + b] += 0.0 * w[at + b]
+    for b in range(lanes):
+        w[good + b] += 1.0 if w[check + b] == 0.0 else 0.0
+
+
+# What a generated module adds to its arm's functions `accelerations(w)` and `measure(w)`.
+GLUE = '''
+start = compiled(METHOD.start)
+step = compiled(METHOD.step)
+
+
+@compiled
+def advance_lanes(block, q, v, torque, parameters, dt, substeps, w, status, measured):
+    first = block * LANES
+    count = min(LANES, np.uint64(q.shape[0]) - first)
+    gather(q, first, count, LANES, w, Q)
+    gather(v, first, count, LANES, w, V)
+    gather(torque, first, count, LANES, w, TAU)
+    gather(parameters, first, count, LANES, w, PARAMETERS)
+    for b in range(LANES):
+        w[CHECK + b] = 0.0
+        w[GOOD + b] = 0.0
+    start(w, dt, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH)
+    for _ in range(substeps):
+        step(w, dt, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH)
+        count_finite(w, LANES, Q, V + N, CHECK, GOOD)
+    measure(w)
+    for b in range(count):
+        row = first + b
+        good = np.int64(w[GOOD + b])
+        if good == substeps:
+            status[row] = 0
+            scatter(w, Q, LANES, b, row, q)
+            scatter(w, V, LANES, b, row, v)
+            scatter(w, MEASURED, LANES, b, row, measured)
+        else:
+            status[row] = good + 1
+
+
+@outermost()
+def advance(q, v, torque, parameters, dt, substeps, w, status, measured):
+    blocks = (np.uint64(q.shape[0]) + LANES - np.uint64(1)) // LANES
+    for block in range(blocks):
+        advance_lanes(block, q, v, torque, parameters, dt, substeps, w[0], status, measured)
+
+
+@outermost(parallel=True)
+def advance_parallel(q, v, torque, parameters, dt, substeps, w, status, measured):
+    blocks = (np.uint64(q.shape[0]) + LANES - np.uint64(1)) // LANES
+    threads = np.uint64(w.shape[0])
+    for t in prange(threads):
+        for block in range(blocks * np.uint64(t) // threads, blocks * np.uint64(t + 1) // threads):
+            advance_lanes(block, q, v, torque, parameters, dt, substeps, w[t], status, measured)
+
+
+@outermost()
+def measure_states(q, v, w, out):
+    rows = np.uint64(q.shape[0])
+    for block in range((rows + LANES - np.uint64(1)) // LANES):
+        first = block * LANES
+        count = min(LANES, rows - first)
+        gather(q, first, count, LANES, w[0], Q)
+        gather(v, first, count, LANES, w[0], V)
+        measure(w[0])
+        for b in range(count):
+            scatter(w[0], MEASURED, LANES, b, first + b, out)
+
+
+@outermost()
+def evaluate_states(q, v, torque, parameters, w, out):
+    rows = np.uint64(q.shape[0])
+    for b in range(LANES):
+        for at in range(IMPLICIT, ACC, LANES):
+            w[0, at + b] = 0.0
+    for block in range((rows + LANES - np.uint64(1)) // LANES):
+        first = block * LANES
+        count = min(LANES, rows - first)
+        gather(q, first, count, LANES, w[0], Q)
+        gather(v, first, count, LANES, w[0], V)
+        gather(torque, first, count, LANES, w[0], TAU)
+        gather(parameters, first, count, LANES, w[0], PARAMETERS)
+        accelerations(w[0])
+        for b in range(count):
+            scatter(w[0], ACC, LANES, b, first + b, out)
+
+
+@outermost()
+def evaluate_often(w, times):
+    for _ in range(times):
+        accelerations(w[0])
+'''

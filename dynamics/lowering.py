@@ -1,0 +1,240 @@
+"""From an expression graph to compiled code: CasADi in, cached numba source out.
+
+The source is straight-line code on one workspace `w` of slots, each as many numbers wide as there
+are lanes; emission.py turns it into vector code across environments.
+
+Sources are files in the user's cache folder, named by a hash of all that determines them, because
+numba caches functions that live in files and no others. A warm start neither traces nor imports
+CasADi; a changed recursion has another hash, so it cannot run stale.
+"""
+
+import hashlib
+import importlib.util
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import platformdirs
+
+from dynamics.kernels import GLUE
+
+Statement = tuple[str, tuple[int, ...]]  # operation, operand numbers
+
+# Chebyshev interpolants in r^2 on |r| <= pi/2, error below 5e-18: sin(r)/r and cos(r)
+_SIN = (
+    1.0, -0.16666666666666666, 0.008333333333333188, -0.00019841269841209248,
+    2.7557319211371395e-06, -2.5052106906928565e-08, 1.6058941846319291e-10,
+    -7.643055069294625e-13, 2.7219061281368675e-15,
+)  # fmt: skip
+_COS = (
+    1.0, -0.4999999999999997, 0.04166666666666388, -0.00138888888887731, 2.4801587277434662e-05,
+    -2.755731639270276e-07, 2.087656191423543e-09, -1.1462903556350365e-11, 4.6089915978490734e-14,
+)  # fmt: skip
+_PI = (3.1415926534682512, 1.2154201012607932e-10, 4.044532497591901e-21)  # pi in three parts
+_TANH_SATURATES = 20.0  # tanh(20) = 1 - 8e-18
+
+
+class Code:
+    """Straight-line code in single-assignment form; equal operations get equal numbers."""
+
+    def __init__(self) -> None:
+        self.statements: list[Statement] = []
+        self.names: dict[int, str] = {}  # number -> literal, for constants
+        self._numbers: dict[tuple[Any, ...], int] = {}
+
+    def emit(self, op: str, *args: int) -> int:
+        """Number of the value `op(args)`."""
+        key = (op, *(sorted(args) if op in "+*" else args))
+        if key not in self._numbers:
+            self._numbers[key] = len(self.statements)
+            self.statements.append((op, args))
+        return self._numbers[key]
+
+    def constant(self, value: float) -> int:
+        """Number of a literal."""
+        number = self.emit(f"const {value!r}")
+        self.names[number] = f"({value!r})" if value < 0.0 else repr(value)
+        return number
+
+    def text(self, number: int) -> str:
+        """How a statement refers to a value."""
+        return self.names.get(number, f"x{number}")
+
+    def load(self, slot: int) -> int:
+        """Number of an input in the workspace."""
+        return self.emit(f"load {slot}")
+
+    def polynomial(self, coefficients: Sequence[float], x: int) -> int:
+        """Horner's rule."""
+        value = self.constant(coefficients[-1])
+        for c in reversed(coefficients[:-1]):
+            value = self.emit("+", self.emit("*", value, x), self.constant(c))
+        return value
+
+    def sine(self, x: int, cosine: bool) -> int:
+        """Branch-free sin or cos: x = k pi + r, the sign from the parity of k.
+
+        Good to 2e-16 for |x| < 1e4 and to 1e-12 for |x| < 1e8.
+        """
+        emit, constant = self.emit, self.constant
+        turns = emit("*", x, constant(0.3183098861837907))
+        k = emit("floor", emit("+", turns, constant(0.5)))
+        r = x
+        for part in _PI:
+            r = emit("-", r, emit("*", k, constant(part)))
+        even = emit("*", constant(2.0), emit("floor", emit("*", constant(0.5), k)))
+        sign = emit("-", constant(1.0), emit("*", constant(2.0), emit("-", k, even)))
+        square = emit("*", r, r)
+        if cosine:
+            return emit("*", sign, self.polynomial(_COS, square))
+        return emit("*", emit("*", sign, r), self.polynomial(_SIN, square))
+
+    def tanh(self, x: int) -> int:
+        """Branch-free tanh = m / (m + 2), m = expm1(2 x) by a series and ten doublings."""
+        emit, constant = self.emit, self.constant
+        limit = constant(_TANH_SATURATES)
+        x = emit("max", emit("min", x, limit), constant(-_TANH_SATURATES))
+        z = emit("*", x, constant(2.0 / 1024.0))
+        coefficients, c = [], 1.0
+        for k in range(1, 10):
+            c /= k
+            coefficients.append(c)
+        m = emit("*", z, self.polynomial(coefficients, z))
+        for _ in range(10):
+            m = emit("*", m, emit("+", m, constant(2.0)))
+        return emit("/", m, emit("+", m, constant(2.0)))
+
+
+def statements(graph: Any, slots: Sequence[int]) -> tuple[Code, list[int]]:
+    """Single-assignment code of a CasADi SX Function with one output vector.
+
+    `slots[i]` is the workspace slot where input i starts. Returns the code and the numbers of the
+    output's elements.
+    """
+    import casadi as ca
+
+    binary = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*"}
+    code = Code()
+    registers: dict[int, int] = {}
+    outputs = [code.constant(0.0)] * graph.nnz_out(0)
+    for k in range(graph.n_instructions()):
+        op = graph.instruction_id(k)
+        args, out = graph.instruction_input(k), graph.instruction_output(k)
+        if op == ca.OP_OUTPUT:
+            outputs[out[1]] = registers[args[0]]
+            continue
+        if op == ca.OP_INPUT:
+            value = code.load(slots[args[0]] + args[1])
+        elif op == ca.OP_CONST:
+            value = code.constant(graph.instruction_constant(k))
+        else:
+            x = [registers[a] for a in args]
+            if op in binary:
+                value = code.emit(binary[op], *x)
+            elif op == ca.OP_SQ:
+                value = code.emit("*", x[0], x[0])
+            elif op == ca.OP_TWICE:
+                value = code.emit("+", x[0], x[0])
+            elif op == ca.OP_NEG:
+                value = code.emit("neg", x[0])
+            elif op in (ca.OP_DIV, ca.OP_INV):  # one division for all quotients by a pivot
+                value = code.emit("/", code.constant(1.0), x[-1])
+                value = code.emit("*", x[0], value) if op == ca.OP_DIV else value
+            elif op in (ca.OP_SIN, ca.OP_COS):
+                value = code.sine(x[0], cosine=op == ca.OP_COS)
+            elif op == ca.OP_TANH:
+                value = code.tanh(x[0])
+            elif op == ca.OP_FABS:
+                value = code.emit("abs", x[0])
+            elif op == ca.OP_SQRT:
+                value = code.emit("sqrt", x[0])
+            else:
+                raise ValueError(f"No lowering for CasADi operation {op}; add it to lowering.py.")
+        registers[out[0]] = value
+    return code, outputs
+
+
+_TEXT = {
+    "+": "{0} + {1}", "-": "{0} - {1}", "*": "{0} * {1}", "/": "{0} / {1}", "neg": "-{0}",
+    "floor": "floor({0})", "sqrt": "sqrt({0})", "abs": "abs({0})", "min": "min({0}, {1})", "max": "max({0}, {1})",
+}  # fmt: skip
+
+
+def render_function(name: str, graph: Any, inputs: Sequence[int], output: int) -> str:
+    """Text of `name(w)`, which reads a graph's inputs and stores its output at these slots."""
+    code, outputs = statements(graph, inputs)
+    lines = []
+    for v, (op, args) in enumerate(code.statements):
+        if op.startswith("load"):
+            lines.append(f"x{v} = w[{op[5:]}]")
+        elif v not in code.names:
+            lines.append(f"x{v} = {_TEXT[op].format(*(code.text(a) for a in args))}")
+    lines += [f"w[{output + i}] = {code.text(v)}" for i, v in enumerate(outputs)]
+    return "\n".join(["@straight_line(LANES)", f"def {name}(w):", *(f"    {x}" for x in lines), ""])
+
+
+def render_module(
+    title: str, lanes: int, slots: int, constants: dict[str, int], functions: Sequence[str]
+) -> str:
+    """The whole generated module; `constants` are slots, in it offsets of values."""
+    head = [
+        f'"""Generated: {title}."""',
+        "import numpy as np",
+        "from numpy import floor, sqrt",
+        "from dynamics.emission import straight_line",
+        "from dynamics.integrators import INTEGRATORS",
+        "from dynamics.kernels import compiled, count_finite, gather, outermost, prange, scatter",
+        f"LANES = {lanes}",
+        f"SLOTS = {slots}",
+    ]
+    offsets = [f"{name} = np.uint64({slot * lanes})" for name, slot in constants.items()]
+    return "\n\n".join(["\n".join(head), *functions, f"LANES = np.uint64({lanes})", *offsets, GLUE])
+
+
+def cache_folder() -> Path:
+    """Where generated sources and their compiled code live; FLEXARM_CACHE overrides it."""
+    return Path(os.environ.get("FLEXARM_CACHE") or platformdirs.user_cache_path("flexarm"))
+
+
+def fingerprint(*parts: str) -> str:
+    """Hash of a description, this package's own sources and the versions that compile it."""
+    from importlib.metadata import version
+
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part.encode() + b"\0")
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    for package in ("numba", "casadi", "numpy"):
+        digest.update(version(package).encode())
+    digest.update(sys.version.encode())
+    return digest.hexdigest()[:20]
+
+
+def cached_module(key: str, build: Callable[[], str]) -> ModuleType:
+    """Import the generated module of this key; `build` writes its text on a cold start."""
+    name = f"flexarm_generated_{key}"
+    if name in sys.modules:
+        return sys.modules[name]
+    path = cache_folder() / f"{name}.py"
+    if not path.exists():
+        _write(path, build())
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    sys.modules[name] = module
+    return module
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    with os.fdopen(handle, "w") as file:
+        file.write(text)
+    os.replace(temporary, path)

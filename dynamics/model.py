@@ -1,0 +1,373 @@
+"""The compiled arm and its questions."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+
+from dynamics import gibbs_appell
+from dynamics.arm import Arm
+from dynamics.arm_file import load_arm
+from dynamics.gibbs_appell import Implicit
+from dynamics.integrators import INTEGRATORS
+from dynamics.kinematics import Chain, energies, outward, poses
+from dynamics.lowering import cached_module, fingerprint, render_function, render_module
+from dynamics.modes import LinkConstants, curvature, link_constants
+
+Array = np.ndarray
+
+FORMULATIONS = ("gibbs_appell",)
+
+
+def _payload_mass(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
+    return [*links[:-1], replace(links[-1], tip_mass=links[-1].tip_mass + p)]
+
+
+def _stiffness(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
+    return [replace(link, K=_scaled(link.K, p)) for link in links]
+
+
+def _damping(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
+    return [replace(link, damping=_scaled(link.damping, p)) for link in links]
+
+
+def _friction(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
+    return [
+        replace(
+            link,
+            viscous=p * link.viscous if link.viscous else 0.0,
+            coulomb=p * link.coulomb if link.coulomb else 0.0,
+        )
+        for link in links
+    ]
+
+
+def _scaled(rows: Any, p: Any) -> Any:
+    return tuple(tuple(p * x if x else 0.0 for x in row) for row in rows)
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A number that may differ between environments of one compiled arm."""
+
+    nominal: float
+    apply: Callable[[list[LinkConstants], Any], list[LinkConstants]]
+
+
+FREE_PARAMETERS = {
+    "payload_mass": FreeParameter(0.0, _payload_mass),  # [kg] added at the last tip
+    "stiffness": FreeParameter(1.0, _stiffness),  # [-] scales every K
+    "damping": FreeParameter(1.0, _damping),  # [-] scales all modal damping
+    "friction": FreeParameter(1.0, _friction),  # [-] scales viscous and Coulomb friction
+}
+
+
+def compile_arm(
+    arm: Arm | str | dict[str, Any],
+    *,
+    formulation: str = "gibbs_appell",
+    dtype: str = "float64",
+    free_parameters: Sequence[str] = (),
+) -> "Model":
+    """Compile an arm, or whatever `load_arm` accepts.
+
+    Parameters
+    ----------
+    arm : an Arm, a preset's name, a path or a dict.
+    formulation : how the equations of motion are formed; "gibbs_appell".
+    dtype : number type of the compiled code; "float64".
+    free_parameters : names in FREE_PARAMETERS that stay inputs instead of folding away.
+
+    Raises
+    ------
+    ValueError : naming the argument, its value and what is possible.
+    """
+    if formulation not in FORMULATIONS:
+        raise ValueError(f"Unknown formulation {formulation!r}. Known: {sorted(FORMULATIONS)}.")
+    if dtype != "float64":
+        raise ValueError(f"dtype must be 'float64', got {dtype!r}: no other is supported yet.")
+    unknown = sorted(set(free_parameters) - set(FREE_PARAMETERS))
+    if unknown:
+        raise ValueError(f"Unknown free parameters {unknown}. Known: {sorted(FREE_PARAMETERS)}.")
+    return Model(load_arm(arm), tuple(free_parameters))
+
+
+class Model:
+    """One arm, compiled; immutable, so one model serves every environment and thread.
+
+    Coordinates run link by link, q_i [rad] then the link's modal amplitudes [m];
+    M qdd + h = B tau. Arguments `q`, `v` are (n,) arrays.
+    """
+
+    def __init__(self, arm: Arm, free_parameters: tuple[str, ...] = ()) -> None:
+        self.arm = arm
+        self.free_parameters = free_parameters
+        self.names = list(arm.names)
+        self.n, self.n_joint = arm.n, arm.n_joint
+        payloads = [None] * (self.n_joint - 1) + [arm.payload]
+        links = tuple(link_constants(k, p) for k, p in zip(arm.links, payloads, strict=True))
+        rotation = "exp" if arm.rotation == "exp" else "linear"
+        self.chain = Chain(links, arm.gravity, rotation)
+        self.nominal_parameters = np.array([FREE_PARAMETERS[p].nominal for p in free_parameters])
+        widths = {
+            "tip": 3, "tip_velocity": 3, "rigid_tip": 3, "deflection": self.n_joint,
+            "slope": self.n_joint, "curvature": 2 * self.n_joint,
+        }  # fmt: skip
+        stops = np.cumsum(list(widths.values())).tolist()
+        self.measurements = {
+            name: slice(stop - width, stop)
+            for (name, width), stop in zip(widths.items(), stops, strict=True)
+        }
+        self.n_measure = stops[-1]
+
+    def __reduce__(self) -> Any:
+        return Model, (self.arm, self.free_parameters)
+
+    # ---- questions -----------------------------------------------------------------------------
+
+    def mass_matrix(self, q: Array) -> Array:
+        """(n, n) M at q, from composite inertias: (75), (81), (85)."""
+        return np.array(self._questions["mass_matrix"](self._q(q)))
+
+    def bias(self, q: Array, v: Array) -> Array:
+        """(n,) h: inertial, gravity, elastic and dissipative forces."""
+        return np.array(self._questions["bias"](self._q(q), self._q(v, "v"))).ravel()
+
+    def accelerations(self, q: Array, v: Array, tau: Array) -> Array:
+        """(n,) second derivatives under joint torques tau (n_joint,) [N m], by O(n) elimination."""
+        program = self.program(1, "rk4")
+        out = np.empty((1, self.n))
+        program.evaluate_states(
+            self._q(q)[None], self._q(v, "v")[None], self._tau(tau)[None],
+            self.nominal_parameters[None], self.workspace(program), out,
+        )  # fmt: skip
+        return out[0]
+
+    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
+        """(n,) generalized forces M a + h; motion under joint torques alone needs B tau."""
+        return self.mass_matrix(q) @ self._q(a, "a") + self.bias(q, v)
+
+    def energy(self, q: Array, v: Array) -> tuple[float, float, float]:
+        """(kinetic, elastic, gravity) [J]; gravity is zero with all mass at the base's origin."""
+        values = np.array(self._questions["energy"](self._q(q), self._q(v, "v"))).ravel()
+        return float(values[0]), float(values[1]), float(values[2])
+
+    def tip(self, q: Array) -> Array:
+        """(3,) [m] tip of the last link in the world."""
+        return self._measure(q, np.zeros(self.n))[self.measurements["tip"]]
+
+    def tip_velocity(self, q: Array, v: Array) -> Array:
+        """(3,) [m/s] velocity of that tip."""
+        return self._measure(q, v)[self.measurements["tip_velocity"]]
+
+    def strain(self, q: Array, link: int, x: float) -> Array:
+        """(3,) [1/m] twist rate and bending curvatures about y and z of a link at x.
+
+        The strain a gauge reads is curvature times its distance from the neutral axis.
+        """
+        if not 0 <= link < self.n_joint:
+            raise ValueError(f"link must be 0 to {self.n_joint - 1}, got {link!r}.")
+        length = self.arm.links[link].length
+        if not 0.0 <= x <= length:
+            raise ValueError(f"x must be within the link, 0 to {length} m, got {x!r}.")
+        _, delta = self.chain.split(self._q(q))[link]
+        return np.asarray(delta) @ curvature(self.arm.links[link], x).reshape(len(delta), 3)
+
+    def frequencies(self, q: Array | None = None, joints: str = "locked") -> Array:
+        """[rad/s] natural frequencies at the joint angles of q, undeflected, elastic forces only.
+
+        joints="locked" holds the coordinates q_i; "free" leaves them free and omits the rigid
+        motions.
+        """
+        if joints not in ("locked", "free"):
+            raise ValueError(f"joints must be 'locked' or 'free', got {joints!r}.")
+        rigid = self.rigid(np.zeros(self.n) if q is None else self._q(q))
+        M = np.array(gibbs_appell.mass_matrix(self.chain, [float(x) for x in rigid]), dtype=float)
+        K = self.stiffness
+        modal = np.setdiff1d(np.arange(self.n), self.arm.joint_index)
+        if joints == "locked":
+            M, K = M[np.ix_(modal, modal)], K[np.ix_(modal, modal)]
+        squares = scipy.linalg.eigh(K, M, eigvals_only=True)
+        return np.sqrt(np.abs(squares[squares.size - modal.size :]))
+
+    def linearize(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
+        """A (2n, 2n) and B (2n, n_joint) of d/dt (q, v) = A (q, v) + B tau about a state."""
+        da = self._questions["jacobian"](self._q(q), self._q(v, "v"), self._tau(tau))
+        dq, dv, dtau = (np.array(d) for d in da)
+        n = self.n
+        A = np.block([[np.zeros((n, n)), np.eye(n)], [dq, dv]])
+        return A, np.vstack([np.zeros((n, self.n_joint)), dtau])
+
+    def operation_count(self) -> dict[str, dict[str, int]]:
+        """Operations of the traced arm, by running through its graphs."""
+        import casadi as ca
+
+        kinds = {
+            "multiplications": (ca.OP_MUL, ca.OP_SQ),
+            "additions": (ca.OP_ADD, ca.OP_SUB, ca.OP_TWICE),
+            "divisions": (ca.OP_DIV, ca.OP_INV),
+            "sines and cosines": (ca.OP_SIN, ca.OP_COS),
+        }
+        counts = {}
+        for name, graph in (("accelerations", self.graph), ("mass matrix and bias", self._M_h)):
+            ops = [graph.instruction_id(k) for k in range(graph.n_instructions())]
+            counts[name] = {kind: sum(op in group for op in ops) for kind, group in kinds.items()}
+        return counts
+
+    @cached_property
+    def graph(self) -> Any:
+        """CasADi Function (q, v, tau, parameters) -> accelerations."""
+        return self._trace_accelerations(implicit=False)
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """(n, n) K, zero in the joints."""
+        rows = []
+        for link in self.chain.links:
+            m = len(link.K)
+            rows.append(np.zeros((1 + m, 1 + m)))
+            rows[-1][1:, 1:] = np.array(link.K).reshape(m, m)
+        return np.asarray(scipy.linalg.block_diag(*rows))
+
+    def rigid(self, q: Array) -> Array:
+        """A copy of q, (n,) or (N, n), with every link straight."""
+        straight = np.zeros_like(q)
+        straight[..., list(self.arm.joint_index)] = q[..., list(self.arm.joint_index)]
+        return straight
+
+    # ---- compiled programs ---------------------------------------------------------------------
+
+    def program(self, lanes: int, integrator: str) -> ModuleType:
+        """The generated module for a number of lanes and a method; from the cache where it can."""
+        description = json.dumps(self.arm.to_dict(), sort_keys=True)
+        key = fingerprint(description, ",".join(self.free_parameters), str(lanes), integrator)
+        return cached_module(key, lambda: self._generate(lanes, integrator))
+
+    def workspace(self, program: ModuleType, threads: int = 1) -> Array:
+        """Scratch memory for `program`, (threads, slots * lanes)."""
+        return np.zeros((threads, program.SLOTS * int(program.LANES)))
+
+    def _layout(self) -> dict[str, int]:
+        """Workspace slots that are no temporaries: name -> first slot; END is the next free one."""
+        sizes = {
+            "Q": self.n, "V": self.n, "TAU": self.n_joint, "PARAMETERS": len(self.free_parameters),
+            "IMPLICIT": 2 + self.n, "ACC": self.n, "SCRATCH": 4 * self.n, "CHECK": 1, "GOOD": 1,
+            "MEASURED": self.n_measure,
+        }  # fmt: skip
+        starts = np.cumsum([0, *sizes.values()]).tolist()
+        return dict(zip([*sizes, "END"], starts, strict=True))
+
+    def _generate(self, lanes: int, integrator: str) -> str:
+        at = self._layout()
+        implicit = INTEGRATORS[integrator].implicit
+        inputs = [at["Q"], at["V"], at["TAU"], at["PARAMETERS"], at["IMPLICIT"]]
+        graph = self._trace_accelerations(implicit) if implicit else self.graph
+        functions = [
+            render_function("accelerations", graph, inputs, at["ACC"]),
+            render_function("measure", self._measure_graph, inputs[:2], at["MEASURED"]),
+            f"METHOD = INTEGRATORS[{integrator!r}]",
+        ]
+        title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}"
+        constants = at | {"N": self.n}
+        return render_module(title, lanes, at.pop("END"), constants, functions)
+
+    # ---- tracing -------------------------------------------------------------------------------
+
+    def _symbols(self) -> tuple[Any, Any, Any, Any]:
+        import casadi as ca
+
+        sizes = {"q": self.n, "v": self.n, "tau": self.n_joint, "p": len(self.free_parameters)}
+        q, v, tau, p = (ca.SX.sym(name, size) for name, size in sizes.items())
+        return q, v, tau, p
+
+    def _traced_chain(self, p: Any) -> Chain:
+        links = list(self.chain.links)
+        for k, name in enumerate(self.free_parameters):
+            links = FREE_PARAMETERS[name].apply(links, p[k])
+        return replace(self.chain, links=tuple(links))
+
+    def _trace_accelerations(self, implicit: bool) -> Any:
+        import casadi as ca
+
+        q, v, tau, p = self._symbols()
+        extra = ca.SX.sym("implicit", 2 + self.n if implicit else 0)
+        x = ca.vertsplit(extra)
+        weights = Implicit(x[0], x[1], x[2:]) if implicit else None
+        a = gibbs_appell.accelerations(
+            self._traced_chain(p), ca.vertsplit(q), ca.vertsplit(v), ca.vertsplit(tau), weights
+        )
+        return ca.Function("accelerations", [q, v, tau, p, extra], [ca.cse(ca.vertcat(*a))])
+
+    @cached_property
+    def _M_h(self) -> Any:
+        import casadi as ca
+
+        q, v, _, _ = self._symbols()
+        M = gibbs_appell.mass_matrix(self.chain, ca.vertsplit(q))
+        h = gibbs_appell.bias(self.chain, ca.vertsplit(q), ca.vertsplit(v))
+        lower = [x for i, row in enumerate(M) for x in row[: i + 1]]
+        return ca.Function("M_h", [q, v], [ca.cse(ca.vertcat(*lower, *h))])
+
+    @cached_property
+    def _measure_graph(self) -> Any:
+        import casadi as ca
+
+        q, v, _, _ = self._symbols()
+        parts = ca.vertsplit(q)
+        frames = outward(self.chain, parts, ca.vertsplit(v))
+        end = poses(frames)[-1]
+        straight = [x if i in self.arm.joint_index else 0.0 for i, x in enumerate(parts)]
+        rigid = poses(outward(self.chain, straight, [0.0] * self.n))[-1].tip
+        deflections, slopes, curvatures = [], [], []
+        for f, link in zip(frames, self.arm.links, strict=True):
+            delta = ca.vertcat(0.0, *f.delta)
+            shift = ca.vertcat(*f.r) - ca.DM([link.length, 0, 0])
+            theta = ca.DM(np.array([np.zeros(3), *f.link.tip_theta])).T @ delta
+            bend = ca.DM(np.vstack([np.zeros((1, 3)), curvature(link, 0.0).reshape(-1, 3)])).T
+            deflections.append(ca.sqrt(ca.sumsqr(shift)) / link.length)
+            slopes.append(ca.sqrt(ca.sumsqr(theta)))
+            curvatures += [(bend @ delta)[2], (bend @ delta)[1]]
+        values = [*end.tip, *end.tip_velocity, *rigid, *deflections, *slopes, *curvatures]
+        return ca.Function("measure", [q, v], [ca.cse(ca.vertcat(*values))])
+
+    @cached_property
+    def _questions(self) -> dict[str, Any]:
+        """CasADi functions for the questions that nobody asks in a loop."""
+        import casadi as ca
+
+        q, v, tau, _ = self._symbols()
+        parts, rates = ca.vertsplit(q), ca.vertsplit(v)
+        M = gibbs_appell.mass_matrix(self.chain, parts)
+        a = ca.vertcat(
+            *gibbs_appell.accelerations(self.chain, parts, rates, ca.vertsplit(tau))
+        )
+        derivatives = [ca.jacobian(a, x) for x in (q, v, tau)]
+        graphs = {
+            "mass_matrix": ([q], [ca.vertcat(*(ca.horzcat(*row) for row in M))]),
+            "bias": ([q, v], [ca.vertcat(*gibbs_appell.bias(self.chain, parts, rates))]),
+            "energy": ([q, v], [ca.vertcat(*energies(self.chain, parts, rates))]),
+            "jacobian": ([q, v, tau], derivatives),
+        }
+        return {name: ca.Function(name, inputs, out) for name, (inputs, out) in graphs.items()}
+
+    def _measure(self, q: Array, v: Array) -> Array:
+        return np.array(self._measure_graph(self._q(q), self._q(v, "v"))).ravel()
+
+    def _q(self, x: Array, name: str = "q") -> Array:
+        return _checked(x, self.n, name)
+
+    def _tau(self, x: Array) -> Array:
+        return _checked(x, self.n_joint, "tau")
+
+
+def _checked(x: Array, size: int, name: str) -> Array:
+    """A float64 array of the right size, or a sentence."""
+    array = np.ascontiguousarray(x, dtype=np.float64)
+    if array.shape != (size,):
+        raise ValueError(f"{name} must have shape ({size},), got {array.shape}.")
+    return array
