@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
         case = load_case(options.case)
     except ValueError as error:
         return _fail(error, BAD_INPUT)
-    from dynamics.model import Diverged  # late: a wrong file is refused at once
+    from dynamics.simulation import Diverged  # late: a wrong file is refused at once
 
     try:
         text = _json(evaluate(case))
@@ -106,7 +106,7 @@ def write(path: Path, text: str) -> None:
 
 
 def _follow(model: Any, motion: Motion) -> dict[str, Any]:
-    from dynamics.model import simulate
+    from dynamics.simulation import simulate
 
     path = simulate(model, np.array(motion.q), np.array(motion.qd), motion.torque, motion.times)
     energies = [model.energy(q, v) for q, v in zip(path.q, path.v, strict=True)]

@@ -81,7 +81,7 @@ class Link:
     tip_mass: float = 0.0  # [kg] point mass at the tip
     tip_inertia: Matrix = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
     modes: tuple[Mode, ...] = ()
-    damping_ratio: float = 0.0  # [-] the same for every mode
+    damping_ratio: float = 0.0  # [-] the same for every bending mode
     damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
     segments: int = 1
     joint: Joint = field(default_factory=Joint)

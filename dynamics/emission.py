@@ -3,20 +3,17 @@
 A generated function has one form only: `x3 = w[2]`, `x7 = x3 * x5`, `x8 = floor(x7)`, `w[9] = x8`,
 where `w[s]` stands for slot s of every lane. Type inference would take half a millisecond per
 operation, and the loop vectoriser's success would be a matter of luck; emitting the operations on
-vectors of lanes is a hundred times faster and certain.
+vectors of all lanes is a hundred times faster and certain, and LLVM fits the vectors to the machine.
 """
 
 import ast
 import inspect
-import textwrap
 from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
-
-WIDTH = 4  # lanes per vector: 256 bits of float64; LLVM splits or joins for other machines
 
 _FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive to be seen
 
@@ -44,26 +41,12 @@ def straight_line(lanes: int) -> Callable[[Callable[..., None]], Any]:
 
 
 def _emit(builder: ir.IRBuilder, data: ir.Value, source: str, lanes: int) -> None:
-    """The function's statements, once for a single lane, else looped over vectors of lanes."""
-    tree = ast.parse(textwrap.dedent(source)).body[0]
+    """The function's statements, on numbers or on vectors of all lanes."""
+    tree = ast.parse(source).body[0]
     assert isinstance(tree, ast.FunctionDef)
-    scalar = ir.DoubleType()
-    if lanes == 1:
-        _Block(builder, data, scalar, lanes).emit(tree.body)
-        return
-    vector = ir.VectorType(scalar, WIDTH)
-    index = ir.IntType(64)
-    before, loop = builder.block, builder.append_basic_block("lanes")
-    builder.branch(loop)
-    builder.position_at_end(loop)
-    lane = builder.phi(index)
-    lane.add_incoming(index(0), before)
-    _Block(builder, builder.gep(data, [lane]), vector, lanes).emit(tree.body)
-    following = builder.add(lane, index(WIDTH))
-    lane.add_incoming(following, builder.block)
-    after = builder.append_basic_block("done")
-    builder.cbranch(builder.icmp_unsigned("<", following, index(lanes)), loop, after)
-    builder.position_at_end(after)
+    number = ir.DoubleType()
+    kind = number if lanes == 1 else ir.VectorType(number, lanes)
+    _Block(builder, data, kind, lanes).emit(tree.body)
 
 
 class _Block:
@@ -115,7 +98,7 @@ class _Block:
 
     def _constant(self, value: float) -> ir.Value:
         if isinstance(self.kind, ir.VectorType):
-            return ir.Constant(self.kind, [value] * WIDTH)
+            return ir.Constant(self.kind, [value] * self.lanes)
         return ir.Constant(self.kind, value)
 
     def _call(self, name: str, args: list[ir.Value]) -> ir.Value:
@@ -123,7 +106,7 @@ class _Block:
         if name in ("min", "max"):  # ordered comparisons: a NaN in the first argument survives
             beyond = b.fcmp_ordered(">" if name == "min" else "<", args[0], args[1])
             return b.select(beyond, args[1], args[0])
-        suffix = f"v{WIDTH}f64" if isinstance(self.kind, ir.VectorType) else "f64"
+        suffix = f"v{self.lanes}f64" if isinstance(self.kind, ir.VectorType) else "f64"
         intrinsic_name = {"floor": "floor", "sqrt": "sqrt", "abs": "fabs"}[name]
         module = b.module
         full = f"llvm.{intrinsic_name}.{suffix}"

@@ -33,6 +33,7 @@ from dynamics.algebra import (
     scale,
     sin,
     skew,
+    sub,
     symmetric,
     tmatvec,
     transpose,

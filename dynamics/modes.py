@@ -70,7 +70,8 @@ def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
 
     The rotary inertia rho_Ip and the hub are rotors: a rotor about the unit axis e with inertia I
     that modes turn at t_j per unit rate adds I e e' to C0, I t_j e to c_j, I t_j t_k to s and
-    -1/2 I t_j e~ to C_j. The damping ratio counts the link's own tip body, not the payload.
+    -1/2 I t_j e~ to C_j. The damping ratio counts the mass that a mode displaces, with the
+    link's tip mass but not the payload's; a torsion mode displaces none, so beta must damp it.
     """
     x, weights = quadrature(link.length, link.modes)
     shapes = [shape(mode, link) for mode in link.modes]
@@ -117,9 +118,8 @@ def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
     tip_slope = np.array([float(s_j.slope(link.length)) for s_j in shapes])
     tip_slope = _snap(tip_slope, size / link.length**1.5)
     tilt = np.array([_TILT[d] for d in directions]).reshape(-1, 3)
-    modal_mass = link.rho_A * np.diag(square) + link.tip_mass * tip_value**2
-    modal_polar = link.rho_Ip * np.diag(square) + link.tip_inertia[0][0] * tip_value**2
-    modal = np.where(twist == 1.0, modal_polar, modal_mass)
+    displaced = link.rho_A * np.diag(square) + link.tip_mass * tip_value**2
+    modal = np.where(twist == 1.0, 0.0, displaced)
     damping = 2.0 * link.damping_ratio * np.diag(np.sqrt(np.diag(K) * modal))
     damping = damping + link.damping_beta * K
 
