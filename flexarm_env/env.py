@@ -1,0 +1,147 @@
+"""One environment with the Gymnasium interface."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from flexarm_env import kernels
+from flexarm_env.core import Array, Core
+from flexarm_env.observations import Layout
+
+RENDER_MODES = ("human", "rgb_array")
+Observation = NDArray[np.float32]
+_TERMS = tuple(kernels.TERMS)
+_ONE = np.zeros(1, np.int64)
+
+
+class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
+    """One flexible arm at one task.
+
+    `task` and `arm` come with the id; the other keywords are those of `core.Core`, and
+    `render_mode`: None, "rgb_array" or "human".
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012
+
+    def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(f"render_mode must be one of {list(RENDER_MODES)}, got {render_mode!r}.")
+        for name in ("n_env", "max_steps"):
+            if name in arguments:
+                raise ValueError(f"{name} is for a batch; this is a single environment.")
+        self.render_mode = render_mode
+        self.core = Core(**arguments)
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.core.control_dt)}
+        self.observation_space = observation_space(self.core.layout)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_joint,), np.float32)
+        self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
+        self._seeded = False
+        self._renderer: Any = None
+        terms = kernels.FIRST_TERM + kernels.N_TERM
+        self._terms = slice(kernels.FIRST_TERM, terms)
+        self._gauges = slice(terms, terms + len(self.core.gauges))
+        self._torque = slice(terms + len(self.core.gauges), None)
+
+    # ---- what agents ask ---------------------------------------------------------------------
+
+    arm = property(lambda self: self.core.arm)
+    model = property(lambda self: self.core.model)
+    task = property(lambda self: self.core.task_name)
+    control_dt = property(lambda self: self.core.control_dt)
+    torque_limit = property(lambda self: self.core.torque_limit.copy())
+    n_joint = property(lambda self: self.core.arm.n_joint)
+    reach = property(lambda self: self.core.arm.reach)
+    observation_slices = property(lambda self: self.core.layout.slices)
+    observation_scales = property(lambda self: self.core.layout.scales)
+
+    def joint_target(self) -> Array:
+        """(n_joint,) [rad] joint angles that put the tip on the target, links straight."""
+        return self.core.joint_target()[0]
+
+    def joint_state(self) -> tuple[Array, Array]:
+        """(n_joint,) [rad] and [rad/s]: what ideal encoders read."""
+        q, v = self.core.joint_state()
+        return q[0], v[0]
+
+    # ---- the Gymnasium interface -------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """A new episode; `options` may hold "state" {"q", "v"} and "target" (joint angles)."""
+        super().reset(seed=seed)
+        if seed is not None or not self._seeded:
+            self.core.seed(0, self.np_random)
+            self._seeded = True
+        obs, info, flags = self.core.reset(_ONE, options)
+        if self._renderer is not None:
+            self._renderer.clear()
+        if self.render_mode == "human":
+            self.render()
+        return obs[0], self._describe(info, info[:, 0].tolist(), flags.ravel().tolist())
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One control step."""
+        try:
+            self._action[0] = action
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"An action is {self._action.size} numbers in [-1, 1], got {action!r}."
+            ) from None
+        obs, info, flags, _ = self.core.step(self._action)
+        values, marks = info[:, 0].tolist(), flags.ravel().tolist()
+        if self._renderer is not None:
+            self._renderer.follow(self.core)
+        if self.render_mode == "human":
+            self.render()
+        return obs[0], values[0], marks[0], marks[1], self._describe(info, values, marks)
+
+    def _describe(self, info: Array, values: list[float], marks: list[bool]) -> dict[str, Any]:
+        return {
+            "time": values[1],
+            "tip_error": values[2],
+            "tip_speed": values[3],
+            "deflection": values[4],
+            "tip_deflection": values[5],
+            "root_curvature": info[self._gauges, 0],
+            "torque": info[self._torque, 0],
+            "reward_terms": dict(zip(_TERMS, values[self._terms], strict=True)),
+            "settled": marks[2],
+            "diverged": marks[3],
+            "invalid": marks[4],
+        }
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """The arm now: an (H, W, 3) picture, or a window that shows it."""
+        if self.render_mode is None:
+            gym.logger.warn('render() needs render_mode="rgb_array" or "human" at construction.')
+            return None
+        if self._renderer is None:
+            from flexarm_env.rendering import Renderer
+
+            self._renderer = Renderer(self.core)
+        picture = self._renderer.draw(self.core)
+        if self.render_mode == "human":
+            self._renderer.show(picture, self.core.control_dt)
+            return None
+        return picture
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}
+
+
+def observation_space(layout: Layout) -> gym.spaces.Box:
+    """The Box of a layout."""
+    bound = layout.table[2].astype(np.float32)
+    return gym.spaces.Box(-bound, bound, dtype=np.float32)

@@ -1,0 +1,162 @@
+"""Numbers an environment derives from its arm: torque limits, natural scales, integration steps.
+
+All follow from the linear model about rest, links straight: M a + C v + K q = B tau.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from dynamics.arm import Arm
+from dynamics.gibbs_appell import mass_matrix
+from dynamics.kinematics import Chain
+from dynamics.model import Model
+
+Array = NDArray[np.float64]
+
+DEFLECTION_LIMIT = 0.1  # [-] tip deflection of a link over its length; beyond, the model is invalid
+SLOPE_PER_DEFLECTION = 1.6  # [rad] a beam whose tip deflects in its first shape by all of its
+# length turns its tip by 1.38 rad (held, bare) to 1.57 rad (on a free, light hub)
+BENT = 0.6  # [rad] home angle of every joint but the first
+MOVE = 0.5  # [rad] a typical move; the scale of angles
+RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
+RK4_STEP = 0.7  # [-] dt omega of the highest mode: tip errors near 1e-5 of the reach
+RK4_STEPS = 8  # above that many substeps per control step the midpoint rule is cheaper
+MIDPOINT_STEP = 0.25  # [-] dt omega of the first joint-free mode: the midpoint rule takes all above
+_SAMPLES = 200  # per period of the first joint-free mode
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What follows from an arm alone."""
+
+    home: tuple[float, ...]  # (n_joint,) [rad] a posture away from the stretched one
+    torque_limit: tuple[float, ...]  # (n_joint,) [N m]
+    inertia: tuple[float, ...]  # (n_joint,) [kg m^2] each joint carries, the others held
+    held: tuple[float, ...]  # [rad/s] natural frequencies, joints held
+    free: tuple[float, ...]  # [rad/s] natural frequencies, joints free
+    modal_scale: tuple[float, ...]  # (n - n_joint,) [m] or [rad] amplitude that stores as much
+    # elastic energy as the link's first mode in that direction at the deflection limit
+    modal_rate: tuple[float, ...]  # (n - n_joint,) [m/s] rate with as much kinetic energy
+
+
+def home_posture(n_joint: int) -> tuple[float, ...]:
+    """Joint angles [rad] away from the stretched posture."""
+    return (0.0,) + (BENT,) * (n_joint - 1)
+
+
+@lru_cache(maxsize=64)
+def physics(arm: Arm) -> Physics:
+    """Everything that follows from an arm alone."""
+    model = Model(arm)
+    joints = list(arm.joint_index)
+    modal = [i for i in range(arm.n) if i not in joints]
+    home = home_posture(arm.n_joint)
+    q = np.zeros(arm.n)
+    q[joints] = home
+    M = np.array(mass_matrix(model.chain, q.tolist()), dtype=np.float64)
+    K = model.stiffness
+    inertia = np.diag(M)[joints]
+    held = _frequencies(M[np.ix_(modal, modal)], K[np.ix_(modal, modal)])
+    free = _frequencies(M, K)[arm.n_joint :]
+    amplitude, rate = _modal_scales(model.chain)
+    if modal:
+        acceleration = _acceleration(arm, model.chain, M, K, inertia, float(free[0]))
+    else:
+        acceleration = RIGID_ACCELERATION
+    return Physics(
+        home=home,
+        torque_limit=tuple(two_digits(acceleration * x) for x in inertia),
+        inertia=tuple(inertia.tolist()),
+        held=tuple(held.tolist()),
+        free=tuple(free.tolist()),
+        modal_scale=amplitude,
+        modal_rate=rate,
+    )
+
+
+def two_digits(x: float) -> float:
+    """Rounded down to two significant digits, so that a limit is a number one can quote."""
+    unit = 10.0 ** (math.floor(math.log10(x)) - 1)
+    return float(f"{math.floor(x / unit * (1.0 + 1e-9)) * unit:.2g}")
+
+
+def _frequencies(M: Array, K: Array) -> Array:
+    squares = scipy.linalg.eigh(K, M, eigvals_only=True) if M.size else np.zeros(0)
+    return np.sqrt(np.abs(squares))
+
+
+def _modal_scales(chain: Chain) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Amplitude and rate of each mode with the energy of the first one at the deflection limit."""
+    amplitude, rate = [], []
+    for link in chain.links:
+        slope_limit = SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT
+        energy: dict[int, float] = {}  # axis of the tip's turn -> twice the elastic energy
+        for j, (phi, theta) in enumerate(zip(link.tip_phi, link.tip_theta, strict=True)):
+            axis = int(np.argmax(np.abs(theta)))
+            shift, turn = max(map(abs, phi)), max(map(abs, theta))
+            first = min(
+                DEFLECTION_LIMIT * link.length / shift if shift else math.inf,
+                slope_limit / turn if turn else math.inf,
+            )
+            energy.setdefault(axis, link.K[j][j] * first**2)
+            mass = link.s[j][j] + link.tip_mass * shift**2 + _turned(link.tip_inertia, theta)
+            amplitude.append(math.sqrt(energy[axis] / link.K[j][j]))
+            rate.append(math.sqrt(energy[axis] / mass))
+    return tuple(amplitude), tuple(rate)
+
+
+def _turned(inertia: tuple[tuple[float, ...], ...], theta: tuple[float, ...]) -> float:
+    """theta' I theta."""
+    return float(np.asarray(theta) @ np.asarray(inertia) @ np.asarray(theta))
+
+
+def _acceleration(arm: Arm, chain: Chain, M: Array, K: Array, inertia: Array, first: float) -> float:
+    """Acceleration alpha [rad/s^2] such that torques alpha times inertia stay just valid.
+
+    The test is one period of bang-bang at the first joint-free frequency, +1 then -1, then nothing:
+    what excites that mode most in one period. All joints do it at once and their peaks add up.
+    """
+    n, m = arm.n, arm.n_joint
+    C, B, D, S = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, 3, n)), np.zeros((m, 3, n))
+    for i, (start, link) in enumerate(zip(arm.joint_index, chain.links, strict=True)):
+        modes = slice(start + 1, start + 1 + len(link.tip_phi))
+        C[modes, modes] = np.array(link.damping).reshape(len(link.K), len(link.K))
+        B[start, i], B[modes, i] = 1.0, link.root_slope
+        D[i, :, modes] = np.array(link.tip_phi).reshape(-1, 3).T / link.length / DEFLECTION_LIMIT
+        S[i, :, modes] = np.array(link.tip_theta).reshape(-1, 3).T
+    S /= SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT
+    outputs = np.concatenate([D, S])  # (2 m, 3, n): one at the limit of validity
+    dt = 2.0 * math.pi / first / _SAMPLES
+    inverse = np.linalg.inv(M)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ C]])
+    forces = np.vstack([np.zeros((n, m)), inverse @ B * inertia])  # per unit acceleration
+    step = scipy.linalg.expm(np.block([[A, forces], [np.zeros((m, 2 * n + m))]]) * dt)
+    x = np.zeros((2 * n, m))
+    peak = np.zeros((2 * m, m))
+    for k in range(2 * _SAMPLES):
+        sign = 1.0 if k < _SAMPLES // 2 else -1.0 if k < _SAMPLES else 0.0
+        x = step[: 2 * n, : 2 * n] @ x + sign * step[: 2 * n, 2 * n :]
+        peak = np.maximum(peak, np.linalg.norm(outputs @ x[:n], axis=1))
+    return float(1.0 / peak.sum(axis=1).max())
+
+
+def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> tuple[str, int]:
+    """Integrator and substeps per control step that keep the tip within 1e-3 of the reach.
+
+    Runge-Kutta where a few steps suffice, else the midpoint rule; or the one that is asked for.
+    """
+    found = physics(arm)
+    highest = max((*found.held, *found.free), default=100.0)
+    lowest = min(found.free, default=100.0)
+    steps = {
+        "rk4": max(1, math.ceil(control_dt * highest / RK4_STEP)),
+        "midpoint": max(1, math.ceil(control_dt * lowest / MIDPOINT_STEP)),
+    }
+    if integrator is None:
+        integrator = "rk4" if steps["rk4"] <= RK4_STEPS else "midpoint"
+    return integrator, steps.get(integrator, steps["rk4"])

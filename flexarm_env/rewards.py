@@ -1,0 +1,82 @@
+"""Rewards: weights of the terms in `kernels.TERMS`, as presets, as a keyword and as wrappers.
+
+reward = sum of weight times term. The environment measures the terms at every step and puts them
+into info["reward_terms"]; the keyword `reward=` and the wrappers here only weigh them, so that both
+give the same numbers.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, SupportsFloat
+
+import gymnasium as gym
+
+from flexarm_env.kernels import TERMS
+
+REWARDS: dict[str, dict[str, float]] = {
+    "reach": {
+        "tracking": 0.5, "precision": 0.25, "stillness": 0.25, "tip_speed": 0.02,
+        "smoothness": 0.02, "failure": 20.0,
+    },
+    "track": {"tracking": 0.6, "precision": 0.4, "smoothness": 0.02, "failure": 20.0},
+    "damp": {"stillness": 1.0, "tip_speed": 0.5, "smoothness": 0.02, "failure": 20.0},
+    "tip_tracking": {"tracking": 0.7, "precision": 0.3, "failure": 20.0},
+    "vibration_suppression": {
+        "tracking": 0.4, "stillness": 0.6, "vibration": 0.1, "smoothness": 0.02, "failure": 20.0,
+    },
+}  # fmt: skip
+
+
+def resolve_weights(reward: str | Mapping[str, float]) -> dict[str, float]:
+    """Weights of a preset's name or of a dict, checked; terms left out weigh nothing."""
+    if isinstance(reward, str):
+        if reward not in REWARDS:
+            raise ValueError(
+                f"Unknown reward {reward!r}. Known: {sorted(REWARDS)}; or give a dict of weights."
+            )
+        return dict(REWARDS[reward])
+    if not isinstance(reward, Mapping):
+        raise ValueError(f"reward must be a name or a dict of weights, got {reward!r}.")
+    unknown = sorted(set(map(str, reward)) - set(TERMS))
+    if unknown:
+        raise ValueError(f"Unknown reward terms {unknown}. Known: {sorted(TERMS)}.")
+    for name, weight in reward.items():
+        if isinstance(weight, bool) or not isinstance(weight, int | float):
+            raise ValueError(f"The weight of {name!r} must be a number, got {weight!r}.")
+        if not math.isfinite(weight):
+            raise ValueError(f"The weight of {name!r} must be finite, got {weight!r}.")
+    if not any(reward.values()):
+        raise ValueError(f"At least one weight must differ from zero, got {dict(reward)!r}.")
+    return {name: float(weight) for name, weight in reward.items()}
+
+
+class _WeighedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Replace the reward by a weighted sum of info["reward_terms"]."""
+
+    preset: str
+
+    def __init__(self, env: gym.Env[Any, Any], weights: Mapping[str, float] | None = None) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, weights=weights)
+        gym.Wrapper.__init__(self, env)
+        chosen = resolve_weights(self.preset if weights is None else weights)
+        self.weights = [chosen.get(name, 0.0) for name in TERMS]
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """One step; the reward is weighed anew."""
+        observation, _, terminated, truncated, info = self.env.step(action)
+        reward = 0.0
+        for weight, term in zip(self.weights, info["reward_terms"].values(), strict=True):
+            reward += weight * term
+        return observation, reward, terminated, truncated, info
+
+
+class TipTrackingReward(_WeighedReward):
+    """Reward a tip close to its target; `weights` replaces the preset "tip_tracking"."""
+
+    preset = "tip_tracking"
+
+
+class VibrationSuppressionReward(_WeighedReward):
+    """Reward a tip at rest on its target; `weights` replaces "vibration_suppression"."""
+
+    preset = "vibration_suppression"

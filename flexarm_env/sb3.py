@@ -1,0 +1,126 @@
+"""The batch for stable-baselines3, which takes no Gymnasium vector environments."""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from flexarm_env import kernels
+from flexarm_env.vector import FlexArmVectorEnv
+
+
+class SB3VecEnv(VecEnv):
+    """N environments of a registered id, stepped together.
+
+    Finished environments restart in the same step; their info holds what a `DummyVecEnv` of
+    monitored environments would: "terminal_observation", "TimeLimit.truncated", "episode" (return,
+    length, time) and "is_success" (the tip on the target at the end), beside the environment's own
+    entries. All other infos are empty.
+    """
+
+    def __init__(self, id: str, n_envs: int, **kwargs: Any) -> None:
+        envs = gym.make_vec(id, num_envs=n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
+        assert isinstance(envs, FlexArmVectorEnv)
+        self.envs, self.core = envs, envs.core
+        super().__init__(n_envs, envs.single_observation_space, envs.single_action_space)
+        self._actions: NDArray[np.float32] = np.zeros(envs.action_space.shape or (), np.float32)
+        self._returns, self._lengths = np.zeros(n_envs), np.zeros(n_envs, np.int64)
+        self._started = time.time()
+
+    def reset(self) -> NDArray[np.float32]:
+        """First observations; uses the seeds and options that `seed` and `set_options` left."""
+        seeds = [None if seed is None else int(seed) for seed in self._seeds]
+        given = any(seed is not None for seed in seeds)
+        self.envs.seed_streams(seeds if given else None)
+        obs = np.zeros((self.num_envs, self.core.n_obs), np.float32)
+        info = np.zeros((self.core.n_info, self.num_envs))
+        flags = np.zeros((kernels.N_FLAG, self.num_envs), np.bool_)
+        for i in range(self.num_envs):
+            self.core.restart(np.array([i]), obs, info, flags, self._options[i] or None)
+        self._returns[:], self._lengths[:] = 0.0, 0
+        self._reset_seeds()
+        self._reset_options()
+        return obs
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Keep the actions for `step_wait`."""
+        self._actions = self.envs._actions(actions)
+
+    def step_wait(self) -> Any:
+        """One control step of all."""
+        obs, info, flags, ended = self.core.step(self._actions)
+        rewards = info[kernels.REWARD].astype(np.float32)
+        self._returns += info[kernels.REWARD]
+        self._lengths += 1
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        dones = flags[kernels.TERMINATED] | flags[kernels.TRUNCATED]
+        if ended:
+            rows = np.flatnonzero(dones)
+            self._report(rows, obs, info, flags, infos)
+            self.core.restart(rows, obs, info, flags)
+            self._returns[rows], self._lengths[rows] = 0.0, 0
+        return obs, rewards, dones, infos
+
+    def _report(self, rows: Any, obs: Any, info: Any, flags: Any, infos: list[Any]) -> None:
+        """Infos of the environments whose episode ended."""
+        described = self.core.describe(info, flags)
+        terms = described.pop("reward_terms")
+        elapsed = round(time.time() - self._started, 6)
+        for i in rows.tolist():
+            entry = {
+                name: values[i].copy() if values.ndim > 1 else values[i].item()
+                for name, values in described.items()
+            }
+            entry["reward_terms"] = {name: float(values[i]) for name, values in terms.items()}
+            entry["terminal_observation"] = obs[i].copy()
+            entry["TimeLimit.truncated"] = bool(flags[kernels.TRUNCATED, i])
+            entry["is_success"] = entry["settled"]
+            entry["episode"] = {
+                "r": round(float(self._returns[i]), 6),
+                "l": int(self._lengths[i]),
+                "t": elapsed,
+            }
+            infos[i] = entry
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The attribute once per environment; they share it."""
+        value = getattr(self.envs, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute; environments share it, so it is all of them or none."""
+        if len(list(self._get_indices(indices))) != self.num_envs:
+            raise ValueError(f"{attr_name!r} is shared by the batch: set it for all environments.")
+        setattr(self.envs, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the batch; results with one row per environment are split up."""
+        if method_name == "render":
+            pictures = self.get_images()
+            return [pictures[i] for i in self._get_indices(indices)]
+        result = getattr(self.envs, method_name)(*method_args, **method_kwargs)
+        rows = list(self._get_indices(indices))
+        if isinstance(result, np.ndarray) and result.shape[:1] == (self.num_envs,):
+            return [result[i] for i in rows]
+        if isinstance(result, tuple) and all(np.shape(x)[:1] == (self.num_envs,) for x in result):
+            return [tuple(x[i] for x in result) for i in rows]
+        return [result for _ in rows]
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Any = None) -> list[bool]:
+        """Nothing is wrapped, but episodes are monitored as `Monitor` would."""
+        return [wrapper_class.__name__ == "Monitor" for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[Any]:
+        """One picture per environment."""
+        return self.envs.render() or [None] * self.num_envs
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self.envs.close()

@@ -1,0 +1,202 @@
+"""A batch of environments with Gymnasium's vector interface: one compiled call steps them all."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from flexarm_env import kernels
+from flexarm_env.core import Array, Core
+from flexarm_env.env import RENDER_MODES, observation_space
+
+Flags = NDArray[np.bool_]
+_AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
+
+
+class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
+    """N flexible arms at one task; environment i equals a single one seeded with `seed + i`.
+
+    Keywords as of `FlexArmEnv`, and `max_episode_steps`, `autoreset_mode`, `threads`. Rendering
+    shows the first environment.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 50,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(f"render_mode must be one of {list(RENDER_MODES)}, got {render_mode!r}.")
+        known = {mode.value: mode for mode in _AUTORESET}
+        mode = known.get(getattr(autoreset_mode, "value", autoreset_mode))
+        if mode is None:
+            raise ValueError(f"autoreset_mode must be one of {sorted(known)}, got {autoreset_mode!r}.")
+        self.core = Core(n_env=num_envs, max_steps=max_episode_steps or 0, **arguments)
+        self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, mode
+        self.metadata = {
+            **self.metadata,
+            "render_fps": round(1.0 / self.core.control_dt),
+            "autoreset_mode": mode,
+        }
+        self.single_observation_space = observation_space(self.core.layout)
+        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_joint,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._shape = (num_envs, self.core.arm.n_joint)
+        self._all = np.arange(num_envs)
+        self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
+        self._seeded = False
+        self._renderer: Any = None
+
+    # ---- what agents ask ---------------------------------------------------------------------
+
+    arm = property(lambda self: self.core.arm)
+    model = property(lambda self: self.core.model)
+    task = property(lambda self: self.core.task_name)
+    control_dt = property(lambda self: self.core.control_dt)
+    torque_limit = property(lambda self: self.core.torque_limit.copy())
+    n_joint = property(lambda self: self.core.arm.n_joint)
+    reach = property(lambda self: self.core.arm.reach)
+    observation_slices = property(lambda self: self.core.layout.slices)
+    observation_scales = property(lambda self: self.core.layout.scales)
+
+    def joint_target(self) -> Array:
+        """(num_envs, n_joint) [rad] joint angles that put the tips on their targets."""
+        return self.core.joint_target()
+
+    def joint_state(self) -> tuple[Array, Array]:
+        """(num_envs, n_joint) [rad] and [rad/s]: what ideal encoders read."""
+        return self.core.joint_state()
+
+    # ---- the Gymnasium interface -------------------------------------------------------------
+
+    def seed_streams(self, seed: int | Sequence[int | None] | None) -> None:
+        """Start random streams as single environments with these seeds would."""
+        if seed is None:
+            if not self._seeded:
+                for i in range(self.num_envs):
+                    self.core.seed(i, self.np_random)
+        else:
+            seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
+            if len(seeds) != self.num_envs:
+                raise ValueError(f"{self.num_envs} seeds are needed, got {len(seeds)}.")
+            for i, one in enumerate(seeds):
+                if one is not None or not self._seeded:
+                    self.core.seed(i, seeding.np_random(one)[0])
+            if isinstance(seed, int):
+                self._np_random, self._np_random_seed = seeding.np_random(seed)
+        self._seeded = True
+
+    def reset(  # type: ignore[override]
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """New episodes; env i gets `seed + i`, or `seed[i]`. Options as of `FlexArmEnv.reset`."""
+        self.seed_streams(seed)
+        obs, info, flags = self.core.reset(self._all, options)
+        self._pending = self._pending[:0]
+        if self._renderer is not None:
+            self._renderer.clear()
+        if self.render_mode == "human":
+            self.render()
+        return obs, self._with_masks(self.core.describe(info, flags))
+
+    def step(
+        self, actions: Any
+    ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
+        """One control step of all; ended episodes restart as `autoreset_mode` says."""
+        obs, info, flags, ended = self.core.step(self._actions(actions))
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            return self._restart_now(obs, info, flags, ended)
+        if self._pending.size:
+            self.core.restart(self._pending, obs, info, flags)
+            ended = True
+        terminated, truncated = flags[kernels.TERMINATED], flags[kernels.TRUNCATED]
+        self._pending = np.flatnonzero(terminated | truncated) if ended else self._pending
+        self._after_step()
+        described = self._with_masks(self.core.describe(info, flags))
+        return obs, info[kernels.REWARD].copy(), terminated.copy(), truncated.copy(), described
+
+    def _actions(self, actions: Any) -> NDArray[np.float32]:
+        array = np.ascontiguousarray(actions, dtype=np.float32)
+        if array.shape != self._shape:
+            raise ValueError(f"Actions must have shape {self._shape}, got {array.shape}.")
+        return array
+
+    def _restart_now(
+        self, obs: NDArray[np.float32], info: Array, flags: Flags, ended: int
+    ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
+        """SAME_STEP: the observation is the new episode's first, the last is in final_obs."""
+        reward = info[kernels.REWARD].copy()
+        terminated, truncated = flags[kernels.TERMINATED].copy(), flags[kernels.TRUNCATED].copy()
+        final: dict[str, Any] = {}
+        if ended:
+            done = terminated | truncated
+            rows = np.flatnonzero(done)
+            last = np.full(self.num_envs, None, dtype=object)
+            for i in rows:
+                last[i] = obs[i].copy()
+            before = self.core.describe(info.copy(), flags.copy())
+            final = {
+                "final_obs": last,
+                "_final_obs": done,
+                "final_info": self._with_masks(before, done),
+                "_final_info": done.copy(),
+            }
+            self.core.restart(rows, obs, info, flags)
+        self._after_step()
+        described = self._with_masks(self.core.describe(info, flags))
+        return obs, reward, terminated, truncated, described | final
+
+    def _with_masks(self, described: dict[str, Any], mask: Flags | None = None) -> dict[str, Any]:
+        """Gymnasium's `_name` beside each `name`: which environments have it."""
+        mask = np.ones(self.num_envs, np.bool_) if mask is None else mask
+        terms = described["reward_terms"]
+        terms |= {f"_{name}": mask for name in terms}
+        return described | {f"_{name}": mask for name in described}
+
+    def _after_step(self) -> None:
+        if self._renderer is not None:
+            self._renderer.follow(self.core)
+        if self.render_mode == "human":
+            self.render()
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+        """Pictures of the environments in rgb_array mode; a window with the first in human mode."""
+        if self.render_mode is None:
+            gym.logger.warn('render() needs render_mode="rgb_array" or "human" at construction.')
+            return None
+        from flexarm_env.rendering import Renderer
+
+        if self._renderer is None:
+            self._renderer = Renderer(self.core)
+        if self.render_mode == "human":
+            self._renderer.show(self._renderer.draw(self.core), self.core.control_dt)
+            return None
+        return tuple(self._renderer.draw(self.core, row) for row in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}
