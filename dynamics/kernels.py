@@ -4,12 +4,10 @@ A generated module holds `accelerations(w)` and `measure(w)` of one arm for one 
 imports the small loops from here and ends with `GLUE`, its entry points.
 """
 
-from typing import Any
-
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-__all__ = ["GLUE", "LANES", "compiled", "count_finite", "gather", "outermost", "prange", "scatter"]
+__all__ = ["GLUE", "LANES", "compiled", "count_finite", "gather", "outermost", "scatter"]
 
 LANES = 16  # of a batch's blocks
 
@@ -17,9 +15,7 @@ _FAST = {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy", "nogil
 compiled = njit(**_FAST, inline="always")
 
 
-def outermost(parallel: bool = False) -> Any:
-    """Decorator of what Python calls: cached on disk."""
-    return njit(**_FAST, cache=True, parallel=parallel)
+outermost = njit(**_FAST, cache=True)  # what Python calls: cached on disk
 
 
 @compiled
@@ -82,55 +78,46 @@ def advance_lanes(block, q, v, torque, parameters, dt, substeps, w, status, meas
             status[row] = good + 1
 
 
-@outermost()
+@outermost
 def advance(q, v, torque, parameters, dt, substeps, w, status, measured):
     blocks = (np.uint64(q.shape[0]) + LANES - np.uint64(1)) // LANES
     for block in range(blocks):
-        advance_lanes(block, q, v, torque, parameters, dt, substeps, w[0], status, measured)
+        advance_lanes(block, q, v, torque, parameters, dt, substeps, w, status, measured)
 
 
-@outermost(parallel=True)
-def advance_parallel(q, v, torque, parameters, dt, substeps, w, status, measured):
-    blocks = (np.uint64(q.shape[0]) + LANES - np.uint64(1)) // LANES
-    threads = np.uint64(w.shape[0])
-    for t in prange(threads):
-        for block in range(blocks * np.uint64(t) // threads, blocks * np.uint64(t + 1) // threads):
-            advance_lanes(block, q, v, torque, parameters, dt, substeps, w[t], status, measured)
-
-
-@outermost()
+@outermost
 def measure_states(q, v, w, out):
     rows = np.uint64(q.shape[0])
     for block in range((rows + LANES - np.uint64(1)) // LANES):
         first = block * LANES
         count = min(LANES, rows - first)
-        gather(q, first, count, LANES, w[0], Q)
-        gather(v, first, count, LANES, w[0], V)
-        measure(w[0])
+        gather(q, first, count, LANES, w, Q)
+        gather(v, first, count, LANES, w, V)
+        measure(w)
         for b in range(count):
-            scatter(w[0], MEASURED, LANES, b, first + b, out)
+            scatter(w, MEASURED, LANES, b, first + b, out)
 
 
-@outermost()
+@outermost
 def evaluate_states(q, v, torque, parameters, w, out):
     rows = np.uint64(q.shape[0])
     for b in range(LANES):
         for at in range(IMPLICIT, ACC, LANES):
-            w[0, at + b] = 0.0
+            w[at + b] = 0.0
     for block in range((rows + LANES - np.uint64(1)) // LANES):
         first = block * LANES
         count = min(LANES, rows - first)
-        gather(q, first, count, LANES, w[0], Q)
-        gather(v, first, count, LANES, w[0], V)
-        gather(torque, first, count, LANES, w[0], TAU)
-        gather(parameters, first, count, LANES, w[0], PARAMETERS)
-        accelerations(w[0])
+        gather(q, first, count, LANES, w, Q)
+        gather(v, first, count, LANES, w, V)
+        gather(torque, first, count, LANES, w, TAU)
+        gather(parameters, first, count, LANES, w, PARAMETERS)
+        accelerations(w)
         for b in range(count):
-            scatter(w[0], ACC, LANES, b, first + b, out)
+            scatter(w, ACC, LANES, b, first + b, out)
 
 
-@outermost()
+@outermost
 def evaluate_often(w, times):
     for _ in range(times):
-        accelerations(w[0])
+        accelerations(w)
 '''

@@ -187,7 +187,7 @@ def render_module(
         "from numpy import floor, sqrt",
         "from dynamics.emission import straight_line",
         "from dynamics.integrators import INTEGRATORS",
-        "from dynamics.kernels import compiled, count_finite, gather, outermost, prange, scatter",
+        "from dynamics.kernels import compiled, count_finite, gather, outermost, scatter",
         f"LANES = {lanes}",
         f"SLOTS = {slots}",
     ]

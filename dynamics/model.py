@@ -248,9 +248,9 @@ class Model:
         key = fingerprint(description, ",".join(self.free_parameters), str(lanes), integrator)
         return cached_module(key, lambda: self._generate(lanes, integrator))
 
-    def workspace(self, program: ModuleType, threads: int = 1) -> Array:
-        """Scratch memory for `program`, (threads, slots * lanes)."""
-        return np.zeros((threads, program.SLOTS * int(program.LANES)))
+    def workspace(self, program: ModuleType) -> Array:
+        """Scratch memory for one thread in `program`."""
+        return np.zeros(program.SLOTS * int(program.LANES))
 
     def _layout(self) -> dict[str, int]:
         """Workspace slots that are no temporaries: name -> first slot; END is the next free one."""

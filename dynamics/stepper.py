@@ -1,6 +1,8 @@
 """Many substeps, many environments, all cores: one compiled call."""
 
-import numba
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
 import numpy as np
 
 from dynamics.integrators import INTEGRATORS
@@ -60,20 +62,35 @@ class Stepper:
         self.status = np.zeros(n_env, dtype=np.int64)
         self.measured = np.zeros((n_env, model.n_measure))
         self._program = model.program(1 if n_env == 1 else LANES, integrator)
-        self._w = model.workspace(self._program, self.threads)
+        blocks = -(-self.n_env // LANES)
+        self.threads = min(self.threads, blocks)
+        bounds = [LANES * (k * blocks // self.threads) for k in range(self.threads)]
+        self._shares = [
+            slice(a, b) for a, b in pairwise([*bounds, self.n_env])
+        ]  # whole blocks of lanes for every thread
+        self._w = [model.workspace(self._program) for _ in self._shares]
+        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
 
     def advance(self) -> None:
         """Step every environment `substeps` times, then measure. Allocates nothing."""
-        p = self._program
-        step = p.advance
-        if self.threads > 1:
-            step = p.advance_parallel
-            numba.set_num_threads(min(self.threads, numba.config.NUMBA_NUM_THREADS))
-        step(
-            self.q, self.v, self.torque, self.parameters, self.dt, self.substeps, self._w,
-            self.status, self.measured,
+        if self._pool is None:
+            self._program.advance(
+                self.q, self.v, self.torque, self.parameters, self.dt, self.substeps, self._w[0],
+                self.status, self.measured,
+            )  # fmt: skip
+            return
+        others = [self._pool.submit(self._advance_share, k) for k in range(1, self.threads)]
+        self._advance_share(0)
+        for other in others:
+            other.result()
+
+    def _advance_share(self, k: int) -> None:
+        rows = self._shares[k]
+        self._program.advance(
+            self.q[rows], self.v[rows], self.torque[rows], self.parameters[rows], self.dt,
+            self.substeps, self._w[k], self.status[rows], self.measured[rows],
         )  # fmt: skip
 
     def measure(self, q: np.ndarray, v: np.ndarray, out: np.ndarray) -> None:
         """Measurements (N, n_measure) of any states (N, n), by this stepper's compiled code."""
-        self._program.measure_states(q, v, self._w, out)
+        self._program.measure_states(q, v, self._w[0], out)
