@@ -239,9 +239,7 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
                 child = parent
         # B stays a skew matrix in a composite: turn its vector, not the matrix
         b = (block.inertia.B[2][1], block.inertia.B[0][2], block.inertia.B[1][0])
-        turned = Inertia(
-            block.inertia.A, skew(matvec(f.R, b)), congruence(f.R, block.inertia.D)
-        )
+        turned = Inertia(block.inertia.A, skew(matvec(f.R, b)), congruence(f.R, block.inertia.D))
         outer = turned.moved(f.offset)
     return M
 
@@ -278,7 +276,10 @@ def accelerations(
         pivots = _eliminate(block, residual)
         solved.append((block, residual, pivots))
         if i:
-            inertia = _reduced(f.link, block, pivots)
+            held = f.link.rotor_inertia  # what resists the joint but does not load the link before
+            if implicit:
+                held = plus(held, mul(implicit.damping, f.link.viscous))
+            inertia = _reduced(f.link, block, pivots, held)
             outer = inertia.turned(f.R).moved(f.offset)
             push = [mul(e, p) for e, p in zip(residual, pivots, strict=True)]
             load = Wrench(
@@ -335,7 +336,7 @@ def _eliminate(block: Block, residual: list[Scalar]) -> list[Scalar]:
     return pivots
 
 
-def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar]) -> Inertia:
+def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar], held: Scalar) -> Inertia:
     """Articulated inertia: what is left at the joint once the link's coordinates move freely."""
     A, B, D = block.inertia
     for column, pivot in zip(block.columns, pivots, strict=True):
@@ -344,10 +345,10 @@ def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar]) -> Inertia
         A = symmetric(lambda i, j, A=A, pF=pF, F=F: minus(A[i][j], mul(pF[i], F[j])))
         B = msub(B, tuple(tuple(mul(pN[i], F[j]) for j in range(3)) for i in range(3)))
         D = symmetric(lambda i, j, D=D, pN=pN, N=N: minus(D[i][j], mul(pN[i], N[j])))
-    if any(link.root_slope) and link.rotor_inertia:
+    if any(link.root_slope) and not is_zero(held):
         return Inertia(A, B, D)
-    # about the free axis only the rotor resists: exactly zero without one
-    keep = mul(link.rotor_inertia, pivots[-1])
+    # about the free axis only what holds the joint resists: exactly zero without it
+    keep = mul(held, pivots[-1])
     z = Wrench(*(scale(keep, u) for u in block.columns[-1]))
     B = (B[0], B[1], z.force)
     D = symmetric(lambda i, j, D=D: z.moment[i] if j == 2 else D[i][j])
