@@ -25,6 +25,7 @@ def straight_line(lanes: int) -> Callable[[Callable[..., None]], Any]:
         @intrinsic
         def body(typingctx, w):  # type: ignore[no-untyped-def]
             def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+                builder.function.attributes.add("noinline")  # called often: one copy is enough
                 array = context.make_array(signature.args[0])(context, builder, args[0])
                 _emit(builder, array.data, inspect.getsource(function), lanes)
                 return context.get_dummy_value()

@@ -1,0 +1,181 @@
+"""How fast the three default arms step, beside this machine's multiply-add peak.
+
+    python benchmarks/speed.py [--out docs/results/speed.json]
+
+Medians of repeated runs; ratios and the peak come from the same run. Leave the machine alone while
+it runs.
+"""
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import flexarm_env  # noqa: F401  (registers the ids)
+from dynamics import ARMS, Stepper, compile_arm
+from dynamics.kernels import LANES
+from dynamics.lowering import cached_module
+
+DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
+BATCH = 1024
+CHAINS, ROUNDS = 3, 200  # 3 chains of 16 lanes keep 12 of 16 vector registers in flight
+
+
+def median_seconds(call: Callable[[], Any], at_least: float = 0.3, runs: int = 7) -> float:
+    """Median time of one call over several runs of many calls."""
+    call()
+    begin = time.perf_counter()
+    call()
+    calls = max(1, int(at_least / runs / max(time.perf_counter() - begin, 1e-7)))
+    times = []
+    for _ in range(runs):
+        begin = time.perf_counter()
+        for _ in range(calls):
+            call()
+        times.append((time.perf_counter() - begin) / calls)
+    return statistics.median(times)
+
+
+def multiply_add_peak() -> float:
+    """[FLOP/s] of one core in float64: independent chains of fused multiply-adds."""
+    chains = range(CHAINS)
+    lines = ["a = w[0]", "b = w[1]", *(f"x{k} = w[{2 + k}]" for k in chains)]
+    lines += [f"x{k} = x{k} * a + b" for _ in range(ROUNDS) for k in chains]
+    lines += [f"w[{2 + k}] = x{k}" for k in chains]
+    text = "\n".join([
+        "from dynamics.emission import straight_line",
+        "from dynamics.kernels import outermost",
+        f"@straight_line({LANES})",
+        "def rounds(w):",
+        *(f"    {line}" for line in lines),
+        "@outermost",
+        "def often(w, times):",
+        "    for _ in range(times):",
+        "        rounds(w)",
+    ])  # fmt: skip
+    module = cached_module(f"peak_{CHAINS}_{ROUNDS}_{LANES}", lambda: text)
+    w = np.full((2 + CHAINS) * LANES, 0.5)
+    times = 2000
+    seconds = median_seconds(lambda: module.often(w, times))
+    return 2.0 * CHAINS * ROUNDS * LANES * times / seconds
+
+
+def right_hand_side(arm: str, peak: float) -> dict[str, float]:
+    """ns per environment and share of the peak, one lane and many."""
+    model = compile_arm(arm)
+    count = model.operation_count()["accelerations"]
+    flops = count["multiplications"] + count["additions"] + count["divisions"]
+    row: dict[str, float] = {"operations": flops}
+    for name, lanes in (("one lane", 1), ("many lanes", LANES)):
+        program = model.program(lanes, "rk4")
+        w = model.workspace(program)
+        seconds = median_seconds(lambda p=program, w=w: p.evaluate_often(w, 1000)) / 1000 / lanes
+        row[f"rhs {name} [ns]"] = seconds * 1e9
+        row[f"share of peak, {name}"] = flops / seconds / peak
+    return row
+
+
+def compile_seconds(arm: str) -> dict[str, float]:
+    """First batched step in a fresh process: without a cache, then with it."""
+    code = (
+        "import time; t = time.perf_counter()\n"
+        "from dynamics import Stepper, compile_arm\n"
+        f"s = Stepper(compile_arm({arm!r}), 64, dt=1e-3, substeps=1); s.advance()\n"
+        "print(time.perf_counter() - t)"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        env = {**os.environ, "FLEXARM_CACHE": folder}
+        runs = [
+            float(subprocess.run([sys.executable, "-c", code], env=env, check=True,
+                                 capture_output=True, text=True).stdout)
+            for _ in range(3)
+        ]  # fmt: skip
+    return {"cold [s]": runs[0], "warm [s]": statistics.median(runs[1:])}
+
+
+def env_steps(family: str) -> dict[str, float]:
+    """Environment steps per second: gym.make, the native batch, and the physics alone."""
+    env_id = f"FlexArm/{family}-Reach-v0"
+    env = gym.make(env_id)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1.0, 1.0, (256, *env.action_space.shape)).astype(np.float32)  # type: ignore[misc]
+    row: dict[str, float] = {}
+
+    def episode(env: gym.Env[Any, Any]) -> None:
+        for action in actions:
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+
+    row["single gym.make [steps/s]"] = len(actions) / median_seconds(lambda: episode(env))
+    bare = env.unwrapped
+    row["single unwrapped [steps/s]"] = len(actions) / median_seconds(lambda: episode(bare))
+    for threads in (1, 2):
+        batch = gym.make_vec(env_id, num_envs=BATCH, threads=threads)
+        batch.reset(seed=0)
+        many = rng.uniform(-1.0, 1.0, (BATCH, actions.shape[1])).astype(np.float32)
+        name = f"batch of {BATCH}, {threads} thread{'s' * (threads > 1)} [steps/s]"
+        row[name] = BATCH / median_seconds(lambda b=batch, a=many: b.step(a))
+        batch.close()
+    return row
+
+
+def physics_steps(family: str) -> dict[str, float]:
+    """Control steps per second of the stepper alone, as the environment configures it."""
+    bare = gym.make(f"FlexArm/{family}-Reach-v0").unwrapped
+    row = {}
+    for threads in (1, 2):
+        stepper = Stepper(
+            bare.model, BATCH, dt=bare.control_dt / bare.substeps, substeps=bare.substeps,
+            integrator=bare.integrator, threads=threads,
+        )  # fmt: skip
+        row[f"physics, {threads} thread{'s' * (threads > 1)} [steps/s]"] = BATCH / median_seconds(
+            stepper.advance
+        )
+    return row
+
+
+def main() -> None:
+    """Measure, print a table, and write JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("docs/results/speed.json"))
+    options = parser.parse_args()
+    peak = multiply_add_peak()
+    results: dict[str, Any] = {
+        "machine": {"processor": platform.processor() or platform.machine(),
+                    "cores": os.cpu_count(), "peak, one core [GFLOP/s]": peak / 1e9},
+        "versions": {name: version(name) for name in ("numba", "numpy", "gymnasium", "casadi")},
+    }  # fmt: skip
+    for family, arm in DEFAULT_ARMS.items():
+        results[family] = {
+            "arm": arm,
+            "coordinates": ARMS[arm].n,
+            **right_hand_side(arm, peak),
+            **physics_steps(family),
+            **env_steps(family),
+            **compile_seconds(arm),
+        }
+    print(f"multiply-add peak of one core: {peak / 1e9:.1f} GFLOP/s")
+    keys = list(results["OneLink"])
+    for key in keys:
+        cells = [results[family][key] for family in DEFAULT_ARMS]
+        print(f"{key:36}", *(f"{c:>18.4g}" if isinstance(c, float) else f"{c:>18}" for c in cells))
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(results, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
