@@ -47,7 +47,7 @@ def compare(
     title = f"{env_id}, {episodes} episodes"
     plot_recordings(folder / "trajectories.png", recordings, title)
     chosen = list(controllers.items())[:filmed]
+    print_table(results)
     films = {name: film(env_id, kwargs, controller, seed) for name, controller in chosen}
     write_gif(folder / "arm.gif", films)
-    print_table(results)
     return results

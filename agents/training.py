@@ -35,8 +35,9 @@ DEFAULT_CONFIG = Path(__file__).resolve().parents[1] / "configs" / "one_link_rea
 def build_model(config: Config, session: int) -> Any:
     """The stable-baselines3 model of the experiment on its batch environment."""
     import torch
-    from flexarm_env import SB3VecEnv
     from stable_baselines3 import PPO, SAC
+
+    from flexarm_env import SB3VecEnv
 
     torch.set_num_threads(1)  # a small network is faster, and leaves the other core alone
     activations = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU, "elu": torch.nn.ELU}
@@ -229,6 +230,8 @@ def learn(run: RunFolder, config: Config) -> None:
 
 def judge(run: RunFolder, config: Config) -> None:
     """Compare the policy with the best joint PD and with the untrained network; draw everything."""
+    plot_learning_curve(run.path / "learning_curve.png", {config.name: run.curve()})
+    run.write_curve()
     env_id, kwargs = config.env.id, config.env.make_kwargs
     print("Searching the gains of the joint PD controller ...", flush=True)
     tuned = tune_pd(env_id, kwargs)
@@ -241,8 +244,6 @@ def judge(run: RunFolder, config: Config) -> None:
     print("Evaluating ...", flush=True)
     episodes, seed = config.evaluation.episodes, config.evaluation.seed
     compare(controllers, env_id, kwargs, episodes=episodes, seed=seed, folder=run.path)
-    plot_learning_curve(run.path / "learning_curve.png", {config.name: run.curve()})
-    run.write_curve()
 
 
 def train(run: RunFolder, config: Config) -> None:

@@ -19,6 +19,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+import gymnasium as gym  # noqa: E402
+
 from agents.config import Config, load_config  # noqa: E402
 from agents.controllers import joint_pd, tune_pd  # noqa: E402
 from agents.evaluation import (  # noqa: E402
@@ -31,12 +33,13 @@ from agents.evaluation import (  # noqa: E402
     write_json,
 )
 from agents.figures import film, plot_learning_curve, plot_recordings, write_gif  # noqa: E402
-from agents.policy import load_policy  # noqa: E402
+from agents.policy import Controller, load_policy  # noqa: E402
 from agents.runs import RunFolder, versions  # noqa: E402
 from agents.training import learn  # noqa: E402
 
 SETTLING_SHARE = 1.0 / 3.0  # of joint PD's median settling time, at most
 VIBRATION_SHARE = 1.0 / 10.0  # of joint PD's median residual vibration, at most
+FASTER = 4  # joint PD is also shown at this multiple of the control rate; it is not the yardstick
 COLUMNS = {  # metric: (header, factor, digits)
     "success_rate": ("success [%]", 100.0, 0),
     "settling_time": ("settling [s]", 1.0, 2),
@@ -68,6 +71,22 @@ def run_seed(config: Config, folder: Path) -> tuple[RunFolder, float]:
     begin = time.monotonic()
     learn(run, config)
     return run, time.monotonic() - begin
+
+
+def faster_pd(env_id: str, kwargs: Mapping[str, Any], tasks: Sequence[int]) -> dict[str, float]:
+    """Joint PD with its own best gains at a multiple of the policy's control rate."""
+    env = make_batch(env_id, 1, kwargs)
+    control_dt = env.unwrapped.control_dt / FASTER
+    env.close()
+    steps = gym.spec(env_id).max_episode_steps
+    assert steps is not None
+    fast = {**kwargs, "control_dt": control_dt, "max_episode_steps": FASTER * steps}
+    tuned = tune_pd(env_id, fast)
+    envs = make_batch(env_id, len(tasks), fast)
+    pd = joint_pd(envs, tuned.frequency_ratio, tuned.damping_ratio)
+    summary = summarise(episode_metrics(record(pd, envs, tasks)))
+    envs.close()
+    return summary
 
 
 def cells(summary: Mapping[str, float]) -> list[str]:
@@ -109,8 +128,8 @@ other tasks.
 {rows}
 
 "Wins" means: settles in at most a third of joint PD's time, with at most a tenth of its residual
-vibration and no lower success rate. {passed} of {len(data["runs"])} runs do. Shares of settling
-time / residual vibration: {shares}.
+vibration and no lower success rate; that joint PD acts at the policy's control rate.
+{passed} of {len(data["runs"])} runs win. Shares of settling time / residual vibration: {shares}.
 
 ![Learning curves]({data["name"]}.png)
 
@@ -136,6 +155,8 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
             untrained = record(load_policy(run.untrained), envs, tasks)
             recordings["untrained policy"] = untrained
             summaries["untrained policy"] = summarise(episode_metrics(untrained))
+            fast = faster_pd(env_id, kwargs, tasks)
+            summaries[f"joint PD, {FASTER} x control rate"] = fast
         r = record(policies[-1], envs, tasks)
         recordings.setdefault(f"seed {seed}", r)
         summary = summarise(episode_metrics(r))
@@ -185,7 +206,7 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
     title = f"{env_id}, {episodes} episodes"
     plot_recordings(out / f"{config.name}_trajectories.png", shown, title)
     if gif:
-        pair = {"trained policy": policies[0], "joint PD": pd}
+        pair: dict[str, Controller] = {"trained policy": policies[0], "joint PD": pd}
         films = {name: film(env_id, kwargs, c, first) for name, c in pair.items()}
         write_gif(out / f"{config.name}.gif", films)
     print(text)
