@@ -2,12 +2,15 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from os import PathLike
 from typing import Any
 
 import numpy as np
 from dynamics import Arm, load_arm
 from dynamics.integrators import INTEGRATORS
+from dynamics.kernels import LANES
 from dynamics.model import Model, compile_arm
 from dynamics.stepper import Stepper
 from numpy.typing import NDArray
@@ -25,6 +28,8 @@ from flexarm_env.rewards import resolve_weights
 from flexarm_env.tasks import find_task
 
 Array = NDArray[np.float64]
+N_FLAG = int(kernels.N_FLAG)
+TERMS = slice(int(kernels.FIRST_TERM), int(kernels.FIRST_TERM) + len(kernels.TERMS))
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm
 
 
@@ -88,15 +93,8 @@ class Core:
         self.layout = observation_layout(self.arm, self.task, obs, self.physics, self.rate_scale)
 
         self.model: Model = compile_arm(self.arm)
-        self.stepper = Stepper(
-            self.model,
-            self.n_env,
-            dt=self.control_dt / self.substeps,
-            substeps=self.substeps,
-            integrator=self.integrator,
-            threads=self.threads,
-        )
-        self._allocate(weights, float(deflection_limit), int(max_steps))
+        self._set_constants(weights, float(deflection_limit), int(max_steps))
+        self._allocate()
 
     def _torque_limit(self, given: float | Sequence[float] | None) -> Array:
         if given is None:
@@ -119,24 +117,23 @@ class Core:
         name, count = integration(self.arm, self.control_dt, integrator)
         return name, count if substeps is None else int(substeps)
 
-    def _allocate(self, weights: dict[str, float], deflection_limit: float, max_steps: int) -> None:
-        arm, model, n_env = self.arm, self.model, self.n_env
+    def _set_constants(
+        self, weights: dict[str, float], deflection_limit: float, max_steps: int
+    ) -> None:
+        """What the kernels know of the arm, the task and the reward."""
+        arm, model = self.arm, self.model
         first = {name: part.start for name, part in model.measurements.items()}
         self.gauges = curvature_columns(arm)
         whole = [arm.n_joint, arm.n, int(self.task.moving), max_steps, len(self.gauges)]
         whole += [first[k] for k in ("tip", "tip_velocity", "rigid_tip", "deflection", "slope")]
         whole += [*arm.joint_index, *(first["curvature"] + k for k in self.gauges)]
-        self._whole = np.array(whole, dtype=np.int64)
-        mount = [x for row in arm.links[0].joint.rotation for x in row]
-        self._real = np.array(
-            [
-                self.control_dt, arm.reach, deflection_limit,
-                SLOPE_PER_DEFLECTION * deflection_limit, arm.reach * self.rate_scale,
-                self.rate_scale, MOVE, self.move_time, *mount,
-                *(weights.get(name, 0.0) for name in kernels.TERMS),
-            ]
-        )  # fmt: skip
-        self._table = self.layout.table
+        real = [self.control_dt, arm.reach, deflection_limit]
+        real += [SLOPE_PER_DEFLECTION * deflection_limit, arm.reach * self.rate_scale]
+        real += [self.rate_scale, MOVE, self.move_time]
+        real += [x for row in arm.links[0].joint.rotation for x in row]
+        real += [weights.get(name, 0.0) for name in kernels.TERMS]
+        self._whole, self._real = np.array(whole, dtype=np.uint64), np.array(real)
+        self._report = (self.layout.picks, self.layout.table, self.layout.n_signal)
         self._start = (
             np.int64(self.task.code),
             self.task.ranges(self.move_time),
@@ -144,44 +141,50 @@ class Core:
             np.array(self.physics.modal_scale),
             np.array(self.physics.modal_rate),
         )
-        self.memory = np.zeros((n_env, kernels.WIDTH * arm.n_joint))
+        self.n_obs = self.layout.picks.size
+        self.n_info = TERMS.stop + len(self.gauges) + arm.n_joint
+
+    def _allocate(self) -> None:
+        """The state of all environments, and one stepper per thread on its share of the rows."""
+        arm, n_env = self.arm, self.n_env
+        self.q, self.v = np.zeros((n_env, arm.n)), np.zeros((n_env, arm.n))
+        self.torque = np.zeros((n_env, arm.n_joint))
+        self.status = np.zeros(n_env, dtype=np.int64)
+        self.measured = np.zeros((n_env, self.model.n_measure))
+        self.memory = np.zeros((n_env, int(kernels.WIDTH) * arm.n_joint))
         self.counters = np.zeros((n_env, 2), dtype=np.int64)
         self.ref_q, self.ref_v = np.zeros((n_env, arm.n)), np.zeros((n_env, arm.n))
-        self.ref_measured = np.zeros((n_env, model.n_measure))
-        stepper = self.stepper
-        self._state = (
-            stepper.q, stepper.v, stepper.torque, stepper.status, stepper.measured, self.memory,
-            self.counters, self.ref_q, self.ref_v, self.ref_measured, self._whole, self._real,
-            self._table, self.layout.n_signal,
-        )  # fmt: skip
-        self._command = (
-            self.torque_limit, stepper.torque, self.memory, self.counters, self.ref_q, self.ref_v,
-            self._whole, self._real,
-        )  # fmt: skip
-        self._judge = kernels.judge if self.threads == 1 else kernels.judge_parallel
-        self._moving = self.task.moving
-        self.n_obs = self._table.shape[1]
-        self.n_info = kernels.FIRST_TERM + kernels.N_TERM + len(self.gauges) + arm.n_joint
+        self.ref_measured = np.zeros((n_env, self.model.n_measure))
+        blocks = max(1, n_env // LANES)  # of lanes; the rest joins the last share
+        count = min(self.threads, blocks)
+        bounds = [*(LANES * (k * blocks // count) for k in range(count)), n_env]
+        self._shares = [_Share(self, slice(a, b)) for a, b in pairwise(bounds)]
+        self._pool = ThreadPoolExecutor(count - 1) if count > 1 else None
 
     # ---- stepping ----------------------------------------------------------------------------
 
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], int]:
-        """One control step of all; new arrays (N, n_obs), (n_info, N), (n_flag, N), ended count."""
-        bad = kernels.command(actions, *self._command)
-        if bad >= 0:
-            raise ValueError(
-                f"Actions must be numbers in [-1, 1], got NaN for environment {bad}: "
-                f"{actions[bad].tolist()}."
-            )
-        self.stepper.advance()
-        if self._moving:
-            self.stepper.measure(self.ref_q, self.ref_v, self.ref_measured)
+        """One control step of all; new arrays (N, n_obs), (N, n_info), (N, n_flag), ended count."""
         obs = np.empty((self.n_env, self.n_obs), np.float32)
-        info = np.empty((self.n_info, self.n_env))
-        flags = np.empty((kernels.N_FLAG, self.n_env), np.bool_)
-        return obs, info, flags, self._judge(*self._state, obs, info, flags)
+        info = np.empty((self.n_env, self.n_info))
+        flags = np.empty((self.n_env, N_FLAG), np.bool_)
+        first, *others = self._shares
+        if not others:
+            ended = first.step(actions, obs, info, flags)
+        else:
+            assert self._pool is not None
+            waiting = [self._pool.submit(s.step, actions, obs, info, flags) for s in others]
+            counts = [first.step(actions, obs, info, flags), *(w.result() for w in waiting)]
+            ended = -1 if -1 in counts else sum(counts)
+        if ended < 0:
+            bad = int(np.flatnonzero(np.isnan(actions).any(axis=1))[0])
+            raise ValueError(
+                f"Actions must be numbers in [-1, 1], got {actions[bad].tolist()} for "
+                f"environment {bad}."
+            )
+        return obs, info, flags, ended
 
     def restart(
         self,
@@ -192,29 +195,32 @@ class Core:
         options: Mapping[str, Any] | None = None,
     ) -> None:
         """Start new episodes in the environments `rows`; their entries of obs, info, flags."""
-        s = self.stepper
         kernels.begin(
-            rows, *self._start, s.q, s.v, self.memory, self.counters, self.ref_q, self.ref_v,
+            rows, *self._start, self.q, self.v, self.memory, self.counters, self.ref_q, self.ref_v,
             self._whole, self._real,
         )  # fmt: skip
         if options:
             self._place(rows, options)
         for q, v, measured in (
-            (s.q, s.v, s.measured),
+            (self.q, self.v, self.measured),
             (self.ref_q, self.ref_v, self.ref_measured),
         ):
             out = np.empty((rows.size, measured.shape[1]))
-            s.measure(q[rows], v[rows], out)
+            self._shares[0].stepper.measure(q[rows], v[rows], out)
             measured[rows] = out
-        kernels.look(rows, *self._state, obs, info, flags)
+        kernels.judge(
+            rows, True, self.q, self.v, self.torque, self.status, self.measured, self.memory,
+            self.counters, self.ref_q, self.ref_v, self.ref_measured, self._whole, self._real,
+            *self._report, obs, info, flags,
+        )  # fmt: skip
 
     def reset(
         self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
         """Start new episodes in `rows` and report on all; rows not started are left undefined."""
         obs = np.zeros((self.n_env, self.n_obs), np.float32)
-        info = np.zeros((self.n_info, self.n_env))
-        flags = np.zeros((kernels.N_FLAG, self.n_env), np.bool_)
+        info = np.zeros((self.n_env, self.n_info))
+        flags = np.zeros((self.n_env, N_FLAG), np.bool_)
         self.restart(rows, obs, info, flags, options)
         return obs, info, flags
 
@@ -231,14 +237,16 @@ class Core:
         state = options.get("state")
         if state is not None:
             if not isinstance(state, Mapping) or not set(state) <= {"q", "v"}:
-                raise ValueError(f"options['state'] must be a dict with 'q' and 'v', got {state!r}.")
+                raise ValueError(
+                    f"options['state'] must be a dict with 'q' and 'v', got {state!r}."
+                )
             q = _checked("options['state']['q']", state.get("q"), self.arm.n, rows.size)
             v = _checked("options['state']['v']", state.get("v"), self.arm.n, rows.size)
-            self.stepper.q[rows], self.stepper.v[rows] = q, v
+            self.q[rows], self.v[rows] = q, v
         target = options.get("target")
         if target is not None:
             angles = _checked("options['target']", target, n_joint, rows.size)
-            centre = slice(kernels.CENTRE * n_joint, (kernels.CENTRE + 1) * n_joint)
+            centre = slice(int(kernels.CENTRE) * n_joint, int(kernels.CENTRE + 1) * n_joint)
             self.memory[rows, centre] = angles
             self.ref_q[rows[:, None], joints] = angles
 
@@ -251,37 +259,30 @@ class Core:
     def joint_state(self) -> tuple[Array, Array]:
         """(N, n_joint) [rad] and [rad/s]: what ideal encoders read."""
         joints = list(self.arm.joint_index)
-        return self.stepper.q[:, joints], self.stepper.v[:, joints]
+        return self.q[:, joints], self.v[:, joints]
 
     def describe(self, info: Array, flags: NDArray[np.bool_]) -> dict[str, Any]:
         """Info arrays of all environments by name, views of `info` and `flags`."""
-        terms = kernels.FIRST_TERM + kernels.N_TERM
-        gauges = terms + len(self.gauges)
+        gauges = TERMS.stop + len(self.gauges)
         return {
-            "time": info[kernels.TIME],
-            "tip_error": info[kernels.TIP_ERROR],
-            "tip_speed": info[kernels.TIP_SPEED],
-            "deflection": info[kernels.MAX_DEFLECTION],
-            "tip_deflection": info[kernels.TIP_DEFLECTION],
-            "root_curvature": info[terms:gauges].T,
-            "torque": info[gauges:].T,
-            "reward_terms": dict(
-                zip(kernels.TERMS, info[kernels.FIRST_TERM : terms], strict=True)
-            ),
-            "settled": flags[kernels.SETTLED],
-            "diverged": flags[kernels.DIVERGED],
-            "invalid": flags[kernels.INVALID],
+            "time": info[:, kernels.TIME],
+            "tip_error": info[:, kernels.TIP_ERROR],
+            "tip_speed": info[:, kernels.TIP_SPEED],
+            "deflection": info[:, kernels.MAX_DEFLECTION],
+            "tip_deflection": info[:, kernels.TIP_DEFLECTION],
+            "root_curvature": info[:, TERMS.stop : gauges],
+            "torque": info[:, gauges:],
+            "reward_terms": dict(zip(kernels.TERMS, info[:, TERMS].T, strict=True)),
+            "settled": flags[:, kernels.SETTLED],
+            "diverged": flags[:, kernels.DIVERGED],
+            "invalid": flags[:, kernels.INVALID],
         }
 
     # ---- copies ------------------------------------------------------------------------------
 
-    def _arrays(self) -> dict[str, Array]:
-        s = self.stepper
-        return {
-            "q": s.q, "v": s.v, "torque": s.torque, "status": s.status, "measured": s.measured,
-            "memory": self.memory, "counters": self.counters, "ref_q": self.ref_q,
-            "ref_v": self.ref_v, "ref_measured": self.ref_measured,
-        }  # fmt: skip
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        names = ("q", "v", "torque", "status", "measured", "memory", "counters")
+        return {name: getattr(self, name) for name in (*names, "ref_q", "ref_v", "ref_measured")}
 
     def __getstate__(self) -> dict[str, Any]:
         arrays = {name: array.copy() for name, array in self._arrays().items()}
@@ -291,6 +292,53 @@ class Core:
         Core.__init__(self, **state["arguments"])
         for name, array in self._arrays().items():
             array[...] = state["arrays"][name]
+
+
+class _Share:
+    """The rows of one thread: its stepper, and views of the core's arrays."""
+
+    def __init__(self, core: Core, rows: slice) -> None:
+        n_env = rows.stop - rows.start
+        self.rows, self.whole_batch = rows, n_env == core.n_env
+        self.stepper = Stepper(
+            core.model,
+            n_env,
+            dt=core.control_dt / core.substeps,
+            substeps=core.substeps,
+            integrator=core.integrator,
+        )
+        for name in ("q", "v", "torque", "status", "measured"):
+            setattr(self.stepper, name, getattr(core, name)[rows])
+        s = self.stepper
+        memory, counters = core.memory[rows], core.counters[rows]
+        self.reference = core.ref_q[rows], core.ref_v[rows], core.ref_measured[rows]
+        self.moving = core.task.moving
+        self.command = (
+            core.torque_limit, s.torque, memory, counters, *self.reference[:2], core._whole,
+            core._real,
+        )  # fmt: skip
+        self.judge = (
+            np.arange(n_env), False, s.q, s.v, s.torque, s.status, s.measured, memory, counters,
+            *self.reference, core._whole, core._real, *core._report,
+        )  # fmt: skip
+
+    def step(
+        self,
+        actions: NDArray[np.float32],
+        obs: NDArray[np.float32],
+        info: Array,
+        flags: NDArray[np.bool_],
+    ) -> int:
+        """One control step; the number of ended episodes, or -1 for an action that is NaN."""
+        if not self.whole_batch:
+            actions, obs = actions[self.rows], obs[self.rows]
+            info, flags = info[self.rows], flags[self.rows]
+        if kernels.command(actions, *self.command) >= 0:
+            return -1
+        self.stepper.advance()
+        if self.moving:
+            self.stepper.measure(*self.reference)
+        return kernels.judge(*self.judge, obs, info, flags)
 
 
 def _require_positive(name: str, value: Any, unit: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexarm_env import kernels
-from flexarm_env.core import Array, Core
+from flexarm_env.core import TERMS, Array, Core
 from flexarm_env.observations import Layout
 
 RENDER_MODES = ("human", "rgb_array")
@@ -28,7 +28,9 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(f"render_mode must be one of {list(RENDER_MODES)}, got {render_mode!r}.")
+            raise ValueError(
+                f"render_mode must be one of {list(RENDER_MODES)}, got {render_mode!r}."
+            )
         for name in ("n_env", "max_steps"):
             if name in arguments:
                 raise ValueError(f"{name} is for a batch; this is a single environment.")
@@ -40,10 +42,8 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
         self._seeded = False
         self._renderer: Any = None
-        terms = kernels.FIRST_TERM + kernels.N_TERM
-        self._terms = slice(kernels.FIRST_TERM, terms)
-        self._gauges = slice(terms, terms + len(self.core.gauges))
-        self._torque = slice(terms + len(self.core.gauges), None)
+        self._gauges = slice(TERMS.stop, TERMS.stop + len(self.core.gauges))
+        self._torque = slice(self._gauges.stop, None)
 
     # ---- what agents ask ---------------------------------------------------------------------
 
@@ -81,7 +81,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return obs[0], self._describe(info, info[:, 0].tolist(), flags.ravel().tolist())
+        return obs[0], self._describe(info, info[0].tolist(), flags[0].tolist())
 
     def step(
         self, action: NDArray[np.float32]
@@ -94,7 +94,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
                 f"An action is {self._action.size} numbers in [-1, 1], got {action!r}."
             ) from None
         obs, info, flags, _ = self.core.step(self._action)
-        values, marks = info[:, 0].tolist(), flags.ravel().tolist()
+        values, marks = info[0].tolist(), flags[0].tolist()
         if self._renderer is not None:
             self._renderer.follow(self.core)
         if self.render_mode == "human":
@@ -108,9 +108,9 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             "tip_speed": values[3],
             "deflection": values[4],
             "tip_deflection": values[5],
-            "root_curvature": info[self._gauges, 0],
-            "torque": info[self._torque, 0],
-            "reward_terms": dict(zip(_TERMS, values[self._terms], strict=True)),
+            "root_curvature": info[0, self._gauges],
+            "torque": info[0, self._torque],
+            "reward_terms": dict(zip(_TERMS, values[TERMS], strict=True)),
             "settled": marks[2],
             "diverged": marks[3],
             "invalid": marks[4],
@@ -143,5 +143,5 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
 
 def observation_space(layout: Layout) -> gym.spaces.Box:
     """The Box of a layout."""
-    bound = layout.table[2].astype(np.float32)
+    bound = layout.table[1].astype(np.float32)
     return gym.spaces.Box(-bound, bound, dtype=np.float32)

@@ -17,27 +17,30 @@ import math
 from collections import namedtuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 fast = njit(cache=True, nogil=True, error_model="numpy")
 
+# Indices are unsigned: numba would guard every signed one against counting from the end.
+U = np.uint64
+NONE, TWO, THREE, WAVES = U(0), U(2), U(3), U(2)
 # memory, in units of n_joint: action, action before, centre, amplitudes, frequencies, phases
-WAVES = 2
-ACTION, BEFORE, CENTRE, AMPLITUDE = 0, 1, 2, 3
-FREQUENCY, PHASE, WIDTH = AMPLITUDE + WAVES, AMPLITUDE + 2 * WAVES, AMPLITUDE + 3 * WAVES
-
-STREAM, ELAPSED = 0, 1  # counters
-
-# constants: whole numbers
-N_JOINT, N_COORDINATE, MOVING, LIMIT, N_CURVATURE = 0, 1, 2, 3, 4
-TIP, TIP_VELOCITY, RIGID_TIP, DEFLECTION, SLOPE, JOINTS = 5, 6, 7, 8, 9, 10
-# constants: real numbers
-DT, REACH, DEFLECTION_LIMIT, SLOPE_LIMIT, SPEED, RATE, ANGLE, HORIZON, MOUNT = 0, 1, 2, 3, 4, 5, 6, 7, 8
-WEIGHTS = MOUNT + 9
-
-# rows of `info` and of `flags`
-REWARD, TIME, TIP_ERROR, TIP_SPEED, MAX_DEFLECTION, TIP_DEFLECTION, FIRST_TERM = 0, 1, 2, 3, 4, 5, 6
-TERMINATED, TRUNCATED, SETTLED, DIVERGED, INVALID, N_FLAG = 0, 1, 2, 3, 4, 5
+ACTION, BEFORE, CENTRE, AMPLITUDE, FREQUENCY, PHASE, WIDTH = map(U, (0, 1, 2, 3, 5, 7, 9))
+# counters
+STREAM, ELAPSED = U(0), U(1)
+# whole: sizes, then columns of `measured`, then coordinates of the joints, then strain gauges
+N_JOINT, N_COORDINATE, MOVING, LIMIT, N_CURVATURE = map(U, range(5))
+TIP, TIP_VELOCITY, RIGID_TIP, DEFLECTION, SLOPE, JOINTS = map(U, range(5, 11))
+# real: then the mounting of the first joint (3 x 3), then the weights of the terms
+DT, REACH, DEFLECTION_LIMIT, SLOPE_LIMIT, SPEED, RATE, ANGLE, HORIZON, MOUNT = map(U, range(9))
+WEIGHTS = U(17)
+# columns of `info` and of `flags`
+REWARD, TIME, TIP_ERROR, TIP_SPEED, MAX_DEFLECTION, TIP_DEFLECTION, FIRST_TERM = map(U, range(7))
+TERMINATED, TRUNCATED, SETTLED, DIVERGED, INVALID, N_FLAG = map(U, range(6))
+# ranges of a task: columns
+LOW, HIGH = U(0), U(1)
+# table: rows
+FACTOR, BOUND = U(0), U(1)
 
 SETTLED_BAND = 0.02  # [-] tip error over reach
 LOST = 3.0  # [-] times the deflection limit: finite, but no longer a motion of this arm
@@ -58,20 +61,20 @@ the joints of rate (over that of a typical move), action and change of action. f
 
 @fast
 def tracking(m):  # type: ignore[no-untyped-def]
-    """Closeness of the tip to its target: 1 on it, 0.37 at 20 % of the reach."""
-    return math.exp(-m.error / 0.2)
+    """Closeness of the tip to its target: 1 on it, 1/2 at 10 % of the reach."""
+    return 1.0 / (1.0 + 10.0 * m.error)
 
 
 @fast
 def precision(m):  # type: ignore[no-untyped-def]
-    """Narrow closeness: 1 on the target, 0.37 at the edge of the settled band, 2 % of the reach."""
-    return math.exp(-((m.error / 0.02) ** 2))
+    """Narrow closeness: 1 on the target, 1/2 at the edge of the settled band, 2 % of the reach."""
+    return 1.0 / (1.0 + (50.0 * m.error) ** 2)
 
 
 @fast
 def stillness(m):  # type: ignore[no-untyped-def]
-    """On the target and at rest: 1 there, 0.37 at 5 % of the reach or 10 % of a move's speed."""
-    return math.exp(-((m.error / 0.05) ** 2) - (m.speed / 0.1) ** 2)
+    """On the target and at rest: 1 there, 1/2 at 5 % of the reach or 10 % of a move's speed."""
+    return 1.0 / (1.0 + (20.0 * m.error) ** 2 + (10.0 * m.speed) ** 2)
 
 
 @fast
@@ -82,8 +85,8 @@ def distance(m):  # type: ignore[no-untyped-def]
 
 @fast
 def tip_speed(m):  # type: ignore[no-untyped-def]
-    """Negative squared tip speed (of a typical move's), counted within 10 % of the reach."""
-    return -math.exp(-((m.error / 0.1) ** 2)) * m.speed**2
+    """Negative squared tip speed (of a typical move's), halved at 10 % of the reach off target."""
+    return -(m.speed**2) / (1.0 + (10.0 * m.error) ** 2)
 
 
 @fast
@@ -123,22 +126,16 @@ TERMS = {
         joint_rate, failure,
     )
 }  # fmt: skip
-N_TERM = len(TERMS)
+N_TERM = U(len(TERMS))
 
 
 @fast
-def score(m, info, i):  # type: ignore[no-untyped-def]
-    """All terms, in the order of TERMS, into the rows of `info` from FIRST_TERM on."""
-    info[FIRST_TERM + 0, i] = tracking(m)
-    info[FIRST_TERM + 1, i] = precision(m)
-    info[FIRST_TERM + 2, i] = stillness(m)
-    info[FIRST_TERM + 3, i] = distance(m)
-    info[FIRST_TERM + 4, i] = tip_speed(m)
-    info[FIRST_TERM + 5, i] = vibration(m)
-    info[FIRST_TERM + 6, i] = effort(m)
-    info[FIRST_TERM + 7, i] = smoothness(m)
-    info[FIRST_TERM + 8, i] = joint_rate(m)
-    info[FIRST_TERM + 9, i] = failure(m)
+def score(m):  # type: ignore[no-untyped-def]
+    """All terms in the order of TERMS."""
+    return (
+        tracking(m), precision(m), stillness(m), distance(m), tip_speed(m), vibration(m), effort(m),
+        smoothness(m), joint_rate(m), failure(m),
+    )  # fmt: skip
 
 
 # ---- random numbers -------------------------------------------------------------------------------
@@ -156,23 +153,29 @@ def uniform(counters, i, low, high):  # type: ignore[no-untyped-def]
 
 
 @fast
-def either_sign(counters, i, low, high):  # type: ignore[no-untyped-def]
-    """A magnitude in [low, high) with a random sign."""
+def draw(counters, i, ranges, name):  # type: ignore[no-untyped-def]
+    """A number within one of a task's ranges."""
+    return uniform(counters, i, ranges[name, LOW], ranges[name, HIGH])
+
+
+@fast
+def either_sign(counters, i, ranges, name):  # type: ignore[no-untyped-def]
+    """A magnitude within one of a task's ranges, with a random sign."""
     sign = 1.0 if uniform(counters, i, 0.0, 1.0) < 0.5 else -1.0
-    return sign * uniform(counters, i, low, high)
+    return sign * draw(counters, i, ranges, name)
 
 
 # ---- the reference --------------------------------------------------------------------------------
 
 
 @fast
-def waves(row, n_joint, j, t, ramp_time):  # type: ignore[no-untyped-def]
+def waves(memory, i, n_joint, j, t, ramp_time):  # type: ignore[no-untyped-def]
     """Angle [rad] and rate [rad/s] of joint j's motion about its centre at time t."""
     value, rate = 0.0, 0.0
     for k in range(WAVES):
-        amplitude = row[(AMPLITUDE + k) * n_joint + j]
-        frequency = row[(FREQUENCY + k) * n_joint + j]
-        angle = frequency * t + row[(PHASE + k) * n_joint + j]
+        amplitude = memory[i, (AMPLITUDE + k) * n_joint + j]
+        frequency = memory[i, (FREQUENCY + k) * n_joint + j]
+        angle = frequency * t + memory[i, (PHASE + k) * n_joint + j]
         value += amplitude * math.sin(angle)
         rate += amplitude * frequency * math.cos(angle)
     x = t / ramp_time
@@ -189,54 +192,54 @@ def command(actions, limit, torque, memory, counters, ref_q, ref_v, whole, real)
 
     Returns -1, or the first environment whose action is not a number; then nothing has changed.
     """
-    n_joint = whole[N_JOINT]
-    for i in range(actions.shape[0]):
+    n_env, n_joint = U(actions.shape[0]), whole[N_JOINT]
+    for i in range(n_env):
         for j in range(n_joint):
             if math.isnan(actions[i, j]):
-                return i
-    for i in range(actions.shape[0]):
-        row = memory[i]
-        for j in range(n_joint):
-            row[BEFORE * n_joint + j] = row[ACTION * n_joint + j]
-            a = min(1.0, max(-1.0, np.float64(actions[i, j])))
-            row[ACTION * n_joint + j] = a
-            torque[i, j] = a * limit[j]
+                return np.int64(i)
+    for i in range(n_env):
         counters[i, ELAPSED] += 1
-        if whole[MOVING]:
-            t = counters[i, ELAPSED] * real[DT]
-            for j in range(n_joint):
-                value, rate = waves(row, n_joint, j, t, real[HORIZON])
-                ref_q[i, whole[JOINTS + j]] = row[CENTRE * n_joint + j] + value
+        t = counters[i, ELAPSED] * real[DT]
+        for j in range(n_joint):
+            memory[i, BEFORE * n_joint + j] = memory[i, ACTION * n_joint + j]
+            a = min(1.0, max(-1.0, np.float64(actions[i, j])))
+            memory[i, ACTION * n_joint + j] = a
+            torque[i, j] = a * limit[j]
+            if whole[MOVING]:
+                value, rate = waves(memory, i, n_joint, j, t, real[HORIZON])
+                ref_q[i, whole[JOINTS + j]] = memory[i, CENTRE * n_joint + j] + value
                 ref_v[i, whole[JOINTS + j]] = rate
-    return -1
+    return np.int64(-1)
 
 
 # ---- the start of an episode ----------------------------------------------------------------------
 
 REACHING, TRACKING, DAMPING = 0, 1, 2  # tasks
 # ranges of a task: rows of (low, high)
-START, MOVES, SHARE, TEMPO, SHAKE = 0, 1, 2, 3, 4
+START, MOVES, SHARE, TEMPO, SHAKE = map(U, range(5))
 
 
 @fast
-def begin(rows, task, ranges, home, amplitude, rate, q, v, memory, counters, ref_q, ref_v, whole, real):  # type: ignore[no-untyped-def]
+def begin(
+    rows, task, ranges, home, amplitude, rate, q, v, memory, counters, ref_q, ref_v, whole, real
+):  # type: ignore[no-untyped-def]
     """Draw a new episode for the environments `rows`: state, reference, zero action."""
     n_joint, n = whole[N_JOINT], whole[N_COORDINATE]
-    for r in range(rows.shape[0]):
-        i = rows[r]
+    for r in range(U(rows.shape[0])):
+        i = U(rows[r])
         counters[i, ELAPSED] = 0
         memory[i, :] = 0.0
         q[i, :], v[i, :], ref_q[i, :], ref_v[i, :] = 0.0, 0.0, 0.0, 0.0
         for j in range(n_joint):
             at = whole[JOINTS + j]
-            centre = home[j] + uniform(counters, i, ranges[START, 0], ranges[START, 1])
+            centre = home[j] + draw(counters, i, ranges, START)
             q[i, at] = centre
             if task == REACHING:
-                centre += either_sign(counters, i, ranges[MOVES, 0], ranges[MOVES, 1])
+                centre += either_sign(counters, i, ranges, MOVES)
             elif task == TRACKING:
                 for k in range(WAVES):
-                    tempo = uniform(counters, i, ranges[TEMPO, 0], ranges[TEMPO, 1])
-                    share = uniform(counters, i, ranges[SHARE, 0], ranges[SHARE, 1])
+                    tempo = draw(counters, i, ranges, TEMPO)
+                    share = draw(counters, i, ranges, SHARE)
                     size = min(share * real[RATE] ** 2 / real[ANGLE] / tempo**2, real[ANGLE])
                     memory[i, (AMPLITUDE + k) * n_joint + j] = size
                     memory[i, (FREQUENCY + k) * n_joint + j] = tempo
@@ -244,163 +247,128 @@ def begin(rows, task, ranges, home, amplitude, rate, q, v, memory, counters, ref
             memory[i, CENTRE * n_joint + j] = centre
             ref_q[i, at] = centre
         if task == DAMPING:
-            mode = 0
+            mode = U(0)
             for at in range(n):
                 joint = False
                 for j in range(n_joint):
                     joint = joint or whole[JOINTS + j] == at
                 if not joint:
-                    q[i, at] = amplitude[mode] * uniform(counters, i, ranges[SHAKE, 0], ranges[SHAKE, 1])
-                    v[i, at] = rate[mode] * uniform(counters, i, ranges[SHAKE, 0], ranges[SHAKE, 1])
-                    mode += 1
+                    q[i, at] = amplitude[mode] * draw(counters, i, ranges, SHAKE)
+                    v[i, at] = rate[mode] * draw(counters, i, ranges, SHAKE)
+                    mode += U(1)
 
 
 # ---- what an environment reports ------------------------------------------------------------------
 
 
 @fast
-def assess(i, fresh, q, v, torque, status, measured, memory, counters, ref_q, ref_v, ref_measured,
-           whole, real, table, signals, obs, info, flags):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Measure, judge and observe environment i; `fresh` at the start of an episode."""
+def judge(rows, fresh, q, v, torque, status, measured, memory, counters, ref_q, ref_v, ref_measured,
+          whole, real, picks, table, n_signal, obs, info, flags):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Measure, judge and observe the environments `rows`; the number of episodes that ended.
+
+    After a control step, or `fresh` at the start of an episode. One long function on purpose: every
+    array handed to another one costs two atomic counts per environment.
+    """
     n_joint, n, n_curvature = whole[N_JOINT], whole[N_COORDINATE], whole[N_CURVATURE]
-    row, seen, goal = memory[i], measured[i], ref_measured[i]
     tip, velocity, rigid = whole[TIP], whole[TIP_VELOCITY], whole[RIGID_TIP]
-    time = counters[i, ELAPSED] * real[DT]
+    signals = np.empty(n_signal)
+    ended = 0
+    for r in range(U(rows.shape[0])):
+        i = U(rows[r])
+        time = counters[i, ELAPSED] * real[DT]
 
-    error, speed, bent = 0.0, 0.0, 0.0
-    for k in range(3):
-        error += (goal[tip + k] - seen[tip + k]) ** 2
-        speed += (goal[velocity + k] - seen[velocity + k]) ** 2
-        bent += (seen[tip + k] - seen[rigid + k]) ** 2
-    error, speed, bent = math.sqrt(error), math.sqrt(speed), math.sqrt(bent)
-    deflection, slope = 0.0, 0.0
-    for j in range(n_joint):
-        deflection = max(deflection, seen[whole[DEFLECTION] + j])
-        slope = max(slope, seen[whole[SLOPE] + j])
-    invalid = deflection > real[DEFLECTION_LIMIT] or slope > real[SLOPE_LIMIT]
-    diverged = deflection > LOST * real[DEFLECTION_LIMIT] or (status[i] != 0 and not fresh)
-    failed = (invalid or diverged) and not fresh
-    late = counters[i, ELAPSED] >= whole[LIMIT] and whole[LIMIT] > 0
-
-    rate, effort, change = 0.0, 0.0, 0.0
-    for j in range(n_joint):
-        rate += (v[i, whole[JOINTS + j]] / real[RATE]) ** 2
-        effort += row[ACTION * n_joint + j] ** 2
-        change += (row[ACTION * n_joint + j] - row[BEFORE * n_joint + j]) ** 2
-    share = 1.0 / n_joint
-    score(
-        Measured(
-            error / real[REACH], speed / real[SPEED], bent / (0.1 * real[REACH]),
-            rate * share, effort * share, change * share, 1.0 if failed else 0.0,
-        ),
-        info, i,
-    )  # fmt: skip
-    reward = 0.0
-    for k in range(N_TERM):
-        reward += real[WEIGHTS + k] * info[FIRST_TERM + k, i]
-    info[REWARD, i] = 0.0 if fresh else reward
-    info[TIME, i] = time
-    info[TIP_ERROR, i] = error
-    info[TIP_SPEED, i] = speed
-    info[MAX_DEFLECTION, i] = deflection
-    info[TIP_DEFLECTION, i] = bent
-    at = FIRST_TERM + N_TERM
-    for k in range(n_curvature):
-        info[at + k, i] = seen[whole[JOINTS + n_joint + k]]
-    at += n_curvature
-    for j in range(n_joint):
-        info[at + j, i] = 0.0 if fresh else torque[i, j]
-    flags[TERMINATED, i] = failed
-    flags[TRUNCATED, i] = late and not failed and not fresh
-    flags[SETTLED, i] = error < SETTLED_BAND * real[REACH]
-    flags[DIVERGED, i] = diverged
-    flags[INVALID, i] = invalid
-
-    # every signal an observation may pick from, in the order of observations.SIGNALS
-    s = 0
-    for j in range(n_joint):
-        signals[s + j] = q[i, whole[JOINTS + j]] - ref_q[i, whole[JOINTS + j]]
-        signals[s + n_joint + j] = v[i, whole[JOINTS + j]]
-        signals[s + 2 * n_joint + j] = row[ACTION * n_joint + j]
-    s += 3 * n_joint
-    cosine, sine = 1.0, 0.0
-    for j in range(n_joint):
-        angle = q[i, whole[JOINTS + j]]
-        c, d = math.cos(angle), math.sin(angle)
-        if j == 0:
-            cosine, sine = c, d
-        signals[s + j] = d
-        signals[s + n_joint + j] = c
-    s += 2 * n_joint
-    for k in range(n):
-        signals[s + k] = q[i, k]
-        signals[s + n + k] = v[i, k]
-    s += 2 * n
-    for k in range(3):  # tip error along the first link's undeformed axes
-        signals[s + k] = 0.0
-        for l in range(3):
-            signals[s + k] += real[MOUNT + 3 * l + k] * (goal[tip + l] - seen[tip + l])
-    x, y = signals[s], signals[s + 1]
-    signals[s] = cosine * x + sine * y
-    signals[s + 1] = cosine * y - sine * x
-    s += 3
-    for k in range(n_curvature):
-        signals[s + k] = seen[whole[JOINTS + n_joint + k]]
-    s += n_curvature
-    if whole[MOVING]:
+        error, speed, bent = 0.0, 0.0, 0.0
+        for k in range(THREE):
+            error += (ref_measured[i, tip + k] - measured[i, tip + k]) ** 2
+            speed += (ref_measured[i, velocity + k] - measured[i, velocity + k]) ** 2
+            bent += (measured[i, tip + k] - measured[i, rigid + k]) ** 2
+        error, speed, bent = math.sqrt(error), math.sqrt(speed), math.sqrt(bent)
+        deflection, slope = 0.0, 0.0
         for j in range(n_joint):
-            signals[s + j] = ref_v[i, whole[JOINTS + j]]
-            for k in range(2):
-                ahead = time + 0.5 * (k + 1) * real[HORIZON]
-                value, _ = waves(row, n_joint, j, ahead, real[HORIZON])
-                value += row[CENTRE * n_joint + j] - ref_q[i, whole[JOINTS + j]]
-                signals[s + (k + 1) * n_joint + j] = value
-    for k in range(table.shape[1]):
-        x = signals[int(table[0, k])] * table[1, k]
-        obs[i, k] = min(table[2, k], max(-table[2, k], x))
-    return failed or (late and not fresh)
+            deflection = max(deflection, measured[i, whole[DEFLECTION] + j])
+            slope = max(slope, measured[i, whole[SLOPE] + j])
+        invalid = deflection > real[DEFLECTION_LIMIT] or slope > real[SLOPE_LIMIT]
+        diverged = deflection > LOST * real[DEFLECTION_LIMIT] or (status[i] != 0 and not fresh)
+        failed = (invalid or diverged) and not fresh
+        late = whole[LIMIT] > NONE and U(counters[i, ELAPSED]) >= whole[LIMIT]
 
-
-@fast
-def judge(q, v, torque, status, measured, memory, counters, ref_q, ref_v, ref_measured, whole, real,
-          table, n_signal, obs, info, flags):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Assess every environment after a control step; the number of ended episodes."""
-    signals = np.empty(n_signal)
-    ended = 0
-    for i in range(q.shape[0]):
-        ended += assess(
-            i, False, q, v, torque, status, measured, memory, counters, ref_q, ref_v, ref_measured,
-            whole, real, table, signals, obs, info, flags,
+        rate, effort, change = 0.0, 0.0, 0.0
+        for j in range(n_joint):
+            rate += (v[i, whole[JOINTS + j]] / real[RATE]) ** 2
+            effort += memory[i, ACTION * n_joint + j] ** 2
+            change += (memory[i, ACTION * n_joint + j] - memory[i, BEFORE * n_joint + j]) ** 2
+        share = 1.0 / np.float64(n_joint)
+        terms = score(
+            Measured(
+                error / real[REACH], speed / real[SPEED], bent / (0.1 * real[REACH]),
+                rate * share, effort * share, change * share, 1.0 if failed else 0.0,
+            )
         )  # fmt: skip
+        reward = 0.0
+        for k in range(N_TERM):
+            info[i, FIRST_TERM + k] = terms[k]
+            reward += real[WEIGHTS + k] * terms[k]
+        info[i, REWARD] = 0.0 if fresh else reward
+        info[i, TIME] = time
+        info[i, TIP_ERROR] = error
+        info[i, TIP_SPEED] = speed
+        info[i, MAX_DEFLECTION] = deflection
+        info[i, TIP_DEFLECTION] = bent
+        at = FIRST_TERM + N_TERM
+        for k in range(n_curvature):
+            info[i, at + k] = measured[i, whole[JOINTS + n_joint + k]]
+        at += n_curvature
+        for j in range(n_joint):
+            info[i, at + j] = 0.0 if fresh else torque[i, j]
+        flags[i, TERMINATED] = failed
+        flags[i, TRUNCATED] = late and not failed and not fresh
+        flags[i, SETTLED] = error < SETTLED_BAND * real[REACH]
+        flags[i, DIVERGED] = diverged
+        flags[i, INVALID] = invalid
+
+        # every signal an observation may pick from, in the order of observations.SIGNALS
+        s = U(0)
+        for j in range(n_joint):
+            signals[s + j] = q[i, whole[JOINTS + j]] - ref_q[i, whole[JOINTS + j]]
+            signals[s + n_joint + j] = v[i, whole[JOINTS + j]]
+            signals[s + TWO * n_joint + j] = memory[i, ACTION * n_joint + j]
+        s += THREE * n_joint
+        cosine, sine = 1.0, 0.0
+        for j in range(n_joint):
+            angle = q[i, whole[JOINTS + j]]
+            c, d = math.cos(angle), math.sin(angle)
+            if j == NONE:
+                cosine, sine = c, d
+            signals[s + j] = d
+            signals[s + n_joint + j] = c
+        s += TWO * n_joint
+        for k in range(n):
+            signals[s + k] = q[i, k]
+            signals[s + n + k] = v[i, k]
+        s += TWO * n
+        for k in range(THREE):  # tip error along the first link's undeformed axes
+            signals[s + k] = 0.0
+            for l in range(THREE):
+                signals[s + k] += real[MOUNT + THREE * l + k] * (
+                    ref_measured[i, tip + l] - measured[i, tip + l]
+                )
+        x, y = signals[s], signals[s + U(1)]
+        signals[s] = cosine * x + sine * y
+        signals[s + U(1)] = cosine * y - sine * x
+        s += THREE
+        for k in range(n_curvature):
+            signals[s + k] = measured[i, whole[JOINTS + n_joint + k]]
+        s += n_curvature
+        if whole[MOVING]:
+            for j in range(n_joint):
+                signals[s + j] = ref_v[i, whole[JOINTS + j]]
+                for k in range(TWO):
+                    ahead = time + 0.5 * np.float64(k + U(1)) * real[HORIZON]
+                    value, _ = waves(memory, i, n_joint, j, ahead, real[HORIZON])
+                    value += memory[i, CENTRE * n_joint + j] - ref_q[i, whole[JOINTS + j]]
+                    signals[s + (k + U(1)) * n_joint + j] = value
+        for k in range(U(table.shape[1])):
+            x = signals[picks[k]] * table[FACTOR, k]
+            obs[i, k] = min(table[BOUND, k], max(-table[BOUND, k], x))
+        ended += failed or (late and not fresh)
     return ended
-
-
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def judge_parallel(q, v, torque, status, measured, memory, counters, ref_q, ref_v, ref_measured,
-                   whole, real, table, n_signal, obs, info, flags):  # type: ignore[no-untyped-def]  # fmt: skip
-    """The same with threads."""
-    n_env = q.shape[0]
-    blocks = (n_env + 255) // 256
-    ended = 0
-    for block in prange(blocks):
-        signals = np.empty(n_signal)
-        count = 0
-        for i in range(256 * block, min(n_env, 256 * (block + 1))):
-            count += assess(
-                i, False, q, v, torque, status, measured, memory, counters, ref_q, ref_v,
-                ref_measured, whole, real, table, signals, obs, info, flags,
-            )  # fmt: skip
-        ended += count
-    return ended
-
-
-@fast
-def look(rows, q, v, torque, status, measured, memory, counters, ref_q, ref_v, ref_measured, whole,
-         real, table, n_signal, obs, info, flags):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Assess the environments `rows` at the start of their episodes."""
-    signals = np.empty(n_signal)
-    for r in range(rows.shape[0]):
-        assess(
-            rows[r], True, q, v, torque, status, measured, memory, counters, ref_q, ref_v,
-            ref_measured, whole, real, table, signals, obs, info, flags,
-        )  # fmt: skip

@@ -35,15 +35,15 @@ class Layout:
     n_signal: int  # signals the kernels prepare
 
     @property
+    def picks(self) -> NDArray[np.uint64]:
+        """(n,) per element: its signal."""
+        return np.array([k for part in self.parts for k in part.signals], dtype=np.uint64)
+
+    @property
     def table(self) -> Array:
-        """(3, n) per element: signal, factor to the observation, bound."""
-        return np.array(
-            [
-                (signal, 1.0 / scale, part.bound)
-                for part in self.parts
-                for signal, scale in zip(part.signals, part.scale, strict=True)
-            ]
-        ).T.copy()
+        """(2, n) per element: factor to the observation, bound."""
+        rows = [(1.0 / scale, part.bound) for part in self.parts for scale in part.scale]
+        return np.array(rows).T.copy()
 
     @property
     def slices(self) -> dict[str, slice]:

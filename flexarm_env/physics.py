@@ -24,9 +24,9 @@ SLOPE_PER_DEFLECTION = 1.6  # [rad] a beam whose tip deflects in its first shape
 BENT = 0.6  # [rad] home angle of every joint but the first
 MOVE = 0.5  # [rad] a typical move; the scale of angles
 RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
-RK4_STEP = 0.7  # [-] dt omega of the highest mode: tip errors near 1e-5 of the reach
-RK4_STEPS = 8  # above that many substeps per control step the midpoint rule is cheaper
-MIDPOINT_STEP = 0.25  # [-] dt omega of the first joint-free mode: the midpoint rule takes all above
+RK4_STEP = 0.75  # [-] dt omega of the highest mode: tip errors near 1e-5 of the reach
+RK4_STEPS = 12  # above that many substeps per control step the midpoint rule is cheaper
+MIDPOINT_STEP = 0.07  # [-] dt omega of the first joint-free mode: the midpoint rule takes all above
 _SAMPLES = 200  # per period of the first joint-free mode
 
 
@@ -115,7 +115,9 @@ def _turned(inertia: tuple[tuple[float, ...], ...], theta: tuple[float, ...]) ->
     return float(np.asarray(theta) @ np.asarray(inertia) @ np.asarray(theta))
 
 
-def _acceleration(arm: Arm, chain: Chain, M: Array, K: Array, inertia: Array, first: float) -> float:
+def _acceleration(
+    arm: Arm, chain: Chain, M: Array, K: Array, inertia: Array, first: float
+) -> float:
     """Acceleration alpha [rad/s^2] such that torques alpha times inertia stay just valid.
 
     The test is one period of bang-bang at the first joint-free frequency, +1 then -1, then nothing:

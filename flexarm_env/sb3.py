@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from flexarm_env import kernels
+from flexarm_env.core import N_FLAG
 from flexarm_env.vector import FlexArmVectorEnv
 
 
@@ -38,8 +39,8 @@ class SB3VecEnv(VecEnv):
         given = any(seed is not None for seed in seeds)
         self.envs.seed_streams(seeds if given else None)
         obs = np.zeros((self.num_envs, self.core.n_obs), np.float32)
-        info = np.zeros((self.core.n_info, self.num_envs))
-        flags = np.zeros((kernels.N_FLAG, self.num_envs), np.bool_)
+        info = np.zeros((self.num_envs, self.core.n_info))
+        flags = np.zeros((self.num_envs, N_FLAG), np.bool_)
         for i in range(self.num_envs):
             self.core.restart(np.array([i]), obs, info, flags, self._options[i] or None)
         self._returns[:], self._lengths[:] = 0.0, 0
@@ -54,11 +55,11 @@ class SB3VecEnv(VecEnv):
     def step_wait(self) -> Any:
         """One control step of all."""
         obs, info, flags, ended = self.core.step(self._actions)
-        rewards = info[kernels.REWARD].astype(np.float32)
-        self._returns += info[kernels.REWARD]
+        rewards = info[:, kernels.REWARD].astype(np.float32)
+        self._returns += info[:, kernels.REWARD]
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        dones = flags[kernels.TERMINATED] | flags[kernels.TRUNCATED]
+        dones = flags[:, kernels.TERMINATED] | flags[:, kernels.TRUNCATED]
         if ended:
             rows = np.flatnonzero(dones)
             self._report(rows, obs, info, flags, infos)
@@ -78,7 +79,7 @@ class SB3VecEnv(VecEnv):
             }
             entry["reward_terms"] = {name: float(values[i]) for name, values in terms.items()}
             entry["terminal_observation"] = obs[i].copy()
-            entry["TimeLimit.truncated"] = bool(flags[kernels.TRUNCATED, i])
+            entry["TimeLimit.truncated"] = bool(flags[i, kernels.TRUNCATED])
             entry["is_success"] = entry["settled"]
             entry["episode"] = {
                 "r": round(float(self._returns[i]), 6),

@@ -41,11 +41,15 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         **arguments: Any,
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(f"render_mode must be one of {list(RENDER_MODES)}, got {render_mode!r}.")
+            raise ValueError(
+                f"render_mode must be one of {list(RENDER_MODES)}, got {render_mode!r}."
+            )
         known = {mode.value: mode for mode in _AUTORESET}
         mode = known.get(getattr(autoreset_mode, "value", autoreset_mode))
         if mode is None:
-            raise ValueError(f"autoreset_mode must be one of {sorted(known)}, got {autoreset_mode!r}.")
+            raise ValueError(
+                f"autoreset_mode must be one of {sorted(known)}, got {autoreset_mode!r}."
+            )
         self.core = Core(n_env=num_envs, max_steps=max_episode_steps or 0, **arguments)
         self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, mode
         self.metadata = {
@@ -118,9 +122,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             self.render()
         return obs, self._with_masks(self.core.describe(info, flags))
 
-    def step(
-        self, actions: Any
-    ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """One control step of all; ended episodes restart as `autoreset_mode` says."""
         obs, info, flags, ended = self.core.step(self._actions(actions))
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
@@ -128,11 +130,11 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         if self._pending.size:
             self.core.restart(self._pending, obs, info, flags)
             ended = True
-        terminated, truncated = flags[kernels.TERMINATED], flags[kernels.TRUNCATED]
+        terminated, truncated = flags[:, kernels.TERMINATED], flags[:, kernels.TRUNCATED]
         self._pending = np.flatnonzero(terminated | truncated) if ended else self._pending
         self._after_step()
         described = self._with_masks(self.core.describe(info, flags))
-        return obs, info[kernels.REWARD].copy(), terminated.copy(), truncated.copy(), described
+        return obs, info[:, kernels.REWARD].copy(), terminated.copy(), truncated.copy(), described
 
     def _actions(self, actions: Any) -> NDArray[np.float32]:
         array = np.ascontiguousarray(actions, dtype=np.float32)
@@ -144,8 +146,11 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self, obs: NDArray[np.float32], info: Array, flags: Flags, ended: int
     ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """SAME_STEP: the observation is the new episode's first, the last is in final_obs."""
-        reward = info[kernels.REWARD].copy()
-        terminated, truncated = flags[kernels.TERMINATED].copy(), flags[kernels.TRUNCATED].copy()
+        reward = info[:, kernels.REWARD].copy()
+        terminated, truncated = (
+            flags[:, kernels.TERMINATED].copy(),
+            flags[:, kernels.TRUNCATED].copy(),
+        )
         final: dict[str, Any] = {}
         if ended:
             done = terminated | truncated
