@@ -108,6 +108,7 @@ def _signal(
     return constant, []
 
 
+@np.errstate(over="ignore", invalid="ignore")  # divergence is found in the accelerations
 def _reference(
     model: Model,
     start: tuple[Array, Array],
