@@ -1,0 +1,210 @@
+"""What the recursion computes, the slow way: positions as functions of time, differentiated.
+
+Every quantity is a jet: its value, first and second time derivative. A rotation is the matrix
+exponential of a jet, the bodies of an arm are Gauss points, rotors and tip bodies, and the kinetic
+energy and the energy of acceleration are sums over them. Nothing here is recursive in forces, and
+nothing is shared with `dynamics` except the mode shapes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from dynamics import Arm, Link, Mode
+from dynamics.shapes import Shape, shape
+
+Array = NDArray[np.float64]
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)  # round-off up to the third mode
+X, Y, Z = np.eye(3)
+
+
+class Bodies(NamedTuple):
+    """N rigid bodies: mass points where `inertia` is zero, rotors where `mass` is zero."""
+
+    mass: Array  # (N,)
+    inertia: Array  # (N, 3, 3) each in its own frame
+    p: Array  # (3, N, 3, 1) jets of their positions
+    R: Array  # (3, N, 3, 3) jets of their orientations
+
+    def spin(self) -> tuple[Array, Array, Array]:
+        """(N, 3) angular velocities, accelerations and momenta in the world frame."""
+        R, Rt = self.R, np.swapaxes(self.R, -1, -2)
+        w = _vector(R[1] @ Rt[0])
+        w_dot = _vector(R[2] @ Rt[0] + R[1] @ Rt[1])
+        return w, w_dot, R[0] @ self.inertia @ Rt[0]
+
+
+def kinetic_energy(arm: Arm, q: Array, v: Array) -> float:
+    """T [J] from the velocities of all bodies."""
+    b, rotors = _bodies(arm, np.array([q, v, 0.0 * v]))
+    w, _, J = b.spin()
+    moving = 0.5 * b.mass @ np.sum(b.p[1] ** 2, axis=(1, 2))
+    turning = 0.5 * np.einsum("ni,nij,nj->", w, J, w)
+    return float(moving + turning + sum(0.5 * I * slip[1] ** 2 for I, slip in rotors))
+
+
+def acceleration_energy(arm: Arm, q: Array, v: Array, a: Array) -> float:
+    """The Gibbs-Appell function S up to terms without accelerations, gravity included."""
+    b, rotors = _bodies(arm, np.array([q, v, a]))
+    w, w_dot, J = b.spin()
+    felt = b.p[2, :, :, 0] - np.array(arm.gravity)
+    moving = 0.5 * b.mass @ np.sum(felt**2, axis=1)
+    turning = 0.5 * np.einsum("ni,nij,nj->", w_dot, J, w_dot)
+    gyroscopic = np.sum(w_dot * np.cross(w, np.einsum("nij,nj->ni", J, w)))
+    return float(moving + turning + gyroscopic + sum(0.5 * I * s[2] ** 2 for I, s in rotors))
+
+
+def mass_matrix(arm: Arm, q: Array) -> Array:
+    """(n, n) M from T alone: M_jk = T(e_j + e_k) - T(e_j) - T(e_k)."""
+    units = np.eye(arm.n)
+    T = np.array([kinetic_energy(arm, q, e) for e in units])
+    M = np.diag(2.0 * T)
+    for j in range(arm.n):
+        for k in range(j):
+            M[j, k] = M[k, j] = kinetic_energy(arm, q, units[j] + units[k]) - T[j] - T[k]
+    return M
+
+
+def inertial_forces(arm: Arm, q: Array, v: Array, a: Array) -> Array:
+    """(n,) dS/da, exact to round-off because S is quadratic in a."""
+    steps = np.diag(1.0 + np.abs(a))
+    return np.array(
+        [
+            acceleration_energy(arm, q, v, a + d) - acceleration_energy(arm, q, v, a - d)
+            for d in steps
+        ]
+    ) / (2.0 * np.diag(steps))
+
+
+def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
+    """(n,) elastic, damping and friction forces, from their definitions."""
+    forces: list[float] = []
+    for link, (_, delta), (rate, delta_dot) in zip(
+        arm.links, _by_link(arm, q), _by_link(arm, v), strict=True
+    ):
+        K = np.zeros((len(delta), len(delta)))
+        C = link.damping_beta * K
+        x, weights = 0.5 * link.length * (NODES + 1.0), 0.5 * link.length * WEIGHTS
+        root = np.zeros(len(delta))
+        for j, mode in enumerate(link.modes):
+            s = shape(mode, link)
+            root[j] = s.slope(0.0) if mode.direction == "y" else 0.0
+            for k, other in enumerate(link.modes):
+                if other.direction != mode.direction:
+                    continue
+                r = shape(other, link)
+                if mode.direction == "x":
+                    K[j, k] = link.GJ * weights @ (s.slope(x) * r.slope(x))
+                else:
+                    EI = link.EIz if mode.direction == "y" else link.EIy
+                    K[j, k] = EI * weights @ (s.curvature(x) * r.curvature(x))
+            if mode.direction != "x":
+                m = link.rho_A * weights @ s.value(x) ** 2
+                m += link.tip_mass * s.value(link.length) ** 2
+                C[j, j] = 2.0 * link.damping_ratio * np.sqrt(K[j, j] * m)
+        C += link.damping_beta * K
+        slip = rate + root @ delta_dot
+        joint = link.joint
+        friction = joint.viscous * slip + joint.coulomb * np.tanh(slip / joint.coulomb_speed)
+        forces += [friction, *(K @ delta + C @ delta_dot + root * friction)]
+    return np.array(forces)
+
+
+def tip(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
+    """Position and velocity of the last tip."""
+    bodies, _ = _bodies(arm, np.array([q, v, 0.0 * v]))
+    return bodies.p[0, -1, :, 0], bodies.p[1, -1, :, 0]
+
+
+# ---- jets: (3, N, ...) arrays of value, first and second derivative of N things -----------------
+
+
+def _product(A: Array, B: Array) -> Array:
+    """Leibniz' rule for A B."""
+    return np.stack(
+        [A[0] @ B[0], A[1] @ B[0] + A[0] @ B[1], A[2] @ B[0] + 2.0 * A[1] @ B[1] + A[0] @ B[2]]
+    )
+
+
+def _rotation(theta: Array) -> Array:
+    """exp(theta~) of vector jets (3, N, 3): a jet is a block triangular matrix, so expm holds."""
+    T = np.zeros((theta.shape[1], 9, 9))
+    for order, scale in ((0, 1.0), (1, 1.0), (2, 0.5)):
+        block = scale * np.cross(theta[order][:, None, :], -np.eye(3))
+        for k in range(3 - order):
+            T[:, 3 * k : 3 * k + 3, 3 * (k + order) : 3 * (k + order) + 3] = block
+    E = expm(T)
+    return np.stack([E[:, :3, :3], E[:, :3, 3:6], 2.0 * E[:, :3, 6:]])
+
+
+def _vector(A: Array) -> Array:
+    """(N, 3) of skew-symmetric (N, 3, 3)."""
+    return np.stack([A[:, 2, 1], A[:, 0, 2], A[:, 1, 0]], axis=1)
+
+
+def _constant(x: object) -> Array:
+    """Jet of one constant vector or matrix."""
+    value = np.array(x, dtype=np.float64)
+    value = value[:, None] if value.ndim == 1 else value
+    return np.stack([value, 0.0 * value, 0.0 * value])[:, None]
+
+
+def _by_link(arm: Arm, x: Array) -> list[tuple[Array, Array]]:
+    """(joint, modes) of every link; along the last axis of x."""
+    ends = np.cumsum([1 + len(link.modes) for link in arm.links])[:-1]
+    return [(part[..., 0], part[..., 1:]) for part in np.split(x, ends, axis=-1)]
+
+
+def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
+    """All bodies of an arm in the world, and (inertia, slip) of the rotors; jet is (3, n)."""
+    parts: list[tuple[Array, ...]] = []  # mass, inertia, p, R
+    rotors: list[tuple[float, Array]] = []
+    p, R = _constant(0.0 * X), _constant(np.eye(3))
+    for i, (link, (q, delta)) in enumerate(zip(arm.links, _by_link(arm, jet), strict=True)):
+        p = p + _product(R, _constant(link.joint.offset))
+        R = _product(R, _constant(link.joint.rotation))
+        R = _product(R, _rotation(q[:, None, None] * Z))
+        root = delta @ [s.slope(0.0) * (m.direction == "y") for m, s in _shapes(link)]
+        hub = _product(R, _rotation(root[:, None, None] * Z))
+        parts.append((np.zeros(1), link.joint.hub_inertia * np.outer(Z, Z)[None], p, hub))
+        rotors.append((link.joint.rotor_inertia, q + root))
+
+        r, theta = _deflection(link, delta, 0.5 * link.length * (NODES + 1.0))
+        share = 0.5 * link.length * WEIGHTS
+        section = _product(R, _rotation(theta * X)) if link.rho_Ip else R + 0.0 * r
+        polar = link.rho_Ip * share[:, None, None] * np.outer(X, X)
+        parts.append((link.rho_A * share, polar, p + _product(R, r), section))
+
+        r, theta = _deflection(link, delta, np.array([link.length]))
+        p, R = p + _product(R, r), _product(R, _rotation(theta))
+        mass, inertia = link.tip_mass, np.array(link.tip_inertia)
+        if i == len(arm.links) - 1 and arm.payload:
+            mass, inertia = mass + arm.payload.mass, inertia + np.array(arm.payload.inertia)
+        parts.append((np.array([mass]), inertia[None], p, R))
+    m, J, ps, Rs = zip(*parts, strict=True)
+    joined = Bodies(
+        np.concatenate(m), np.concatenate(J), np.concatenate(ps, 1), np.concatenate(Rs, 1)
+    )
+    return joined, rotors
+
+
+def _shapes(link: Link) -> list[tuple[Mode, Shape]]:
+    return [(mode, shape(mode, link)) for mode in link.modes]
+
+
+def _deflection(link: Link, delta: Array, x: Array) -> tuple[Array, Array]:
+    """Jets of points (3, N, 3, 1) in the link's frame and of their sections' rotation (3, N, 3)."""
+    r = np.zeros((3, x.size, 3))
+    r[0] = np.outer(x, X)
+    theta = np.zeros((3, x.size, 3))
+    for (mode, s), d in zip(_shapes(link), delta.T, strict=True):
+        if mode.direction == "x":
+            theta += np.multiply.outer(d, np.outer(s.value(x), X))
+        else:
+            along, about = (Y, Z) if mode.direction == "y" else (Z, -Y)
+            r += np.multiply.outer(d, np.outer(s.value(x), along))
+            theta += np.multiply.outer(d, np.outer(s.slope(x), about))
+    return r[..., None], theta
