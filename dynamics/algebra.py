@@ -156,7 +156,7 @@ def skew(a: Vector) -> Matrix:
 
 def congruence(R: Matrix, A: Matrix) -> Matrix:
     """R A R' of a symmetric A and a rotation R; a multiple of unity does not turn."""
-    if all(isinstance(x, float) for row in A for x in row) and A == mscale(A[0][0], EYE):
+    if all(isinstance(x, float) for row in A for x in row) and mscale(A[0][0], EYE) == A:
         return A
     RA = matmul(R, A)
     return symmetric(lambda i, j: dot(RA[i], R[j]))

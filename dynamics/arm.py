@@ -83,7 +83,7 @@ class Link:
     modes: tuple[Mode, ...] = ()
     damping_ratio: float = 0.0  # [-] the same for every bending mode
     damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
-    segments: int = 1
+    segments: int = 1  # equal welded parts, each with all the modes: for large deflections
     joint: Joint = field(default_factory=Joint)
 
     def __post_init__(self) -> None:
@@ -103,9 +103,10 @@ class Link:
             value = getattr(self, name)
             if value is not None:
                 _clean(self, **{name: checks.nonnegative(value, f"Link.{name}", "N m^2")})
-        if self.segments > 1:
+        if self.segments > 1 and any(mode.kind == "pinned-free" for mode in self.modes):
             raise ValueError(
-                f"Link.segments = {self.segments} is not supported yet; use 1 and more modes."
+                f"Link.segments ({self.segments!r}) must be 1 with pinned-free modes: "
+                "inner segments are welded at their roots."
             )
         if self.damping_ratio > 0.0 and self.damping_beta > 0.0:
             raise ValueError(
@@ -201,7 +202,7 @@ class Arm:
     description: str = ""
     gravity: Vector = (0.0, 0.0, 0.0)  # [m/s^2] in the world frame
     rotation: str = "exp"  # of a bent end: "exp" is a true rotation, "linear" is 1 + theta~
-    foreshortening: bool = False
+    foreshortening: bool = False  # u = -1/2 int (y'^2 + z'^2): fast spins stiffen
     base: Base = field(default_factory=Base)
     payload: Payload | None = None
 
@@ -212,10 +213,9 @@ class Arm:
         for link in links:
             if not isinstance(link, Link):
                 raise ValueError(f"Arm.links must hold Link objects, got {link!r}.")
-        if self.foreshortening is not False:
+        if not isinstance(self.foreshortening, bool):
             raise ValueError(
-                f"Arm.foreshortening must be false, got {self.foreshortening!r}: "
-                "foreshortening is not supported yet."
+                f"Arm.foreshortening must be true or false, got {self.foreshortening!r}."
             )
         if not isinstance(self.base, Base):
             raise ValueError(f"Arm.base must be a Base, got {self.base!r}.")
@@ -241,7 +241,7 @@ class Arm:
     @property
     def n(self) -> int:
         """Number of coordinates: joint angles and modal amplitudes."""
-        return sum(1 + len(link.modes) for link in self.links)
+        return len(self.names)
 
     @property
     def n_joint(self) -> int:
@@ -250,11 +250,12 @@ class Arm:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Coordinates link by link: "q1", "d1_1", "d1_2", ..., "q2", ..."""
+        """Coordinates link by link, segments inside out: "q1", "d1_1", "d1_2", ..., "q2", ..."""
         return tuple(
             name
             for i, link in enumerate(self.links, 1)
-            for name in (f"q{i}", *(f"d{i}_{j}" for j in range(1, len(link.modes) + 1)))
+            for modes in [range(1, link.segments * len(link.modes) + 1)]
+            for name in (f"q{i}", *(f"d{i}_{j}" for j in modes))
         )
 
     @property

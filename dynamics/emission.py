@@ -3,7 +3,7 @@
 A generated function has one form only: `x3 = w[2]`, `x7 = x3 * x5`, `x8 = floor(x7)`, `w[9] = x8`,
 where `w[s]` stands for slot s of every lane. Type inference would take half a millisecond per
 operation, and the loop vectoriser's success would be a matter of luck; emitting the operations on
-vectors of all lanes is a hundred times faster and certain, and LLVM fits the vectors to the machine.
+vectors of all lanes is a hundred times faster and certain, and LLVM fits them to the machine.
 """
 
 import ast
@@ -70,8 +70,8 @@ class _Block:
                 self.builder.store(value, self._slot(target), align=8)
 
     def _slot(self, node: ast.Subscript) -> ir.Value:
-        assert isinstance(node.slice, ast.Constant)
-        offset = ir.IntType(64)(int(node.slice.value) * self.lanes)
+        slot = ast.literal_eval(node.slice)
+        offset = ir.IntType(64)(slot * self.lanes)
         address = self.builder.gep(self.data, [offset])
         return self.builder.bitcast(address, self.kind.as_pointer())
 
@@ -80,12 +80,12 @@ class _Block:
         match node:
             case ast.Name():
                 return self.values[node.id]
-            case ast.Constant():
-                return self._constant(float(node.value))
+            case ast.Constant(value=int() | float() as number):
+                return self._constant(float(number))
             case ast.Subscript():
                 return b.load(self._slot(node), align=8)
-            case ast.UnaryOp(operand=ast.Constant() as number):
-                return self._constant(-float(number.value))
+            case ast.UnaryOp(operand=ast.Constant(value=int() | float() as number)):
+                return self._constant(-float(number))
             case ast.UnaryOp():
                 return b.fneg(self._value(node.operand), flags=_FLAGS)
             case ast.BinOp():

@@ -80,23 +80,32 @@ def _own_bias(f: Frame) -> tuple[Vector, Vector, list[Scalar]]:
 
     The link itself between joint and tip, and the body at its tip (returned at the joint).
     """
-    link, w = f.link, f.w
-    eps_dot = combine(f.delta_dot, link.epsilon)
-    B8w = matvec(mcombine(f.delta_dot, f.beta), w)
-    force = add(scale(link.mass, f.a), matvec(f.Phi, f.rho), scale(2.0, cross(w, eps_dot)))
+    link, w, shape = f.link, f.w, f.shape
+    eps_dot = combine(shape.x_dot, link.epsilon)
+    B8w = matvec(mcombine(shape.x_dot, f.beta), w)
+    force = add(
+        scale(link.mass, f.a),
+        matvec(f.Phi, f.rho),
+        scale(2.0, cross(w, eps_dot)),
+        combine(shape.bias, link.epsilon),
+    )
     moment = add(
         cross(f.rho, f.a),
         scale(2.0, B8w),
         matvec(f.B9, f.w_dot),
         cross(w, matvec(f.B9, w)),
+        combine(shape.bias, f.alpha),
     )
     modal = []
     for j, beta in enumerate(f.beta):
         gyroscopic = plus(
-            mul(2.0, dot(w, combine(f.delta_dot, link.c_jk[j]))), dot(w, matvec(beta, w))
+            mul(2.0, dot(w, combine(shape.x_dot, link.c_jk[j]))), dot(w, matvec(beta, w))
         )
-        modal.append(minus(plus(dot(f.a, link.epsilon[j]), dot(f.w_dot, f.alpha[j])), gyroscopic))
-    return force, moment, modal
+        inertial = plus(
+            dot(f.a, link.epsilon[j]), dot(f.w_dot, f.alpha[j]), dot(link.s[j], shape.bias)
+        )
+        modal.append((minus(inertial, gyroscopic),))
+    return force, moment, [x for (x,) in shape.project(modal)]
 
 
 def _tip_body_bias(f: Frame) -> tuple[Vector, Vector]:
@@ -119,7 +128,7 @@ class Wrench(NamedTuple):
 
 
 def _load(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
-    """Wrench at the joint and generalized forces (modes, then joint) that the bias needs.
+    """Wrench at the joint and generalized forces (modes, then any joint) that the bias needs.
 
     `outer` acts at the tip. Sums of (98) to (103), with elastic, dissipative and friction forces.
     """
@@ -132,14 +141,19 @@ def _load(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
     for j, inertial in enumerate(modal):
         modal[j] = plus(
             inertial,
-            dot(link.tip_phi[j], tip.force),
+            dot(f.tip_phi[j], tip.force),
             dot(f.tip_theta[j], tip.moment),
             dot(link.K[j], f.delta),
             dot(link.damping[j], f.delta_dot),
             mul(link.root_slope[j], friction),
         )
     total = Wrench(add(force, tip.force), add(moment, tip.moment, cross(f.r, tip.force)))
-    return total, [*modal, plus(total.moment[2], friction)]
+    return total, modal if link.welded else [*modal, plus(total.moment[2], friction)]
+
+
+def _joint_first(link: LinkConstants, values: list[Scalar]) -> list[Scalar]:
+    """From the order of elimination, modes then joint, to the order of the coordinates."""
+    return values if link.welded else [values[-1], *values[:-1]]
 
 
 def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]:
@@ -149,7 +163,7 @@ def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]
     h: list[Scalar] = []
     for f, (rate, _) in zip(reversed(frames), reversed(chain.split(v)), strict=True):
         wrench, forces = _load(f, rate, outer)
-        h = [forces[-1], *forces[:-1], *h]
+        h = [*_joint_first(f.link, forces), *h]
         outer = wrench.from_next(f.R, f.offset)
     return h
 
@@ -158,21 +172,22 @@ class Block(NamedTuple):
     """A link and all beyond it as a column of accelerations sees them."""
 
     inertia: Inertia  # at the joint
-    columns: list[Wrench]  # per coordinate (modes, then joint): wrench at the joint
+    columns: list[Wrench]  # per coordinate (modes, then any joint): wrench at the joint
     D: list[list[Scalar]]  # coupling of the coordinates, upper triangle filled
 
 
 def _block(f: Frame, outer: Inertia) -> Block:
     """Blocks of the mass matrix of one link carrying `outer` at its tip: (75), (81), (85)."""
     link, m = f.link, len(f.delta)
+    size = m if link.welded else m + 1
     A, B, D = outer
-    columns, couplings = [], [[0.0] * (m + 1) for _ in range(m + 1)]
+    columns, couplings = [], [[0.0] * size for _ in range(size)]
     at_tip = [
         Wrench(
             add(matvec(A, phi), tmatvec(B, theta)),
             add(matvec(B, phi), matvec(D, theta)),
         )
-        for phi, theta in zip(link.tip_phi, f.tip_theta, strict=True)
+        for phi, theta in zip(f.tip_phi, f.tip_theta, strict=True)
     ]
     shifted = outer.moved(f.r)
     inertia = Inertia(
@@ -180,19 +195,23 @@ def _block(f: Frame, outer: Inertia) -> Block:
         madd(skew(f.rho), shifted.B),
         symmetric(lambda i, j: plus(f.B9[i][j], shifted.D[i][j])),
     )
+    epsilon, alpha = f.shape.project(link.epsilon), f.shape.project(f.alpha)
+    s = f.shape.project([*zip(*f.shape.project(link.s), strict=True)])
     for j, tip in enumerate(at_tip):
-        force = add(link.epsilon[j], tip.force)
-        columns.append(Wrench(force, add(f.alpha[j], tip.moment, cross(f.r, tip.force))))
+        force = add(epsilon[j], tip.force)
+        columns.append(Wrench(force, add(alpha[j], tip.moment, cross(f.r, tip.force))))
         for k in range(j, m):
             couplings[j][k] = plus(
-                link.s[j][k],
-                dot(link.tip_phi[j], at_tip[k].force),
+                s[j][k],
+                dot(f.tip_phi[j], at_tip[k].force),
                 dot(f.tip_theta[j], at_tip[k].moment),
                 link.rotor_inertia * link.root_slope[j] * link.root_slope[k],
             )
-        couplings[j][m] = plus(columns[j].moment[2], link.rotor_inertia * link.root_slope[j])
-    columns.append(Wrench(inertia.B[2], transpose(inertia.D)[2]))
-    couplings[m][m] = plus(inertia.D[2][2], link.rotor_inertia)
+        if not link.welded:
+            couplings[j][m] = plus(columns[j].moment[2], link.rotor_inertia * link.root_slope[j])
+    if not link.welded:
+        columns.append(Wrench(inertia.B[2], transpose(inertia.D)[2]))
+        couplings[m][m] = plus(inertia.D[2][2], link.rotor_inertia)
     return Block(inertia, columns, couplings)
 
 
@@ -211,12 +230,12 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
     n = len(q)
     frames = outward(chain, q, [0.0] * n)
     M: list[list[Scalar]] = [[0.0] * n for _ in range(n)]
-    starts = [0]
+    places, start = [], 0  # of a link's coordinates, modes then joint
     for f in frames:
-        starts.append(starts[-1] + 1 + len(f.delta))
-
-    def place(i: int, c: int) -> int:  # a link's modes come first inside a block, last outside
-        return starts[i] + (c + 1) % (len(frames[i].delta) + 1)
+        stop = start + len(f.delta) + (not f.link.welded)
+        order = list(range(start, stop))
+        places.append(order if f.link.welded else [*order[1:], order[0]])
+        start = stop
 
     outer = _NOTHING
     for i in reversed(range(len(frames))):
@@ -224,7 +243,8 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
         block = _block(f, _with_tip_body(f, outer))
         for c, column in enumerate(block.columns):
             for d in range(c, len(block.columns)):
-                M[place(i, c)][place(i, d)] = M[place(i, d)][place(i, c)] = block.D[c][d]
+                row, col = places[i][c], places[i][d]
+                M[row][col] = M[col][row] = block.D[c][d]
             wrench, child = column, f
             for k in reversed(range(i)):
                 parent = frames[k]
@@ -232,10 +252,10 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
                 wrench = Wrench(tip.force, add(tip.moment, cross(parent.r, tip.force)))
                 entries = [
                     plus(dot(phi, tip.force), dot(theta, tip.moment))
-                    for phi, theta in zip(parent.link.tip_phi, parent.tip_theta, strict=True)
+                    for phi, theta in zip(parent.tip_phi, parent.tip_theta, strict=True)
                 ]
-                for d, entry in enumerate([*entries, wrench.moment[2]]):
-                    M[place(k, d)][place(i, c)] = M[place(i, c)][place(k, d)] = entry
+                for row, entry in zip(places[k], [*entries, wrench.moment[2]], strict=False):
+                    M[row][places[i][c]] = M[places[i][c]][row] = entry
                 child = parent
         # B stays a skew matrix in a composite: turn its vector, not the matrix
         b = (block.inertia.B[2][1], block.inertia.B[0][2], block.inertia.B[1][0])
@@ -263,14 +283,16 @@ def accelerations(
     frames = outward(chain, q, v)
     rates = chain.split(v)
     guesses = chain.split(implicit.guess) if implicit else [(0.0, ())] * len(frames)
+    torques = iter(reversed(list(tau)))
     solved = []
     outer, load = _NOTHING, Wrench(ZERO, ZERO)
     for i in reversed(range(len(frames))):
         f = frames[i]
         wrench, forces = _load(f, rates[i][0], load)
         block = _block(f, _with_tip_body(f, outer))
-        drive = [*(mul(s, tau[i]) for s in f.link.root_slope), tau[i]]
-        residual = [minus(t, h) for t, h in zip(drive, forces, strict=True)]
+        torque = 0.0 if f.link.welded else next(torques)
+        drive = [*(mul(s, torque) for s in f.link.root_slope), torque]
+        residual = [minus(t, h) for t, h in zip(drive, forces, strict=False)]
         if implicit:
             _take_implicitly(f.link, block.D, residual, implicit, guesses[i])
         pivots = _eliminate(block, residual)
@@ -299,10 +321,10 @@ def _take_implicitly(
     """Add stiffness K + damping C to one link's block, and the damping already in the guess."""
     m = len(link.K)
     slopes = [*link.root_slope, 1.0]
-    values = [*guess[1], guess[0]]
-    for j in range(m + 1):
+    values = [*guess[1], guess[0]][: len(D)]
+    for j in range(len(D)):
         row: list[Scalar] = []
-        for k in range(m + 1):
+        for k in range(len(D)):
             C = link.viscous * slopes[j] * slopes[k] if not is_zero(link.viscous) else 0.0
             if j < m and k < m:
                 C = plus(C, link.damping[j][k])
@@ -345,7 +367,7 @@ def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar], held: Scal
         A = symmetric(lambda i, j, A=A, pF=pF, F=F: minus(A[i][j], mul(pF[i], F[j])))
         B = msub(B, tuple(tuple(mul(pN[i], F[j]) for j in range(3)) for i in range(3)))
         D = symmetric(lambda i, j, D=D, pN=pN, N=N: minus(D[i][j], mul(pN[i], N[j])))
-    if any(link.root_slope) and not is_zero(held):
+    if link.welded or (any(link.root_slope) and not is_zero(held)):
         return Inertia(A, B, D)
     # about the free axis only what holds the joint resists: exactly zero without it
     keep = mul(held, pivots[-1])
@@ -369,8 +391,10 @@ def _outward_solution(
             F, N = block.columns[c]
             driven = minus(residual[c], plus(dot(F, a), dot(N, w_dot)))
             u[c] = minus(mul(driven, pivots[c]), dot(block.D[c][c + 1 :], u[c + 1 :]))
-        result += [u[-1], *u[:-1]]
-        w_dot = add(w_dot, (0.0, 0.0, u[-1]))
-        a = add(a, cross(w_dot, f.r), combine(u[:-1], f.link.tip_phi))
-        w_dot = add(w_dot, combine(u[:-1], f.tip_theta))
+        result += _joint_first(f.link, u)
+        modal = u[: len(f.delta)]
+        if not f.link.welded:
+            w_dot = add(w_dot, (0.0, 0.0, u[-1]))
+        a = add(a, cross(w_dot, f.r), combine(modal, f.tip_phi))
+        w_dot = add(w_dot, combine(modal, f.tip_theta))
     return result

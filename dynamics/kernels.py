@@ -45,7 +45,7 @@ def count_finite(w, lanes, first, stop, check, good):  # type: ignore[no-untyped
 
 
 # What a generated module adds to its arm's functions `accelerations(w)` and `measure(w)`.
-GLUE = '''
+GLUE = """
 start = compiled(METHOD.start)
 step = compiled(METHOD.step)
 
@@ -120,4 +120,4 @@ def evaluate_states(q, v, torque, parameters, w, out):
 def evaluate_often(w, times):
     for _ in range(times):
         accelerations(w)
-'''
+"""

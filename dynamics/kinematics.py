@@ -50,13 +50,47 @@ class Chain:
     rotation: str = "exp"  # the bent end's rotation: exp(theta~), or "linear": 1 + theta~
 
     def split(self, x: Sequence[Scalar]) -> list[tuple[Scalar, Sequence[Scalar]]]:
-        """Coordinates link by link: (joint, modes)."""
+        """Coordinates body by body: (joint, modes); a welded body's joint is a structural zero."""
         parts, start = [], 0
         for link in self.links:
-            stop = start + 1 + len(link.tip_phi)
-            parts.append((x[start], x[start + 1 : stop]))
-            start = stop
+            joint = 0.0 if link.welded else x[start]
+            start += not link.welded
+            parts.append((joint, x[start : start + len(link.K)]))
+            start += len(link.K)
         return parts
+
+
+class Shape(NamedTuple):
+    """Amplitudes of all of a link's shapes: m modes, then p products of modes that foreshorten."""
+
+    x: Sequence[Scalar]  # (m + p)
+    x_dot: Sequence[Scalar]  # (m + p)
+    bias: Sequence[Scalar]  # (m + p) second derivatives of x while those of delta are zero
+    J: Sequence[Sequence[Scalar]]  # (p, m) derivatives of the products
+
+    def project(self, values: Sequence[Vector]) -> list[Vector]:
+        """Vectors (m + p) per shape as vectors (m) per mode."""
+        m = len(values) - len(self.J)
+        return [
+            add(values[j], *(scale(row[j], v) for row, v in zip(self.J, values[m:], strict=True)))
+            for j in range(m)
+        ]
+
+
+def amplitudes(link: LinkConstants, delta: Sequence[Scalar], delta_dot: Sequence[Scalar]) -> Shape:
+    """Shape of a link: -delta_j delta_k, halved for j = k, is the amplitude of a product."""
+    x, x_dot, bias = list(delta), list(delta_dot), [0.0] * len(delta)
+    J = []
+    for j, k in link.pairs:
+        row: list[Scalar] = [0.0] * len(delta)
+        half = 0.5 if j == k else 1.0
+        row[j] = minus(0.0, delta[k])
+        row[k] = minus(0.0, delta[j])
+        J.append(row)
+        x.append(mul(-half, mul(delta[j], delta[k])))
+        x_dot.append(dot(row, delta_dot))
+        bias.append(mul(-2.0 * half, mul(delta_dot[j], delta_dot[k])))
+    return Shape(x, x_dot, bias, J)
 
 
 class Frame(NamedTuple):
@@ -67,12 +101,15 @@ class Frame(NamedTuple):
     offset: Vector  # joint from the tip before, in the frame of the link before
     delta: Sequence[Scalar]
     delta_dot: Sequence[Scalar]
+    shape: Shape
     r: Vector  # tip from joint
+    r_dot: Vector  # tip velocity relative to the frame
     E: Matrix  # rotation of the bent tip
-    tip_theta: Sequence[Vector]  # J_l theta_j: tip angular velocity per modal rate
+    tip_phi: Sequence[Vector]  # (m) tip velocity per modal rate
+    tip_theta: Sequence[Vector]  # (m) J_l theta_j: tip angular velocity per modal rate
     rho: Vector  # first mass moment, B3 = rho~    (25)
-    alpha: Sequence[Vector]  # (31)
-    beta: Sequence[Matrix]  # (32)
+    alpha: Sequence[Vector]  # (m + p) (31)
+    beta: Sequence[Matrix]  # (m + p) (32)
     B9: Matrix  # (33)
     a: Vector  # acceleration of the joint, second derivatives of the coordinates zero
     w: Vector  # angular velocity
@@ -81,7 +118,6 @@ class Frame(NamedTuple):
     a_tip: Vector
     w_tip: Vector
     w_dot_tip: Vector
-    r_dot: Vector  # tip velocity relative to the frame
 
 
 _TERMS = 7  # series in |theta|^2: error below 1e-16 up to 0.6 rad, 5e-14 at 1 rad
@@ -165,7 +201,7 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
     for link, (angle, delta), (rate, delta_dot) in zip(
         chain.links, chain.split(q), chain.split(v), strict=True
     ):
-        R = matmul(E, matmul(link.rotation, _turn(angle)))
+        R = E if link.welded else matmul(E, matmul(link.rotation, _turn(angle)))
         offset = matvec(E, link.offset)
         before = tmatvec(R, w_tip)
         a = tmatvec(R, add(a_tip, matvec(_phi(w_tip, w_dot_tip), offset)))
@@ -173,30 +209,31 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
         w_dot = add(tmatvec(R, w_dot_tip), cross(before, (0.0, 0.0, rate)))
         Phi = _phi(w, w_dot)
 
-        r = add((link.length, 0.0, 0.0), combine(delta, link.tip_phi))
-        r_dot = combine(delta_dot, link.tip_phi)
+        shape = amplitudes(link, delta, delta_dot)
+        r = add((link.length, 0.0, 0.0), combine(shape.x, link.tip_phi))
+        r_dot = combine(shape.x_dot, link.tip_phi)
         E, tip_theta, bias = tip_rotation(link, delta, delta_dot, chain.rotation)
         theta_dot = combine(delta_dot, tip_theta)
-        a_tip = add(a, matvec(Phi, r), scale(2.0, cross(w, r_dot)))
+        a_tip = add(
+            a, matvec(Phi, r), scale(2.0, cross(w, r_dot)), combine(shape.bias, link.tip_phi)
+        )
         w_tip = add(w, theta_dot)
         w_dot_tip = add(w_dot, bias, cross(w, theta_dot))
 
-        modes = range(len(delta))
-        beta = [madd(link.C[j], mcombine(delta, [link.D[k][j] for k in modes])) for j in modes]
-        alpha = [add(link.c[j], combine(delta, [link.c_jk[k][j] for k in modes])) for j in modes]
-        half = madd(mcombine(delta, [transpose(C) for C in link.C]), mcombine(delta, beta))
+        x, every = shape.x, range(len(shape.x))
+        beta = [madd(link.C[j], mcombine(x, [link.D[k][j] for k in every])) for j in every]
+        alpha = [add(link.c[j], combine(x, [link.c_jk[k][j] for k in every])) for j in every]
+        half = madd(mcombine(x, [transpose(C) for C in link.C]), mcombine(x, beta))
         frames.append(
             Frame(
-                link=link, R=R, offset=offset, delta=delta, delta_dot=delta_dot, r=r, E=E,
-                tip_theta=tip_theta, rho=add(link.first_moment, combine(delta, link.epsilon)),
-                alpha=alpha, beta=beta,
+                link=link, R=R, offset=offset, delta=delta, delta_dot=delta_dot, shape=shape,
+                r=r, r_dot=r_dot, E=E, tip_phi=shape.project(link.tip_phi), tip_theta=tip_theta,
+                rho=add(link.first_moment, combine(x, link.epsilon)), alpha=alpha, beta=beta,
                 B9=symmetric(lambda i, j, C0=link.C0, half=half: plus(C0[i][j], half[i][j])),
                 a=a, w=w, w_dot=w_dot, Phi=Phi, a_tip=a_tip, w_tip=w_tip, w_dot_tip=w_dot_tip,
-                r_dot=r_dot,
             )
         )  # fmt: skip
     return frames
-
 
 
 class Pose(NamedTuple):
@@ -237,7 +274,8 @@ def energies(
     for f, pose, (rate, _) in zip(frames, poses(frames), chain.split(v), strict=True):
         link = f.link
         u = sub(tmatvec(pose.R, pose.tip_velocity), add(cross(f.w, f.r), f.r_dot))  # joint
-        eps_dot = combine(f.delta_dot, link.epsilon)
+        x_dot = f.shape.x_dot
+        eps_dot = combine(x_dot, link.epsilon)
         slip = plus(rate, dot(link.root_slope, f.delta_dot))
         w_end = tmatvec(f.E, f.w_tip)
         kinetic = plus(
@@ -245,8 +283,8 @@ def energies(
             mul(0.5 * link.mass, dot(u, u)),
             dot(u, add(cross(f.w, f.rho), eps_dot)),
             mul(0.5, dot(f.w, matvec(f.B9, f.w))),
-            dot(f.w, combine(f.delta_dot, f.alpha)),
-            mul(0.5, dot(f.delta_dot, [dot(row, f.delta_dot) for row in link.s])),
+            dot(f.w, combine(x_dot, f.alpha)),
+            mul(0.5, dot(x_dot, [dot(row, x_dot) for row in link.s])),
             mul(0.5 * link.rotor_inertia, mul(slip, slip)),
             mul(0.5 * link.tip_mass, dot(pose.tip_velocity, pose.tip_velocity)),
             mul(0.5, dot(w_end, matvec(link.tip_inertia, w_end))),

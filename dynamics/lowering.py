@@ -75,8 +75,19 @@ class Code:
             value = self.emit("+", self.emit("*", value, x), self.constant(c))
         return value
 
-    def sine(self, x: int, cosine: bool) -> int:
-        """Branch-free sin or cos: x = k pi + r, the sign from the parity of k.
+    def sin(self, x: int) -> int:
+        """Branch-free sine."""
+        sign, r = self._reduced(x)
+        r_signed = self.emit("*", sign, r)
+        return self.emit("*", r_signed, self.polynomial(_SIN, self.emit("*", r, r)))
+
+    def cos(self, x: int) -> int:
+        """Branch-free cosine."""
+        sign, r = self._reduced(x)
+        return self.emit("*", sign, self.polynomial(_COS, self.emit("*", r, r)))
+
+    def _reduced(self, x: int) -> tuple[int, int]:
+        """x = k pi + r: the sign from the parity of k, and r.
 
         Good to 2e-16 for |x| < 1e4 and to 1e-12 for |x| < 1e8.
         """
@@ -88,10 +99,7 @@ class Code:
             r = emit("-", r, emit("*", k, constant(part)))
         even = emit("*", constant(2.0), emit("floor", emit("*", constant(0.5), k)))
         sign = emit("-", constant(1.0), emit("*", constant(2.0), emit("-", k, even)))
-        square = emit("*", r, r)
-        if cosine:
-            return emit("*", sign, self.polynomial(_COS, square))
-        return emit("*", emit("*", sign, r), self.polynomial(_SIN, square))
+        return sign, r
 
     def tanh(self, x: int) -> int:
         """Branch-free tanh = m / (m + 2), m = expm1(2 x) by a series and ten doublings."""
@@ -109,16 +117,21 @@ class Code:
         return emit("/", m, emit("+", m, constant(2.0)))
 
 
-def statements(graph: Any, slots: Sequence[int]) -> tuple[Code, list[int]]:
+def statements(graph: Any, slots: Sequence[int], expand: bool = True) -> tuple[Code, list[int]]:
     """Single-assignment code of a CasADi SX Function with one output vector.
 
-    `slots[i]` is the workspace slot where input i starts. Returns the code and the numbers of the
-    output's elements.
+    `slots[i]` is the workspace slot where input i starts; `expand` writes sin, cos and tanh out.
+    Returns the code and the numbers of the output's elements.
     """
     import casadi as ca
 
-    binary = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*"}
+    simple = {
+        ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_NEG: "neg", ca.OP_SQRT: "sqrt",
+        ca.OP_FABS: "abs",
+    }  # fmt: skip
+    functions = {ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TANH: "tanh"}
     code = Code()
+    written_out = {"sin": code.sin, "cos": code.cos, "tanh": code.tanh} if expand else {}
     registers: dict[int, int] = {}
     outputs = [code.constant(0.0)] * graph.nnz_out(0)
     for k in range(graph.n_instructions()):
@@ -133,34 +146,38 @@ def statements(graph: Any, slots: Sequence[int]) -> tuple[Code, list[int]]:
             value = code.constant(graph.instruction_constant(k))
         else:
             x = [registers[a] for a in args]
-            if op in binary:
-                value = code.emit(binary[op], *x)
+            if op in simple:
+                value = code.emit(simple[op], *x)
             elif op == ca.OP_SQ:
                 value = code.emit("*", x[0], x[0])
             elif op == ca.OP_TWICE:
                 value = code.emit("+", x[0], x[0])
-            elif op == ca.OP_NEG:
-                value = code.emit("neg", x[0])
             elif op in (ca.OP_DIV, ca.OP_INV):  # one division for all quotients by a pivot
                 value = code.emit("/", code.constant(1.0), x[-1])
                 value = code.emit("*", x[0], value) if op == ca.OP_DIV else value
-            elif op in (ca.OP_SIN, ca.OP_COS):
-                value = code.sine(x[0], cosine=op == ca.OP_COS)
-            elif op == ca.OP_TANH:
-                value = code.tanh(x[0])
-            elif op == ca.OP_FABS:
-                value = code.emit("abs", x[0])
-            elif op == ca.OP_SQRT:
-                value = code.emit("sqrt", x[0])
+            elif op in functions:
+                name = functions[op]
+                value = written_out[name](x[0]) if expand else code.emit(name, x[0])
             else:
                 raise ValueError(f"No lowering for CasADi operation {op}; add it to lowering.py.")
         registers[out[0]] = value
     return code, outputs
 
 
+def operations(graph: Any) -> dict[str, int]:
+    """How many operations of each kind a graph takes; a change of sign is free."""
+    kinds = {
+        "multiplications": ("*",), "additions": ("+", "-"), "divisions": ("/",),
+        "sines and cosines": ("sin", "cos"),
+    }  # fmt: skip
+    code, _ = statements(graph, [0] * graph.n_in(), expand=False)
+    return {kind: sum(op in group for op, _ in code.statements) for kind, group in kinds.items()}
+
+
 _TEXT = {
     "+": "{0} + {1}", "-": "{0} - {1}", "*": "{0} * {1}", "/": "{0} / {1}", "neg": "-{0}",
-    "floor": "floor({0})", "sqrt": "sqrt({0})", "abs": "abs({0})", "min": "min({0}, {1})", "max": "max({0}, {1})",
+    "floor": "floor({0})", "sqrt": "sqrt({0})", "abs": "abs({0})",
+    "min": "min({0}, {1})", "max": "max({0}, {1})",
 }  # fmt: skip
 
 
@@ -224,7 +241,8 @@ def cached_module(key: str, build: Callable[[], str]) -> ModuleType:
     if not path.exists():
         _write(path, build())
     spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     sys.modules[name] = module

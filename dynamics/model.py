@@ -11,13 +11,14 @@ import numpy as np
 import scipy.linalg
 
 from dynamics import gibbs_appell
+from dynamics.algebra import add, combine, matvec
 from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
 from dynamics.gibbs_appell import Implicit
 from dynamics.integrators import INTEGRATORS
 from dynamics.kinematics import Chain, energies, outward, poses
-from dynamics.lowering import cached_module, fingerprint, render_function, render_module
-from dynamics.modes import LinkConstants, curvature, link_constants
+from dynamics.lowering import cached_module, fingerprint, operations, render_function, render_module
+from dynamics.modes import LinkConstants, chain_constants, curvature, parts
 
 Array = np.ndarray
 
@@ -109,8 +110,9 @@ class Model:
         self.free_parameters = free_parameters
         self.names = list(arm.names)
         self.n, self.n_joint = arm.n, arm.n_joint
-        payloads = [None] * (self.n_joint - 1) + [arm.payload]
-        links = tuple(link_constants(k, p) for k, p in zip(arm.links, payloads, strict=True))
+        bodies = chain_constants(arm)
+        self._last = np.cumsum([len(link) for link in bodies]).tolist()  # one behind each link's
+        links = tuple(body for link in bodies for body in link)
         rotation = "exp" if arm.rotation == "exp" else "linear"
         self.chain = Chain(links, arm.gravity, rotation)
         self.nominal_parameters = np.array([FREE_PARAMETERS[p].nominal for p in free_parameters])
@@ -172,11 +174,13 @@ class Model:
         """
         if not 0 <= link < self.n_joint:
             raise ValueError(f"link must be 0 to {self.n_joint - 1}, got {link!r}.")
-        length = self.arm.links[link].length
-        if not 0.0 <= x <= length:
-            raise ValueError(f"x must be within the link, 0 to {length} m, got {x!r}.")
-        _, delta = self.chain.split(self._q(q))[link]
-        return np.asarray(delta) @ curvature(self.arm.links[link], x).reshape(len(delta), 3)
+        described = self.arm.links[link]
+        if not 0.0 <= x <= described.length:
+            raise ValueError(f"x must be within the link, 0 to {described.length} m, got {x!r}.")
+        segment = parts(described)[0]
+        k = min(int(x / segment.length), described.segments - 1)
+        _, delta = self.chain.split(self._q(q).tolist())[self._last[link] - described.segments + k]
+        return np.asarray(delta) @ curvature(segment, x - k * segment.length)
 
     def frequencies(self, q: Array | None = None, joints: str = "locked") -> Array:
         """[rad/s] natural frequencies at the joint angles of q, undeflected, elastic forces only.
@@ -205,19 +209,8 @@ class Model:
 
     def operation_count(self) -> dict[str, dict[str, int]]:
         """Operations of the traced arm, by running through its graphs."""
-        import casadi as ca
-
-        kinds = {
-            "multiplications": (ca.OP_MUL, ca.OP_SQ),
-            "additions": (ca.OP_ADD, ca.OP_SUB, ca.OP_TWICE),
-            "divisions": (ca.OP_DIV, ca.OP_INV),
-            "sines and cosines": (ca.OP_SIN, ca.OP_COS),
-        }
-        counts = {}
-        for name, graph in (("accelerations", self.graph), ("mass matrix and bias", self._M_h)):
-            ops = [graph.instruction_id(k) for k in range(graph.n_instructions())]
-            counts[name] = {kind: sum(op in group for op in ops) for kind, group in kinds.items()}
-        return counts
+        graphs = {"accelerations": self.graph, "mass matrix and bias": self._M_h}
+        return {name: operations(graph) for name, graph in graphs.items()}
 
     @cached_property
     def graph(self) -> Any:
@@ -230,8 +223,8 @@ class Model:
         rows = []
         for link in self.chain.links:
             m = len(link.K)
-            rows.append(np.zeros((1 + m, 1 + m)))
-            rows[-1][1:, 1:] = np.array(link.K).reshape(m, m)
+            rows += [] if link.welded else [np.zeros((1, 1))]
+            rows.append(np.array(link.K).reshape(m, m))
         return np.asarray(scipy.linalg.block_diag(*rows))
 
     def rigid(self, q: Array) -> Array:
@@ -318,20 +311,23 @@ class Model:
         import casadi as ca
 
         q, v, _, _ = self._symbols()
-        parts = ca.vertsplit(q)
-        frames = outward(self.chain, parts, ca.vertsplit(v))
+        x = ca.vertsplit(q)
+        frames = outward(self.chain, x, ca.vertsplit(v))
         end = poses(frames)[-1]
-        straight = [x if i in self.arm.joint_index else 0.0 for i, x in enumerate(parts)]
+        straight = [angle if i in self.arm.joint_index else 0.0 for i, angle in enumerate(x)]
         rigid = poses(outward(self.chain, straight, [0.0] * self.n))[-1].tip
         deflections, slopes, curvatures = [], [], []
-        for f, link in zip(frames, self.arm.links, strict=True):
-            delta = ca.vertcat(0.0, *f.delta)
-            shift = ca.vertcat(*f.r) - ca.DM([link.length, 0, 0])
-            theta = ca.DM(np.array([np.zeros(3), *f.link.tip_theta])).T @ delta
-            bend = ca.DM(np.vstack([np.zeros((1, 3)), curvature(link, 0.0).reshape(-1, 3)])).T
-            deflections.append(ca.sqrt(ca.sumsqr(shift)) / link.length)
-            slopes.append(ca.sqrt(ca.sumsqr(theta)))
-            curvatures += [(bend @ delta)[2], (bend @ delta)[1]]
+        for link, first, last in zip(self.arm.links, [0, *self._last], self._last, strict=False):
+            bodies = frames[first:last]
+            tip = bodies[-1].r
+            for outer, inner in zip(bodies[:0:-1], bodies[-2::-1], strict=True):
+                tip = add(inner.r, matvec(outer.R, tip))
+            theta = add(*(combine(f.delta, f.link.tip_theta) for f in bodies))
+            bend = combine(bodies[0].delta, curvature(parts(link)[0], 0.0).tolist())
+            shift = ca.vertcat(tip[0] - link.length, *tip[1:])
+            deflections.append(ca.norm_2(shift) / link.length)
+            slopes.append(ca.norm_2(ca.vertcat(*theta)))
+            curvatures += [bend[2], bend[1]]
         values = [*end.tip, *end.tip_velocity, *rigid, *deflections, *slopes, *curvatures]
         return ca.Function("measure", [q, v], [ca.cse(ca.vertcat(*values))])
 
@@ -341,16 +337,14 @@ class Model:
         import casadi as ca
 
         q, v, tau, _ = self._symbols()
-        parts, rates = ca.vertsplit(q), ca.vertsplit(v)
-        M = gibbs_appell.mass_matrix(self.chain, parts)
-        a = ca.vertcat(
-            *gibbs_appell.accelerations(self.chain, parts, rates, ca.vertsplit(tau))
-        )
+        x, rates = ca.vertsplit(q), ca.vertsplit(v)
+        M = gibbs_appell.mass_matrix(self.chain, x)
+        a = ca.vertcat(*gibbs_appell.accelerations(self.chain, x, rates, ca.vertsplit(tau)))
         derivatives = [ca.jacobian(a, x) for x in (q, v, tau)]
         graphs = {
             "mass_matrix": ([q], [ca.vertcat(*(ca.horzcat(*row) for row in M))]),
-            "bias": ([q, v], [ca.vertcat(*gibbs_appell.bias(self.chain, parts, rates))]),
-            "energy": ([q, v], [ca.vertcat(*energies(self.chain, parts, rates))]),
+            "bias": ([q, v], [ca.vertcat(*gibbs_appell.bias(self.chain, x, rates))]),
+            "energy": ([q, v], [ca.vertcat(*energies(self.chain, x, rates))]),
             "jacobian": ([q, v, tau], derivatives),
         }
         return {name: ca.Function(name, inputs, out) for name, (inputs, out) in graphs.items()}

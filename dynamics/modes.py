@@ -12,13 +12,14 @@ r = [x, 0, 0] + sum_j delta_j r_j(x); the shape s_j of a mode acts along one dir
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import legendre
 
-from dynamics.arm import STIFFNESS, Link, Payload
-from dynamics.checks import Matrix, Vector
+from dynamics.arm import STIFFNESS, Arm, Joint, Link, Payload
+from dynamics.checks import ZEROS, Matrix, Vector
 from dynamics.shapes import Array, Shape, quadrature, shape
 
 __all__ = ["LinkConstants", "curvature", "deflection", "link_constants", "shape"]
@@ -38,9 +39,14 @@ class LinkConstants:
     """One link as the recursion sees it: m modes, mu = rho_A, int over 0 <= eta <= l.
 
     The integrals are (34)-(42), with eta = (x, 0, 0); K is (51)-(54). Exact zeros where nothing is.
+    Foreshortening u = -1/2 int (y'^2 + z'^2) is p further shapes g_jk = int s_j' s_k' along x,
+    behind the m modes in every list but those of rotations and stiffness; their amplitudes are
+    -delta_j delta_k, or half of it for j = k (`kinematics.amplitudes`).
     """
 
     length: float  # [m]
+    welded: bool  # no joint: a part of the link before
+    pairs: tuple[tuple[int, int], ...]  # (p) modes j <= k whose product foreshortens the link
     mass: float  # [kg] of the beam
     first_moment: Vector  # [kg m] int mu eta
     epsilon: tuple[Vector, ...]  # (m) [kg] int mu r_j
@@ -65,8 +71,41 @@ class LinkConstants:
     coulomb_speed: float  # [rad/s]
 
 
-def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
-    """All constants of one link; `payload` joins its tip body.
+def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
+    """Constants of every link of an arm, each as its welded parts."""
+    payloads = [None] * (len(arm.links) - 1) + [arm.payload]
+    return [
+        tuple(
+            link_constants(
+                part,
+                payload if k == link.segments - 1 else None,
+                foreshortening=arm.foreshortening,
+                welded=k > 0,
+            )
+            for k, part in enumerate(parts(link))
+        )
+        for link, payload in zip(arm.links, payloads, strict=True)
+    ]
+
+
+def parts(link: Link) -> list[Link]:
+    """The link's segments: equal parts, the joint on the first and the tip body on the last."""
+    if link.segments == 1:
+        return [link]
+    bare = replace(link, length=link.length / link.segments, segments=1)
+    middle = replace(bare, joint=Joint(), tip_mass=0.0, tip_inertia=ZEROS)
+    first = replace(middle, joint=link.joint)
+    return [first, *[middle] * (link.segments - 2), replace(bare, joint=Joint())]
+
+
+def link_constants(
+    link: Link,
+    payload: Payload | None = None,
+    *,
+    foreshortening: bool = False,
+    welded: bool = False,
+) -> LinkConstants:
+    """All constants of one link without segments; `payload` joins its tip body.
 
     The rotary inertia rho_Ip and the hub are rotors: a rotor about the unit axis e with inertia I
     that modes turn at t_j per unit rate adds I e e' to C0, I t_j e to c_j, I t_j t_k to s and
@@ -79,6 +118,12 @@ def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
     directions = [mode.direction for mode in link.modes]
     along = np.array([_DISPLACEMENT[d] for d in directions]).reshape(-1, 3)
     twist = np.array([_TWIST[d][0] for d in directions])  # 1 for torsion, 0 for bending
+
+    m = len(shapes)
+    pairs, shortening, shortening_tip = _shortening(link, shapes, x, weights, foreshortening)
+    values = np.vstack([values, shortening])
+    along = np.vstack([along, np.tile(_E_X, (len(pairs), 1))])
+    twist = np.append(twist, np.zeros(len(pairs)))
 
     mass = link.rho_A * link.length
     moment = mass * link.length / 2.0
@@ -98,10 +143,10 @@ def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
     polar = link.rho_Ip * twist  # rotary inertia about x, spread along the link
     spin = polar * _snap(values @ weights, math.sqrt(link.length) * size)  # int rho_Ip s_j
     s += link.rho_Ip * square * np.outer(twist, twist)
-    root_slope = np.array([
-        float(s_j.slope(0.0)) if mode.kind == "pinned-free" else 0.0
-        for s_j, mode in zip(shapes, link.modes, strict=True)
-    ])  # fmt: skip
+    root_slope = np.zeros(len(values))
+    for j, mode in enumerate(link.modes):
+        if mode.kind == "pinned-free":
+            root_slope[j] = float(shapes[j].slope(0.0))
     hub = link.joint.hub_inertia
     s += hub * np.outer(root_slope, root_slope)
     for axis, inertia, rates in (
@@ -113,13 +158,13 @@ def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
         C = [C_j - 0.5 * rate * _skew(axis) for C_j, rate in zip(C, rates, strict=True)]
 
     K = _stiffness(link, shapes, x, weights)
-    tip_value = np.array([float(s_j.value(link.length)) for s_j in shapes])
+    tip_value = np.array([*(float(s_j.value(link.length)) for s_j in shapes), *shortening_tip])
     tip_value = _snap(tip_value, size / math.sqrt(link.length))
     tip_slope = np.array([float(s_j.slope(link.length)) for s_j in shapes])
-    tip_slope = _snap(tip_slope, size / link.length**1.5)
+    tip_slope = _snap(tip_slope, size[:m] / link.length**1.5)
     tilt = np.array([_TILT[d] for d in directions]).reshape(-1, 3)
-    displaced = link.rho_A * np.diag(square) + link.tip_mass * tip_value**2
-    modal = np.where(twist == 1.0, 0.0, displaced)
+    displaced = (link.rho_A * np.diag(square) + link.tip_mass * tip_value**2)[:m]
+    modal = np.where(twist[:m] == 1.0, 0.0, displaced)
     damping = 2.0 * link.damping_ratio * np.diag(np.sqrt(np.diag(K) * modal))
     damping = damping + link.damping_beta * K
 
@@ -133,6 +178,8 @@ def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
     )
     return LinkConstants(
         length=link.length,
+        welded=welded,
+        pairs=pairs,
         mass=mass,
         first_moment=(moment, 0.0, 0.0),
         epsilon=_tuples(epsilon),
@@ -143,8 +190,8 @@ def link_constants(link: Link, payload: Payload | None = None) -> LinkConstants:
         D=_tuples(_pairs(second, lambda u, w: _skew(u).T @ _skew(w), along)),
         C0=_tuples(C0),
         tip_phi=_tuples(tip_value[:, None] * along),
-        tip_theta=_tuples(tip_slope[:, None] * tilt + (tip_value * twist)[:, None] * _E_X),
-        root_slope=_tuples(root_slope),
+        tip_theta=_tuples(tip_slope[:, None] * tilt + (tip_value * twist)[:m, None] * _E_X),
+        root_slope=_tuples(root_slope[:m]),
         K=_tuples(K),
         damping=_tuples(damping),
         tip_mass=link.tip_mass + (payload.mass if payload is not None else 0.0),
@@ -208,6 +255,31 @@ def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Arr
     K = (bent * weights) @ bent.T * same.reshape(len(shapes), len(shapes))
     size = np.sqrt(np.diag(K))
     return rigidity.reshape(-1, 1) * _snap(K, np.outer(size, size))
+
+
+def _shortening(
+    link: Link, shapes: list[Shape], x: Array, weights: Array, wanted: bool
+) -> tuple[tuple[tuple[int, int], ...], Array, list[float]]:
+    """Pairs of modes that foreshorten the link, g_jk = int_0^x s_j' s_k' at x, and at the tip."""
+    directions = [mode.direction for mode in link.modes]
+    pairs = tuple(
+        (j, k)
+        for j in range(len(shapes))
+        for k in range(j, len(shapes))
+        if wanted and directions[j] == directions[k] != "x"
+    )
+    # integrate the Legendre interpolant through the nodes of the quadrature
+    node = 2.0 * x / link.length - 1.0
+    basis = legendre.legvander(node, x.size - 1)
+    norms = (2.0 * np.arange(x.size) + 1.0) / link.length
+    to_series = norms[:, None] * (basis * weights[:, None]).T
+    slopes = [s.slope(x) for s in shapes]
+    series = [
+        legendre.legint(to_series @ (slopes[j] * slopes[k]), lbnd=-1.0, scl=link.length / 2.0)
+        for j, k in pairs
+    ]
+    values = _table([np.asarray(legendre.legval(node, c)) for c in series], x.size)
+    return pairs, values, [float(legendre.legval(1.0, c)) for c in series]
 
 
 def _table(rows: list[Array], columns: int) -> Array:

@@ -15,7 +15,6 @@ REFERENCE = Path(__file__).parent.parent / "reference"
 NEGATIVE = json.loads((REFERENCE / "negative.json").read_text())["cases"]
 UNSUPPORTED = {
     "free_flying_coast.json": "Base.type 'free' is not supported yet",
-    "one_link_fast_spin_foreshortened.json": "foreshortening is not supported yet",
 }
 STATE = {"q": [0.1, 0.01], "qd": [0.0, 0.0]}
 
