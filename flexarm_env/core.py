@@ -8,13 +8,13 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from dynamics import Arm, load_arm
 from dynamics.integrators import INTEGRATORS
 from dynamics.kernels import LANES
 from dynamics.model import Model, compile_arm
 from dynamics.stepper import Stepper
-from numpy.typing import NDArray
-
 from flexarm_env import kernels
 from flexarm_env.observations import curvature_columns, observation_layout
 from flexarm_env.physics import (

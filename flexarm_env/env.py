@@ -116,7 +116,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             "invalid": marks[4],
         }
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """The arm now: an (H, W, 3) picture, or a window that shows it."""
         if self.render_mode is None:
             gym.logger.warn('render() needs render_mode="rgb_array" or "human" at construction.')
@@ -141,7 +141,13 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         return {**self.__dict__, "_renderer": None}
 
 
-def observation_space(layout: Layout) -> gym.spaces.Box:
+def check_render_mode(mode: str | None) -> None:
+    """Refuse unknown render modes with a sentence."""
+    if mode is not None and mode not in RENDER_MODES:
+        raise ValueError(f"render_mode must be one of {list(RENDER_MODES)}, got {mode!r}.")
+
+
+def observation_space(layout: Layout) -> Any:
     """The Box of a layout."""
     bound = layout.table[1].astype(np.float32)
     return gym.spaces.Box(-bound, bound, dtype=np.float32)

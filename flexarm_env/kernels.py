@@ -5,9 +5,9 @@ file of the function it caches. Per environment i:
 
 | array          | shape           | holds                                                         |
 |----------------|-----------------|---------------------------------------------------------------|
-| memory         | (N, M)          | actions and the joint reference, see `*_OF` below [-], [rad]   |
+| memory         | (N, M)          | actions and the joint reference, see the indices below        |
 | counters       | (N, 2) int64    | random stream, control steps since the start of the episode   |
-| ref_q, ref_v   | (N, n)          | the joint reference now, links straight [rad], [rad/s]         |
+| ref_q, ref_v   | (N, n)          | the joint reference now, links straight [rad], [rad/s]        |
 | ref_measured   | (N, n_measure)  | what the stepper measures there: the target                   |
 
 The reference of joint j is  centre + ramp(t) sum_k A_k sin(w_k t + p_k); A = 0 where it rests.
@@ -138,7 +138,7 @@ def score(m):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-# ---- random numbers -------------------------------------------------------------------------------
+# ---- random numbers ------------------------------------------------------------------------------
 
 
 @fast
@@ -165,7 +165,7 @@ def either_sign(counters, i, ranges, name):  # type: ignore[no-untyped-def]
     return sign * draw(counters, i, ranges, name)
 
 
-# ---- the reference --------------------------------------------------------------------------------
+# ---- the reference -------------------------------------------------------------------------------
 
 
 @fast
@@ -212,7 +212,7 @@ def command(actions, limit, torque, memory, counters, ref_q, ref_v, whole, real)
     return np.int64(-1)
 
 
-# ---- the start of an episode ----------------------------------------------------------------------
+# ---- the start of an episode ---------------------------------------------------------------------
 
 REACHING, TRACKING, DAMPING = 0, 1, 2  # tasks
 # ranges of a task: rows of (low, high)
@@ -220,9 +220,9 @@ START, MOVES, SHARE, TEMPO, SHAKE = map(U, range(5))
 
 
 @fast
-def begin(
-    rows, task, ranges, home, amplitude, rate, q, v, memory, counters, ref_q, ref_v, whole, real
-):  # type: ignore[no-untyped-def]
+def begin(  # type: ignore[no-untyped-def]
+    rows, task, ranges, home, amplitude, rate, q, v, memory, counters, ref_q, ref_v, whole, real,
+):  # fmt: skip
     """Draw a new episode for the environments `rows`: state, reference, zero action."""
     n_joint, n = whole[N_JOINT], whole[N_COORDINATE]
     for r in range(U(rows.shape[0])):
@@ -258,12 +258,14 @@ def begin(
                     mode += U(1)
 
 
-# ---- what an environment reports ------------------------------------------------------------------
+# ---- what an environment reports -----------------------------------------------------------------
 
 
 @fast
-def judge(rows, fresh, q, v, torque, status, measured, memory, counters, ref_q, ref_v, ref_measured,
-          whole, real, picks, table, n_signal, obs, info, flags):  # type: ignore[no-untyped-def]  # fmt: skip
+def judge(  # type: ignore[no-untyped-def]
+    rows, fresh, q, v, torque, status, measured, memory, counters, ref_q, ref_v, ref_measured,
+    whole, real, picks, table, n_signal, obs, info, flags,
+):  # fmt: skip
     """Measure, judge and observe the environments `rows`; the number of episodes that ended.
 
     After a control step, or `fresh` at the start of an episode. One long function on purpose: every
@@ -326,7 +328,7 @@ def judge(rows, fresh, q, v, torque, status, measured, memory, counters, ref_q, 
         flags[i, DIVERGED] = diverged
         flags[i, INVALID] = invalid
 
-        # every signal an observation may pick from, in the order of observations.SIGNALS
+        # every signal an observation may pick from, in the order of observations.py
         s = U(0)
         for j in range(n_joint):
             signals[s + j] = q[i, whole[JOINTS + j]] - ref_q[i, whole[JOINTS + j]]

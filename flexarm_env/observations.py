@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from dynamics.arm import Arm
 from numpy.typing import NDArray
 
+from dynamics.arm import Arm
 from flexarm_env.physics import MOVE, Physics
 from flexarm_env.tasks import Task
 
@@ -103,7 +103,8 @@ def observation_layout(arm: Arm, task: Task, kind: str, physics: Physics, rate: 
     every = [
         Part("joint_error", "joint angle minus its target", "rad", at("joint_error", joints),
              each(MOVE, joints)),
-        Part("joint_sin", "sine of the joint angle", "-", at("sine", turned), each(1.0, turned), 1.0),
+        Part("joint_sin", "sine of the joint angle", "-", at("sine", turned), each(1.0, turned),
+             1.0),
         Part("joint_cos", "cosine of the joint angle", "-", at("cosine", turned), each(1.0, turned),
              1.0),
         Part("joint_rate", "joint rate", "rad/s", at("joint_rate", joints), each(rate, joints)),

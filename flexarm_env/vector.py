@@ -106,7 +106,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
                 self._np_random, self._np_random_seed = seeding.np_random(seed)
         self._seeded = True
 
-    def reset(  # type: ignore[override]
+    def reset(
         self,
         *,
         seed: int | Sequence[int | None] | None = None,
@@ -183,7 +183,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         if self.render_mode == "human":
             self.render()
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Pictures of the environments in rgb_array mode; a window with the first in human mode."""
         if self.render_mode is None:
             gym.logger.warn('render() needs render_mode="rgb_array" or "human" at construction.')

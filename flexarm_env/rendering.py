@@ -1,0 +1,265 @@
+"""Pictures of the arm without a display: the true shape, an exaggerated one and the rigid ghost.
+
+A planar arm is seen from above, a spatial one from an oblique direction.
+"""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from dynamics.modes import deflection, link_constants
+from flexarm_env.core import Array, Core
+from flexarm_env.observations import is_planar
+
+SIZE = (640, 480)  # [px]
+FINE = 2  # drawn this much larger, then reduced: smooth edges
+EXAGGERATION = 5.0
+POINTS = 24  # along a link
+TRAIL = 150  # control steps
+STRIP = 3.0  # [s] of deflection in the strip
+GROUND = (250, 250, 248)
+INK = (38, 50, 56)
+FAINT = (176, 190, 197)
+GRID = (232, 236, 238)
+STEEL = (38, 70, 120)
+ORANGE = (230, 126, 34)
+GREEN = (39, 144, 96)
+VIEW = np.array([[0.80, -0.60, 0.0], [0.24, 0.32, 0.9165]])  # (2, 3) oblique, z upward
+STRIP_HEIGHT = 64  # [px]
+
+
+class Renderer:
+    """Draws one environment of a core; remembers the tip's trail and the deflection since."""
+
+    def __init__(self, core: Core) -> None:
+        arm = core.arm
+        self.planar = is_planar(arm) and arm.links[0].joint.rotation[2][2] == 1.0
+        self.view = np.eye(3)[:2] if self.planar else VIEW
+        payloads = [None] * (arm.n_joint - 1) + [arm.payload]
+        self.constants = [link_constants(k, p) for k, p in zip(arm.links, payloads, strict=True)]
+        height = SIZE[1] - STRIP_HEIGHT - 34  # [px] above the legend and the strip
+        self.scale = height / (1.9 * arm.reach)  # [px/m]
+        base = 0.24 if self.planar else 0.36  # [-] of the width: home postures point to the right
+        self.centre = np.array([base * SIZE[0], (0.5 if self.planar else 0.62) * height + 4])
+        self.trail: list[Array] = []
+        self.bent: list[float] = []  # [m] elastic tip displacement, signed where planar
+        self._window: Any = None
+        self._fonts = {size: ImageFont.load_default(size=size * FINE) for size in (12, 14)}
+
+    def clear(self) -> None:
+        """Forget the trail: a new episode."""
+        self.trail.clear()
+        self.bent.clear()
+
+    def follow(self, core: Core, row: int = 0) -> None:
+        """Remember where the tip is now."""
+        if core.counters[row, 1] <= 1:
+            self.clear()
+        measured = core.measured[row]
+        places = core.model.measurements
+        tip, rigid = measured[places["tip"]], measured[places["rigid_tip"]]
+        self.trail.append(tip.copy())
+        shift = tip - rigid
+        sign = 1.0
+        if self.planar:
+            sign = math.copysign(1.0, rigid[0] * shift[1] - rigid[1] * shift[0])
+        self.bent.append(sign * float(np.linalg.norm(shift)))
+        del self.trail[:-TRAIL]
+
+    # ---- geometry ----------------------------------------------------------------------------
+
+    def shapes(self, core: Core, q: Array, factor: float) -> list[Array]:
+        """(POINTS, 3) [m] every link's line in the world, deflections times `factor`.
+
+        R_i = R_{i-1} E_{i-1} F_i Rz(q_i), E the rotation of a bent end.
+        """
+        lines: list[Array] = []
+        R, end, E = np.eye(3), np.zeros(3), np.eye(3)
+        at = 0
+        for link, known in zip(core.arm.links, self.constants, strict=True):
+            delta = factor * q[at + 1 : at + 1 + len(link.modes)]
+            end = end + R @ E @ np.array(link.joint.offset)
+            c, s = math.cos(q[at]), math.sin(q[at])
+            R = R @ E @ np.array(link.joint.rotation) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+            x = np.linspace(0.0, link.length, POINTS)
+            line = np.zeros((POINTS, 3))
+            line[:, 0] = x
+            theta = np.zeros(3)
+            if link.modes:
+                line += deflection(link, delta, x)
+                theta = np.array(known.tip_theta).T @ delta
+            lines.append(end + line @ R.T)
+            end = lines[-1][-1]
+            E = _rotation(theta)
+            at += 1 + len(link.modes)
+        return lines
+
+    def pixels(self, points: Array) -> list[tuple[float, float]]:
+        """World points [m] on the enlarged canvas."""
+        flat = np.atleast_2d(points) @ self.view.T * self.scale * (1.0, -1.0) + self.centre
+        return [(float(x), float(y)) for x, y in flat * FINE]
+
+    # ---- drawing -----------------------------------------------------------------------------
+
+    def draw(self, core: Core, row: int = 0) -> NDArray[np.uint8]:
+        """(H, W, 3) picture of environment `row`."""
+        image = Image.new("RGB", (SIZE[0] * FINE, SIZE[1] * FINE), GROUND)
+        pen = ImageDraw.Draw(image)
+        self._draw_floor(pen, core.arm.reach)
+        q = core.q[row]
+        goal = core.ref_measured[row, core.model.measurements["tip"]]
+        if row == 0 and len(self.trail) > 1:
+            self._draw_trail(pen)
+        straight = core.model.rigid(q)
+        exaggerated = self.shapes(core, q, EXAGGERATION)
+        self._draw_arm(pen, self.shapes(core, straight, 0.0), FAINT, 2)
+        self._draw_arm(pen, exaggerated, ORANGE, 3)
+        self._draw_arm(pen, self.shapes(core, q, 1.0), STEEL, 7, body=True)
+        self._draw_target(pen, goal, core.arm.reach)
+        self._draw_words(pen, core, row)
+        if row == 0:
+            self._draw_strip(pen, core)
+        return np.asarray(image.resize(SIZE, Image.Resampling.LANCZOS), dtype=np.uint8)
+
+    def _draw_floor(self, pen: ImageDraw.ImageDraw, reach: float) -> None:
+        step = 10.0 ** math.floor(math.log10(reach))
+        step = step / 2 if reach / step < 3 else step
+        count = int(reach // step)
+        angles = np.linspace(0.0, 2.0 * math.pi, 121)
+        ring = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+        for k in range(1, count + 1):
+            pen.line(self.pixels(k * step * ring), fill=GRID, width=FINE)
+        for axis in np.eye(3)[: 2 if self.planar else 3]:
+            ends = np.array([-axis if axis[2] == 0.0 else 0.0 * axis, axis]) * reach
+            pen.line(self.pixels(ends), fill=GRID, width=FINE)
+
+    def _draw_arm(
+        self,
+        pen: ImageDraw.ImageDraw,
+        lines: list[Array],
+        colour: tuple[int, int, int],
+        width: int,
+        body: bool = False,
+    ) -> None:
+        for k, line in enumerate(lines):
+            thick = width * FINE * (1.0 - 0.45 * k / max(1, len(lines))) if body else width * FINE
+            pen.line(self.pixels(line), fill=colour, width=round(thick), joint="curve")
+        if not body:
+            return
+        x, y = self.pixels(lines[0][0])[0]
+        size = 15 * FINE
+        pen.rounded_rectangle((x - size, y - size, x + size, y + size), 5 * FINE, fill=FAINT)
+        for k, line in enumerate(lines):
+            radius = (9.0 if k == 0 else 6.5 - 2.5 * k / len(lines)) * FINE
+            _disc(pen, self.pixels(line[0])[0], radius, INK)
+            _disc(pen, self.pixels(line[0])[0], 0.45 * radius, GROUND)
+        _disc(pen, self.pixels(lines[-1][-1])[0], 4.5 * FINE, INK)
+
+    def _draw_trail(self, pen: ImageDraw.ImageDraw) -> None:
+        points = self.pixels(np.array(self.trail))
+        for k, (a, b) in enumerate(pairwise(points)):
+            fade = (k + 1 + TRAIL - len(points)) / TRAIL
+            colour = tuple(
+                round(g + (s - g) * 0.6 * fade) for g, s in zip(GROUND, STEEL, strict=True)
+            )
+            pen.line([a, b], fill=colour, width=2 * FINE)
+
+    def _draw_target(self, pen: ImageDraw.ImageDraw, goal: Array, reach: float) -> None:
+        """A cross in a ring; the ring is the settled band, 2 % of the reach."""
+        x, y = self.pixels(goal)[0]
+        radius = max(0.02 * reach * self.scale, 5.0) * FINE
+        pen.ellipse((x - radius, y - radius, x + radius, y + radius), outline=GREEN, width=2 * FINE)
+        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            start, stop = 0.55 * radius, radius + 5 * FINE
+            pen.line(
+                (x + dx * start, y + dy * start, x + dx * stop, y + dy * stop), GREEN, 2 * FINE
+            )
+
+    def _draw_words(self, pen: ImageDraw.ImageDraw, core: Core, row: int) -> None:
+        places = core.model.measurements
+        goal = core.ref_measured[row, places["tip"]]
+        error = float(np.linalg.norm(goal - core.measured[row, places["tip"]]))
+        time = core.counters[row, 1] * core.control_dt
+        unit, factor = ("mm", 1e3) if core.arm.reach < 10.0 else ("m", 1.0)
+        right = SIZE[0] * FINE - 16 * FINE
+        large, small = self._fonts[14], self._fonts[12]
+        pen.text((right, 12 * FINE), f"t = {time:5.2f} s", fill=INK, font=large, anchor="ra")
+        text = f"tip error {factor * error:6.1f} {unit}"
+        colour = GREEN if error < 0.02 * core.arm.reach else INK
+        pen.text((right, 32 * FINE), text, fill=colour, font=large, anchor="ra")
+        y = (SIZE[1] - STRIP_HEIGHT - 22) * FINE
+        for x, colour, word in (
+            (16, STEEL, "arm"),
+            (66, ORANGE, f"bending x {EXAGGERATION:.0f}"),
+            (164, FAINT, "rigid"),
+            (218, GREEN, "target"),
+        ):
+            pen.line((x * FINE, y, (x + 14) * FINE, y), fill=colour, width=4 * FINE)
+            pen.text(((x + 19) * FINE, y), word, fill=INK, font=small, anchor="lm")
+
+    def _draw_strip(self, pen: ImageDraw.ImageDraw, core: Core) -> None:
+        """Elastic displacement of the tip over the last seconds."""
+        left, right = 16 * FINE, (SIZE[0] - 16) * FINE
+        bottom = (SIZE[1] - 8) * FINE
+        top = bottom - STRIP_HEIGHT * FINE
+        middle = (top + bottom) / 2
+        pen.rectangle((left, top, right, bottom), fill=(255, 255, 255), outline=GRID, width=FINE)
+        pen.line((left, middle, right, middle), fill=GRID, width=FINE)
+        count = max(2, round(max(STRIP, 4.0 * core.move_time) / core.control_dt))
+        bent = self.bent[-count:]
+        if len(bent) > 1:
+            full = max(0.02 * core.arm.reach, 1.1 * max(map(abs, self.bent)))
+            x = left + (right - left) * np.arange(len(bent)) / (count - 1)
+            y = middle - np.array(bent) / full * (bottom - top) / 2
+            points = list(zip(x.tolist(), y.tolist(), strict=True))
+            pen.line(points, fill=ORANGE, width=2 * FINE, joint="curve")
+            _disc(pen, points[-1], 3.5 * FINE, ORANGE)
+        text = f"tip deflection {1e3 * abs(bent[-1]) if bent else 0.0:6.1f} mm"
+        pen.text((right, top - 14 * FINE), text, fill=INK, font=self._fonts[12], anchor="rm")
+
+    # ---- window ------------------------------------------------------------------------------
+
+    def show(self, picture: NDArray[np.uint8], seconds: float) -> None:
+        """Show a picture in a window; without a display, matplotlib draws it unseen."""
+        import matplotlib.pyplot as plt
+
+        if self._window is None:
+            figure = plt.figure("flexarm", figsize=(SIZE[0] / 100, SIZE[1] / 100), dpi=100)
+            self._window = figure.figimage(picture)
+            figure.show() if plt.get_backend().lower() != "agg" else None
+        self._window.set_data(picture)
+        figure = self._window.figure
+        figure.canvas.draw_idle()
+        if plt.get_backend().lower() != "agg":
+            figure.canvas.start_event_loop(seconds)
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            import matplotlib.pyplot as plt
+
+            plt.close(self._window.figure)
+            self._window = None
+
+
+def _rotation(theta: Array) -> Array:
+    """exp(theta~)."""
+    angle = float(np.linalg.norm(theta))
+    T = np.array([[0, -theta[2], theta[1]], [theta[2], 0, -theta[0]], [-theta[1], theta[0], 0]])
+    if angle < 1e-12:
+        return np.eye(3) + T
+    return np.eye(3) + math.sin(angle) / angle * T + (1.0 - math.cos(angle)) / angle**2 * T @ T
+
+
+def _disc(
+    pen: ImageDraw.ImageDraw,
+    centre: tuple[float, float],
+    radius: float,
+    colour: tuple[int, int, int],
+) -> None:
+    x, y = centre
+    pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
