@@ -27,10 +27,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(
-                f"render_mode must be one of {list(RENDER_MODES)}, got {render_mode!r}."
-            )
+        check_render_mode(render_mode)
         for name in ("n_env", "max_steps"):
             if name in arguments:
                 raise ValueError(f"{name} is for a batch; this is a single environment.")

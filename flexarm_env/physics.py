@@ -15,6 +15,7 @@ from dynamics.arm import Arm
 from dynamics.gibbs_appell import mass_matrix
 from dynamics.kinematics import Chain
 from dynamics.model import Model
+from dynamics.modes import chain_constants
 
 Array = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ def physics(arm: Arm) -> Physics:
     free = _frequencies(M, K)[arm.n_joint :]
     amplitude, rate = _modal_scales(model.chain)
     if modal:
-        acceleration = _acceleration(arm, model.chain, M, K, inertia, float(free[0]))
+        acceleration = _acceleration(arm, M, K, inertia, float(free[0]))
     else:
         acceleration = RIGID_ACCELERATION
     return Physics(
@@ -94,14 +95,13 @@ def _modal_scales(chain: Chain) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Amplitude and rate of each mode with the energy of the first one at the deflection limit."""
     amplitude, rate = [], []
     for link in chain.links:
-        slope_limit = SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT
         energy: dict[int, float] = {}  # axis of the tip's turn -> twice the elastic energy
-        for j, (phi, theta) in enumerate(zip(link.tip_phi, link.tip_theta, strict=True)):
+        for j, theta in enumerate(link.tip_theta):
             axis = int(np.argmax(np.abs(theta)))
-            shift, turn = max(map(abs, phi)), max(map(abs, theta))
+            shift, turn = max(map(abs, link.tip_phi[j])), max(map(abs, theta))
             first = min(
                 DEFLECTION_LIMIT * link.length / shift if shift else math.inf,
-                slope_limit / turn if turn else math.inf,
+                SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT / turn if turn else math.inf,
             )
             energy.setdefault(axis, link.K[j][j] * first**2)
             mass = link.s[j][j] + link.tip_mass * shift**2 + _turned(link.tip_inertia, theta)
@@ -115,9 +115,7 @@ def _turned(inertia: tuple[tuple[float, ...], ...], theta: tuple[float, ...]) ->
     return float(np.asarray(theta) @ np.asarray(inertia) @ np.asarray(theta))
 
 
-def _acceleration(
-    arm: Arm, chain: Chain, M: Array, K: Array, inertia: Array, first: float
-) -> float:
+def _acceleration(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> float:
     """Acceleration alpha [rad/s^2] such that torques alpha times inertia stay just valid.
 
     The test is one period of bang-bang at the first joint-free frequency, +1 then -1, then nothing:
@@ -125,13 +123,21 @@ def _acceleration(
     """
     n, m = arm.n, arm.n_joint
     C, B, D, S = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, 3, n)), np.zeros((m, 3, n))
-    for i, (start, link) in enumerate(zip(arm.joint_index, chain.links, strict=True)):
-        modes = slice(start + 1, start + 1 + len(link.tip_phi))
-        C[modes, modes] = np.array(link.damping).reshape(len(link.K), len(link.K))
-        B[start, i], B[modes, i] = 1.0, link.root_slope
-        D[i, :, modes] = np.array(link.tip_phi).reshape(-1, 3).T / link.length / DEFLECTION_LIMIT
-        S[i, :, modes] = np.array(link.tip_theta).reshape(-1, 3).T
-    S /= SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT
+    for i, (start, link) in enumerate(zip(arm.joint_index, chain_constants(arm), strict=True)):
+        B[start, i] = 1.0
+        stop = start + 1
+        for k, part in enumerate(link):
+            count = len(part.tip_theta)
+            modes = slice(stop, stop + count)
+            stop += count
+            theta = np.array(part.tip_theta).reshape(count, 3)
+            beyond = (len(link) - 1 - k) * part.length  # [m] of the link behind this part
+            shift = np.array(part.tip_phi)[:count].reshape(count, 3)
+            shift = shift + np.cross(theta, (beyond, 0.0, 0.0))
+            C[modes, modes] = np.array(part.damping).reshape(count, count)
+            B[modes, i] = part.root_slope
+            D[i, :, modes] = shift.T / arm.links[i].length / DEFLECTION_LIMIT
+            S[i, :, modes] = theta.T / (SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT)
     outputs = np.concatenate([D, S])  # (2 m, 3, n): one at the limit of validity
     dt = 2.0 * math.pi / first / _SAMPLES
     inverse = np.linalg.inv(M)

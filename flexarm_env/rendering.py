@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dynamics.modes import deflection, link_constants
+from dynamics.modes import chain_constants, deflection, parts
 from flexarm_env.core import Array, Core
 from flexarm_env.observations import is_planar
 
@@ -39,8 +39,7 @@ class Renderer:
         arm = core.arm
         self.planar = is_planar(arm) and arm.links[0].joint.rotation[2][2] == 1.0
         self.view = np.eye(3)[:2] if self.planar else VIEW
-        payloads = [None] * (arm.n_joint - 1) + [arm.payload]
-        self.constants = [link_constants(k, p) for k, p in zip(arm.links, payloads, strict=True)]
+        self.constants = chain_constants(arm)
         height = SIZE[1] - STRIP_HEIGHT - 34  # [px] above the legend and the strip
         self.scale = height / (1.9 * arm.reach)  # [px/m]
         base = 0.24 if self.planar else 0.36  # [-] of the width: home postures point to the right
@@ -73,29 +72,32 @@ class Renderer:
     # ---- geometry ----------------------------------------------------------------------------
 
     def shapes(self, core: Core, q: Array, factor: float) -> list[Array]:
-        """(POINTS, 3) [m] every link's line in the world, deflections times `factor`.
+        """(., 3) [m] every link's line in the world, deflections times `factor`.
 
         R_i = R_{i-1} E_{i-1} F_i Rz(q_i), E the rotation of a bent end.
         """
         lines: list[Array] = []
         R, end, E = np.eye(3), np.zeros(3), np.eye(3)
         at = 0
-        for link, known in zip(core.arm.links, self.constants, strict=True):
-            delta = factor * q[at + 1 : at + 1 + len(link.modes)]
+        for link, constants in zip(core.arm.links, self.constants, strict=True):
             end = end + R @ E @ np.array(link.joint.offset)
             c, s = math.cos(q[at]), math.sin(q[at])
-            R = R @ E @ np.array(link.joint.rotation) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-            x = np.linspace(0.0, link.length, POINTS)
-            line = np.zeros((POINTS, 3))
-            line[:, 0] = x
-            theta = np.zeros(3)
-            if link.modes:
-                line += deflection(link, delta, x)
-                theta = np.array(known.tip_theta).T @ delta
-            lines.append(end + line @ R.T)
-            end = lines[-1][-1]
-            E = _rotation(theta)
-            at += 1 + len(link.modes)
+            E = E @ np.array(link.joint.rotation) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+            at += 1
+            line = []
+            for part, known in zip(parts(link), constants, strict=True):
+                delta = factor * q[at : at + len(part.modes)]
+                at += len(part.modes)
+                x = np.linspace(0.0, part.length, POINTS)
+                shape = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
+                theta = np.zeros(3)
+                if part.modes:
+                    shape += deflection(part, delta, x)
+                    theta = np.array(known.tip_theta).T @ delta
+                R = R @ E
+                line.append(end + shape @ R.T)
+                end, E = line[-1][-1], _rotation(theta)
+            lines.append(np.concatenate(line))
         return lines
 
     def pixels(self, points: Array) -> list[tuple[float, float]]:

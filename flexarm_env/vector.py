@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from flexarm_env import kernels
 from flexarm_env.core import Array, Core
-from flexarm_env.env import RENDER_MODES, observation_space
+from flexarm_env.env import RENDER_MODES, check_render_mode, observation_space
 
 Flags = NDArray[np.bool_]
 _AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
@@ -40,16 +40,11 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(
-                f"render_mode must be one of {list(RENDER_MODES)}, got {render_mode!r}."
-            )
+        check_render_mode(render_mode)
         known = {mode.value: mode for mode in _AUTORESET}
-        mode = known.get(getattr(autoreset_mode, "value", autoreset_mode))
-        if mode is None:
-            raise ValueError(
-                f"autoreset_mode must be one of {sorted(known)}, got {autoreset_mode!r}."
-            )
+        mode = known.get(str(autoreset_mode), autoreset_mode)
+        if not isinstance(mode, AutoresetMode) or mode not in _AUTORESET:
+            raise ValueError(f"autoreset_mode must be one of {sorted(known)}, got {mode!r}.")
         self.core = Core(n_env=num_envs, max_steps=max_episode_steps or 0, **arguments)
         self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, mode
         self.metadata = {
