@@ -8,7 +8,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 
 from dynamics import gibbs_appell
 from dynamics.algebra import add, combine, matvec
@@ -196,7 +195,9 @@ class Model:
         modal = np.setdiff1d(np.arange(self.n), self.arm.joint_index)
         if joints == "locked":
             M, K = M[np.ix_(modal, modal)], K[np.ix_(modal, modal)]
-        squares = scipy.linalg.eigh(K, M, eigvals_only=True)
+        from scipy.linalg import eigh
+
+        squares = eigh(K, M, eigvals_only=True)
         return np.sqrt(np.abs(squares[squares.size - modal.size :]))
 
     def linearize(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
@@ -220,12 +221,12 @@ class Model:
     @cached_property
     def stiffness(self) -> Array:
         """(n, n) K, zero in the joints."""
-        rows = []
+        K, start = np.zeros((self.n, self.n)), 0
         for link in self.chain.links:
-            m = len(link.K)
-            rows += [] if link.welded else [np.zeros((1, 1))]
-            rows.append(np.array(link.K).reshape(m, m))
-        return np.asarray(scipy.linalg.block_diag(*rows))
+            first = start + (not link.welded)
+            start = first + len(link.K)
+            K[first:start, first:start] = np.array(link.K).reshape(len(link.K), len(link.K))
+        return K
 
     def rigid(self, q: Array) -> Array:
         """A copy of q, (n,) or (N, n), with every link straight."""
