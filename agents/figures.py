@@ -141,11 +141,12 @@ def write_gif(path: Path, films: Mapping[str, tuple[list[Array], Recording]]) ->
         x = to_pixel(i * GIF_SECONDS_PER_FRAME)
         ImageDraw.Draw(canvas).line((x, GIF_HEIGHT, x, canvas.height), fill="#444444")
         images.append(canvas)
-    # One palette for all frames: smaller, and no flicker.
-    sample = Image.new("RGB", (width, images[0].height * 2))
-    sample.paste(images[0], (0, 0))
-    sample.paste(images[n_frames // 2], (0, images[0].height))
-    palette = sample.quantize(64, dither=Image.Dither.NONE)
+    # One palette for all frames: smaller, and no flicker. Maximum coverage keeps rare colours.
+    chosen = images[:: max(1, n_frames // 8)]
+    sample = Image.new("RGB", (width, images[0].height * len(chosen)))
+    for i, image in enumerate(chosen):
+        sample.paste(image, (0, i * image.height))
+    palette = sample.quantize(128, method=Image.Quantize.MAXCOVERAGE)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     images[0].save(
         path,

@@ -121,7 +121,9 @@ def test_training_refuses_bad_requests(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("name", ["ppo", "sac"])
-def test_a_killed_run_resumes_and_loses_nothing(name: str, tmp_path: Path) -> None:
+def test_a_killed_run_resumes_and_loses_nothing(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """SIGKILL in the middle of training, then --resume: every logged row is still there, the
     steps go on from the last checkpoint, and the run ends where it would have ended."""
     total = 6000 if name == "sac" else 120_000
@@ -146,15 +148,9 @@ def test_a_killed_run_resumes_and_loses_nothing(name: str, tmp_path: Path) -> No
     assert 0 < checkpoint < total, "the kill came too late to show anything"
 
     steps = checkpoint + 2000 if name == "ppo" else checkpoint + 200
-    resumed = subprocess.run(
-        [*command, "--resume", str(run.path), "--steps", str(steps)],
-        env=environment,
-        capture_output=True,
-        text=True,
-    )
+    assert train(["--resume", str(run.path), "--steps", str(steps)]) == 0
+    assert f"Resuming at {checkpoint:,}" in capsys.readouterr().out
 
-    assert resumed.returncode == 0, resumed.stderr
-    assert f"Resuming at {checkpoint:,}" in resumed.stdout
     after = run.log.read_text(encoding="utf-8")
     assert after.startswith(before)
     new = [row for row in run.rows() if row["session"] == 1]
