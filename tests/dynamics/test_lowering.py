@@ -1,0 +1,358 @@
+"""The generated code: vectors, nothing wasted, nothing stale."""
+
+import json
+import math
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from dynamics import Arm, Joint, Link, Mode, Stepper, compile_arm, lowering
+from dynamics.kernels import LANES
+from dynamics.lowering import cached_module, fingerprint, render_function
+from tests.dynamics.random_arms import random_arm
+
+ROOT = Path(__file__).resolve().parents[2]
+X86 = platform.machine().lower() in ("x86_64", "amd64")
+ARITHMETIC = r"\bv?(?:add|sub|mul|div|fn?m(?:add|sub)\d+)"
+
+
+INERTIA = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.01))
+
+
+def planar(n_link: int, name: str) -> Arm:
+    """All in the x-y plane; a name of its own makes a program of its own."""
+    modes = tuple(Mode(kind="clamped-free", index=k, direction="y") for k in (1, 2))
+    link = Link(length=1.0, rho_A=2.0, EIz=50.0, tip_mass=0.5, modes=modes, tip_inertia=INERTIA)
+    return Arm(links=(link,) * n_link, gravity=(0.0, -9.81, 0.0), name=name)
+
+
+@pytest.fixture(scope="module", params=[1, 2], ids=["one link", "two links"])
+def cold(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Stepper:
+    """A batch whose code was compiled in this process: numba cannot show what it has cached."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FLEXARM_CACHE", str(tmp_path_factory.mktemp("cold")))
+        model = compile_arm(planar(request.param, "compiled here"))
+        stepper = Stepper(model, 2 * LANES, dt=1e-4, substeps=2)
+        stepper.advance()
+        return stepper
+
+
+@pytest.mark.skipif(not X86, reason="knows the names of x86 instructions only")
+def test_steppers_do_their_arithmetic_on_vectors(cold: Stepper) -> None:
+    """Packed instructions for the arm's own operations; the few scalar ones are the loops'."""
+    (assembly,) = cold._program.advance.inspect_asm().values()
+    flags = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
+
+    packed = re.findall(ARITHMETIC + r"pd\b.*", assembly)
+    scalar = re.findall(ARITHMETIC + r"sd\b.*", assembly)
+
+    operations = sum(cold.model.operation_count()["accelerations"].values())
+    assert len(packed) > operations
+    assert len(scalar) < operations  # lane by lane they would be 16 times as many
+    if " avx2 " in flags:
+        wide = [line for line in packed if "%ymm" in line or "%zmm" in line]
+        assert len(wide) > 0.9 * len(packed)
+
+
+def test_a_step_allocates_nothing(cold: Stepper) -> None:
+    """Neither in compiled code nor in Python."""
+    (code,) = cold._program.advance.inspect_llvm().values()
+    tracemalloc.start()
+    cold.advance()
+    tracemalloc.reset_peak()
+    before, _ = tracemalloc.get_traced_memory()
+    for _ in range(10):
+        cold.advance()
+    after, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert "define" in code
+    assert not re.findall(r"call[^\n]*@(NRT_\w*[aA]lloc\w*|malloc)", code)
+    assert after <= before + 64  # an integer or two
+    assert peak - before < 1024
+
+
+def text(arm: Arm, integrator: str = "rk4") -> str:
+    """The generated module of an arm."""
+    return Path(str(compile_arm(arm).program(LANES, integrator).__file__)).read_text()
+
+
+@pytest.fixture
+def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+OUT_OF_PLANE: dict[str, Callable[[Link], Link]] = {
+    "EIy": lambda k: replace(k, EIy=17.0),
+    "GJ": lambda k: replace(k, GJ=3.0),
+    "rotary inertia": lambda k: replace(k, rho_Ip=0.3),
+    "tip inertia": lambda k: replace(
+        k, tip_inertia=((0.3, 0.01, 0.02), (0.01, 0.2, 0.03), (0.02, 0.03, 0.01))
+    ),
+    "offset": lambda k: replace(k, joint=replace(k.joint, offset=(0.0, 0.0, 0.4))),
+}
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "midpoint"])
+@pytest.mark.parametrize("n_link", [1, 2])
+@pytest.mark.usefixtures("empty_cache")
+def test_planar_code_knows_nothing_of_the_third_dimension(n_link: int, integrator: str) -> None:
+    """Constants that only matter out of the plane do not occur: the text stays the same."""
+    arm = planar(n_link, "planar")
+    plain = body(text(arm, integrator))
+
+    assert body(text(replace(arm, gravity=(0.0, -9.81, 3.0)), integrator)) == plain
+    for name, change in OUT_OF_PLANE.items():
+        if name == "offset":
+            continue
+        changed = replace(arm, links=tuple(change(k) for k in arm.links))
+        assert body(text(changed, integrator)) == plain, name
+    heavier = replace(arm, links=tuple(replace(k, rho_A=2.1) for k in arm.links))
+    assert body(text(heavier, integrator)) != plain
+
+
+def body(module: str) -> str:
+    """The accelerations of a generated module."""
+    return module.split("def accelerations(w):")[1].split("def measure(w):")[0]
+
+
+def operations(arm: Arm) -> dict[str, int]:
+    return compile_arm(arm).operation_count()["accelerations"]
+
+
+def test_lifting_a_planar_arm_costs_no_operation() -> None:
+    """An offset along the joint axes moves no acceleration."""
+    arm = planar(2, "planar")
+    lifted = replace(arm, links=tuple(OUT_OF_PLANE["offset"](k) for k in arm.links))
+
+    assert operations(lifted) == operations(arm)
+
+
+def test_turning_a_weightless_base_costs_no_operation() -> None:
+    """Without gravity the first mounting rotation is invisible, however odd."""
+    joint = random_arm(1, 1, 1).links[0].joint
+    for n_link in (1, 2):
+        arm = replace(planar(n_link, "planar"), gravity=(0.0, 0.0, 0.0))
+        first = replace(arm.links[0], joint=Joint(rotation=joint.rotation, offset=joint.offset))
+        turned = replace(arm, links=(first, *arm.links[1:]))
+
+        assert operations(turned) == operations(arm)
+
+
+def test_what_an_arm_lacks_costs_no_operation() -> None:
+    """Each part costs something, so leaving it out saves it."""
+    plain = planar(2, "planar")
+    cost = sum(operations(plain).values())
+    for change in ({"tip_mass": 0.0}, {"modes": ()}):
+        poorer = replace(plain, links=tuple(replace(k, **change) for k in plain.links))
+        assert sum(operations(poorer).values()) < cost, change
+    assert sum(operations(replace(plain, gravity=(0.0, 0.0, 0.0))).values()) < cost
+    for joint in (Joint(viscous=0.1), Joint(rotor_inertia=0.1), Joint(coulomb=0.1)):
+        richer = replace(plain, links=tuple(replace(k, joint=joint) for k in plain.links))
+        assert sum(operations(richer).values()) > cost, joint
+
+
+# ---- functions -----------------------------------------------------------------------------------
+
+FUNCTIONS = '''"""Elementary functions."""
+import numpy as np
+from numba import njit
+from numpy import floor, sqrt
+from dynamics.emission import straight_line
+
+{function}
+
+@njit
+def evaluate(x, w, out):
+    for row in range(x.size // {lanes}):
+        for b in range({lanes}):
+            w[b] = x[row * {lanes} + b]
+        elementary(w)
+        for b in range({lanes}):
+            for k in range(3):
+                out[k, row * {lanes} + b] = w[(1 + k) * {lanes} + b]
+'''
+
+
+@pytest.fixture(scope="module", params=[1, LANES])
+def elementary(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[np.ndarray], np.ndarray]:
+    """sin, cos and tanh as generated code computes them, rows of the result."""
+    lanes = request.param
+    x = ca.SX.sym("x")
+    graph = ca.Function("elementary", [x], [ca.vertcat(ca.sin(x), ca.cos(x), ca.tanh(x))])
+    function = render_function("elementary", graph, [0], 1).replace("LANES", str(lanes))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FLEXARM_CACHE", str(tmp_path_factory.mktemp("functions")))
+        source = FUNCTIONS.format(function=function, lanes=lanes)
+        module: ModuleType = cached_module(f"elementary_{lanes}", lambda: source)
+
+    def evaluate(values: np.ndarray) -> np.ndarray:
+        padded = np.resize(values, -(-values.size // LANES) * LANES)
+        out = np.empty((3, padded.size))
+        module.evaluate(padded, np.empty(4 * lanes), out)
+        return out[:, : values.size]
+
+    return evaluate
+
+
+RNG = np.random.default_rng(0)
+ANGLES = {
+    "small": 10.0 ** RNG.uniform(-300, 0, 4000) * RNG.choice([-1.0, 1.0], 4000),
+    "a few turns": RNG.uniform(-20.0, 20.0, 20_000),
+    "many turns": RNG.uniform(-1e4, 1e4, 20_000),
+    "near zeros": np.pi / 2 * np.arange(-6000, 6000) + RNG.normal(0.0, 1e-9, 12_000),
+}
+Elementary = Callable[[np.ndarray], np.ndarray]
+
+
+@pytest.mark.parametrize("angles", ANGLES.values(), ids=ANGLES)
+def test_sine_and_cosine_are_good_to_the_last_bits(
+    elementary: Elementary, angles: np.ndarray
+) -> None:
+    sine, cosine, _ = elementary(angles)
+
+    assert np.abs(sine - [math.sin(x) for x in angles]).max() < 4e-16
+    assert np.abs(cosine - [math.cos(x) for x in angles]).max() < 4e-16
+
+
+def test_sine_and_cosine_keep_twelve_digits_after_many_turns(elementary: Elementary) -> None:
+    angles = RNG.uniform(-1e8, 1e8, 20_000)
+    sine, cosine, _ = elementary(angles)
+
+    assert np.abs(sine - np.sin(angles)).max() < 1e-12
+    assert np.abs(cosine - np.cos(angles)).max() < 1e-12
+
+
+def test_small_sines_keep_their_relative_digits(elementary: Elementary) -> None:
+    sine, _, tanh = elementary(ANGLES["small"])
+
+    assert_allclose(sine, [math.sin(x) for x in ANGLES["small"]], rtol=4e-16)
+    assert_allclose(tanh, [math.tanh(x) for x in ANGLES["small"]], rtol=2e-15)
+
+
+def test_tanh_is_good_everywhere(elementary: Elementary) -> None:
+    x = np.concatenate([RNG.uniform(-25.0, 25.0, 20_000), [0.0, 19.99, 20.01, -1e3, 1e300]])
+    _, _, tanh = elementary(x)
+
+    assert_allclose(tanh, [math.tanh(value) for value in x], rtol=2e-15)
+    assert np.abs(tanh).max() <= 1.0
+
+
+def test_elementary_functions_neither_hide_nor_spread_what_is_not_finite(
+    elementary: Elementary,
+) -> None:
+    """A NaN must survive to be seen; the lane beside it must not care."""
+    values = elementary(np.array([np.nan, 0.5, np.inf, -np.inf]))
+
+    assert np.all(np.isnan(values[:, 0]))
+    assert_allclose(values[:, 1], [math.sin(0.5), math.cos(0.5), math.tanh(0.5)], rtol=1e-15)
+    assert np.all(np.isnan(values[:2, 2:]))
+    assert values[2, 2:].tolist() == [1.0, -1.0]
+
+
+def test_an_operation_without_lowering_is_refused() -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(ValueError, match=r"No lowering for CasADi operation \d+"):
+        render_function("f", ca.Function("f", [x], [ca.exp(x)]), [0], 1)
+
+
+# ---- cache ---------------------------------------------------------------------------------------
+
+SESSION = """
+import json, sys
+from dynamics import ARMS, Stepper, compile_arm
+stepper = Stepper(compile_arm(ARMS["slim"]), 20, dt=1e-4, substeps=2)
+stepper.advance()
+stats = stepper._program.advance.stats
+print(json.dumps({
+    "casadi": "casadi" in sys.modules,
+    "hits": sum(stats.cache_hits.values()), "misses": sum(stats.cache_misses.values()),
+}))
+"""
+
+
+def test_a_second_process_starts_from_the_cache(tmp_path: Path) -> None:
+    """It neither traces nor compiles nor writes, and does not even import CasADi."""
+
+    def session() -> dict[str, int]:
+        result = subprocess.run(
+            [sys.executable, "-c", SESSION], cwd=ROOT, check=True, capture_output=True, text=True,
+            env=os.environ | {"FLEXARM_CACHE": str(tmp_path)},
+        )  # fmt: skip
+        return json.loads(result.stdout)
+
+    def files() -> dict[Path, int]:
+        return {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
+
+    cold = session()
+    written = files()
+    warm = session()
+
+    assert cold == {"casadi": True, "hits": 0, "misses": 1}
+    assert warm == {"casadi": False, "hits": 1, "misses": 0}
+    assert any(path.suffix == ".nbc" for path in written)
+    assert files() == written
+
+
+@pytest.mark.parametrize("name", ["gibbs_appell", "kinematics", "modes", "integrators", "kernels"])
+def test_an_edited_source_cannot_run_stale(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One more byte in the package is another key."""
+    package = tmp_path / "dynamics"
+    shutil.copytree(ROOT / "dynamics", package, ignore=shutil.ignore_patterns("__pycache__"))
+    here = fingerprint("an arm")
+    monkeypatch.setattr(lowering, "__file__", str(package / "lowering.py"))
+    copied = fingerprint("an arm")
+    source = package / f"{name}.py"
+    source.write_bytes(source.read_bytes() + b"\n")
+
+    assert copied == here
+    assert fingerprint("an arm") != here
+
+
+@pytest.mark.usefixtures("empty_cache")
+def test_programs_differ_in_all_that_determines_them() -> None:
+    """Arm, lanes, method and free parameters; another description is another program."""
+    arm = planar(1, "planar")
+    model = compile_arm(arm)
+    programs = [
+        model.program(LANES, "rk4"),
+        model.program(1, "rk4"),
+        model.program(LANES, "midpoint"),
+        compile_arm(arm, free_parameters=("stiffness",)).program(LANES, "rk4"),
+        compile_arm(arm, free_parameters=("payload_mass",)).program(LANES, "rk4"),
+        compile_arm(replace(arm, gravity=(0.0, -9.82, 0.0))).program(LANES, "rk4"),
+        compile_arm(replace(arm, rotation="linear")).program(LANES, "rk4"),
+    ]
+
+    assert len({program.__file__ for program in programs}) == len(programs)
+    assert compile_arm(arm).program(LANES, "rk4") is programs[0]
+
+
+def test_a_source_is_written_whole_or_not_at_all(empty_cache: Path) -> None:
+    """A build that fails leaves nothing behind."""
+
+    def failing() -> str:
+        raise RuntimeError("interrupted")
+
+    with pytest.raises(RuntimeError, match="interrupted"):
+        cached_module("broken", failing)
+
+    assert not empty_cache.exists() or not list(empty_cache.iterdir())
