@@ -205,7 +205,7 @@ def print_table(results: Mapping[str, Mapping[str, Array]]) -> None:
             f"{100 * s['success_rate']:.0f} %",
             f"{s['settling_time']:.2f}" if math.isfinite(s["settling_time"]) else "never",
             f"{1e3 * s['tip_error_final']:.2f}",
-            f"{1e3 * s['residual_vibration']:.3f}",
+            f"{1e3 * s['residual_vibration']:.2g}",
             f"{s['effort']:.3g}",
         )
     console = Console(width=None if Console().is_terminal else 100)

@@ -40,14 +40,14 @@ from agents.training import learn  # noqa: E402
 SETTLING_SHARE = 1.0 / 3.0  # of joint PD's median settling time, at most
 VIBRATION_SHARE = 1.0 / 10.0  # of joint PD's median residual vibration, at most
 FASTER = 4  # joint PD is also shown at this multiple of the control rate; it is not the yardstick
-COLUMNS = {  # metric: (header, factor, digits)
-    "success_rate": ("success [%]", 100.0, 0),
-    "settling_time": ("settling [s]", 1.0, 2),
-    "tip_error_final": ("tip error, end [mm]", 1e3, 2),
-    "tip_error_rms": ("tip error, RMS [mm]", 1e3, 1),
-    "residual_vibration": ("residual vibration [mm]", 1e3, 4),
-    "peak_root_curvature": ("peak root curvature [1/m]", 1.0, 3),
-    "effort": ("effort [N²m²s]", 1.0, 2),
+COLUMNS = {  # metric: (header, factor, format)
+    "success_rate": ("success [%]", 100.0, ".0f"),
+    "settling_time": ("settling [s]", 1.0, ".2f"),
+    "tip_error_final": ("tip error, end [mm]", 1e3, ".2g"),
+    "tip_error_rms": ("tip error, RMS [mm]", 1e3, ".3g"),
+    "residual_vibration": ("residual vibration [mm]", 1e3, ".2g"),
+    "peak_root_curvature": ("peak root curvature [1/m]", 1.0, ".2g"),
+    "effort": ("effort [N²m²s]", 1.0, ".2g"),
 }
 
 
@@ -92,9 +92,9 @@ def faster_pd(env_id: str, kwargs: Mapping[str, Any], tasks: Sequence[int]) -> d
 def cells(summary: Mapping[str, float]) -> list[str]:
     """One row of the table."""
     texts = []
-    for name, (_, factor, digits) in COLUMNS.items():
+    for name, (_, factor, style) in COLUMNS.items():
         value = factor * summary[name]
-        texts.append(f"{value:.{digits}f}" if math.isfinite(value) else "never")
+        texts.append(f"{value:{style}}" if math.isfinite(value) else "never")
     return texts
 
 
