@@ -136,7 +136,7 @@ class Core:
         self._report = (self.layout.picks, self.layout.table, self.layout.n_signal)
         self._start = (
             np.int64(self.task.code),
-            self.task.ranges(self.move_time),
+            self.task.ranges(self.move_time, arm.n_joint),
             np.array(self.physics.home),
             np.array(self.physics.modal_scale),
             np.array(self.physics.modal_rate),
@@ -237,9 +237,7 @@ class Core:
         state = options.get("state")
         if state is not None:
             if not isinstance(state, Mapping) or not set(state) <= {"q", "v"}:
-                raise ValueError(
-                    f"options['state'] must be a dict with 'q' and 'v', got {state!r}."
-                )
+                raise ValueError(f"options['state'] must be a dict of 'q' and 'v', got {state!r}.")
             q = _checked("options['state']['q']", state.get("q"), self.arm.n, rows.size)
             v = _checked("options['state']['v']", state.get("v"), self.arm.n, rows.size)
             self.q[rows], self.v[rows] = q, v

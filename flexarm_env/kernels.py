@@ -323,7 +323,7 @@ def judge(  # type: ignore[no-untyped-def]
         for j in range(n_joint):
             info[i, at + j] = 0.0 if fresh else torque[i, j]
         flags[i, TERMINATED] = failed
-        flags[i, TRUNCATED] = late and not failed and not fresh
+        flags[i, TRUNCATED] = late and not fresh
         flags[i, SETTLED] = error < SETTLED_BAND * real[REACH]
         flags[i, DIVERGED] = diverged
         flags[i, INVALID] = invalid

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from dynamics.arm import Arm
@@ -87,8 +86,21 @@ def two_digits(x: float) -> float:
 
 
 def _frequencies(M: Array, K: Array) -> Array:
-    squares = scipy.linalg.eigh(K, M, eigvals_only=True) if M.size else np.zeros(0)
-    return np.sqrt(np.abs(squares))
+    """[rad/s] of M a + K q = 0, ascending."""
+    inverse = np.linalg.inv(np.linalg.cholesky(M)) if M.size else M
+    return np.sqrt(np.abs(np.linalg.eigvalsh(inverse @ K @ inverse.T)))
+
+
+def _exponential(A: Array) -> Array:
+    """exp(A): a Taylor series of A / 2^k, squared k times."""
+    k = max(0, math.ceil(math.log2(max(1e-300, float(np.abs(A).sum(axis=1).max())))) + 1)
+    X = A / 2.0**k
+    result = np.eye(len(A))
+    for j in range(18, 0, -1):  # Horner's rule; X below 1/2: error below 1e-22
+        result = np.eye(len(A)) + X @ result / j
+    for _ in range(k):
+        result = result @ result
+    return result
 
 
 def _modal_scales(chain: Chain) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -143,7 +155,7 @@ def _acceleration(arm: Arm, M: Array, K: Array, inertia: Array, first: float) ->
     inverse = np.linalg.inv(M)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ C]])
     forces = np.vstack([np.zeros((n, m)), inverse @ B * inertia])  # per unit acceleration
-    step = scipy.linalg.expm(np.block([[A, forces], [np.zeros((m, 2 * n + m))]]) * dt)
+    step = _exponential(np.block([[A, forces], [np.zeros((m, 2 * n + m))]]) * dt)
     x = np.zeros((2 * n, m))
     peak = np.zeros((2 * m, m))
     for k in range(2 * _SAMPLES):

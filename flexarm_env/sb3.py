@@ -79,7 +79,9 @@ class SB3VecEnv(VecEnv):
             }
             entry["reward_terms"] = {name: float(values[i]) for name, values in terms.items()}
             entry["terminal_observation"] = obs[i].copy()
-            entry["TimeLimit.truncated"] = bool(flags[i, kernels.TRUNCATED])
+            entry["TimeLimit.truncated"] = bool(
+                flags[i, kernels.TRUNCATED] and not flags[i, kernels.TERMINATED]
+            )
             entry["is_success"] = entry["settled"]
             entry["episode"] = {
                 "r": round(float(self._returns[i]), 6),

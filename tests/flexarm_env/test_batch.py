@@ -1,0 +1,184 @@
+"""The batch, the single environment and the one for stable-baselines3 are the same environment."""
+
+import pickle
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import flexarm_env
+
+TASKS = ("Reach", "Track", "Damp")
+ROUND_OFF = 1e-6  # observations are float32
+
+
+def random_actions(steps: int, n_env: int, n_joint: int, size: float = 0.5) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return rng.uniform(-size, size, (steps, n_env, n_joint)).astype(np.float32)
+
+
+def run(envs: Any, actions: np.ndarray, seed: int = 0) -> list[tuple[Any, ...]]:
+    observation, info = envs.reset(seed=seed)
+    steps: list[tuple[Any, ...]] = [(observation, info)]
+    steps += [envs.step(action[: envs.num_envs]) for action in actions]
+    return steps
+
+
+def assert_same_infos(batch: dict[str, Any], single: dict[str, Any]) -> None:
+    """Equal names, and equal values to round-off."""
+    assert batch.keys() == single.keys()
+    for name, value in single.items():
+        if isinstance(value, dict):
+            assert_same_infos(batch[name], value)
+        else:
+            np.testing.assert_allclose(
+                np.asarray(batch[name], float), np.asarray(value, float), rtol=1e-7, atol=1e-9
+            )
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("scene", ["OneLink", "TwoLink", "SixLink"])
+@pytest.mark.parametrize("task", TASKS)
+def test_batch_equals_single_environments(scene: str, task: str, mode: str) -> None:
+    """Observations, rewards, ends and infos over several episodes, against SyncVectorEnv."""
+    env_id = f"FlexArm/{scene}-{task}-v0"
+    keywords: dict[str, Any] = {"max_episode_steps": 12}
+    batch = gym.make_vec(env_id, num_envs=3, autoreset_mode=mode, **keywords)
+    singles = gym.make_vec(
+        env_id, num_envs=3, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode},
+        **keywords,
+    )  # fmt: skip
+    actions = random_actions(40, 3, batch.unwrapped.n_joint)
+    for ours, theirs in zip(run(batch, actions), run(singles, actions), strict=True):
+        np.testing.assert_allclose(ours[0], theirs[0], rtol=ROUND_OFF, atol=ROUND_OFF)
+        for a, b in zip(ours[1:-1], theirs[1:-1], strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+        final, theirs_final = ours[-1].pop("final_obs", None), theirs[-1].pop("final_obs", None)
+        assert (final is None) == (theirs_final is None)
+        if final is not None:
+            for a, b in zip(final, theirs_final, strict=True):
+                assert (a is None) == (b is None)
+                if a is not None:
+                    np.testing.assert_allclose(a, b, rtol=ROUND_OFF, atol=ROUND_OFF)
+            ended = ours[-1]["_final_info"]
+            ours_info, theirs_info = ours[-1].pop("final_info"), theirs[-1].pop("final_info")
+            for name in ("time", "tip_error", "tip_deflection", "torque", "settled"):
+                np.testing.assert_allclose(
+                    ours_info[name][ended].astype(float),
+                    theirs_info[name][ended].astype(float),
+                    rtol=1e-7, atol=1e-9,
+                )  # fmt: skip
+        assert_same_infos(ours[-1], theirs[-1])
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize(("n_env", "threads"), [(5, 1), (40, 1), (40, 2), (33, 2)])
+def test_results_do_not_depend_on_batch_size_or_threads(
+    task: str, n_env: int, threads: int
+) -> None:
+    """Bit for bit, over restarts."""
+    env_id = f"FlexArm/OneLink-{task}-v0"
+    actions = random_actions(60, 40, 1)
+    reference = gym.make_vec(env_id, num_envs=33, max_episode_steps=25)
+    other = gym.make_vec(env_id, num_envs=n_env, threads=threads, max_episode_steps=25)
+    common = min(33, n_env)
+    for a, b in zip(run(reference, actions), run(other, actions), strict=True):
+        for x, y in zip(a[:-1], b[:-1], strict=True):
+            np.testing.assert_array_equal(x[:common], y[:common])
+
+
+def test_next_step_and_same_step_tell_the_same_episodes() -> None:
+    """Removing the restart steps from NEXT_STEP leaves SAME_STEP's rewards and final states."""
+    same = gym.make_vec(
+        "FlexArm/OneLink-Reach-v0", num_envs=2, max_episode_steps=9,
+        autoreset_mode=AutoresetMode.SAME_STEP,
+    )  # fmt: skip
+    following = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2, max_episode_steps=9)
+    actions = random_actions(27, 2, 1)
+    one = run(same, actions)
+    with_restarts = np.insert(actions, [9, 18], 0.0, axis=0)  # their actions are ignored
+    two = run(following, with_restarts)
+    np.testing.assert_array_equal([s[1] for s in two[10:11]], [[0.0, 0.0]])
+    kept = [s for k, s in enumerate(two[1:]) if k not in (9, 19)]
+    np.testing.assert_array_equal([s[1] for s in kept], [s[1] for s in one[1:]])
+    np.testing.assert_array_equal(np.stack(one[9][-1]["final_obs"]), two[9][0])
+    np.testing.assert_array_equal(one[9][0], two[10][0])
+
+
+def test_seeds_given_one_by_one_are_those_of_single_environments() -> None:
+    envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2)
+    observation, _ = envs.reset(seed=[7, 3])
+    single = gym.make("FlexArm/OneLink-Reach-v0")
+    for row, seed in zip(observation, (7, 3), strict=True):
+        np.testing.assert_array_equal(row, single.reset(seed=seed)[0])
+
+
+def test_a_pickled_batch_continues_where_it_was() -> None:
+    envs = gym.make_vec("FlexArm/OneLink-Track-v0", num_envs=4, threads=2, max_episode_steps=9)
+    actions = random_actions(30, 4, 1)
+    run(envs, actions[:9])  # the next step restarts
+    copy = pickle.loads(pickle.dumps(envs))
+    for action in actions:
+        np.testing.assert_array_equal(envs.step(action)[0], copy.step(action)[0])
+
+
+def test_bad_batch_arguments_get_a_sentence() -> None:
+    with pytest.raises(ValueError, match="autoreset_mode must be one of"):
+        gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2, autoreset_mode="Disabled")
+    envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2)
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match=r"shape \(2, 1\), got \(3, 1\)"):
+        envs.step(np.zeros((3, 1)))
+    with pytest.raises(ValueError, match=r"got \[nan\] for environment 1"):
+        envs.step(np.array([[0.0], [np.nan]]))
+    with pytest.raises(ValueError, match="2 seeds are needed, got 3"):
+        envs.reset(seed=[1, 2, 3])
+
+
+def test_sb3_batch_is_the_same_batch() -> None:
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    env_id = "FlexArm/OneLink-Reach-v0"
+    ours = flexarm_env.SB3VecEnv(env_id, 2, max_episode_steps=9)
+    theirs = DummyVecEnv([lambda: gym.make(env_id, max_episode_steps=9)] * 2)
+    for envs in (ours, theirs):
+        envs.seed(5)
+    np.testing.assert_allclose(ours.reset(), theirs.reset(), rtol=ROUND_OFF, atol=ROUND_OFF)
+    for action in random_actions(20, 2, 1):
+        a, b = ours.step(action), theirs.step(action)
+        for x, y in zip(a[:3], b[:3], strict=True):
+            np.testing.assert_allclose(x, y, rtol=ROUND_OFF, atol=ROUND_OFF)
+        for done, info, other in zip(a[2], a[3], b[3], strict=True):
+            assert bool(info) == bool(done)
+            if done:
+                assert info["TimeLimit.truncated"] is other["TimeLimit.truncated"] is True
+                assert info["episode"]["l"] == 9
+                np.testing.assert_allclose(
+                    info["terminal_observation"], other["terminal_observation"],
+                    rtol=ROUND_OFF, atol=ROUND_OFF,
+                )  # fmt: skip
+
+
+def test_sb3_batch_answers_the_questions_of_a_vec_env() -> None:
+    envs = flexarm_env.SB3VecEnv("FlexArm/TwoLink-Reach-v0", 3)
+    envs.reset()
+    assert envs.get_attr("task", [0, 2]) == ["Reach", "Reach"]
+    targets = envs.env_method("joint_target", indices=[1])
+    np.testing.assert_array_equal(targets[0], envs.envs.joint_target()[1])
+    envs.set_attr("mark", 1)
+    assert envs.get_attr("mark") == [1, 1, 1]
+    with pytest.raises(ValueError, match="shared by the batch"):
+        envs.set_attr("mark", 2, indices=0)
+    assert not envs.has_attr("nonsense")
+    envs.close()
+
+
+def test_ppo_and_sac_learn_on_the_batch() -> None:
+    """One update of each: shapes, infos and bootstrapping fit."""
+    from stable_baselines3 import PPO, SAC
+
+    envs = flexarm_env.SB3VecEnv("FlexArm/OneLink-Reach-v0", 8, max_episode_steps=10)
+    PPO("MlpPolicy", envs, n_steps=16, batch_size=64, n_epochs=1, device="cpu").learn(128)
+    SAC("MlpPolicy", envs, learning_starts=16, batch_size=16, device="cpu").learn(64)

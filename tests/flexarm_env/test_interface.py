@@ -1,0 +1,181 @@
+"""What users of Gymnasium and stable-baselines3 expect of an environment."""
+
+import pickle
+import subprocess
+import sys
+import warnings
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env as gym_check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+import flexarm_env
+from dynamics import ARMS
+
+ALL_IDS = list(flexarm_env.IDS)
+ONE_PER_TASK = [env_id for env_id in ALL_IDS if "OneLink" in env_id]
+
+
+def rollout(env: Any, steps: int, seed: int = 0) -> np.ndarray:
+    """(steps, n_obs + 1) observations and rewards under random small actions."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    env.reset(seed=seed)
+    for _ in range(steps):
+        obs, reward, *_ = env.step(rng.uniform(-0.2, 0.2, env.action_space.shape))
+        rows.append(np.append(obs, reward))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("obs", ["state", "sensors"])
+@pytest.mark.parametrize("env_id", ALL_IDS)
+def test_both_checkers_pass_without_a_warning(env_id: str, obs: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gym_check_env(gym.make(env_id, obs=obs).unwrapped)
+        sb3_check_env(gym.make(env_id, obs=obs), warn=True)
+
+
+@pytest.mark.parametrize("env_id", ALL_IDS)
+def test_spec_round_trip_makes_the_same_environment(env_id: str) -> None:
+    env = gym.make(env_id, obs="sensors", reward={"tracking": 1.0}, torque_limit=0.5)
+    assert env.spec is not None
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec == env.spec
+    np.testing.assert_array_equal(rollout(again, 20), rollout(env, 20))
+
+
+def test_wrapped_specs_round_trip() -> None:
+    env = flexarm_env.TipTrackingReward(gym.make("FlexArm/OneLink-Reach-v0"), {"precision": 2.0})
+    assert env.spec is not None
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    np.testing.assert_array_equal(rollout(again, 20), rollout(env, 20))
+
+
+def test_the_prefixed_id_registers_by_itself() -> None:
+    code = (
+        "import gymnasium as gym; "
+        "gym.make('flexarm_env:FlexArm/OneLink-Reach-v0').reset(seed=0); "
+        "import flexarm_env, importlib; importlib.reload(flexarm_env); "
+        "print(sum(name.startswith('FlexArm/') for name in gym.registry))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.split() == ["9"]
+
+
+@pytest.mark.parametrize("env_id", ONE_PER_TASK)
+def test_equal_seeds_give_equal_trajectories(env_id: str) -> None:
+    first, second = (rollout(gym.make(env_id), 200, seed=3) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert not np.array_equal(first, rollout(gym.make(env_id), 200, seed=4))
+
+
+@pytest.mark.parametrize("env_id", ONE_PER_TASK)
+def test_a_pickled_environment_continues_where_it_was(env_id: str) -> None:
+    env = gym.make(env_id)
+    rollout(env, 10)
+    copy = pickle.loads(pickle.dumps(env))
+    for _ in range(10):
+        action = np.array([0.1])
+        obs, reward, *_ = env.step(action)
+        obs_2, reward_2, *_ = copy.step(action)
+        np.testing.assert_array_equal(obs_2, obs)
+        assert reward_2 == reward
+    np.testing.assert_array_equal(copy.reset()[0], env.reset()[0])  # the random stream, too
+
+
+def test_time_limit_truncates_and_nothing_else() -> None:
+    env = gym.make("FlexArm/OneLink-Reach-v0", max_episode_steps=7)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(1))[2:4] for _ in range(7)]
+    assert ends == [(False, False)] * 6 + [(False, True)]
+
+
+def test_reset_options_place_the_arm_and_the_target() -> None:
+    env = gym.make("FlexArm/OneLink-Reach-v0")
+    state = {"q": [0.2, 0.01, 0.001], "v": [0.1, 0.0, 0.0]}
+    obs, info = env.reset(seed=0, options={"state": state, "target": [0.5]})
+    base: Any = env.unwrapped
+    angles, rates = base.joint_state()
+    assert (angles[0], rates[0], base.joint_target()[0]) == (0.2, 0.1, 0.5)
+    scaled = obs[base.observation_slices["joint_error"]] * base.observation_scales["joint_error"]
+    np.testing.assert_allclose(scaled, [-0.3], rtol=1e-6)  # float32
+    assert info["tip_deflection"] == pytest.approx(0.011, rel=1e-3)
+    reach = base.reach
+    tip = base.model.tip(np.array(state["q"]))[:2]
+    goal = reach * np.array([np.cos(0.5), np.sin(0.5)])
+    assert info["tip_error"] == pytest.approx(np.linalg.norm(tip - goal), rel=1e-12)
+
+
+def test_any_arm_can_be_given(tmp_path: Any) -> None:
+    import json
+
+    description = ARMS["slim"].to_dict()
+    path = tmp_path / "arm.json"
+    path.write_text(json.dumps(description))
+    runs = [
+        rollout(gym.make("FlexArm/OneLink-Reach-v0", arm=arm), 10)
+        for arm in ("slim", ARMS["slim"], description, str(path))
+    ]
+    for run in runs[1:]:
+        np.testing.assert_array_equal(run, runs[0])
+
+
+@pytest.mark.parametrize(
+    ("keywords", "sentence"),
+    [
+        ({"obs": "pixels"}, r"obs must be one of .* got 'pixels'"),
+        ({"reward": "fame"}, r"Unknown reward 'fame'\. Known: "),
+        ({"reward": {"fame": 1.0}}, r"Unknown reward terms \['fame'\]\. Known: "),
+        ({"reward": {"tracking": "1"}}, r"weight of 'tracking' must be a number, got '1'"),
+        ({"reward": {"tracking": float("nan")}}, r"weight of 'tracking' must be finite"),
+        ({"reward": {}}, r"At least one weight"),
+        ({"control_dt": 0.0}, r"control_dt must be positive, got 0\.0"),
+        ({"integrator": "euler"}, r"Unknown integrator 'euler'"),
+        ({"substeps": 0}, r"substeps must be a whole number, at least 1, got 0"),
+        ({"torque_limit": -1.0}, r"torque_limit must be positive, got -1\.0"),
+        ({"torque_limit": [1.0, 2.0]}, r"torque_limit must be one number or 1"),
+        ({"threads": 0}, r"threads must be a whole number, at least 1"),
+        ({"deflection_limit": -0.1}, r"deflection_limit must be positive"),
+        ({"render_mode": "ascii"}, r"render_mode must be one of"),
+        ({"arm": "slimmer"}, r"Unknown arm 'slimmer'"),
+        ({"task": "Juggle"}, r"Unknown task 'Juggle'"),
+        ({"n_env": 2}, r"n_env is for a batch"),
+    ],
+)
+def test_bad_keywords_get_a_sentence(keywords: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        flexarm_env.FlexArmEnv(**({"task": "Reach", "arm": "slim"} | keywords))
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"start": 1}, r"Unknown reset options \['start'\]"),
+        ({"state": [0.0]}, r"must be a dict of 'q' and 'v'"),
+        ({"state": {"q": [0.0]}}, r"\['q'\] must be 3 finite numbers"),
+        ({"state": {"q": [0.0, 0.0, float("nan")]}}, r"finite numbers"),
+        ({"target": "there"}, r"options\['target'\] must be 1 numbers"),
+    ],
+)
+def test_bad_options_get_a_sentence(options: dict[str, Any], sentence: str) -> None:
+    env = flexarm_env.FlexArmEnv(task="Reach", arm="slim")
+    with pytest.raises(ValueError, match=sentence):
+        env.reset(options=options)
+
+
+@pytest.mark.parametrize("action", [[np.nan], [0.1, 0.2], "left", None])
+def test_bad_actions_get_a_sentence_and_change_nothing(action: Any) -> None:
+    env = gym.make("FlexArm/OneLink-Reach-v0").unwrapped
+    env.reset(seed=0)
+    reference = gym.make("FlexArm/OneLink-Reach-v0").unwrapped
+    reference.reset(seed=0)
+    with pytest.raises(ValueError, match="ction"):
+        env.step(action)
+    np.testing.assert_array_equal(env.step(np.ones(1))[0], reference.step(np.ones(1))[0])
