@@ -265,11 +265,14 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
 
 
 class Implicit(NamedTuple):
-    """Linear forces taken implicitly: M + stiffness K + damping C replaces M (integrators.py)."""
+    """Linear forces taken implicitly: (M + W) a = B tau - h + W guess, W = stiffness K + damping C.
 
-    stiffness: Scalar = 0.0  # [s^2] h^2/4 for the midpoint rule
-    damping: Scalar = 0.0  # [s] h/2 for the midpoint rule
-    guess: Sequence[Scalar] = ()  # (n,) accelerations with which v was extrapolated
+    `guess` are the accelerations with which q and v were extrapolated (integrators.py).
+    """
+
+    stiffness: Scalar = 0.0  # [s^2]
+    damping: Scalar = 0.0  # [s]
+    guess: Sequence[Scalar] = ()  # (n,) accelerations
 
 
 def accelerations(
@@ -318,21 +321,18 @@ def _take_implicitly(
     implicit: Implicit,
     guess: tuple[Scalar, Sequence[Scalar]],
 ) -> None:
-    """Add stiffness K + damping C to one link's block, and the damping already in the guess."""
+    """Add stiffness K + damping C to one link's block, and what of them the guess has taken."""
     m = len(link.K)
     slopes = [*link.root_slope, 1.0]
     values = [*guess[1], guess[0]][: len(D)]
     for j in range(len(D)):
         row: list[Scalar] = []
         for k in range(len(D)):
-            C = link.viscous * slopes[j] * slopes[k] if not is_zero(link.viscous) else 0.0
+            C, K = mul(link.viscous, slopes[j] * slopes[k]), 0.0
             if j < m and k < m:
-                C = plus(C, link.damping[j][k])
-            C = mul(implicit.damping, C)
-            row.append(C)
-            if k >= j:
-                K = mul(implicit.stiffness, link.K[j][k]) if k < m else 0.0
-                D[j][k] = plus(D[j][k], C, K)
+                C, K = plus(C, link.damping[j][k]), link.K[j][k]
+            row.append(plus(mul(implicit.damping, C), mul(implicit.stiffness, K)))
+            D[j][k] = plus(D[j][k], row[k])
         residual[j] = plus(residual[j], dot(row, values))
 
 
