@@ -179,6 +179,8 @@ def _signal(data: object, name: str) -> PiecewiseConstant | Sine | None:
     if data is None:
         return None
     kind = data.get("type") if isinstance(data, Mapping) else None
+    if kind is not None:
+        checks.choice(kind, f"{name}.type", ("piecewise-constant", "sine"))
     if kind == "sine":
         values = _required(
             data, name, ("type", "amplitude", "omega"), ("type", "amplitude", "omega", "phase")
@@ -189,7 +191,6 @@ def _signal(data: object, name: str) -> PiecewiseConstant | Sine | None:
             phase=checks.number(values.get("phase", 0.0), f"{name}.phase", "rad"),
         )
     values = _required(data, name, ("type", "t", "v"), ("type", "t", "v"))
-    checks.choice(values["type"], f"{name}.type", ("piecewise-constant", "sine"))
     times = checks.numbers(values["t"], f"{name}.t", unit="s")
     torques = checks.numbers(values["v"], f"{name}.v", len(times), "N m")
     if not times:
