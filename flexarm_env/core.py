@@ -136,7 +136,7 @@ class Core:
         self._report = (self.layout.picks, self.layout.table, self.layout.n_signal)
         self._start = (
             np.int64(self.task.code),
-            self.task.ranges(self.move_time, arm.n_joint),
+            self.task.ranges(self.move_time),
             np.array(self.physics.home),
             np.array(self.physics.modal_scale),
             np.array(self.physics.modal_rate),

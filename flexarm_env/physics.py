@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from dynamics.arm import Arm
 from dynamics.gibbs_appell import mass_matrix
-from dynamics.kinematics import Chain
 from dynamics.model import Model
 from dynamics.modes import chain_constants
 
@@ -27,6 +26,7 @@ RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexib
 RK4_STEP = 0.75  # [-] dt omega of the highest mode: tip errors near 1e-5 of the reach
 RK4_STEPS = 12  # above that many substeps per control step the midpoint rule is cheaper
 MIDPOINT_STEP = 0.07  # [-] dt omega of the first joint-free mode: the midpoint rule takes all above
+_UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not reach
 _SAMPLES = 200  # per period of the first joint-free mode
 
 
@@ -35,13 +35,12 @@ class Physics:
     """What follows from an arm alone."""
 
     home: tuple[float, ...]  # (n_joint,) [rad] a posture away from the stretched one
-    torque_limit: tuple[float, ...]  # (n_joint,) [N m]
+    torque_limit: tuple[float, ...]  # (n_joint,) [N m] what one period of bang-bang may use
     inertia: tuple[float, ...]  # (n_joint,) [kg m^2] each joint carries, the others held
     held: tuple[float, ...]  # [rad/s] natural frequencies, joints held
     free: tuple[float, ...]  # [rad/s] natural frequencies, joints free
-    modal_scale: tuple[float, ...]  # (n - n_joint,) [m] or [rad] amplitude that stores as much
-    # elastic energy as the link's first mode in that direction at the deflection limit
-    modal_rate: tuple[float, ...]  # (n - n_joint,) [m/s] rate with as much kinetic energy
+    modal_scale: tuple[float, ...]  # (n - n_joint,) [m] amplitude in that bang-bang; 1 if none
+    modal_rate: tuple[float, ...]  # (n - n_joint,) [m/s] rate in it
 
 
 def home_posture(n_joint: int) -> tuple[float, ...]:
@@ -63,19 +62,19 @@ def physics(arm: Arm) -> Physics:
     inertia = np.diag(M)[joints]
     held = _frequencies(M[np.ix_(modal, modal)], K[np.ix_(modal, modal)])
     free = _frequencies(M, K)[arm.n_joint :]
-    amplitude, rate = _modal_scales(model.chain)
     if modal:
-        acceleration = _acceleration(arm, M, K, inertia, float(free[0]))
+        acceleration, peak = _bang_bang(arm, M, K, inertia, float(free[0]))
+        scale = np.where(peak > _UNMOVED * peak.max(), peak, 1.0)
     else:
-        acceleration = RIGID_ACCELERATION
+        acceleration, scale = RIGID_ACCELERATION, np.zeros(0)
     return Physics(
         home=home,
         torque_limit=tuple(two_digits(acceleration * x) for x in inertia),
         inertia=tuple(inertia.tolist()),
         held=tuple(held.tolist()),
         free=tuple(free.tolist()),
-        modal_scale=amplitude,
-        modal_rate=rate,
+        modal_scale=tuple(scale[modal].tolist()),
+        modal_rate=tuple(scale[[arm.n + i for i in modal]].tolist()),
     )
 
 
@@ -103,35 +102,12 @@ def _exponential(A: Array) -> Array:
     return result
 
 
-def _modal_scales(chain: Chain) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Amplitude and rate of each mode with the energy of the first one at the deflection limit."""
-    amplitude, rate = [], []
-    for link in chain.links:
-        energy: dict[int, float] = {}  # axis of the tip's turn -> twice the elastic energy
-        for j, theta in enumerate(link.tip_theta):
-            axis = int(np.argmax(np.abs(theta)))
-            shift, turn = max(map(abs, link.tip_phi[j])), max(map(abs, theta))
-            first = min(
-                DEFLECTION_LIMIT * link.length / shift if shift else math.inf,
-                SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT / turn if turn else math.inf,
-            )
-            energy.setdefault(axis, link.K[j][j] * first**2)
-            mass = link.s[j][j] + link.tip_mass * shift**2 + _turned(link.tip_inertia, theta)
-            amplitude.append(math.sqrt(energy[axis] / link.K[j][j]))
-            rate.append(math.sqrt(energy[axis] / mass))
-    return tuple(amplitude), tuple(rate)
-
-
-def _turned(inertia: tuple[tuple[float, ...], ...], theta: tuple[float, ...]) -> float:
-    """theta' I theta."""
-    return float(np.asarray(theta) @ np.asarray(inertia) @ np.asarray(theta))
-
-
-def _acceleration(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> float:
+def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tuple[float, Array]:
     """Acceleration alpha [rad/s^2] such that torques alpha times inertia stay just valid.
 
     The test is one period of bang-bang at the first joint-free frequency, +1 then -1, then nothing:
     what excites that mode most in one period. All joints do it at once and their peaks add up.
+    Also returns (2 n,) the peaks of all coordinates and rates in that test.
     """
     n, m = arm.n, arm.n_joint
     C, B, D, S = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, 3, n)), np.zeros((m, 3, n))
@@ -157,12 +133,14 @@ def _acceleration(arm: Arm, M: Array, K: Array, inertia: Array, first: float) ->
     forces = np.vstack([np.zeros((n, m)), inverse @ B * inertia])  # per unit acceleration
     step = _exponential(np.block([[A, forces], [np.zeros((m, 2 * n + m))]]) * dt)
     x = np.zeros((2 * n, m))
-    peak = np.zeros((2 * m, m))
+    peak, highest = np.zeros((2 * m, m)), np.zeros((2 * n, m))
     for k in range(2 * _SAMPLES):
         sign = 1.0 if k < _SAMPLES // 2 else -1.0 if k < _SAMPLES else 0.0
         x = step[: 2 * n, : 2 * n] @ x + sign * step[: 2 * n, 2 * n :]
         peak = np.maximum(peak, np.linalg.norm(outputs @ x[:n], axis=1))
-    return float(1.0 / peak.sum(axis=1).max())
+        highest = np.maximum(highest, np.abs(x))
+    acceleration = float(1.0 / peak.sum(axis=1).max())
+    return acceleration, acceleration * highest.sum(axis=1)
 
 
 def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> tuple[str, int]:

@@ -1,0 +1,207 @@
+"""Episodes: what is drawn, what is seen, how they end."""
+
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import flexarm_env
+from dynamics import ARMS
+from flexarm_env.core import Core
+from flexarm_env.physics import DEFLECTION_LIMIT, physics
+
+ALL_IDS = list(flexarm_env.IDS)
+SCENES = ("OneLink", "TwoLink", "SixLink")
+
+
+def same_step(env_id: str, n_env: int, **keywords: Any) -> Any:
+    return gym.make_vec(env_id, num_envs=n_env, autoreset_mode="SameStep", **keywords)
+
+
+@pytest.mark.parametrize("obs", ["state", "sensors"])
+@pytest.mark.parametrize("env_id", ALL_IDS)
+def test_no_observation_element_is_constant_or_twice_there(env_id: str, obs: str) -> None:
+    envs = same_step(env_id, 32, obs=obs)
+    rng = np.random.default_rng(0)
+    seen = [envs.reset(seed=0)[0]]
+    for _ in range(40):
+        actions = rng.uniform(-0.5, 0.5, envs.action_space.shape).astype(np.float32)
+        seen.append(envs.step(actions)[0])
+    samples = np.concatenate(seen)
+    slices = envs.unwrapped.observation_slices
+    assert [s.stop for s in slices.values()][-1] == samples.shape[1]
+    assert (samples.std(axis=0) > 1e-3).all(), slices
+    correlation = np.corrcoef(samples.T) - np.eye(samples.shape[1])
+    assert (np.abs(correlation) < 1.0 - 1e-9).all(), slices
+
+
+@pytest.mark.parametrize("env_id", ALL_IDS)
+def test_observations_are_of_order_one(env_id: str) -> None:
+    envs = same_step(env_id, 64)
+    rng = np.random.default_rng(0)
+    seen = [envs.reset(seed=0)[0]]
+    for _ in range(60):
+        actions = rng.uniform(-0.7, 0.7, envs.action_space.shape).astype(np.float32)
+        seen.append(envs.step(actions)[0])
+    size = np.sqrt(np.mean(np.concatenate(seen) ** 2, axis=0))
+    assert (size > 0.005).all()
+    assert (size < 4.0).all()
+
+
+@pytest.mark.parametrize("env_id", ALL_IDS)
+def test_random_episodes_stay_finite(env_id: str) -> None:
+    assert_finite(env_id, n_env=64, steps=100)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", ALL_IDS)
+def test_a_million_random_steps_stay_finite(env_id: str) -> None:
+    assert_finite(env_id, n_env=1024, steps=977)
+
+
+def assert_finite(env_id: str, n_env: int, steps: int) -> None:
+    envs = same_step(env_id, n_env)
+    envs.reset(seed=0)
+    rng = np.random.default_rng(0)
+    low, high = envs.observation_space.low, envs.observation_space.high
+    for _ in range(steps):
+        actions = rng.uniform(-1.0, 1.0, envs.action_space.shape).astype(np.float32)
+        observation, reward, _, _, info = envs.step(actions)
+        assert (low <= observation).all()
+        assert (observation <= high).all()  # false for a NaN, too
+        assert np.isfinite(reward).all()
+        for name in ("tip_error", "tip_speed", "deflection", "root_curvature"):
+            assert np.isfinite(info[name]).all(), name
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_an_idle_arm_outlives_its_episode(scene: str) -> None:
+    for task in flexarm_env.TASKS:
+        envs = same_step(f"FlexArm/{scene}-{task}-v0", 64)
+        envs.reset(seed=0)
+        terminated = np.zeros(64, bool)
+        for _ in range(flexarm_env.IDS[f"FlexArm/{scene}-{task}-v0"]["max_episode_steps"]):
+            terminated |= envs.step(np.zeros(envs.action_space.shape))[2]
+        assert not terminated.any()
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_bang_bang_bends_hard_but_stays_valid(scene: str) -> None:
+    """One period at the first joint-free frequency, every pattern of signs: 5 to 10 %."""
+    arm = flexarm_env.SCENES[scene][0]
+    half = np.pi / physics(ARMS[arm]).free[0]
+    core = Core(task="Reach", arm=arm, n_env=64, control_dt=half / 8)
+    core.reset(np.arange(64))
+    n_joint = core.arm.n_joint
+    core.q[:, list(core.arm.joint_index)] = core.physics.home
+    signs = np.array([[1.0 - 2.0 * (i >> j & 1) for j in range(n_joint)] for i in range(64)])
+    peak = 0.0
+    for step in range(24):
+        direction = 1.0 if step < 8 else -1.0 if step < 16 else 0.0
+        _, info, flags, _ = core.step((direction * signs).astype(np.float32))
+        described = core.describe(info, flags)
+        assert not described["invalid"].any()
+        peak = max(peak, described["deflection"].max())
+    assert 0.5 * DEFLECTION_LIMIT < peak < DEFLECTION_LIMIT
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_forced_divergence_ends_the_episode(scene: str) -> None:
+    """A limp arm under an absurd torque: terminated, diverged, and a finite observation."""
+    arm = ARMS[flexarm_env.SCENES[scene][0]]
+    names = ("EIz", "EIy")
+    soft = [
+        replace(link, **{k: 1e-6 * getattr(link, k) for k in names if getattr(link, k)})
+        for link in arm.links
+    ]
+    limp = replace(arm, links=tuple(soft))
+    env = gym.make(f"FlexArm/{scene}-Reach-v0", arm=limp, torque_limit=1e9)
+    env.reset(seed=0)
+    for _ in range(10):
+        observation, reward, terminated, truncated, info = env.step(env.action_space.high)
+        if terminated:
+            break
+    assert terminated
+    assert not truncated
+    assert info["diverged"] is True
+    assert observation in env.observation_space
+    assert np.isfinite(reward)
+    env.reset()
+    assert env.step(0.0 * env.action_space.high)[2] is False
+
+
+def test_too_much_bending_is_invalid_not_diverged() -> None:
+    env = gym.make("FlexArm/OneLink-Reach-v0", control_dt=0.002)
+    env.reset(seed=0, options={"state": {"q": [0.0, 0.13, 0.0]}})
+    *_, terminated, _, info = env.step(np.zeros(1))
+    assert (terminated, info["invalid"], info["diverged"]) == (True, True, False)
+    lenient = gym.make("FlexArm/OneLink-Reach-v0", control_dt=0.002, deflection_limit=0.2)
+    lenient.reset(seed=0, options={"state": {"q": [0.0, 0.13, 0.0]}})
+    assert lenient.step(np.zeros(1))[2] is False
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_default_integration_keeps_the_tip_within_a_thousandth_of_the_reach(scene: str) -> None:
+    """Against four times as many Runge-Kutta steps, over a whole episode of smooth torques."""
+    arm, control_dt, steps = flexarm_env.SCENES[scene]
+    common: dict[str, Any] = {"task": "Reach", "arm": arm, "n_env": 4, "control_dt": control_dt}
+    default = Core(**common)
+    fine = Core(**common, integrator="rk4", substeps=4 * Core(**common, integrator="rk4").substeps)
+    for core in (default, fine):
+        for row in range(4):
+            core.seed(row, np.random.default_rng(row))
+        core.reset(np.arange(4))
+    rng = np.random.default_rng(0)
+    period = 2.0 * np.pi / physics(default.arm).free[0] / control_dt  # [control steps]
+    phase, tempo = rng.uniform(0.0, 6.28, (2, 4, default.arm.n_joint))
+    tempo = tempo / period / 4.0
+    worst = 0.0
+    tip = default.model.measurements["tip"]
+    for step in range(steps):
+        action = (0.4 * np.sin(tempo * step + phase)).astype(np.float32)
+        default.step(action)
+        fine.step(action)
+        gap = default.measured[:, tip] - fine.measured[:, tip]
+        worst = max(worst, float(np.linalg.norm(gap, axis=1).max()))
+    assert worst < 1e-3 * default.arm.reach
+
+
+def test_track_targets_move_smoothly_from_rest() -> None:
+    """The joint target's rate is the derivative of the target, and starts at zero."""
+    envs = gym.make_vec(
+        "FlexArm/TwoLink-Track-v0", num_envs=16, control_dt=0.001, max_episode_steps=2000
+    )
+    base = envs.unwrapped
+    observation, info = envs.reset(seed=0)
+    rate = base.observation_slices["target_rate"]
+    scale = base.observation_scales["target_rate"]
+    assert np.abs(observation[:, rate]).max() == 0.0
+    assert info["tip_error"].max() == 0.0
+    targets, rates = [base.joint_target()], [observation[:, rate] * scale]
+    for _ in range(1000):
+        observation = envs.step(np.zeros((16, 2)))[0]
+        targets.append(base.joint_target())
+        rates.append(observation[:, rate] * scale)
+    middle = (np.array(targets)[2:] - np.array(targets)[:-2]) / 0.002
+    np.testing.assert_allclose(middle, np.array(rates)[1:-1], atol=1e-6)  # 2nd order in 1 ms
+    assert np.abs(np.array(rates)).max() > 0.1
+
+
+def test_the_look_ahead_is_the_future_target() -> None:
+    env = gym.make("FlexArm/OneLink-Track-v0", control_dt=0.01)
+    base: Any = env.unwrapped
+    observation, _ = env.reset(seed=0)
+    ahead = base.core.move_time
+    promised = {}
+    for name, time in (("target_near", 0.5 * ahead), ("target_far", ahead)):
+        part = observation[base.observation_slices[name]] * base.observation_scales[name]
+        promised[time] = base.joint_target() + part
+    times, angles = [0.0], [base.joint_target()[0]]
+    for _ in range(int(ahead / 0.01) + 2):
+        info = env.step(np.zeros(1))[-1]
+        times.append(info["time"])
+        angles.append(base.joint_target()[0])
+    for time, angle in promised.items():
+        assert np.interp(time, times, angles) == pytest.approx(angle[0], abs=1e-4)  # 10 ms apart

@@ -1,0 +1,71 @@
+"""Pictures without a display, and the pages made from the code."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import flexarm_env
+from dynamics import ARMS
+from flexarm_env.core import Core
+from flexarm_env.pages import file_name, index, page
+from flexarm_env.rendering import SIZE, STEEL, Renderer
+
+PAGES = Path(__file__).resolve().parents[2] / "docs" / "envs"
+
+
+@pytest.mark.parametrize("scene", flexarm_env.SCENES)
+def test_pictures_show_the_arm_and_change_as_it_moves(scene: str) -> None:
+    env = gym.make(f"FlexArm/{scene}-Reach-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    before: Any = env.render()
+    for _ in range(10):
+        env.step(0.3 * env.action_space.high)
+    after: Any = env.render()
+    assert after.shape == (SIZE[1], SIZE[0], 3)
+    assert after.dtype == np.uint8
+    assert (np.abs(after.astype(int) - STEEL).sum(axis=2) < 30).sum() > 200
+    assert not np.array_equal(before, after)
+
+
+@pytest.mark.parametrize("arm", sorted(ARMS))
+def test_the_drawn_tip_is_the_measured_tip(arm: str) -> None:
+    """Two ways through the kinematics: the picture's own, and the compiled arm's."""
+    core = Core(task="Reach", arm=arm)
+    renderer = Renderer(core)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-1.0, 1.0, core.arm.n)
+    modal = [i for i in range(core.arm.n) if i not in core.arm.joint_index]
+    q[modal] *= 0.2 * np.array(core.physics.modal_scale)
+    drawn = renderer.shapes(core, q, 1.0)[-1][-1]
+    np.testing.assert_allclose(drawn, core.model.tip(q), atol=1e-12)
+
+
+def test_human_mode_needs_no_display() -> None:
+    code = (
+        "import gymnasium as gym, flexarm_env\n"
+        "env = gym.make('FlexArm/OneLink-Reach-v0', render_mode='human')\n"
+        "env.reset(seed=0)\nenv.step(env.action_space.sample())\n"
+        "assert env.render() is None\nenv.close()"
+    )
+    environment = {"PATH": "/usr/bin", "HOME": str(Path.home()), "MPLBACKEND": "Agg"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment, cwd=PAGES.parents[1])
+
+
+def test_batches_render_one_picture_per_environment() -> None:
+    envs: Any = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=3, render_mode="rgb_array")
+    envs.reset(seed=0)
+    pictures = envs.render()
+    assert [p.shape for p in pictures] == [(SIZE[1], SIZE[0], 3)] * 3
+    assert not np.array_equal(pictures[0], pictures[1])
+
+
+@pytest.mark.parametrize("env_id", flexarm_env.IDS)
+def test_committed_pages_are_up_to_date(env_id: str) -> None:
+    """If not: python -m flexarm_env.pages --out docs/envs"""
+    assert (PAGES / file_name(env_id)).read_text(encoding="utf-8") == page(env_id)
+    assert (PAGES / "README.md").read_text(encoding="utf-8") == index()
