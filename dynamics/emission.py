@@ -11,6 +11,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
@@ -27,7 +28,8 @@ def straight_line(lanes: int) -> Callable[[Callable[..., None]], Any]:
             def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
                 builder.function.attributes.add("noinline")  # called often: one copy is enough
                 array = context.make_array(signature.args[0])(context, builder, args[0])
-                _emit(builder, array.data, inspect.getsource(function), lanes)
+                number = context.get_value_type(w.dtype)
+                _emit(builder, array.data, inspect.getsource(function), number, lanes)
                 return context.get_dummy_value()
 
             return types.void(w), codegen
@@ -41,20 +43,21 @@ def straight_line(lanes: int) -> Callable[[Callable[..., None]], Any]:
     return decorate
 
 
-def _emit(builder: ir.IRBuilder, data: ir.Value, source: str, lanes: int) -> None:
+def _emit(builder: ir.IRBuilder, data: ir.Value, source: str, number: ir.Type, lanes: int) -> None:
     """The function's statements, on numbers or on vectors of all lanes."""
     tree = ast.parse(source).body[0]
     assert isinstance(tree, ast.FunctionDef)
-    number = ir.DoubleType()
-    kind = number if lanes == 1 else ir.VectorType(number, lanes)
-    _Block(builder, data, kind, lanes).emit(tree.body)
+    _Block(builder, data, number, lanes).emit(tree.body)
 
 
 class _Block:
     """Emits statements on values of one type: a number, or a vector of lanes."""
 
-    def __init__(self, builder: ir.IRBuilder, data: ir.Value, kind: ir.Type, lanes: int) -> None:
-        self.builder, self.data, self.kind, self.lanes = builder, data, kind, lanes
+    def __init__(self, builder: ir.IRBuilder, data: ir.Value, number: ir.Type, lanes: int) -> None:
+        self.builder, self.data, self.lanes = builder, data, lanes
+        self.single = isinstance(number, ir.FloatType)
+        self.kind = number if lanes == 1 else ir.VectorType(number, lanes)
+        self.align = 4 if self.single else 8
         self.values: dict[str, ir.Value] = {}
 
     def emit(self, statements: list[ast.stmt]) -> None:
@@ -67,7 +70,7 @@ class _Block:
                 self.values[target.id] = value
             else:
                 assert isinstance(target, ast.Subscript)
-                self.builder.store(value, self._slot(target), align=8)
+                self.builder.store(value, self._slot(target), align=self.align)
 
     def _slot(self, node: ast.Subscript) -> ir.Value:
         slot = ast.literal_eval(node.slice)
@@ -83,7 +86,7 @@ class _Block:
             case ast.Constant(value=int() | float() as number):
                 return self._constant(float(number))
             case ast.Subscript():
-                return b.load(self._slot(node), align=8)
+                return b.load(self._slot(node), align=self.align)
             case ast.UnaryOp(operand=ast.Constant(value=int() | float() as number)):
                 return self._constant(-float(number))
             case ast.UnaryOp():
@@ -98,6 +101,7 @@ class _Block:
         raise ValueError(f"No code for {ast.unparse(node)}.")
 
     def _constant(self, value: float) -> ir.Value:
+        value = float(np.float32(value)) if self.single else value
         if isinstance(self.kind, ir.VectorType):
             return ir.Constant(self.kind, [value] * self.lanes)
         return ir.Constant(self.kind, value)
@@ -107,7 +111,7 @@ class _Block:
         if name in ("min", "max"):  # ordered comparisons: a NaN in the first argument survives
             beyond = b.fcmp_ordered(">" if name == "min" else "<", args[0], args[1])
             return b.select(beyond, args[1], args[0])
-        suffix = f"v{self.lanes}f64" if isinstance(self.kind, ir.VectorType) else "f64"
+        suffix = ("" if self.lanes == 1 else f"v{self.lanes}") + ("f32" if self.single else "f64")
         intrinsic_name = {"floor": "floor", "sqrt": "sqrt", "abs": "fabs"}[name]
         module = b.module
         full = f"llvm.{intrinsic_name}.{suffix}"

@@ -2,8 +2,8 @@
 
 A method works in place on the flat workspace `w`: `n` values (coordinates times lanes) of q, v and
 a start at these offsets, scratch space for four times as many at `s`. `evaluate(w)` writes the
-accelerations of the present q and v. The functions are plain Python; a generated module compiles
-them around its arm.
+accelerations of the present q and v. The functions are plain Python, with numbers typed to the
+workspace (float64 or float32); a generated module compiles them around its arm.
 
 An implicit method takes elastic and linear damping forces implicitly, all others at an
 extrapolated state: `evaluate` then solves (M + W) a = f(q, v) + W guess with W = k K + c C, one
@@ -17,7 +17,8 @@ from dataclasses import dataclass
 def rk4(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
     """Classical Runge-Kutta, order 4; stable on an undamped mode up to omega h = 2.83."""
     q0, v0, dq, dv = s, s + n, s + n + n, s + n + n + n
-    half = 0.5 * h
+    two = w.dtype.type(2.0)
+    half = w.dtype.type(0.5) * h
     evaluate(w)
     for i in range(n):
         w[q0 + i] = w[q + i]
@@ -28,18 +29,18 @@ def rk4(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-unty
         w[v + i] = w[v0 + i] + half * w[a + i]
     evaluate(w)
     for i in range(n):
-        w[dq + i] += 2.0 * w[v + i]
-        w[dv + i] += 2.0 * w[a + i]
+        w[dq + i] += two * w[v + i]
+        w[dv + i] += two * w[a + i]
         w[q + i] = w[q0 + i] + half * w[v + i]
         w[v + i] = w[v0 + i] + half * w[a + i]
     evaluate(w)
     for i in range(n):
-        w[dq + i] += 2.0 * w[v + i]
-        w[dv + i] += 2.0 * w[a + i]
+        w[dq + i] += two * w[v + i]
+        w[dv + i] += two * w[a + i]
         w[q + i] = w[q0 + i] + h * w[v + i]
         w[v + i] = w[v0 + i] + h * w[a + i]
     evaluate(w)
-    sixth = h / 6.0
+    sixth = h / w.dtype.type(6.0)
     for i in range(n):
         w[q + i] = w[q0 + i] + sixth * (w[dq + i] + w[v + i])
         w[v + i] = w[v0 + i] + sixth * (w[dv + i] + w[a + i])
@@ -62,7 +63,7 @@ def start_implicit(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ign
 def midpoint(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
     """Augmented-mass midpoint rule: order 2, A-stable on the elastic part, no numerical damping."""
     guess, v0, q0 = implicit + lanes + lanes, s, s + n
-    half = 0.5 * h
+    half = w.dtype.type(0.5) * h
     quarter = half * half
     for b in range(lanes):
         w[implicit + b] = quarter

@@ -15,6 +15,7 @@ from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
 from dynamics.gibbs_appell import Implicit
 from dynamics.integrators import INTEGRATORS
+from dynamics.kernels import LANES
 from dynamics.kinematics import Chain, energies, outward, poses
 from dynamics.lowering import cached_module, fingerprint, operations, render_function, render_module
 from dynamics.modes import LinkConstants, chain_constants, curvature, parts
@@ -22,6 +23,7 @@ from dynamics.modes import LinkConstants, chain_constants, curvature, parts
 Array = np.ndarray
 
 FORMULATIONS = ("gibbs_appell",)
+LANES_OF = {"float64": LANES, "float32": 2 * LANES}
 
 
 def _payload_mass(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
@@ -80,7 +82,8 @@ def compile_arm(
     ----------
     arm : an Arm, a preset's name, a path or a dict.
     formulation : how the equations of motion are formed; "gibbs_appell".
-    dtype : number type of the compiled code; "float64".
+    dtype : number type of the compiled stepping code, "float64" or "float32"; descriptions,
+        states and answers are float64 all the same.
     free_parameters : names in FREE_PARAMETERS that stay inputs instead of folding away.
 
     Raises
@@ -89,12 +92,12 @@ def compile_arm(
     """
     if formulation not in FORMULATIONS:
         raise ValueError(f"Unknown formulation {formulation!r}. Known: {sorted(FORMULATIONS)}.")
-    if dtype != "float64":
-        raise ValueError(f"dtype must be 'float64', got {dtype!r}: no other is supported yet.")
+    if dtype not in LANES_OF:
+        raise ValueError(f"Unknown dtype {dtype!r}. Known: {sorted(LANES_OF)}.")
     unknown = sorted(set(free_parameters) - set(FREE_PARAMETERS))
     if unknown:
         raise ValueError(f"Unknown free parameters {unknown}. Known: {sorted(FREE_PARAMETERS)}.")
-    return Model(load_arm(arm), tuple(free_parameters))
+    return Model(load_arm(arm), tuple(free_parameters), dtype)
 
 
 class Model:
@@ -104,8 +107,11 @@ class Model:
     M qdd + h = B tau. Arguments `q`, `v` are (n,) arrays.
     """
 
-    def __init__(self, arm: Arm, free_parameters: tuple[str, ...] = ()) -> None:
-        self.arm = arm
+    def __init__(
+        self, arm: Arm, free_parameters: tuple[str, ...] = (), dtype: str = "float64"
+    ) -> None:
+        self.arm, self.dtype = arm, dtype
+        self.lanes = LANES_OF[dtype]  # environments that a batch steps side by side
         self.free_parameters = free_parameters
         self.names = list(arm.names)
         self.n, self.n_joint = arm.n, arm.n_joint
@@ -127,7 +133,7 @@ class Model:
         self.n_measure = stops[-1]
 
     def __reduce__(self) -> Any:
-        return Model, (self.arm, self.free_parameters)
+        return Model, (self.arm, self.free_parameters, self.dtype)
 
     # ---- questions -----------------------------------------------------------------------------
 
@@ -239,12 +245,14 @@ class Model:
     def program(self, lanes: int, integrator: str) -> ModuleType:
         """The generated module for a number of lanes and a method; from the cache where it can."""
         description = json.dumps(self.arm.to_dict(), sort_keys=True)
-        key = fingerprint(description, ",".join(self.free_parameters), str(lanes), integrator)
+        key = fingerprint(
+            description, ",".join(self.free_parameters), str(lanes), integrator, self.dtype
+        )
         return cached_module(key, lambda: self._generate(lanes, integrator))
 
     def workspace(self, program: ModuleType) -> Array:
         """Scratch memory for one thread in `program`."""
-        return np.zeros(program.SLOTS * int(program.LANES))
+        return np.zeros(program.SLOTS * int(program.LANES), dtype=self.dtype)
 
     def _layout(self) -> dict[str, int]:
         """Workspace slots that are no temporaries: name -> first slot; END is the next free one."""
@@ -266,7 +274,7 @@ class Model:
             render_function("measure", self._measure_graph, inputs[:2], at["MEASURED"]),
             f"METHOD = INTEGRATORS[{integrator!r}]",
         ]
-        title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}"
+        title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}, {self.dtype}"
         constants = at | {"N": self.n}
         return render_module(title, lanes, at.pop("END"), constants, functions)
 

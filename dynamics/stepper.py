@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 
 from dynamics.integrators import INTEGRATORS
-from dynamics.kernels import LANES
 from dynamics.model import Model
 
 
@@ -61,10 +60,10 @@ class Stepper:
         self.parameters = np.tile(model.nominal_parameters, (n_env, 1))
         self.status = np.zeros(n_env, dtype=np.int64)
         self.measured = np.zeros((n_env, model.n_measure))
-        self._program = model.program(1 if n_env == 1 else LANES, integrator)
-        blocks = -(-self.n_env // LANES)
+        self._program = model.program(1 if n_env == 1 else model.lanes, integrator)
+        blocks = -(-self.n_env // model.lanes)
         self.threads = min(self.threads, blocks)
-        bounds = [LANES * (k * blocks // self.threads) for k in range(self.threads)]
+        bounds = [model.lanes * (k * blocks // self.threads) for k in range(self.threads)]
         self._shares = [
             slice(a, b) for a, b in pairwise([*bounds, self.n_env])
         ]  # whole blocks of lanes for every thread

@@ -330,7 +330,7 @@ def test_mass_matrix_and_bias_of_six_links_take_a_fifth_of_the_published_operati
 
 BAD = [
     ({"formulation": "newton"}, "Unknown formulation 'newton'"),
-    ({"dtype": "float32"}, "dtype must be 'float64', got 'float32'"),
+    ({"dtype": "float16"}, "Unknown dtype 'float16'"),
     ({"free_parameters": ("colour",)}, r"Unknown free parameters \['colour'\]. Known: \["),
 ]
 

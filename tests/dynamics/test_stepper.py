@@ -62,6 +62,17 @@ def test_an_environment_does_not_depend_on_the_size_of_its_batch(
     )
 
 
+@pytest.mark.parametrize("count", [1, 2 * LANES, 100])
+def test_float32_is_float64_to_single_precision(
+    hundred: np.ndarray, integrator: str, count: int
+) -> None:
+    """Ten steps; and different, so that the code really is single precision."""
+    single = results(batch(compile_arm(ARM, dtype="float32"), count, integrator=integrator))
+
+    error = np.abs(single - hundred[:count]) / np.abs(hundred).max(axis=0)
+    assert 1e-10 < error.max() < 2e-5
+
+
 @pytest.mark.parametrize("threads", [2, 3, 64])
 def test_an_environment_does_not_depend_on_threads(
     hundred: np.ndarray, integrator: str, threads: int
