@@ -6,12 +6,14 @@ energy and the energy of acceleration are sums over them. Nothing here is recurs
 nothing is shared with `dynamics` except the mode shapes.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics import Arm, Link, Mode
+from dynamics import Arm, Joint, Link, Mode
+from dynamics.checks import ZEROS
 from dynamics.shapes import Shape, shape
 
 Array = NDArray[np.float64]
@@ -81,8 +83,8 @@ def inertial_forces(arm: Arm, q: Array, v: Array, a: Array) -> Array:
 def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
     """(n,) elastic, damping and friction forces, from their definitions."""
     forces: list[float] = []
-    for link, (_, delta), (rate, delta_dot) in zip(
-        arm.links, _by_link(arm, q), _by_link(arm, v), strict=True
+    for (link, welded), (_, delta), (rate, delta_dot) in zip(
+        _parts(arm), _by_part(arm, q), _by_part(arm, v), strict=True
     ):
         K = np.zeros((len(delta), len(delta)))
         C = link.damping_beta * K
@@ -108,7 +110,8 @@ def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
         slip = rate + root @ delta_dot
         joint = link.joint
         friction = joint.viscous * slip + joint.coulomb * np.tanh(slip / joint.coulomb_speed)
-        forces += [friction, *(K @ delta + C @ delta_dot + root * friction)]
+        forces += [] if welded else [friction]
+        forces += list(K @ delta + C @ delta_dot + root * friction)
     return np.array(forces)
 
 
@@ -162,10 +165,28 @@ def _constant(x: object) -> Array:
     return np.stack([value, 0.0 * value, 0.0 * value])[:, None]
 
 
-def _by_link(arm: Arm, x: Array) -> list[tuple[Array, Array]]:
-    """(joint, modes) of every link; along the last axis of x."""
-    ends = np.cumsum([1 + len(link.modes) for link in arm.links])[:-1]
-    return [(part[..., 0], part[..., 1:]) for part in np.split(x, ends, axis=-1)]
+def _parts(arm: Arm) -> list[tuple[Link, bool]]:
+    """All segments of all links, and whether they are welded to the one before."""
+    parts = []
+    for link in arm.links:
+        for k in range(link.segments):
+            part = replace(link, length=link.length / link.segments, segments=1)
+            if k < link.segments - 1:
+                part = replace(part, tip_mass=0.0, tip_inertia=ZEROS)
+            parts.append((replace(part, joint=Joint()) if k else part, k > 0))
+    return parts
+
+
+def _by_part(arm: Arm, x: Array) -> list[tuple[Array, Array]]:
+    """(joint, modes) of every segment, along the last axis of x; no joint turns by zero."""
+    found, start = [], 0
+    for part, welded in _parts(arm):
+        joint = np.zeros(x.shape[:-1]) if welded else x[..., start]
+        start += not welded
+        found.append((joint, x[..., start : start + len(part.modes)]))
+        start += len(part.modes)
+    assert start == x.shape[-1]
+    return found
 
 
 def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
@@ -173,7 +194,8 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
     parts: list[tuple[Array, ...]] = []  # mass, inertia, p, R
     rotors: list[tuple[float, Array]] = []
     p, R = _constant(0.0 * X), _constant(np.eye(3))
-    for i, (link, (q, delta)) in enumerate(zip(arm.links, _by_link(arm, jet), strict=True)):
+    whole = _parts(arm)
+    for i, ((link, _), (q, delta)) in enumerate(zip(whole, _by_part(arm, jet), strict=True)):
         p = p + _product(R, _constant(link.joint.offset))
         R = _product(R, _constant(link.joint.rotation))
         R = _product(R, _rotation(q[:, None, None] * Z))
@@ -182,16 +204,16 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
         parts.append((np.zeros(1), link.joint.hub_inertia * np.outer(Z, Z)[None], p, hub))
         rotors.append((link.joint.rotor_inertia, q + root))
 
-        r, theta = _deflection(link, delta, 0.5 * link.length * (NODES + 1.0))
+        r, theta = _deflection(link, delta, 0.5 * link.length * (NODES + 1.0), arm.foreshortening)
         share = 0.5 * link.length * WEIGHTS
         section = _product(R, _rotation(theta * X)) if link.rho_Ip else R + 0.0 * r
         polar = link.rho_Ip * share[:, None, None] * np.outer(X, X)
         parts.append((link.rho_A * share, polar, p + _product(R, r), section))
 
-        r, theta = _deflection(link, delta, np.array([link.length]))
+        r, theta = _deflection(link, delta, np.array([link.length]), arm.foreshortening)
         p, R = p + _product(R, r), _product(R, _rotation(theta))
         mass, inertia = link.tip_mass, np.array(link.tip_inertia)
-        if i == len(arm.links) - 1 and arm.payload:
+        if i == len(whole) - 1 and arm.payload:
             mass, inertia = mass + arm.payload.mass, inertia + np.array(arm.payload.inertia)
         parts.append((np.array([mass]), inertia[None], p, R))
     m, J, ps, Rs = zip(*parts, strict=True)
@@ -205,16 +227,23 @@ def _shapes(link: Link) -> list[tuple[Mode, Shape]]:
     return [(mode, shape(mode, link)) for mode in link.modes]
 
 
-def _deflection(link: Link, delta: Array, x: Array) -> tuple[Array, Array]:
+def _deflection(link: Link, delta: Array, x: Array, shorten: bool) -> tuple[Array, Array]:
     """Jets of points (3, N, 3, 1) in the link's frame and of their sections' rotation (3, N, 3)."""
     r = np.zeros((3, x.size, 3))
     r[0] = np.outer(x, X)
     theta = np.zeros((3, x.size, 3))
+    inside = 0.5 * np.outer(x, NODES + 1.0)  # (N, nodes) from the root to each point
     for (mode, s), d in zip(_shapes(link), delta.T, strict=True):
         if mode.direction == "x":
             theta += np.multiply.outer(d, np.outer(s.value(x), X))
-        else:
-            along, about = (Y, Z) if mode.direction == "y" else (Z, -Y)
-            r += np.multiply.outer(d, np.outer(s.value(x), along))
-            theta += np.multiply.outer(d, np.outer(s.slope(x), about))
+            continue
+        along, about = (Y, Z) if mode.direction == "y" else (Z, -Y)
+        r += np.multiply.outer(d, np.outer(s.value(x), along))
+        theta += np.multiply.outer(d, np.outer(s.slope(x), about))
+        for (other, p), e in zip(_shapes(link), delta.T, strict=True):
+            if shorten and other.direction == mode.direction:
+                common = 0.5 * x * ((s.slope(inside) * p.slope(inside)) @ WEIGHTS)
+                both = np.array([d[0] * e[0], d[1] * e[0] + d[0] * e[1], 0.0])
+                both[2] = d[2] * e[0] + 2.0 * d[1] * e[1] + d[0] * e[2]
+                r -= 0.5 * np.multiply.outer(both, np.outer(common, X))
     return r[..., None], theta

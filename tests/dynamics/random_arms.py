@@ -26,7 +26,8 @@ def random_arm(seed: int, n_link: int, n_mode: int, *, spatial: bool = True) -> 
     """A valid arm with everything in it: the first link has `n_mode` modes, others fewer or none.
 
     Mixed kinds, directions, torsion, mountings, offsets, tip bodies, rotors, hubs, friction,
-    damping, gravity, payload. Not `spatial`: all in the x-y plane, without torsion.
+    damping, gravity, payload, segments, foreshortening. Not `spatial`: all in the x-y plane,
+    without torsion.
     """
     rng = np.random.default_rng([seed, n_link, n_mode])
     counts = [n_mode, *rng.integers(0, n_mode + 1, n_link - 1)]
@@ -35,15 +36,14 @@ def random_arm(seed: int, n_link: int, n_mode: int, *, spatial: bool = True) -> 
         links=tuple(_link(rng, int(m), spatial) for m in counts),
         gravity=tuple(rng.normal(0.0, 6.0, 3) * (1.0, 1.0, spatial)),
         payload=Payload(mass=0.3, inertia=_inertia(rng, spatial)) if rng.random() < 0.5 else None,
+        foreshortening=bool(rng.random() < 0.5),
     )
 
 
 def random_state(arm: Arm, seed: int = 0) -> tuple[Array, Array]:
     """Coordinates and rates: any joint angles, moderate deflections."""
     rng = np.random.default_rng([seed, arm.n])
-    sizes = np.array(
-        [x for link in arm.links for x in (0.0, *(_amplitude(mode, link) for mode in link.modes))]
-    )
+    sizes = np.array([x for link in arm.links for x in (0.0, *_amplitudes(link))])
     q, v = rng.uniform(-1.0, 1.0, (2, arm.n)) * (sizes, 20.0 * sizes)
     joints = list(arm.joint_index)
     q[joints] = rng.uniform(-np.pi, np.pi, arm.n_joint)
@@ -95,7 +95,7 @@ def torque_matrix(arm: Arm) -> Array:
         for j, mode in enumerate(link.modes, 1):
             if mode.direction == "y":
                 B[row + j, i] = shape(mode, link).slope(0.0)
-        row += 1 + len(link.modes)
+        row += 1 + link.segments * len(link.modes)
     return B
 
 
@@ -113,6 +113,7 @@ def _link(rng: Generator, count: int, spatial: bool) -> Link:
     def maybe(most: float) -> float:
         return float(rng.uniform(0.0, most) * (rng.random() < 0.6))
 
+    weldable = count < 3 and all(mode.kind != "pinned-free" for mode in modes)
     damping = {"damping_beta": 1e-4} if rng.random() < 0.5 else {"damping_ratio": 0.02}
     return Link(
         length=rng.uniform(0.3, 1.0),
@@ -124,6 +125,7 @@ def _link(rng: Generator, count: int, spatial: bool) -> Link:
         tip_mass=maybe(1.0),
         tip_inertia=_inertia(rng, spatial),
         modes=tuple(modes[int(k)] for k in rng.permutation(count)),
+        segments=int(rng.integers(1, 3)) if weldable else 1,
         **damping,
         joint=Joint(
             rotation=tuple(map(tuple, mounting)),
@@ -152,8 +154,12 @@ def _diagonal(*values: float) -> Matrix:
     return tuple(map(tuple, np.diag(values)))
 
 
-def _amplitude(mode: Mode, link: Link) -> float:
-    """Modal amplitude of a moderate deflection."""
-    s = shape(mode, link)
-    value, slope = abs(float(s.value(link.length))), abs(float(s.slope(link.length)))
-    return TURN / (value if mode.direction == "x" else max(slope, value / link.length))
+def _amplitudes(link: Link) -> list[float]:
+    """Modal amplitudes of a moderate deflection."""
+    part = replace(link, length=link.length / link.segments, segments=1)
+    found = []
+    for mode in part.modes:
+        s = shape(mode, part)
+        value, slope = abs(float(s.value(part.length))), abs(float(s.slope(part.length)))
+        found.append(TURN / (value if mode.direction == "x" else max(slope, value / part.length)))
+    return link.segments * found

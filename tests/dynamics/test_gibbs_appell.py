@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from dynamics import Arm, Joint, gibbs_appell, kinematics
 from dynamics.kernels import LANES
 from dynamics.kinematics import energies
+from dynamics.shapes import KINDS
 from tests.dynamics import brute_force
 from tests.dynamics.random_arms import (
     Array,
@@ -27,7 +28,10 @@ from tests.dynamics.random_arms import (
 )
 
 ANY = [(seed, 1 + seed % 6, seed % 4) for seed in range(24)]  # seed, links, most modes per link
-FEW = [(0, 1, 1), (1, 1, 3), (2, 2, 2), (3, 2, 3), (4, 3, 3), (5, 4, 2), (6, 6, 1), (7, 3, 0)]
+FEW = [
+    (0, 1, 1), (1, 1, 3), (2, 2, 2), (3, 2, 3), (4, 3, 3), (5, 4, 2), (6, 6, 1), (7, 3, 0),
+    (15, 4, 3), (18, 1, 2),
+]  # fmt: skip
 
 any_arm = pytest.mark.parametrize("case", ANY, ids=str)
 some_arm = pytest.mark.parametrize("case", FEW, ids=str)
@@ -71,6 +75,20 @@ def undamped(arm: Arm) -> Arm:
         for link in arm.links
     )  # fmt: skip
     return replace(arm, links=links)
+
+
+def test_random_arms_have_everything() -> None:
+    """Foreshortened and welded parts with modes, rigid links, torsion, pinned roots, payloads."""
+    arms = [random_arm(*case) for case in FEW]
+    links = [link for arm in arms for link in arm.links]
+    kinds = {mode.kind for link in links for mode in link.modes}
+
+    assert kinds == set(KINDS)
+    assert any(arm.foreshortening and arm.n > 10 for arm in arms)
+    assert {arm.payload is None for arm in arms} == {True, False}
+    assert any(link.segments > 1 and link.modes for link in links)
+    assert any(not link.modes for link in links)
+    assert any(link.in_direction("x") and link.in_direction("z") for link in links)
 
 
 @any_arm
@@ -245,7 +263,7 @@ def test_a_planar_arm_needs_no_correction(correction: str) -> None:
     assert gibbs_residual(arm, recursion_without(correction)) < 1e-10
 
 
-CODE = [random_arm(1, 1, 3), random_arm(3, 2, 3), two_link_spatial()]
+CODE = [random_arm(18, 1, 2), random_arm(3, 2, 3), two_link_spatial()]
 
 
 @pytest.mark.parametrize("arm", CODE, ids=lambda arm: f"{arm.n_joint}-link-{arm.n}")
