@@ -1,0 +1,306 @@
+"""Where methods and models fail: predicted beside observed boundaries, failing cells kept.
+
+    python benchmarks/stability.py [--quick] [--out FILE] [--images FOLDER]
+
+Every map is a grid of environments stepped in one batch. `--quick` takes a coarser grid.
+"""
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from dynamics import Arm, Joint, Link, Mode, Model, Payload, Stepper, compile_arm
+from dynamics.integrators import INTEGRATORS
+
+Array = NDArray[np.float64]
+GROWTH = 10.0  # [-] an amplitude that grows by more than this has left
+HELD = 1e6  # [kg m^2] a rotor that no link can move: the joint turns at a given rate
+
+
+def beam(count: int = 1, *, kind: str = "clamped-free", rotor: float = HELD, **changes: Any) -> Arm:
+    """One planar link of unit length, mass per length and stiffness."""
+    modes = tuple(Mode(kind=kind, index=k + 1, direction="y") for k in range(count))
+    link = Link(
+        **{"length": 1.0, "rho_A": 1.0, "EIz": 1.0, "modes": modes, **changes},
+        joint=Joint(rotor_inertia=rotor),
+    )
+    return Arm(links=(link,), name="unit beam")
+
+
+def runge_kutta_radius(z: NDArray[np.complex128]) -> Array:
+    """Amplification of one RK4 step at z = lambda h."""
+    return np.asarray(np.abs(1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0))
+
+
+def method_map(integrator: str, cells: int) -> dict[str, Any]:
+    """Step times frequency against damping ratio, on one mode of a held beam."""
+    model = compile_arm(beam(damping_ratio=1.0), free_parameters=("stiffness", "damping"))
+    omega = float(model.frequencies()[0])
+    steps = np.linspace(0.2, 4.0, cells)  # omega h
+    ratios = np.linspace(0.0, 1.5, cells)
+    grid_step, grid_ratio = np.meshgrid(steps, ratios)
+    h = 1.0 / omega
+    # stiffness s makes the frequency omega sqrt(s); the coefficient c stays 2 omega m times damping
+    stiffness = grid_step**2
+    damping = grid_ratio * grid_step
+    stepper = Stepper(model, stiffness.size, dt=h, substeps=400, integrator=integrator)
+    stepper.parameters[:, 0], stepper.parameters[:, 1] = stiffness.ravel(), damping.ravel()
+    stepper.q[:, 1] = 1e-6
+    failed = grows(stepper, calls=5).reshape(grid_step.shape)
+    root = np.emath.sqrt(grid_ratio**2 - 1.0) if INTEGRATORS[integrator].limit < np.inf else None
+    if root is None:
+        predicted = np.zeros_like(failed)
+    else:
+        z = [grid_step * (-grid_ratio + sign * root) for sign in (1.0, -1.0)]
+        radius = np.maximum(*(runge_kutta_radius(np.asarray(x, dtype=complex)) for x in z))
+        predicted = radius > 1.0
+    return {
+        "x": steps.tolist(), "y": ratios.tolist(), "failed": failed.tolist(),
+        "predicted": predicted.tolist(), "x_label": "step x frequency [-]",
+        "y_label": "damping ratio [-]", "title": f"{integrator}: step against damping",
+    }  # fmt: skip
+
+
+def spin_map(foreshortening: bool, cells: int) -> dict[str, Any]:
+    """Spin rate against stiffness: the linear model's false instability at Omega = omega_1."""
+    arm = beam()
+    arm = Arm(links=arm.links, foreshortening=foreshortening)
+    model = compile_arm(arm, free_parameters=("stiffness",))
+    omega = float(model.frequencies()[0])
+    spins = np.linspace(0.0, 2.0 * omega, cells)
+    scales = np.linspace(0.1, 2.0, cells)
+    grid_spin, grid_scale = np.meshgrid(spins, scales)
+    stepper = Stepper(model, grid_spin.size, dt=0.1 / omega, substeps=500)
+    stepper.parameters[:, 0] = grid_scale.ravel()
+    stepper.q[:, 1], stepper.v[:, 0] = 1e-6, grid_spin.ravel()
+    failed = grows(stepper, calls=4, limit=100.0 * GROWTH).reshape(grid_spin.shape)
+    predicted = (grid_spin > omega * np.sqrt(grid_scale)) & (not foreshortening)
+    name = "foreshortened" if foreshortening else "linear"
+    return {
+        "x": (spins / omega).tolist(), "y": scales.tolist(), "failed": failed.tolist(),
+        "predicted": predicted.tolist(), "x_label": "spin rate over first frequency [-]",
+        "y_label": "stiffness over nominal [-]", "title": f"{name} link: spin against stiffness",
+    }  # fmt: skip
+
+
+def grows(stepper: Stepper, calls: int, limit: float = GROWTH) -> NDArray[np.bool_]:
+    """Which environments' first modal amplitude outgrows its start, or leaves the numbers."""
+    start = np.abs(stepper.q[:, 1])
+    failed = np.zeros(stepper.n_env, dtype=bool)
+    for _ in range(calls):
+        stepper.advance()
+        failed |= (stepper.status != 0) | (np.abs(stepper.q[:, 1]) > limit * start)
+    return failed
+
+
+def shape_map() -> dict[str, Any]:
+    """Error of the first joint-free frequency: shapes and their number against hub inertia."""
+    hubs = np.logspace(-4, 1, 26)  # rotor inertia over that of the beam about its joint
+    kinds = ("clamped-free", "pinned-free", "poly")
+    counts = range(1, 5)
+    errors = {}
+    for kind in kinds:
+        for count in counts:
+            row = []
+            for hub in hubs:
+                exact = first_free(beam(6, kind="poly", rotor=hub / 3.0))
+                row.append(first_free(beam(count, kind=kind, rotor=hub / 3.0)) / exact - 1.0)
+            errors[f"{kind}, {count}"] = row
+    return {"hub": hubs.tolist(), "error": errors, "title": "first joint-free frequency"}
+
+
+def first_free(arm: Arm) -> float:
+    """First natural frequency with the joint free [rad/s]."""
+    return float(Model(arm).frequencies(joints="free")[0])
+
+
+TORQUES: dict[str, Callable[[Array], Array]] = {  # of time over the duration; all with mean one
+    "step": lambda x: np.where(x < 1.0, 1.0, 0.0),
+    "ramp": lambda x: np.where(x < 1.0, 2.0 * x, 0.0),
+    "cycloid": lambda x: np.where(x < 1.0, 1.0 - np.cos(2.0 * np.pi * x), 0.0),
+}
+
+
+def torque_map(cells: int) -> dict[str, Any]:
+    """Tip error against step for each method and type of torque: is stability a matter of type?"""
+    model = compile_arm(beam(3, rotor=0.05))
+    fastest = float(model.frequencies(joints="free").max())
+    duration = 4.0 * np.pi / float(model.frequencies(joints="free")[0])
+    steps = np.logspace(-1.5, 0.7, cells)  # omega_max h
+    curves = {}
+    for name, signal in TORQUES.items():
+        exact = driven(model, signal, duration, 0.02 / fastest, "rk4")
+        for method in INTEGRATORS:
+            errors = [
+                float(np.linalg.norm(driven(model, signal, duration, h / fastest, method) - exact))
+                for h in steps
+            ]
+            curves[f"{method}, {name}"] = errors
+    return {"step": steps.tolist(), "error": curves, "title": "torque type against method"}
+
+
+def driven(
+    model: Model, signal: Callable[[Array], Array], duration: float, dt: float, integrator: str
+) -> Array:
+    """Tip after a torque of twice the duration's length; NaN if it diverged."""
+    count = 2 * int(np.ceil(duration / dt))  # even: a step ends where the torque does
+    stepper = Stepper(model, 1, dt=2.0 * duration / count, substeps=1, integrator=integrator)
+    middles = (np.arange(count) + 0.5) * stepper.dt / duration
+    for torque in 0.02 * signal(middles):
+        stepper.torque[0] = torque
+        stepper.advance()
+        if stepper.status[0] or stepper.measured[0, model.measurements["deflection"]][0] > 1.0:
+            return np.full(3, np.nan)
+    return stepper.measured[0, model.measurements["tip"]].copy()
+
+
+def loop_map(payload: float, cells: int, period: float = 1e-3) -> dict[str, Any]:
+    """Joint PD with delayed measurements on the SLIM arm: delay against gain, at one payload."""
+    model = compile_arm("slim", free_parameters=("payload_mass",))
+    loaded = Arm(links=model.arm.links, payload=Payload(mass=payload) if payload else None)
+    delays = np.unique(np.linspace(0, 40, cells).astype(int))  # control periods
+    bandwidths = np.logspace(-0.3, 1.7, cells)  # [rad/s] of the PD on the rigid arm
+    zero = np.zeros(model.n)
+    inertia = float(model.mass_matrix(zero)[0, 0])
+    A, B = compile_arm(loaded).linearize(zero, zero, np.zeros(1))
+    step = expm(np.block([[A, B], [np.zeros((1, 2 * model.n + 1))]]) * period)
+    grid_delay, grid_gain = np.meshgrid(delays, bandwidths)
+    kp, kd = inertia * grid_gain.ravel() ** 2, 1.4 * inertia * grid_gain.ravel()
+    stepper = Stepper(model, grid_delay.size, dt=period, substeps=1)
+    stepper.parameters[:, 0] = payload
+    stepper.q[:, 0] = 1e-3
+    history = np.zeros((int(delays.max()) + 1, grid_delay.size, 2))
+    history[:, :, 0] = 1e-3
+    rows, late = np.arange(grid_delay.size), grid_delay.ravel().astype(int)
+    failed = np.zeros(grid_delay.size, dtype=bool)
+    for k in range(int(20.0 / period)):
+        history[k % len(history)] = np.stack([stepper.q[:, 0], stepper.v[:, 0]], axis=1)
+        seen = history[(k - late) % len(history), rows]
+        stepper.torque[:, 0] = -kp * seen[:, 0] - kd * seen[:, 1]
+        stepper.advance()
+        failed |= (stepper.status != 0) | (np.abs(stepper.q[:, 0]) > 1e-3 * GROWTH)
+        stepper.q[failed], stepper.v[failed] = 0.0, 0.0
+    predicted = [delayed_radius(step, p, d, n) > 1.0 for p, d, n in zip(kp, kd, late, strict=True)]
+    return {
+        "x": (delays * period * 1e3).tolist(), "y": bandwidths.tolist(),
+        "failed": failed.reshape(grid_delay.shape).tolist(),
+        "predicted": np.reshape(predicted, grid_delay.shape).tolist(),
+        "x_label": "delay [ms]", "y_label": "bandwidth of the joint PD [rad/s]",
+        "title": f"SLIM, payload {payload:g} kg: delay against gain",
+    }  # fmt: skip
+
+
+def delayed_radius(step: Array, kp: float, kd: float, delay: int) -> float:
+    """Spectral radius of the sampled linear loop, torques on their way as extra states.
+
+    `step` (n + 1, n + 1) takes state and torque over one period.
+    """
+    n = step.shape[0] - 1
+    A, b = step[:n, :n], step[:n, n:]
+    feedback = np.zeros((1, n))
+    feedback[0, 0], feedback[0, n // 2] = -kp, -kd
+    full = np.zeros((n + delay, n + delay))
+    full[:n, :n] = A
+    if delay == 0:
+        full[:n, :n] += b @ feedback
+    else:
+        full[:n, n + delay - 1 :] = b
+        full[n, :n] = feedback
+        full[n + 1 :, n : n + delay - 1] = np.eye(delay - 1)
+    return float(np.abs(np.linalg.eigvals(full)).max())
+
+
+# ---- pictures ------------------------------------------------------------------------------------
+
+
+def draw_maps(maps: list[dict[str, Any]], path: Path) -> None:
+    """Failing cells, and the predicted boundary as a line."""
+    figure, axes = plt.subplots(
+        1, len(maps), figsize=(4.6 * len(maps), 4.0), squeeze=False, layout="constrained"
+    )
+    for axis, data in zip(axes[0], maps, strict=True):
+        x, y = np.array(data["x"]), np.array(data["y"])
+        failed, predicted = np.array(data["failed"]), np.array(data["predicted"])
+        axis.pcolormesh(x, y, failed, cmap="RdYlGn_r", vmin=-0.3, vmax=1.3, shading="nearest")
+        if predicted.any() and not predicted.all():
+            axis.contour(x, y, predicted.astype(float), levels=[0.5], colors="k", linewidths=1.5)
+        agree = float(np.mean(failed == predicted))
+        axis.set_title(f"{data['title']}\n{agree:.1%} of cells as predicted", fontsize=10)
+        axis.set(xlabel=data["x_label"], ylabel=data["y_label"])
+        if "bandwidth" in data["y_label"]:
+            axis.set_yscale("log")
+    save(figure, path)
+
+
+def draw_lines(data: dict[str, Any], x: str, labels: tuple[str, str], path: Path) -> None:
+    """One line per row of errors."""
+    figure, axis = plt.subplots(figsize=(7.5, 4.5), layout="constrained")
+    groups = sorted({name.split(", ")[0] for name in data["error"]})
+    rows = sorted({name.split(", ")[1] for name in data["error"]})
+    for name, errors in data["error"].items():
+        group, row = name.split(", ")
+        axis.loglog(
+            data[x], np.abs(errors), color=f"C{groups.index(group)}",
+            linestyle=("-", "--", ":", "-.")[rows.index(row)], label=name,
+        )  # fmt: skip
+    axis.set(xlabel=labels[0], ylabel=labels[1], title=data["title"])
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=7, ncols=len(groups))
+    save(figure, path)
+
+
+def save(figure: Any, path: Path) -> None:
+    """PNG and SVG."""
+    for suffix in (".png", ".svg"):
+        figure.savefig(path.with_suffix(suffix), dpi=110)
+    plt.close(figure)
+
+
+def main() -> None:
+    """Make all maps, print how well they were predicted, write JSON and pictures."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a coarser grid")
+    parser.add_argument("--out", type=Path, default=Path("docs/results/stability.json"))
+    parser.add_argument("--images", type=Path, default=Path("docs/images"))
+    options = parser.parse_args()
+    cells = 16 if options.quick else 48
+    maps = {
+        "methods": [method_map(name, cells) for name in INTEGRATORS],
+        "spin": [spin_map(foreshortening, cells) for foreshortening in (False, True)],
+        "loop": [loop_map(payload, cells // 2) for payload in (0.0, 0.1, 0.3)],
+    }
+    shapes, torques = shape_map(), torque_map(cells // 3)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.images.mkdir(parents=True, exist_ok=True)
+    for name, group in maps.items():
+        draw_maps(group, options.images / f"stability_{name}")
+        for data in group:
+            failed, predicted = np.array(data["failed"]), np.array(data["predicted"])
+            print(
+                f"{data['title']:44} fails in {failed.mean():6.1%} of the cells, "
+                f"{np.mean(failed == predicted):6.1%} as predicted"
+            )
+    draw_lines(
+        shapes, "hub", ("rotor inertia over the beam's", "error of the frequency [-]"),
+        options.images / "stability_shapes",
+    )  # fmt: skip
+    draw_lines(
+        torques, "step", ("step x highest frequency [-]", "tip error [m]"),
+        options.images / "stability_torques",
+    )  # fmt: skip
+    everything = {"maps": maps, "shapes": shapes, "torques": torques}
+    options.out.write_text(json.dumps(everything).replace("NaN", "null") + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,63 @@
+"""Here it fails, here it holds: the stability maps in a short form, both sides of each boundary."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from dynamics.integrators import INTEGRATORS
+
+
+@pytest.fixture(scope="module")
+def stability() -> ModuleType:
+    path = Path(__file__).parents[2] / "benchmarks" / "stability.py"
+    spec = importlib.util.spec_from_file_location("stability", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_method_fails_exactly_where_its_amplification_says(
+    stability: ModuleType, integrator: str
+) -> None:
+    """Step against damping; an A-stable method fails nowhere, RK4 on one side of its boundary."""
+    found = stability.method_map(integrator, 9)
+    failed = np.array(found["failed"])
+    assert np.array_equal(failed, found["predicted"])
+    assert failed.any() == np.isfinite(INTEGRATORS[integrator].limit)
+    assert not failed.all()
+
+
+def test_the_linear_link_fails_when_it_spins_faster_than_its_own_frequency(
+    stability: ModuleType,
+) -> None:
+    """A false instability: foreshortening removes it."""
+    linear = stability.spin_map(False, 12)
+    failed = np.array(linear["failed"])
+    assert np.array_equal(failed, linear["predicted"])
+    assert failed.any()
+    assert not failed.all()
+    assert not np.any(stability.spin_map(True, 12)["failed"])
+
+
+def test_delay_destabilises_joint_pd_where_the_sampled_loop_says(stability: ModuleType) -> None:
+    """One cell in twenty may lie too near the boundary to be told in 20 s."""
+    found = stability.loop_map(0.1, 8)
+    failed, predicted = np.array(found["failed"]), np.array(found["predicted"])
+    assert np.mean(failed == predicted) > 0.95
+    assert failed[1:, -1].all()
+    assert not failed[:, 0].any()
+
+
+def test_the_right_shapes_depend_on_the_hub(stability: ModuleType) -> None:
+    """A clamped mode is 10 % off with a light hub, right with a heavy one; a pinned one opposite."""
+    found = stability.shape_map()
+    error = {name: np.abs(values) for name, values in found["error"].items()}
+    assert error["clamped-free, 1"][0] > 0.1 > 1e-4 > error["clamped-free, 1"][-1]
+    assert error["pinned-free, 1"][-1] > 0.1 > 1e-4 > error["pinned-free, 1"][0]
+    assert np.all(error["clamped-free, 2"] < error["clamped-free, 1"])
