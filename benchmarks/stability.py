@@ -155,7 +155,7 @@ def driven(
     """Tip after a torque of twice the duration's length; NaN if it diverged."""
     count = 2 * int(np.ceil(duration / dt))  # even: a step ends where the torque does
     stepper = Stepper(model, 1, dt=2.0 * duration / count, substeps=1, integrator=integrator)
-    middles = (np.arange(count) + 0.5) * stepper.dt / duration
+    middles = np.linspace(0.0, 2.0, count, endpoint=False) + 1.0 / count
     for torque in 0.02 * signal(middles):
         stepper.torque[0] = torque
         stepper.advance()

@@ -55,7 +55,7 @@ def test_delay_destabilises_joint_pd_where_the_sampled_loop_says(stability: Modu
 
 
 def test_the_right_shapes_depend_on_the_hub(stability: ModuleType) -> None:
-    """A clamped mode is 10 % off with a light hub, right with a heavy one; a pinned one opposite."""
+    """One clamped mode is 10 % off with a light hub, right with a heavy one; pinned: opposite."""
     found = stability.shape_map()
     error = {name: np.abs(values) for name, values in found["error"].items()}
     assert error["clamped-free, 1"][0] > 0.1 > 1e-4 > error["clamped-free, 1"][-1]
