@@ -15,6 +15,7 @@ from flexarm_env.core import Array, Core
 from flexarm_env.env import RENDER_MODES, check_render_mode, observation_space
 
 Flags = NDArray[np.bool_]
+_TERM_MASKS = [f"_{name}" for name in kernels.TERMS]
 _AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
 
 
@@ -168,9 +169,9 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def _with_masks(self, described: dict[str, Any], mask: Flags | None = None) -> dict[str, Any]:
         """Gymnasium's `_name` beside each `name`: which environments have it."""
         mask = np.ones(self.num_envs, np.bool_) if mask is None else mask
-        terms = described["reward_terms"]
-        terms |= {f"_{name}": mask for name in terms}
-        return described | {f"_{name}": mask for name in described}
+        described["reward_terms"].update(dict.fromkeys(_TERM_MASKS, mask))
+        described.update(dict.fromkeys([f"_{name}" for name in described], mask))
+        return described
 
     def _after_step(self) -> None:
         if self._renderer is not None:
