@@ -13,18 +13,24 @@ from dynamics.arm_file import load_arm
 from dynamics.arms import ARMS
 
 if TYPE_CHECKING:
+    from dynamics.choice import Choice, choose_model
     from dynamics.model import Model, compile_arm
+    from dynamics.scene import JointMotion, Scene
     from dynamics.simulation import Diverged, Trajectory, simulate
     from dynamics.stepper import Stepper
+    from dynamics.validity import limits
 
 __all__ = [
-    "ARMS", "Arm", "Base", "Diverged", "Joint", "Link", "Mode", "Model", "Payload", "Stepper",
-    "Trajectory", "compile_arm", "load_arm", "simulate",
+    "ARMS", "Arm", "Base", "Choice", "Diverged", "Joint", "JointMotion", "Link", "Mode", "Model",
+    "Payload", "Scene", "Stepper", "Trajectory", "choose_model", "compile_arm", "limits",
+    "load_arm", "simulate",
 ]  # fmt: skip
 
 _LATE = {  # these import numba: only when asked for
     "Model": "model", "compile_arm": "model", "Stepper": "stepper",
+    "Choice": "choice", "choose_model": "choice", "JointMotion": "scene", "Scene": "scene",
     "Diverged": "simulation", "Trajectory": "simulation", "simulate": "simulation",
+    "limits": "validity",
 }  # fmt: skip
 
 

@@ -1,0 +1,130 @@
+"""How much of an arm a model keeps: modes per link and direction, foreshortening, segments."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from dynamics.arm import STIFFNESS, Arm, Link, Mode
+
+DIRECTIONS = ("y", "z", "x")  # bending, bending, torsion
+MOST_MODES = 4  # per link and direction on the ladder
+MOST_SEGMENTS = 8
+_NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass"}
+_POLYNOMIAL = {"x": "torsion-poly", "y": "poly", "z": "poly"}
+
+Counts = tuple[int, int, int]  # modes along y, z, x
+Change = tuple[int, str]  # link, direction or "segments"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fidelity:
+    """A rung: what is kept of every link."""
+
+    counts: tuple[Counts, ...]  # per link
+    segments: tuple[int, ...]  # per link
+    foreshortening: bool = False
+    polynomial: bool = False  # polynomial shapes; else the arm's own, or natural ones
+
+    @property
+    def rigid(self) -> bool:
+        """Whether no link has modes."""
+        return not any(map(any, self.counts))
+
+    def arm(self, arm: Arm) -> Arm:
+        """The arm with just so much."""
+        links = tuple(
+            replace(link, modes=tuple(self._modes(link, counts)), segments=segments)
+            for link, counts, segments in zip(arm.links, self.counts, self.segments, strict=True)
+        )
+        return replace(arm, links=links, foreshortening=self.foreshortening)
+
+    def _modes(self, link: Link, counts: Counts) -> Iterator[Mode]:
+        for direction, count in zip(DIRECTIONS, counts, strict=True):
+            own = link.in_direction(direction)
+            kind = own[0].kind if own else _NATURAL[direction]
+            kind = _POLYNOMIAL[direction] if self.polynomial else kind
+            for index in range(1, count + 1):
+                yield Mode(kind=kind, index=index, direction=direction)
+
+    def richer(self, most: tuple[Counts, ...], most_segments: int) -> dict[Change, "Fidelity"]:
+        """Every model with one mode more, or one link cut into twice as many segments."""
+        result = {}
+        for i, counts in enumerate(self.counts):
+            for d, name in enumerate(DIRECTIONS):
+                if counts[d] < most[i][d]:
+                    result[i, name] = self._with_modes(i, d, counts[d] + 1)
+            if any(counts) and 2 * self.segments[i] <= most_segments:
+                result[i, "segments"] = self._with_segments(i, 2 * self.segments[i])
+        return result
+
+    def thicker(self, most: tuple[Counts, ...]) -> "Fidelity":
+        """One mode more everywhere at once, where there is room."""
+        counts = tuple(
+            (min(y + 1, a), min(z + 1, b), min(x + 1, c))
+            for (y, z, x), (a, b, c) in zip(self.counts, most, strict=True)
+        )
+        return replace(self, counts=counts)
+
+    def poorer(self) -> Iterator["Fidelity"]:
+        """Every model with one mode less, or one link cut into half as many segments."""
+        for i, counts in enumerate(self.counts):
+            for d in range(3):
+                if counts[d]:
+                    yield self._with_modes(i, d, counts[d] - 1)
+            if self.segments[i] > 1:
+                yield self._with_segments(i, self.segments[i] // 2)
+
+    def _with_modes(self, link: int, direction: int, count: int) -> "Fidelity":
+        row = list(self.counts[link])
+        row[direction] = count
+        counts = (*self.counts[:link], (row[0], row[1], row[2]), *self.counts[link + 1 :])
+        segments = self.segments if any(row) else _set(self.segments, link, 1)
+        return replace(self, counts=counts, segments=segments)
+
+    def _with_segments(self, link: int, segments: int) -> "Fidelity":
+        return replace(self, segments=_set(self.segments, link, segments))
+
+    def __str__(self) -> str:
+        if self.rigid:
+            return "rigid links"
+        kept = [
+            f"link {i}: {_named(counts, segments)}"
+            for i, (counts, segments) in enumerate(zip(self.counts, self.segments, strict=True), 1)
+        ]
+        shapes = ", polynomial" if self.polynomial else ""
+        return "; ".join(kept) + shapes + (", foreshortened" if self.foreshortening else "")
+
+
+def rigid(arm: Arm, foreshortening: bool = False, polynomial: bool = False) -> Fidelity:
+    """No modes at all."""
+    n = arm.n_joint
+    return Fidelity(
+        counts=((0, 0, 0),) * n,
+        segments=(1,) * n,
+        foreshortening=foreshortening,
+        polynomial=polynomial,
+    )
+
+
+def everything(arm: Arm, bending: int, torsion: int) -> tuple[Counts, ...]:
+    """So many modes per link wherever it has a stiffness, and an inertia to twist."""
+    return tuple(_possible(arm, i, bending, torsion) for i in range(arm.n_joint))
+
+
+def _possible(arm: Arm, i: int, bending: int, torsion: int) -> Counts:
+    link = arm.links[i]
+    y, z, x = (bool(getattr(link, STIFFNESS[d])) for d in DIRECTIONS)
+    payload = arm.payload.inertia[0][0] if arm.payload else 0.0
+    inertia = link.rho_Ip + link.tip_inertia[0][0] + payload
+    twists = x and (i < arm.n_joint - 1 or inertia > 0.0)
+    return bending * y, bending * z, (torsion if link.rho_Ip else min(torsion, 1)) * twists
+
+
+def _named(counts: Counts, segments: int) -> str:
+    if not any(counts):
+        return "rigid"
+    modes = " + ".join(f"{n} {d}" for n, d in zip(counts, DIRECTIONS, strict=True) if n)
+    return f"{segments} x ({modes})" if segments > 1 else modes
+
+
+def _set(values: tuple[int, ...], place: int, value: int) -> tuple[int, ...]:
+    return (*values[:place], value, *values[place + 1 :])
