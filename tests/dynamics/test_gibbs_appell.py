@@ -30,7 +30,7 @@ from tests.dynamics.random_arms import (
 ANY = [(seed, 1 + seed % 6, seed % 4) for seed in range(24)]  # seed, links, most modes per link
 FEW = [
     (0, 1, 1), (1, 1, 3), (2, 2, 2), (3, 2, 3), (4, 3, 3), (5, 4, 2), (6, 6, 1), (7, 3, 0),
-    (15, 4, 3), (18, 1, 2),
+    (15, 4, 3), (18, 1, 2), (2, 3, 2), (7, 2, 3),
 ]  # fmt: skip
 
 any_arm = pytest.mark.parametrize("case", ANY, ids=str)

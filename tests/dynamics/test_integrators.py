@@ -89,6 +89,19 @@ def test_a_jump_in_torque_keeps_the_order_if_announced(integrator: str) -> None:
         assert error(False, coarse / 4) > 100.0 * errors[-1]
 
 
+def swell(t: float) -> Array:
+    """A torque that varies smoothly."""
+    return TORQUE * (1.0 + 20.0 * t)
+
+
+@pytest.mark.parametrize("integrator", METHODS)
+def test_a_smooth_torque_is_held_at_its_value_in_mid_step(integrator: str) -> None:
+    """So a fixed-step method stays of order 2 in it."""
+    errors = halvings(TWO_LINK, integrator, swell, end=0.1, coarse=0.05 / FASTEST)
+
+    assert_allclose(orders(errors), 2.0, atol=0.15)
+
+
 def test_the_reference_method_steps_onto_breakpoints() -> None:
     """Two motions, before and after the jump, make one."""
     first = simulate(compiled(TWO_LINK), START, np.zeros(6), TORQUE, [0.0, Jump.time])
