@@ -77,6 +77,13 @@ def test_an_episode_that_ends_early_is_infinitely_bad() -> None:
     assert all(m[name][0] == math.inf for name in METRICS if name != "success")
 
 
+def test_an_episode_that_never_settles_is_no_success() -> None:
+    m = episode_metrics(recording(np.full_like(TIME, 0.021)))
+    assert m["success"][0] == 0.0
+    assert m["settling_time"][0] == math.inf
+    assert m["tip_error_final"][0] == 0.021
+
+
 def test_summary_counts_failures_as_infinite() -> None:
     metrics = {"success": np.array([1.0, 1.0, 0.0]), "settling_time": np.array([0.5, 0.7, np.inf])}
     assert summarise(metrics) == {"success_rate": pytest.approx(2 / 3), "settling_time": 0.7}
