@@ -23,9 +23,9 @@ SLOPE_PER_DEFLECTION = 1.6  # [rad] a beam whose tip deflects in its first shape
 BENT = 0.6  # [rad] home angle of every joint but the first
 MOVE = 0.5  # [rad] a typical move; the scale of angles
 RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
-RK4_STEP = 0.75  # [-] dt omega of the highest mode: tip errors near 1e-5 of the reach
-RK4_STEPS = 12  # above that many substeps per control step the midpoint rule is cheaper
-MIDPOINT_STEP = 0.07  # [-] dt omega of the first joint-free mode: the midpoint rule takes all above
+RK4_STEP = 1.1  # [-] dt omega of the highest mode
+RK4_STEPS = 30  # above that many substeps per control step the midpoint rule is cheaper
+MIDPOINT_STEP = 0.03  # [-] dt omega of the first joint-free mode: it is only second order
 _UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not reach
 _SAMPLES = 200  # per period of the first joint-free mode
 

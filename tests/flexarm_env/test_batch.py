@@ -44,13 +44,14 @@ def assert_same_infos(batch: dict[str, Any], single: dict[str, Any]) -> None:
 def test_batch_equals_single_environments(scene: str, task: str, mode: str) -> None:
     """Observations, rewards, ends and infos over several episodes, against SyncVectorEnv."""
     env_id = f"FlexArm/{scene}-{task}-v0"
-    keywords: dict[str, Any] = {"max_episode_steps": 12}
+    keywords: dict[str, Any] = {"max_episode_steps": 23}
     batch = gym.make_vec(env_id, num_envs=3, autoreset_mode=mode, **keywords)
     singles = gym.make_vec(
         env_id, num_envs=3, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode},
         **keywords,
     )  # fmt: skip
-    actions = random_actions(40, 3, batch.unwrapped.n_joint)
+    actions = np.sign(random_actions(60, 3, batch.unwrapped.n_joint))  # hard enough to fail, too
+    failures = 0
     for ours, theirs in zip(run(batch, actions), run(singles, actions), strict=True):
         np.testing.assert_allclose(ours[0], theirs[0], rtol=ROUND_OFF, atol=ROUND_OFF)
         for a, b in zip(ours[1:-1], theirs[1:-1], strict=True):
@@ -71,6 +72,8 @@ def test_batch_equals_single_environments(scene: str, task: str, mode: str) -> N
                     rtol=1e-7, atol=1e-9,
                 )  # fmt: skip
         assert_same_infos(ours[-1], theirs[-1])
+        failures += len(ours) > 2 and int(ours[2].sum())
+    assert failures > 0 or scene != "OneLink"
 
 
 @pytest.mark.parametrize("task", TASKS)
