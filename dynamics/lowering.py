@@ -217,6 +217,17 @@ def cache_folder() -> Path:
     return Path(os.environ.get("FLEXARM_CACHE") or platformdirs.user_cache_path("flexarm"))
 
 
+def _own_sources() -> bytes:
+    """Hash of this package's source files."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.digest()
+
+
+_SOURCES = _own_sources()  # as imported: a file edited later does not speak for the code in memory
+
+
 def fingerprint(*parts: str) -> str:
     """Hash of a description, this package's own sources and the versions that compile it."""
     from importlib.metadata import version
@@ -224,8 +235,7 @@ def fingerprint(*parts: str) -> str:
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part.encode() + b"\0")
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
+    digest.update(_SOURCES)
     for package in ("numba", "casadi", "numpy"):
         digest.update(version(package).encode())
     digest.update(sys.version.encode())
