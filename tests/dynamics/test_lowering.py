@@ -317,13 +317,21 @@ def test_an_edited_source_cannot_run_stale(
     """One more byte in the package is another key."""
     package = tmp_path / "dynamics"
     shutil.copytree(ROOT / "dynamics", package, ignore=shutil.ignore_patterns("__pycache__"))
-    here = fingerprint("an arm")
     monkeypatch.setattr(lowering, "__file__", str(package / "lowering.py"))
-    copied = fingerprint("an arm")
+    copied = lowering._own_sources()
     source = package / f"{name}.py"
     source.write_bytes(source.read_bytes() + b"\n")
 
-    assert copied == here
+    assert copied == lowering._SOURCES
+    assert lowering._own_sources() != copied
+
+
+def test_the_key_speaks_for_the_code_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files edited under a running process do not change its keys; other sources do."""
+    here = fingerprint("an arm")
+    monkeypatch.setattr(lowering, "__file__", "elsewhere/lowering.py")
+    assert fingerprint("an arm") == here
+    monkeypatch.setattr(lowering, "_SOURCES", b"other sources")
     assert fingerprint("an arm") != here
 
 
