@@ -3,10 +3,12 @@
     python benchmarks/training.py --config configs/one_link_reach_ppo.yaml --seeds 0 1 2 3 4
 
 writes docs/results/NAME.json, NAME.md and NAME.png (learning curves); with --gif also NAME.gif
-(the first seed beside joint PD). The tables in the documentation come from here.
+(the first seed beside joint PD); and experiments.md, an overview of every experiment so far. The
+tables in the documentation come from here.
 """
 
 import argparse
+import json
 import math
 import sys
 import tempfile
@@ -14,6 +16,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,13 +40,21 @@ from agents.policy import Controller, load_policy  # noqa: E402
 from agents.runs import RunFolder, versions  # noqa: E402
 from agents.training import learn  # noqa: E402
 
-SETTLING_SHARE = 1.0 / 3.0  # of joint PD's median settling time, at most
-VIBRATION_SHARE = 1.0 / 10.0  # of joint PD's median residual vibration, at most
+# At most these shares of joint PD's medians to win, and the same in words.
+SETTLING = {"settling_time": 1.0 / 3.0, "residual_vibration": 1.0 / 10.0}
+FOLLOWING = {"tip_error_rms": 1.0 / 3.0}
+SETTLING_RULE = """\
+"Wins" means: settles in at most a third of joint PD's time, with at most a tenth of its residual
+vibration and no lower success rate; that joint PD acts at the policy's control rate."""
+FOLLOWING_RULE = """\
+"Wins" means: follows with at most a third of joint PD's RMS tip error and no lower success rate;
+that joint PD acts at the policy's control rate."""
+SMALLEST = 0.001  # printed as "less than" below this
 FASTER = 4  # joint PD is also shown at this multiple of the control rate; it is not the yardstick
 COLUMNS = {  # metric: (header, factor, format)
     "success_rate": ("success [%]", 100.0, ".0f"),
     "settling_time": ("settling [s]", 1.0, ".2f"),
-    "tip_error_final": ("tip error, end [mm]", 1e3, ".2g"),
+    "tip_error_final": ("tip error, end [mm]", 1e3, ".3g"),
     "tip_error_rms": ("tip error, RMS [mm]", 1e3, ".3g"),
     "residual_vibration": ("residual vibration [mm]", 1e3, ".2g"),
     "peak_root_curvature": ("peak root curvature [1/m]", 1.0, ".2g"),
@@ -51,17 +62,18 @@ COLUMNS = {  # metric: (header, factor, format)
 }
 
 
-def verdict(policy: Mapping[str, float], pd: Mapping[str, float]) -> dict[str, Any]:
-    """How the policy stands against joint PD; `passed` if it wins on every count."""
-    settling = policy["settling_time"] / pd["settling_time"]
-    vibration = policy["residual_vibration"] / pd["residual_vibration"]
-    return {
-        "settling_share": settling,
-        "vibration_share": vibration,
-        "passed": settling <= SETTLING_SHARE
-        and vibration <= VIBRATION_SHARE
-        and policy["success_rate"] >= pd["success_rate"],
-    }
+def verdict(
+    policy: Mapping[str, float], pd: Mapping[str, float], following: bool
+) -> dict[str, Any]:
+    """How the policy stands against joint PD; `passed` if it wins on every count.
+
+    An arm that follows a moving target neither settles nor stops bending: there its RMS tip error
+    counts instead.
+    """
+    limits = FOLLOWING if following else SETTLING
+    shares = {name: policy[name] / pd[name] for name in limits}
+    better = all(share <= limits[name] for name, share in shares.items())
+    return {"shares": shares, "passed": better and policy["success_rate"] >= pd["success_rate"]}
 
 
 def run_seed(config: Config, folder: Path) -> tuple[RunFolder, float]:
@@ -94,7 +106,9 @@ def cells(summary: Mapping[str, float]) -> list[str]:
     texts = []
     for name, (_, factor, style) in COLUMNS.items():
         value = factor * summary[name]
-        texts.append(f"{value:{style}}" if math.isfinite(value) else "never")
+        tiny = 0.0 < value < SMALLEST
+        text = f"< {SMALLEST}" if tiny else f"{value:{style}}"
+        texts.append(text if math.isfinite(value) else "never")
     return texts
 
 
@@ -110,10 +124,11 @@ def table(data: Mapping[str, Any]) -> str:
     for name, summary in data["references"].items():
         lines.append(" | ".join([name, *cells(summary), "", "", ""]))
     passed = sum(run["verdict"]["passed"] for run in data["runs"])
-    shares = ", ".join(
-        f"{run['verdict']['settling_share']:.2f} / {run['verdict']['vibration_share']:.3f}"
+    shares = "; ".join(
+        ", ".join(f"{name} {share:.3f}" for name, share in run["verdict"]["shares"].items())
         for run in data["runs"]
     )
+    rule = FOLLOWING_RULE if data["task"] == "Track" else SETTLING_RULE
     rows = "\n".join(f"| {line} |" for line in lines)
     return f"""# {data["name"]}
 
@@ -127,14 +142,51 @@ other tasks.
 
 {rows}
 
-"Wins" means: settles in at most a third of joint PD's time, with at most a tenth of its residual
-vibration and no lower success rate; that joint PD acts at the policy's control rate.
-{passed} of {len(data["runs"])} runs win. Shares of settling time / residual vibration: {shares}.
+{rule}
+{passed} of {len(data["runs"])} runs win. Shares of joint PD's value: {shares}.
 
 ![Learning curves]({data["name"]}.png)
 
 ![Tip error and root curvature]({data["name"]}_trajectories.png)
 """
+
+
+def overview(out: Path) -> str:
+    """One line per experiment from the JSON files in the folder."""
+    lines = []
+    for path in sorted(out.glob("*.json")):
+        data = json.loads(path.read_text(encoding="utf-8"))
+        if "references" not in data or "runs" not in data:
+            continue
+        summaries = [run["summary"] for run in data["runs"]]
+        rows = [median_of(summaries), *data["references"].values()]
+        names = [f"{len(summaries)} seeds" if len(summaries) > 1 else "1 seed"]
+        names += list(data["references"])
+        steps, seconds = data["runs"][0]["steps"], data["runs"][0]["seconds"]
+        first = f"[{data['name']}]({data['name']}.md), {steps / 1e6:.2g} M steps, {seconds:.0f} s"
+        for name, row in zip(names, rows, strict=True):
+            finite = {k: math.inf if v is None else v for k, v in row.items()}
+            lines.append(" | ".join([first, name, *cells(finite)]))
+            first = ""
+    header = ["experiment", "controller", *(h for h, _, _ in COLUMNS.values())]
+    rule = ["---", "---"] + ["---:"] * len(COLUMNS)
+    table = "\n".join(f"| {line} |" for line in [" | ".join(header), " | ".join(rule), *lines])
+    return f"""# Experiments
+
+Medians over 100 episodes (and over seeds), made by `benchmarks/training.py`; details behind each
+name. Joint PD has the best gains of a grid and acts at the policy's control rate. On a light hub
+that rate, not the law, is what holds it back, so it is also shown at {FASTER} times the rate.
+
+{table}
+"""
+
+
+def median_of(summaries: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
+    """Median over seeds of every metric; null counts as infinite."""
+    return {
+        name: median(math.inf if s[name] is None else float(s[name] or 0.0) for s in summaries)
+        for name in summaries[0]
+    }
 
 
 def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: bool) -> None:
@@ -144,6 +196,7 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
     tuned = tune_pd(env_id, kwargs)
     envs = make_batch(env_id, episodes, kwargs)
     pd = joint_pd(envs, tuned.frequency_ratio, tuned.damping_ratio)
+    task = envs.unwrapped.task
     tasks = range(first, first + episodes)
     recordings: dict[str, Recording] = {"joint PD": record(pd, envs, tasks)}
     summaries = {"joint PD": summarise(episode_metrics(recordings["joint PD"]))}
@@ -167,7 +220,7 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
                 "steps": curves[f"seed {seed}"][-1]["steps"],
                 "seconds": seconds,
                 "summary": summary,
-                "verdict": verdict(summary, summaries["joint PD"]),
+                "verdict": verdict(summary, summaries["joint PD"], task == "Track"),
             }
         )
         print(f"seed {seed}: {dict(zip(COLUMNS, cells(summary), strict=True))}", flush=True)
@@ -176,6 +229,7 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
         "name": config.name,
         "command": "python benchmarks/training.py " + " ".join(sys.argv[1:]),
         "env": env_id,
+        "task": task,
         "episodes": episodes,
         "evaluation_seed": first,
         "units": {name: unit for name, (unit, _) in METRICS.items()},
@@ -209,6 +263,7 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
         pair: dict[str, Controller] = {"trained policy": policies[0], "joint PD": pd}
         films = {name: film(env_id, kwargs, c, first) for name, c in pair.items()}
         write_gif(out / f"{config.name}.gif", films)
+    (out / "experiments.md").write_text(overview(out), encoding="utf-8")
     print(text)
 
 
