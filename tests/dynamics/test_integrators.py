@@ -152,6 +152,23 @@ def test_midpoint_is_stable_far_beyond_the_limit_where_rk4_diverges() -> None:
     assert abs(midpoint.q[0, 1]) < 1e-4  # [m] 100 times where it started
 
 
+def test_midpoint_is_stable_under_damping_that_rk4_cannot_follow() -> None:
+    """A mode that decays by e^-8 in a step: the arm settles, under rk4 it diverges."""
+    joint = Joint(rotor_inertia=0.05, viscous=20.0)
+    model = compiled(planar(1, 1, damping_beta=1.0, joint=joint))
+    decay = float(model.frequencies(joints="free")[0] ** 2)  # [1/s] omega^2 beta
+    stepper = {
+        name: Stepper(model, 1, dt=8.0 / decay, substeps=2000, integrator=name) for name in METHODS
+    }
+    for each in stepper.values():
+        each.q[0], each.v[0] = [0.0, 0.01], [1.0, 0.5]
+        each.advance()
+
+    assert stepper["rk4"].status[0] > 0
+    assert stepper["midpoint"].status[0] == 0
+    assert np.all(np.abs(stepper["midpoint"].v) < 1e-3)
+
+
 @pytest.mark.parametrize(("share", "stable"), [(0.98, True), (1.02, False)])
 def test_rk4_is_stable_up_to_its_stated_limit(share: float, stable: bool) -> None:
     stepper = shaken("rk4", share * INTEGRATORS["rk4"].limit, 20_000)
