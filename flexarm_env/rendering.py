@@ -47,6 +47,7 @@ class Renderer:
         self.trail: list[Array] = []
         self.bent: list[float] = []  # [m] elastic tip displacement, signed where planar
         self._window: Any = None
+        self.follow(core)
         self._fonts = {size: ImageFont.load_default(size=size * FINE) for size in (12, 14)}
 
     def clear(self) -> None:
