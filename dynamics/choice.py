@@ -30,7 +30,7 @@ from dynamics.scene import Scene
 
 Tips = list[NDArray[np.float64]]  # (N, 3) [m] per motion
 
-SETTLED = 0.01  # of the tolerance: what integrating a compared motion may cost
+SETTLED = 0.02  # of the tolerance: what integrating a compared motion may cost
 CONVERGED = 0.1  # of the tolerance: what refining the reference may still change
 MODELLING = 0.9  # of what the reference leaves to modes and nonlinearity; the rest is for steps
 SAFE = 0.7  # of an explicit method's stability limit: frequencies change with the pose
@@ -46,7 +46,7 @@ class Rung:
     """One model or step of the ladder; errors are the largest distance of the tip [m]."""
 
     description: str
-    error: float  # from the reference; infinite if the motion diverges
+    error: float  # from the reference, steps added to it; infinite if the motion diverges
     truncation: float | None = None  # from all modes of its kind
     nonlinear: float | None = None  # of its kind with all modes, from the reference
     integration: float | None = None  # of this step alone
@@ -62,7 +62,7 @@ class Choice:
     integrator: str
     dt: float  # [s]
     tolerance: float  # [m]
-    error: float  # [m] of arm, integrator and dt together, from the reference
+    error: float  # [m] of arm and of integrator and dt, added
     residual: float  # [m] what the last refinement of the reference changed
     cost: float  # operations per simulated second
     reason: str
@@ -316,29 +316,28 @@ def _rung(bench: _Bench, fidelity: Fidelity, best: Fidelity | None) -> Rung:
 
 def _steps(bench: _Bench, fidelity: Fidelity) -> Iterator[Rung]:
     """Per integrator its largest step within the tolerance, if any."""
-    left = bench.tolerance - bench.residual - bench.error(fidelity)
+    model = bench.error(fidelity)
+    left = bench.tolerance - bench.residual - model
     for name in INTEGRATORS:
         traced = bench.rollout(fidelity).method(name)
-        dt, error, integration = math.inf, math.inf, math.inf
-        for trial in _trials(bench, fidelity, name):
-            if max(integration, trial[2]) <= left:  # twice: not by luck
+        dt, integration = math.inf, math.inf
+        for finer, error in _trials(bench, fidelity, name):
+            if max(integration, error) <= left:  # twice: not by luck
                 break
-            dt, error, integration = trial
+            dt, integration = finer, error
         kept = f"{name}, dt {dt:.4g} s"
         bench.steps[kept] = (name, dt)
         yield Rung(
             description=kept,
-            error=error,
+            error=model + integration,
             integration=integration,
             operations=traced.operations,
             cost=traced.evaluations * traced.operations / dt if integration <= left else None,
         )
 
 
-def _trials(
-    bench: _Bench, fidelity: Fidelity, integrator: str
-) -> Iterator[tuple[float, float, float]]:
-    """Ever smaller steps [s], the error of each from the reference and from the same model."""
+def _trials(bench: _Bench, fidelity: Fidelity, integrator: str) -> Iterator[tuple[float, float]]:
+    """Ever smaller steps [s], and how far each moves the tip [m]."""
     rollout, motions = bench.rollout(fidelity), bench.scene.motions
     fastest = max(rollout.fastest(motion) for motion in motions)
     shortest = min(motion.t_end for motion in motions)
@@ -347,11 +346,8 @@ def _trials(
         dt = min(dt, SAFE * INTEGRATORS[integrator].limit / fastest)
     while shortest / dt < FINEST:
         runs = [rollout.run(motion, integrator, dt) for motion in motions]
-        errors = [
-            max(distance(run.tips, tip[:: run.stride]) for run, tip in zip(runs, tips, strict=True))
-            for tips in (bench.truth, bench.tips(fidelity))
-        ]
-        yield max(run.dt for run in runs), errors[0], errors[1]
+        settled = zip(runs, bench.tips(fidelity), strict=True)
+        yield max(r.dt for r in runs), max(distance(r.tips, t[:: r.stride]) for r, t in settled)
         dt /= FINER
 
 

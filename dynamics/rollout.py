@@ -122,7 +122,7 @@ class Rollout:
         Unsettled : where that does not end.
         """
         fastest, method = self.fastest(motion), "rk4"
-        dt = min(1.5 / fastest if fastest else np.inf, motion.t_end / (2 * SAMPLES))
+        dt = min(2.0 / fastest if fastest else np.inf, motion.t_end / (2 * SAMPLES))
         work = 4.0 * self.operations * motion.t_end
         if work / dt > MANY:
             method, dt = "midpoint", motion.t_end / (8 * SAMPLES)
