@@ -50,13 +50,14 @@ def start_nothing(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: igno
     """A one-step method that needs no preparation."""
 
 
-def start_implicit(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
-    """First accelerations, with nothing taken implicitly."""
+def start_midpoint(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
+    """Weights of the implicit forces, and first accelerations from a guess of none."""
+    half = w.dtype.type(0.5) * h
     for b in range(lanes):
-        w[implicit + b] = 0.0
-        w[implicit + lanes + b] = 0.0
+        w[implicit + b] = half * half
+        w[implicit + lanes + b] = half
     for i in range(n):
-        w[implicit + lanes + lanes + i] = 0.0
+        w[implicit + lanes + lanes + i] = w.dtype.type(0.0)
     evaluate(w)
 
 
@@ -64,15 +65,11 @@ def midpoint(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no
     """Augmented-mass midpoint rule: order 2, A-stable on the elastic part, no numerical damping."""
     guess, v0, q0 = implicit + lanes + lanes, s, s + n
     half = w.dtype.type(0.5) * h
-    quarter = half * half
-    for b in range(lanes):
-        w[implicit + b] = quarter
-        w[implicit + lanes + b] = half
     for i in range(n):
         w[guess + i] = w[a + i]
         w[q0 + i] = w[q + i] + half * w[v + i]
         w[v0 + i] = w[v + i]
-        w[q + i] = w[q0 + i] + quarter * w[a + i]
+        w[q + i] = w[q0 + i] + half * half * w[a + i]
         w[v + i] += half * w[a + i]
     evaluate(w)
     for i in range(n):
@@ -93,5 +90,5 @@ class Integrator:
 
 INTEGRATORS = {
     "rk4": Integrator(rk4, start_nothing, order=4, implicit=False, limit=2.828),
-    "midpoint": Integrator(midpoint, start_implicit, order=2, implicit=True, limit=float("inf")),
+    "midpoint": Integrator(midpoint, start_midpoint, order=2, implicit=True, limit=float("inf")),
 }
