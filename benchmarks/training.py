@@ -124,10 +124,11 @@ def table(data: Mapping[str, Any]) -> str:
     for name, summary in data["references"].items():
         lines.append(" | ".join([name, *cells(summary), "", "", ""]))
     passed = sum(run["verdict"]["passed"] for run in data["runs"])
-    shares = "; ".join(
-        ", ".join(f"{name} {share:.3f}" for name, share in run["verdict"]["shares"].items())
-        for run in data["runs"]
-    )
+    ranges = {
+        name: sorted(number(run["verdict"]["shares"][name]) for run in data["runs"])
+        for name in data["runs"][0]["verdict"]["shares"]
+    }
+    shares = ", ".join(f"{name} {v[0]:.2g} to {v[-1]:.2g}" for name, v in ranges.items())
     rule = FOLLOWING_RULE if data["task"] == "Track" else SETTLING_RULE
     rows = "\n".join(f"| {line} |" for line in lines)
     return f"""# {data["name"]}
@@ -143,12 +144,17 @@ other tasks.
 {rows}
 
 {rule}
-{passed} of {len(data["runs"])} runs win. Shares of joint PD's value: {shares}.
+{passed} of {len(data["runs"])} win. Shares of joint PD's value: {shares}.
 
 ![Learning curves]({data["name"]}.png)
 
 ![Tip error and root curvature]({data["name"]}_trajectories.png)
 """
+
+
+def number(value: float | None) -> float:
+    """A number read from JSON, where null stands for infinity; what is undefined counts so too."""
+    return math.inf if value is None or math.isnan(value) else float(value)
 
 
 def overview(out: Path) -> str:
@@ -165,8 +171,8 @@ def overview(out: Path) -> str:
         steps, seconds = data["runs"][0]["steps"], data["runs"][0]["seconds"]
         first = f"[{data['name']}]({data['name']}.md), {steps / 1e6:.2g} M steps, {seconds:.0f} s"
         for name, row in zip(names, rows, strict=True):
-            finite = {k: math.inf if v is None else v for k, v in row.items()}
-            lines.append(" | ".join([first, name, *cells(finite)]))
+            numbers = {k: number(v) for k, v in row.items()}
+            lines.append(" | ".join([first, name, *cells(numbers)]))
             first = ""
     header = ["experiment", "controller", *(h for h, _, _ in COLUMNS.values())]
     rule = ["---", "---"] + ["---:"] * len(COLUMNS)
@@ -183,10 +189,7 @@ that rate, not the law, is what holds it back, so it is also shown at {FASTER} t
 
 def median_of(summaries: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
     """Median over seeds of every metric; null counts as infinite."""
-    return {
-        name: median(math.inf if s[name] is None else float(s[name] or 0.0) for s in summaries)
-        for name in summaries[0]
-    }
+    return {name: median(number(s[name]) for s in summaries) for name in summaries[0]}
 
 
 def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: bool) -> None:
