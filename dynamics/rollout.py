@@ -35,7 +35,7 @@ class Unsettled(RuntimeError):
 
 @dataclass(frozen=True)
 class Traced:
-    """One integration method on one arm; states are (q, v, acceleration)."""
+    """One integration method on one arm; states are (q, v) and what it keeps between steps."""
 
     start: Any  # (state, torque, step) -> state
     step: Any
@@ -87,7 +87,7 @@ class Rollout:
         steps = max(1, int(np.ceil(max(width for _, width in pieces) / dt - 1e-9)))
         roll = traced.step.mapaccum("roll", steps)
         n, joints = self.model.n, list(self.arm.joint_index)
-        x = np.zeros(3 * n)
+        x = np.zeros(traced.start.size1_in(0))
         x[joints], x[[n + j for j in joints]] = motion.joint_angles, motion.joint_rates
         states, jumps = [x], motion.knots[:-1]
         for begin, width in pieces:
@@ -180,29 +180,27 @@ def _trace(model: Model, integrator: str) -> Traced:
     import casadi as ca
 
     method, n = INTEGRATORS[integrator], model.n
-    q, v, a, guess = (ca.SX.sym(name, n) for name in ("q", "v", "a", "guess"))
-    tau, weights, h = ca.SX.sym("tau", model.n_joint), ca.SX.sym("weights", 2), ca.SX.sym("h")
-    implicit = None
-    if method.implicit:
-        implicit = Implicit(weights[0], weights[1], ca.vertsplit(guess))
-    result = accelerations(
-        model.chain, ca.vertsplit(q), ca.vertsplit(v), ca.vertsplit(tau), implicit
-    )
-    graph = ca.Function("accelerations", [q, v, tau, weights, guess], [ca.cse(ca.vertcat(*result))])
     Q, V, A, W, GUESS, SCRATCH = 0, n, 2 * n, 3 * n, 3 * n + 2, 4 * n + 2
+    x = ca.vertsplit(ca.SX.sym("x", SCRATCH))  # the workspace, but for what no step keeps
+    tau, h = ca.SX.sym("tau", model.n_joint), ca.SX.sym("h")
+    implicit = Implicit(x[W], x[W + 1], x[GUESS:]) if method.implicit else None
+    result = accelerations(model.chain, x[Q:V], x[V:A], ca.vertsplit(tau), implicit)
+    inputs = [ca.vertcat(*part) for part in (x[Q:V], x[V:A], x[W:])]
+    graph = ca.Function("accelerations", [*inputs, tau], [ca.cse(ca.vertcat(*result))])
     evaluations = 0
 
     def evaluate(w: Any) -> None:
         nonlocal evaluations
         evaluations += 1
-        inputs = [w[Q:V], w[V:A], [tau], w[W:GUESS], w[GUESS:SCRATCH]]
-        w[A:W] = ca.vertsplit(graph(*(ca.vertcat(*x) for x in inputs)))
+        values = [ca.vertcat(*part) for part in (w[Q:V], w[V:A], w[W:SCRATCH])]
+        w[A:W] = ca.vertsplit(graph(*values, tau))
 
     steps = []
     for function in (method.start, method.step):
         evaluations = 0
         w = np.zeros(SCRATCH + 4 * n, dtype=object)
-        w[Q:V], w[V:A], w[A:W] = ca.vertsplit(q), ca.vertsplit(v), ca.vertsplit(a)
+        w[:SCRATCH] = x
         function(w, h, evaluate, 1, n, Q, V, A, W, SCRATCH)
-        steps.append(ca.Function("step", [ca.vertcat(q, v, a), tau, h], [ca.vertcat(*w[:W])]))
+        after = ca.vertcat(*w[:SCRATCH])
+        steps.append(ca.Function("step", [ca.vertcat(*x), tau, h], [after]))
     return Traced(steps[0], steps[1], evaluations, sum(operations(graph).values()))

@@ -1,0 +1,235 @@
+"""The chosen model is the least that a scene needs, and its claimed error is honest.
+
+Verified against other discretisations followed by another integrator (in tests/reference/, made by
+`python benchmarks/model_choice.py --truth`), and against a geometrically nonlinear beam.
+"""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import dynamics.choice
+from benchmarks.model_choice import (
+    S1,
+    TRIALS,
+    chosen_tips,
+    independent_tips,
+    stored_truth,
+    truth_times,
+    verified_error,
+)
+from dynamics import (
+    Choice,
+    Joint,
+    Mode,
+    Scene,
+    Trajectory,
+    choose_model,
+    limits,
+    load_arm,
+    simulate,
+)
+from dynamics.integrators import INTEGRATORS
+from dynamics.rollout import Rollout, distance
+from dynamics.scene import JointMotion, bang_bang, cycloid, release
+from tests.dynamics.random_arms import compiled
+
+TRUTH = stored_truth()
+NONLINEAR_BEAM = Path(__file__).parents[1] / "reference" / "S1_nonlinear_beam.csv"
+
+# scene -> modes per link and direction, as (least, most); foreshortened?; more segments than one?
+NEEDED: dict[str, tuple[list[dict[str, tuple[int, int]]], bool, bool]] = {
+    "stiff link": ([{}], False, False),
+    "heavy hub": ([{"y": (1, 1)}], False, False),
+    "light hub": ([{"y": (2, 3)}], False, False),
+    "laboratory arm": ([{"y": (2, 3)}], False, False),
+    "stiff and flexible link": ([{}, {"y": (1, 2)}], True, False),
+    "fast spin": ([{"y": (1, 2)}], True, False),
+    "soft beam": ([{"y": (1, 2)}], True, True),
+    "spatial, both joints": ([{"y": (1, 1), "z": (1, 1)}, {}], False, False),
+    "spatial, one joint": ([{"y": (1, 1)}, {}], False, False),
+    "crank": ([{"x": (1, 1)}, {}], False, False),
+}
+
+
+@cache
+def chosen(name: str) -> Choice:
+    """One choice per scene and session."""
+    trial = TRIALS[name]
+    return choose_model(trial.arm, trial.scene, trial.tolerance)
+
+
+def motion_of(name: str) -> JointMotion:
+    return TRIALS[name].scene.motions[0]
+
+
+@pytest.mark.parametrize("name", NEEDED)
+def test_a_scene_gets_what_it_needs_and_no_more(name: str) -> None:
+    links, foreshortened, segmented = NEEDED[name]
+    arm = chosen(name).arm
+    assert arm.foreshortening == foreshortened
+    assert any(link.segments > 1 for link in arm.links) == segmented
+    for link, wanted in zip(arm.links, links, strict=True):
+        for direction in "xyz":
+            least, most = wanted.get(direction, (0, 0))
+            assert least <= len(link.in_direction(direction)) <= most
+
+
+@pytest.mark.parametrize("name", NEEDED)
+def test_the_compiled_choice_is_as_good_as_claimed(name: str) -> None:
+    choice, trial = chosen(name), TRIALS[name]
+    verified = verified_error(trial, choice, TRUTH[name])
+    assert verified <= choice.error + choice.residual <= trial.tolerance
+
+
+def test_the_claim_holds_against_a_beam_without_assumed_modes() -> None:
+    choice, truth = chosen("laboratory arm"), np.loadtxt(NONLINEAR_BEAM, delimiter=",", skiprows=3)
+    tips = chosen_tips(choice, motion_of("laboratory arm"), truth[:, 0])
+    apart = np.linalg.norm(tips[:, :2] - truth[:, 1:3], axis=1).max()
+    own = 7e-6 * S1.reach  # what the beam's solution is good to
+    assert apart <= choice.error + choice.residual + own
+    assert apart > 0.1 * choice.error  # and the claim is no idle bound
+
+
+@pytest.mark.parametrize("name", ["heavy hub", "light hub"])
+def test_one_mode_less_is_not_enough(name: str) -> None:
+    choice, trial = chosen(name), TRIALS[name]
+    link = choice.arm.links[0]
+    less = replace(link, modes=link.modes[:-1])
+    poorer = replace(choice, arm=replace(choice.arm, links=(less, *choice.arm.links[1:])))
+    poorer = replace(poorer, integrator="rk4", dt=1e-3)
+    assert verified_error(trial, poorer, TRUTH[name]) > trial.tolerance
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NEEDED)
+def test_the_stored_truth_is_what_the_independent_model_does(name: str) -> None:
+    tips = independent_tips(TRIALS[name], motion_of(name), truth_times(TRIALS[name]))
+    assert distance(tips, TRUTH[name]) <= 0.01 * TRIALS[name].tolerance
+
+
+def test_a_fast_spin_breaks_the_linear_model() -> None:
+    choice = chosen("fast spin")
+    linear = replace(
+        choice, arm=replace(choice.arm, foreshortening=False), integrator="rk4", dt=0.1
+    )
+    assert verified_error(TRIALS["fast spin"], linear, TRUTH["fast spin"]) > linear.arm.reach
+
+
+def test_rungs_say_what_is_wrong_with_them() -> None:
+    """One clamped mode on a light free hub is worse than none; rigid is all truncation."""
+    ladder = {rung.description: rung for rung in chosen("light hub").ladder}
+    assert ladder["link 1: 1 y"].error > ladder["rigid links"].error
+    rigid = ladder["rigid links"]
+    assert rigid.truncation is not None
+    assert rigid.nonlinear is not None
+    assert rigid.truncation > 10.0 * rigid.nonlinear
+    assert chosen("fast spin").ladder[0].nonlinear == np.inf
+
+
+def test_a_choice_is_deterministic_and_json() -> None:
+    trial, choice = TRIALS["heavy hub"], chosen("heavy hub")
+    assert choose_model(trial.arm, trial.scene, trial.tolerance) == choice
+    data = json.loads(json.dumps(chosen("fast spin").to_dict(), allow_nan=False))
+    assert load_arm(data["arm"]) == chosen("fast spin").arm
+    assert data["ladder"][1]["error"] == "diverged"
+    assert choice.table().count("\n") == len(choice.ladder) + 1
+    assert choice.reason.endswith("m.")
+
+
+def test_the_arms_own_modes_name_the_shapes() -> None:
+    trial = TRIALS["heavy hub"]
+    modes = (Mode(kind="poly", index=1, direction="y"),)
+    arm = replace(trial.arm, links=(replace(trial.arm.links[0], modes=modes),))
+    choice = choose_model(arm, trial.scene, trial.tolerance)
+    assert {mode.kind for mode in choice.arm.links[0].modes} == {"poly"}
+    assert len(choice.arm.links[0].modes) == 2
+
+
+def test_a_reference_that_does_not_converge_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    trial = TRIALS["soft beam"]
+    monkeypatch.setattr(dynamics.choice, "REFERENCES", ((2, 2),))
+    with pytest.raises(RuntimeError, match=r"does not converge: .*still moves by 0\.\d+ m"):
+        choose_model(trial.arm, trial.scene, trial.tolerance)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_traced_steps_are_the_compiled_steps(integrator: str) -> None:
+    arm = chosen("spatial, one joint").arm
+    torque = np.array([1.0, -0.5])
+    motion = JointMotion(
+        joint_angles=(0.3, 0.5), joint_rates=(1.0, -1.0), t_end=0.1, torque=lambda t: torque
+    )
+    model = compiled(arm)
+    q, v = np.zeros(model.n), np.zeros(model.n)
+    q[list(arm.joint_index)], v[list(arm.joint_index)] = (0.3, 0.5), (1.0, -1.0)
+    dt = 0.1 / 256
+    end = simulate(model, q, v, torque, [0.0, 0.1], integrator=integrator, dt=dt).tip[-1]
+    assert_allclose(Rollout(arm).tips(motion, integrator, dt)[-1], end, rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"joint_angles": (), "joint_rates": ()}, "joint_angles must hold one angle per joint"),
+        ({"joint_rates": (0.0, 0.0)}, "joint_rates must have 1 numbers, got 2"),
+        ({"t_end": -1.0}, "t_end must be positive, got -1.0"),
+        ({"t_end": float("nan")}, "t_end"),
+        ({"torque": 3.0}, "torque must be a function of time or None, got 3.0"),
+    ],
+)
+def test_nonsense_motions_are_refused(change: dict[str, Any], sentence: str) -> None:
+    values = {"joint_angles": (0.0,), "joint_rates": (0.0,), "t_end": 1.0}
+    with pytest.raises(ValueError, match=sentence):
+        JointMotion(**{**values, **change})
+
+
+def test_a_scene_must_fit_the_arm_and_the_tolerance_be_positive() -> None:
+    arm, motion = TRIALS["heavy hub"].arm, motion_of("heavy hub")
+    with pytest.raises(ValueError, match="at least one motion"):
+        Scene(motions=())
+    with pytest.raises(ValueError, match=r"joint_angles must have shape \(1,\).*got \(2,\)"):
+        choose_model(arm, Scene(motions=(release((0.0, 0.0), t_end=1.0),)), 1e-3)
+    odd = replace(motion, torque=lambda t: [0.0, 0.0])
+    with pytest.raises(ValueError, match=r"torque must have shape \(1,\).*got \(2,\)"):
+        choose_model(arm, Scene(motions=(odd,)), 1e-3)
+    with pytest.raises(ValueError, match=r"tolerance must be positive, got 0\.0"):
+        choose_model(arm, Scene(motions=(motion,)), 0.0)
+
+
+def test_typical_motions() -> None:
+    pulse = bang_bang((2.0, 0.5), pulse=0.2, t_end=1.0)
+    assert pulse.knots == (0.0, 0.2, 0.4, 1.0)
+    assert pulse.torque is not None
+    assert_allclose([pulse.torque(t) for t in (0.1, 0.3, 0.5)], [[2, 0.5], [-2, -0.5], [0, 0]])
+    smooth = cycloid((2.0,), duration=0.4, t_end=1.0)
+    assert smooth.torque is not None
+    assert_allclose([smooth.torque(t)[0] for t in (0.1, 0.3, 0.4)], [2.0, -2.0, 0.0], atol=1e-12)
+    assert release((0.1,), t_end=1.0).torque is None
+
+
+def test_limits_name_every_assumption_that_a_motion_leaves() -> None:
+    mode = Mode(kind="clamped-free", index=1, direction="y")
+    link = replace(S1.links[0], modes=(mode,), joint=Joint(rotor_inertia=0.01))
+    model = compiled(replace(S1, links=(link,)))
+    first = model.frequencies()[0]
+
+    def moved(rate: float, tip: float) -> Trajectory:
+        q, v = np.array([[0.0, 0.0], [0.1, tip]]), np.array([[0.0, 0.0], [rate, 0.0]])
+        return Trajectory(np.array([0.0, 1.0]), q, v, np.zeros((2, 3)))
+
+    length = link.length
+    assert limits(model, moved(0.49 * first, 0.09 * length)) == ()
+    (rate,) = limits(model, moved(-0.51 * first, 0.0))
+    assert "Joint 1 turns" in rate
+    (bent,) = limits(model, moved(0.0, -0.105 * length))
+    assert "Link 1 bends by up to 10% of its link's length" in bent
+    assert "tip by up to 0.21 rad" in limits(model, moved(0.0, 0.15 * length))[1]
+    stiffening = compiled(replace(model.arm, foreshortening=True))
+    assert limits(stiffening, moved(2.0 * first, 0.0)) == ()
