@@ -108,7 +108,8 @@ def cells(summary: Mapping[str, float]) -> list[str]:
         value = factor * summary[name]
         tiny = 0.0 < value < SMALLEST
         text = f"< {SMALLEST}" if tiny else f"{value:{style}}"
-        texts.append(text if math.isfinite(value) else "never")
+        missing = "never" if name == "settling_time" else "failed"
+        texts.append(text if math.isfinite(value) else missing)
     return texts
 
 
