@@ -20,7 +20,7 @@ TUNING_EPISODES = 16
 
 @dataclass(frozen=True, kw_only=True)
 class JointPD:
-    """tau = -stiffness (q - q_target) - damping q_rate per joint, saturated at the torque limit."""
+    """tau = -stiffness (q - q_target) - damping (v - v_target) per joint, within the limits."""
 
     stiffness: Array  # (n_joint,) or one row per environment (n_env, n_joint) [N m/rad]
     damping: Array  # same shape [N m s/rad]
@@ -39,6 +39,8 @@ class JointPD:
         x = np.asarray(observation, float)
         error = x[..., self.slices["joint_error"]] * self.scales["joint_error"]
         rate = x[..., self.slices["joint_rate"]] * self.scales["joint_rate"]
+        if "target_rate" in self.slices:  # the target moves: damp the motion relative to it
+            rate = rate - x[..., self.slices["target_rate"]] * self.scales["target_rate"]
         torque = -self.stiffness * error - self.damping * rate
         return np.clip(torque / self.torque_limit, -1.0, 1.0), state
 

@@ -1,0 +1,71 @@
+"""Joint PD: the law, its dimensionless gains, and the search for the best of them."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.controllers import CONTROLLERS, JointPD, joint_pd, tune_pd
+from agents.evaluation import episode_metrics, make_batch, record
+
+ENV_ID = "FlexArm/OneLink-Reach-v0"
+
+
+@pytest.fixture(scope="module")
+def envs() -> Iterator[Any]:
+    envs = make_batch(ENV_ID, 4)
+    yield envs
+    envs.close()
+
+
+def test_joint_pd_is_its_law_within_the_limits() -> None:
+    """tau = -K (q - q*) - D (v - v*), over the torque limit, clipped to [-1, 1]."""
+    pd = JointPD(
+        stiffness=np.array([2.0, 3.0]),
+        damping=np.array([0.5, 0.25]),
+        torque_limit=np.array([4.0, 1.0]),
+        slices={"joint_rate": slice(0, 2), "joint_error": slice(2, 4), "target_rate": slice(4, 6)},
+        scales={
+            name: np.array([0.1, 0.2]) for name in ("joint_rate", "joint_error", "target_rate")
+        },
+    )
+    observation = np.array([1.0, 2.0, 10.0, 5.0, 3.0, 4.0], np.float32)
+    action, _ = pd.predict(observation)
+    # joint 1: -(2 * 1.0) - 0.5 * (0.1 - 0.3) = -1.9 of 4;  joint 2: -(3 * 1.0) + 0.1 beyond -1
+    np.testing.assert_allclose(action, [-1.9 / 4.0, -1.0], atol=1e-12)
+    np.testing.assert_allclose(pd.predict(np.stack([observation] * 3))[0], [action] * 3)
+
+
+def test_dimensionless_gains_mean_what_they_say(envs: Any) -> None:
+    """A rigid joint of the arm's inertia would swing at ratio x f1 with the given damping ratio."""
+    model = envs.unwrapped.model
+    inertia = model.mass_matrix(np.zeros(model.n))[0, 0]
+    first = model.frequencies(np.zeros(model.n), joints="locked")[0]
+    pd = joint_pd(envs, 0.5, 0.7)
+    frequency = np.sqrt(pd.stiffness[0] / inertia)
+    assert frequency == pytest.approx(0.5 * first, rel=1e-12)
+    assert pd.damping[0] / (2.0 * inertia * frequency) == pytest.approx(0.7, rel=1e-12)
+
+
+def test_the_search_in_one_batch_is_the_search_one_by_one(envs: Any) -> None:
+    """Every pair of gains of the table does what it does alone on the same tasks."""
+    tuned = tune_pd(
+        ENV_ID, frequency_ratios=(0.1, 0.2), damping_ratios=(0.5, 0.8), episodes=4, seed=3
+    )
+    for row in tuned.table:
+        pd = joint_pd(envs, row["frequency_ratio"], row["damping_ratio"])
+        metrics = episode_metrics(record(pd, envs, range(3, 7)))
+        assert row["tip_error_rms"] == float(np.median(metrics["tip_error_rms"]))
+    best = min(tuned.table, key=lambda r: (-r["success_rate"], r["settling_time"]))
+    assert tuned.frequency_ratio == best["frequency_ratio"]
+
+
+@pytest.mark.parametrize("name", sorted(CONTROLLERS))
+def test_every_controller_acts_for_one_and_for_many(name: str, envs: Any) -> None:
+    controller = CONTROLLERS[name](envs, ENV_ID, {}, 0)
+    observations, _ = envs.reset(seed=0)
+    actions, _ = controller.predict(observations)
+    assert actions.shape == envs.action_space.shape
+    assert np.all(np.abs(actions) <= 1.0)
+    assert controller.predict(observations[0])[0].shape == envs.single_action_space.shape
