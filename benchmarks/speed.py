@@ -7,7 +7,9 @@ it runs.
 """
 
 import argparse
+import itertools
 import json
+import multiprocessing
 import os
 import platform
 import statistics
@@ -16,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -29,7 +32,7 @@ from dynamics.kernels import LANES
 from dynamics.lowering import cached_module
 
 DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
-BATCH = 1024
+BATCHES = (1024, 8192)
 CHAINS, ROUNDS = 3, 200  # 3 chains of 16 lanes keep 12 of 16 vector registers in flight
 
 
@@ -81,7 +84,7 @@ def right_hand_side(arm: str, peak: float) -> dict[str, float]:
     for name, lanes in (("one lane", 1), ("many lanes", LANES)):
         program = model.program(lanes, "rk4")
         w = model.workspace(program)
-        seconds = median_seconds(lambda p=program, w=w: p.evaluate_often(w, 1000)) / 1000 / lanes
+        seconds = median_seconds(partial(program.evaluate_often, w, 1000)) / 1000 / lanes
         row[f"rhs {name} [ns]"] = seconds * 1e9
         row[f"share of peak, {name}"] = flops / seconds / peak
     return row
@@ -123,28 +126,29 @@ def env_steps(family: str) -> dict[str, float]:
     row["single gym.make [steps/s]"] = len(actions) / median_seconds(lambda: episode(env))
     bare = env.unwrapped
     row["single unwrapped [steps/s]"] = len(actions) / median_seconds(lambda: episode(bare))
-    for threads in (1, 2):
-        batch = gym.make_vec(env_id, num_envs=BATCH, threads=threads)
+    for size, threads in itertools.product(BATCHES, (1, 2)):
+        batch = gym.make_vec(env_id, num_envs=size, threads=threads)
         batch.reset(seed=0)
-        many = rng.uniform(-1.0, 1.0, (BATCH, actions.shape[1])).astype(np.float32)
-        name = f"batch of {BATCH}, {threads} thread{'s' * (threads > 1)} [steps/s]"
-        row[name] = BATCH / median_seconds(lambda b=batch, a=many: b.step(a))
+        many = rng.uniform(-1.0, 1.0, (size, actions.shape[1])).astype(np.float32)
+        name = f"batch of {size}, {threads} thread{'s' * (threads > 1)} [steps/s]"
+        row[name] = size / median_seconds(partial(batch.step, many))
         batch.close()
     return row
 
 
 def physics_steps(family: str) -> dict[str, float]:
     """Control steps per second of the stepper alone, as the environment configures it."""
-    bare = gym.make(f"FlexArm/{family}-Reach-v0").unwrapped
+    bare: Any = gym.make(f"FlexArm/{family}-Reach-v0").unwrapped
+    core = bare.core
     row = {}
     for threads in (1, 2):
         stepper = Stepper(
-            bare.model, BATCH, dt=bare.control_dt / bare.substeps, substeps=bare.substeps,
-            integrator=bare.integrator, threads=threads,
+            core.model, BATCHES[0], dt=core.control_dt / core.substeps, substeps=core.substeps,
+            integrator=core.integrator, threads=threads,
         )  # fmt: skip
-        row[f"physics, {threads} thread{'s' * (threads > 1)} [steps/s]"] = BATCH / median_seconds(
-            stepper.advance
-        )
+        row[f"physics, {threads} thread{'s' * (threads > 1)} [steps/s]"] = BATCHES[
+            0
+        ] / median_seconds(stepper.advance)
     return row
 
 
@@ -156,7 +160,8 @@ def main() -> None:
     peak = multiply_add_peak()
     results: dict[str, Any] = {
         "machine": {"processor": platform.processor() or platform.machine(),
-                    "cores": os.cpu_count(), "peak, one core [GFLOP/s]": peak / 1e9},
+                    "cores": os.cpu_count(), "cores in fact": cores_in_fact(),
+                    "peak, one core [GFLOP/s]": peak / 1e9},
         "versions": {name: version(name) for name in ("numba", "numpy", "gymnasium", "casadi")},
     }  # fmt: skip
     for family, arm in DEFAULT_ARMS.items():
@@ -168,13 +173,48 @@ def main() -> None:
             **env_steps(family),
             **compile_seconds(arm),
         }
-    print(f"multiply-add peak of one core: {peak / 1e9:.1f} GFLOP/s")
-    keys = list(results["OneLink"])
-    for key in keys:
-        cells = [results[family][key] for family in DEFAULT_ARMS]
-        print(f"{key:36}", *(f"{c:>18.4g}" if isinstance(c, float) else f"{c:>18}" for c in cells))
+    text = table(results)
+    print(text)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(results, indent=2) + "\n")
+    options.out.with_suffix(".md").write_text(text)
+
+
+def table(results: dict[str, Any]) -> str:
+    """The results as a page."""
+    machine = results["machine"]
+    peak = machine["peak, one core [GFLOP/s]"]
+    lines = [
+        "# Speed\n",
+        "Made by `python benchmarks/speed.py`: medians, all in one run, on "
+        f"{machine['cores']} cores ({machine['processor']}) whose multiply-add peak in float64 was "
+        f"{peak:.0f} GFLOP/s each.\n",
+        f"Two busy processes side by side had {machine['cores in fact']:.2f} cores: where that is "
+        "near one, the two-thread figures say nothing of threads.\n",
+        "| | " + " | ".join(DEFAULT_ARMS) + " |",
+        "|---|" + "---:|" * len(DEFAULT_ARMS),
+    ]
+    for key in results["OneLink"]:
+        cells = [results[family][key] for family in DEFAULT_ARMS]
+        texts = [f"{c:.4g}" if isinstance(c, float) else str(c) for c in cells]
+        lines.append(f"| {key} | " + " | ".join(texts) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def spin(seconds: float) -> float:
+    """Work done in this time by one process [loops]."""
+    loops, end = 0, time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        loops += 1
+    return float(loops)
+
+
+def cores_in_fact() -> float:
+    """How much more two processes do than one, at the same time: 2 on two free cores."""
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        pool.map(spin, [0.1, 0.1])
+        alone = pool.map(spin, [1.0])[0]
+        return sum(pool.map(spin, [1.0, 1.0], chunksize=1)) / alone
 
 
 if __name__ == "__main__":
