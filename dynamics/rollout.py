@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.arm import Arm
-from dynamics.gibbs_appell import Implicit, accelerations
+from dynamics.gibbs_appell import Implicit, accelerations, mass_matrix
 from dynamics.integrators import INTEGRATORS
 from dynamics.kinematics import outward, poses
 from dynamics.lowering import operations
@@ -65,10 +65,26 @@ class Rollout:
         return self.method("rk4").operations
 
     def fastest(self, motion: JointMotion) -> float:
-        """[rad/s] largest natural frequency at the start of a motion; 0 if nothing bends."""
+        """[rad/s] bound on the eigenvalues of the arm at rest at the start of a motion."""
         q = np.zeros(self.model.n)
         q[list(self.arm.joint_index)] = motion.joint_angles
-        return float(self.model.frequencies(q, joints="free").max(initial=0.0))
+        omega = float(self.model.frequencies(q, joints="free").max(initial=0.0))
+        M = np.array(mass_matrix(self.model.chain, q.tolist()), dtype=np.float64)
+        decay = float(np.linalg.eigvals(np.linalg.solve(M, self._damping())).real.max())
+        return max(omega, decay)
+
+    def _damping(self) -> Array:
+        """(n, n) modal damping and joint friction, Coulomb's at its steepest."""
+        C, start = np.zeros((self.model.n, self.model.n)), 0
+        for link in self.model.chain.links:
+            first, m = start + (not link.welded), len(link.K)
+            C[first : first + m, first : first + m] = np.reshape(link.damping, (m, m))
+            if not link.welded:
+                slip = np.array([1.0, *link.root_slope])
+                friction = link.viscous + link.coulomb / link.coulomb_speed
+                C[start : first + m, start : first + m] += friction * np.outer(slip, slip)
+            start = first + m
+        return C
 
     def method(self, integrator: str) -> Traced:
         """The traced steps of one method."""

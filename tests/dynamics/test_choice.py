@@ -38,7 +38,7 @@ from dynamics import (
 from dynamics.integrators import INTEGRATORS
 from dynamics.rollout import Rollout, distance
 from dynamics.scene import JointMotion, bang_bang, cycloid, release
-from tests.dynamics.random_arms import compiled
+from tests.dynamics.random_arms import compiled, two_link_spatial
 
 TRUTH = stored_truth()
 NONLINEAR_BEAM = Path(__file__).parents[1] / "reference" / "S1_nonlinear_beam.csv"
@@ -157,6 +157,18 @@ def test_a_reference_that_does_not_converge_is_refused(monkeypatch: pytest.Monke
     monkeypatch.setattr(dynamics.choice, "REFERENCES", ((2, 2),))
     with pytest.raises(RuntimeError, match=r"does not converge: .*still moves by 0\.\d+ m"):
         choose_model(trial.arm, trial.scene, trial.tolerance)
+
+
+@pytest.mark.parametrize("beta", [0.0, 0.1])
+def test_the_bound_on_eigenvalues_counts_damping(beta: float) -> None:
+    """Strong damping, not the fastest mode, then limits explicit steps."""
+    arm = two_link_spatial(gravity=(0.0, 0.0, 0.0))
+    arm = replace(arm, links=tuple(replace(link, damping_beta=beta) for link in arm.links))
+    model = compiled(arm)
+    A, _ = model.linearize(np.zeros(model.n), np.zeros(model.n), np.zeros(2))
+    largest = np.abs(np.linalg.eigvals(A)).max()
+    motion = release((0.0, 0.0), t_end=1.0)
+    assert largest <= Rollout(arm).fastest(motion) * (1.0 + 1e-9) < 1.2 * largest
 
 
 def swinging(t: float) -> np.ndarray:
