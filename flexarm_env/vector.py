@@ -32,6 +32,8 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
+    _renderer: Any = None  # here, so that closing after a refused construction finds it
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -61,7 +63,6 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._all = np.arange(num_envs)
         self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
         self._seeded = False
-        self._renderer: Any = None
 
     # ---- what agents ask ---------------------------------------------------------------------
 
