@@ -231,7 +231,9 @@ def draw_maps(maps: list[dict[str, Any]], path: Path) -> None:
     for axis, data in zip(axes[0], maps, strict=True):
         x, y = np.array(data["x"]), np.array(data["y"])
         failed, predicted = np.array(data["failed"]), np.array(data["predicted"])
-        axis.pcolormesh(x, y, failed, cmap="RdYlGn_r", vmin=-0.3, vmax=1.3, shading="nearest")
+        axis.pcolormesh(
+            x, y, failed, cmap="RdYlGn_r", vmin=-0.3, vmax=1.3, shading="nearest", rasterized=True
+        )
         if predicted.any() and not predicted.all():
             axis.contour(x, y, predicted.astype(float), levels=[0.5], colors="k", linewidths=1.5)
         agree = float(np.mean(failed == predicted))
@@ -271,7 +273,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a coarser grid")
     parser.add_argument("--out", type=Path, default=Path("docs/results/stability.json"))
-    parser.add_argument("--images", type=Path, default=Path("docs/images"))
+    parser.add_argument("--images", type=Path, default=Path("docs/results"))
     options = parser.parse_args()
     cells = 16 if options.quick else 48
     maps = {
