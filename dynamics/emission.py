@@ -34,11 +34,12 @@ def straight_line(lanes: int) -> Callable[[Callable[..., None]], Any]:
 
             return types.void(w), codegen
 
-        @njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
         def run(w):  # type: ignore[no-untyped-def]
             body(w)
 
-        return run
+        # the linker's name for it: two arms loaded from the cache must not share one
+        run.__module__, run.__qualname__ = function.__module__, function.__name__
+        return njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(run)
 
     return decorate
 
