@@ -44,6 +44,53 @@ def straight_line(lanes: int) -> Callable[[Callable[..., None]], Any]:
     return decorate
 
 
+def lane_moves(lanes: int) -> tuple[Any, Any]:
+    """Functions `take` and `put`: all lanes of a slot from, and to, consecutive array elements.
+
+    `take(w, at, array, first)` and `put(w, at, array, first)`; offsets count elements of the flat
+    array. Numbers are converted; in an array of flags all but zero is true.
+    """
+
+    def vector(number: ir.Type) -> ir.Type:
+        return number if lanes == 1 else ir.VectorType(number, lanes)
+
+    def pointer(context, builder, kind, array, offset):  # type: ignore[no-untyped-def]
+        data = context.make_array(kind)(context, builder, array).data
+        address = builder.gep(data, [offset])
+        return builder.bitcast(address, vector(address.type.pointee).as_pointer())
+
+    def convert(builder, value, number):  # type: ignore[no-untyped-def]
+        kind = vector(number)
+        if isinstance(number, ir.IntType):
+            zero = ir.Constant(value.type, [0.0] * lanes if lanes > 1 else 0.0)
+            return builder.zext(builder.fcmp_unordered("!=", value, zero), kind)
+        if value.type == kind:
+            return value
+        narrower = isinstance(number, ir.FloatType)
+        return builder.fptrunc(value, kind) if narrower else builder.fpext(value, kind)
+
+    def move(inwards: bool) -> Any:
+        @intrinsic
+        def lanes_moved(typingctx, w, at, array, first):  # type: ignore[no-untyped-def]
+            def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+                slot = pointer(context, builder, signature.args[0], args[0], args[1])
+                place = pointer(context, builder, signature.args[2], args[2], args[3])
+                source, target = (place, slot) if inwards else (slot, place)
+                number = context.get_data_type(signature.args[0 if inwards else 2].dtype)
+                size = context.get_abi_sizeof(context.get_data_type(w.dtype))
+                other = context.get_abi_sizeof(context.get_data_type(array.dtype))
+                aligns = (other, size) if inwards else (size, other)
+                value = convert(builder, builder.load(source, align=aligns[0]), number)
+                builder.store(value, target, align=aligns[1])
+                return context.get_dummy_value()
+
+            return types.void(w, at, array, first), codegen
+
+        return lanes_moved
+
+    return move(inwards=True), move(inwards=False)
+
+
 def _emit(builder: ir.IRBuilder, data: ir.Value, source: str, number: ir.Type, lanes: int) -> None:
     """The function's statements, on numbers or on vectors of all lanes."""
     tree = ast.parse(source).body[0]
@@ -112,6 +159,9 @@ class _Block:
         if name in ("min", "max"):  # ordered comparisons: a NaN in the first argument survives
             beyond = b.fcmp_ordered(">" if name == "min" else "<", args[0], args[1])
             return b.select(beyond, args[1], args[0])
+        if name in ("less", "at_most"):
+            holds = b.fcmp_ordered("<" if name == "less" else "<=", args[0], args[1])
+            return b.select(holds, self._constant(1.0), self._constant(0.0))
         suffix = ("" if self.lanes == 1 else f"v{self.lanes}") + ("f32" if self.single else "f64")
         intrinsic_name = {"floor": "floor", "sqrt": "sqrt", "abs": "fabs"}[name]
         module = b.module

@@ -13,14 +13,13 @@ import importlib.util
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import platformdirs
-
-from dynamics.kernels import GLUE
 
 Statement = tuple[str, tuple[int, ...]]  # operation, operand numbers
 
@@ -75,6 +74,13 @@ class Code:
             value = self.emit("+", self.emit("*", value, x), self.constant(c))
         return value
 
+    def sqrt(self, x: int) -> int:
+        """Square root; of a square, the magnitude."""
+        op, args = self.statements[x]
+        if op == "*" and args[0] == args[1]:
+            return self.emit("abs", args[0])
+        return self.emit("sqrt", x)
+
     def sin(self, x: int) -> int:
         """Branch-free sine."""
         sign, r = self._reduced(x)
@@ -126,8 +132,9 @@ def statements(graph: Any, slots: Sequence[int], expand: bool = True) -> tuple[C
     import casadi as ca
 
     simple = {
-        ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_NEG: "neg", ca.OP_SQRT: "sqrt",
-        ca.OP_FABS: "abs",
+        ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_NEG: "neg",
+        ca.OP_FABS: "abs", ca.OP_FMIN: "min", ca.OP_FMAX: "max", ca.OP_LT: "less",
+        ca.OP_LE: "at_most",
     }  # fmt: skip
     functions = {ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TANH: "tanh"}
     code = Code()
@@ -146,7 +153,9 @@ def statements(graph: Any, slots: Sequence[int], expand: bool = True) -> tuple[C
             value = code.constant(graph.instruction_constant(k))
         else:
             x = [registers[a] for a in args]
-            if op in simple:
+            if op == ca.OP_SQRT:
+                value = code.sqrt(x[0])
+            elif op in simple:
                 value = code.emit(simple[op], *x)
             elif op == ca.OP_SQ:
                 value = code.emit("*", x[0], x[0])
@@ -177,8 +186,19 @@ def operations(graph: Any) -> dict[str, int]:
 _TEXT = {
     "+": "{0} + {1}", "-": "{0} - {1}", "*": "{0} * {1}", "/": "{0} / {1}", "neg": "-{0}",
     "floor": "floor({0})", "sqrt": "sqrt({0})", "abs": "abs({0})",
-    "min": "min({0}, {1})", "max": "max({0}, {1})",
+    "min": "min({0}, {1})", "max": "max({0}, {1})", "less": "less({0}, {1})",
+    "at_most": "at_most({0}, {1})",
 }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Addition:
+    """What a generated module holds beside an arm's accelerations."""
+
+    key: str  # tells it from other additions to the same arm
+    sizes: Mapping[str, int]  # further slots of the workspace: name -> how many
+    functions: Callable[[Mapping[str, int]], list[str]]  # all slots -> text of functions of `w`
+    entries: str  # text of the functions that Python calls
 
 
 def render_function(name: str, graph: Any, inputs: Sequence[int], output: int) -> str:
@@ -195,21 +215,29 @@ def render_function(name: str, graph: Any, inputs: Sequence[int], output: int) -
 
 
 def render_module(
-    title: str, lanes: int, slots: int, constants: dict[str, int], functions: Sequence[str]
+    title: str,
+    lanes: int,
+    slots: int,
+    operations: int,
+    constants: dict[str, int],
+    functions: Sequence[str],
+    entries: str,
 ) -> str:
     """The whole generated module; `constants` are slots, in it offsets of values."""
     head = [
         f'"""Generated: {title}."""',
         "import numpy as np",
         "from numpy import floor, sqrt",
-        "from dynamics.emission import straight_line",
+        "from dynamics.emission import lane_moves, straight_line",
         "from dynamics.integrators import INTEGRATORS",
         "from dynamics.kernels import compiled, count_finite, gather, outermost, scatter",
         f"LANES = {lanes}",
         f"SLOTS = {slots}",
+        f"OPERATIONS = {operations}",
     ]
     offsets = [f"{name} = np.uint64({slot * lanes})" for name, slot in constants.items()]
-    return "\n\n".join(["\n".join(head), *functions, f"LANES = np.uint64({lanes})", *offsets, GLUE])
+    lines = [f"LANES = np.uint64({lanes})", *offsets]
+    return "\n\n".join(["\n".join(head), *functions, "\n".join(lines), entries])
 
 
 def cache_folder() -> Path:
@@ -217,15 +245,16 @@ def cache_folder() -> Path:
     return Path(os.environ.get("FLEXARM_CACHE") or platformdirs.user_cache_path("flexarm"))
 
 
-def _own_sources() -> bytes:
-    """Hash of this package's source files."""
+def hash_of_sources(folder: Path) -> str:
+    """Hash of a package's source files."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(folder.glob("*.py")):
         digest.update(path.read_bytes())
-    return digest.digest()
+    return digest.hexdigest()
 
 
-_SOURCES = _own_sources()  # as imported: a file edited later does not speak for the code in memory
+# as imported: a file edited later does not speak for the code in memory
+_SOURCES = hash_of_sources(Path(__file__).parent)
 
 
 def fingerprint(*parts: str) -> str:
@@ -235,7 +264,7 @@ def fingerprint(*parts: str) -> str:
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part.encode() + b"\0")
-    digest.update(_SOURCES)
+    digest.update(_SOURCES.encode())
     for package in ("numba", "casadi", "numpy"):
         digest.update(version(package).encode())
     digest.update(sys.version.encode())

@@ -1,7 +1,7 @@
 """The compiled arm and its questions."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
@@ -15,9 +15,16 @@ from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
 from dynamics.gibbs_appell import Implicit
 from dynamics.integrators import INTEGRATORS
-from dynamics.kernels import LANES
+from dynamics.kernels import GLUE, LANES
 from dynamics.kinematics import Chain, energies, outward, poses
-from dynamics.lowering import cached_module, fingerprint, operations, render_function, render_module
+from dynamics.lowering import (
+    Addition,
+    cached_module,
+    fingerprint,
+    operations,
+    render_function,
+    render_module,
+)
 from dynamics.modes import LinkConstants, chain_constants, curvature, parts
 
 Array = np.ndarray
@@ -242,41 +249,50 @@ class Model:
 
     # ---- compiled programs ---------------------------------------------------------------------
 
-    def program(self, lanes: int, integrator: str) -> ModuleType:
-        """The generated module for a number of lanes and a method; from the cache where it can."""
-        description = json.dumps(self.arm.to_dict(), sort_keys=True)
-        key = fingerprint(
-            description, ",".join(self.free_parameters), str(lanes), integrator, self.dtype
-        )
-        return cached_module(key, lambda: self._generate(lanes, integrator))
+    def program(self, lanes: int, integrator: str, addition: Addition | None = None) -> ModuleType:
+        """The generated module for a number of lanes and a method; from the cache where it can.
+
+        `addition` replaces the stepper's measurements and entry points by others.
+        """
+        added = addition or self._stepping
+        arm, free = json.dumps(self.arm.to_dict(), sort_keys=True), ",".join(self.free_parameters)
+        key = fingerprint(arm, free, str(lanes), integrator, self.dtype, added.key)
+        return cached_module(key, lambda: self._generate(lanes, integrator, added))
 
     def workspace(self, program: ModuleType) -> Array:
         """Scratch memory for one thread in `program`."""
         return np.zeros(program.SLOTS * int(program.LANES), dtype=self.dtype)
 
-    def _layout(self) -> dict[str, int]:
-        """Workspace slots that are no temporaries: name -> first slot; END is the next free one."""
+    def _generate(self, lanes: int, integrator: str, added: Addition) -> str:
         sizes = {
             "Q": self.n, "V": self.n, "TAU": self.n_joint, "PARAMETERS": len(self.free_parameters),
-            "IMPLICIT": 2 + self.n, "ACC": self.n, "SCRATCH": 4 * self.n, "CHECK": 1, "GOOD": 1,
-            "MEASURED": self.n_measure,
+            "IMPLICIT": 2 + self.n, "ACC": self.n, "SCRATCH": 4 * self.n, **added.sizes,
         }  # fmt: skip
         starts = np.cumsum([0, *sizes.values()]).tolist()
-        return dict(zip([*sizes, "END"], starts, strict=True))
-
-    def _generate(self, lanes: int, integrator: str) -> str:
-        at = self._layout()
+        at = dict(zip(sizes, starts, strict=False))
         implicit = INTEGRATORS[integrator].implicit
         inputs = [at["Q"], at["V"], at["TAU"], at["PARAMETERS"], at["IMPLICIT"]]
         graph = self._trace_accelerations(implicit) if implicit else self.graph
         functions = [
             render_function("accelerations", graph, inputs, at["ACC"]),
-            render_function("measure", self._measure_graph, inputs[:2], at["MEASURED"]),
+            *added.functions(at),
             f"METHOD = INTEGRATORS[{integrator!r}]",
         ]
         title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}, {self.dtype}"
         constants = at | {"N": self.n}
-        return render_module(title, lanes, at.pop("END"), constants, functions)
+        work = functions[0].count(" = ")
+        return render_module(title, lanes, starts[-1], work, constants, functions, added.entries)
+
+    @property
+    def _stepping(self) -> Addition:
+        """What the stepper needs: measurements, and a check for numbers that are not finite."""
+
+        def functions(at: Mapping[str, int]) -> list[str]:
+            inputs = [at["Q"], at["V"]]
+            return [render_function("measure", self.measure_graph, inputs, at["MEASURED"])]
+
+        sizes = {"CHECK": 1, "GOOD": 1, "MEASURED": self.n_measure}
+        return Addition(key="stepper", sizes=sizes, functions=functions, entries=GLUE)
 
     # ---- tracing -------------------------------------------------------------------------------
 
@@ -316,7 +332,8 @@ class Model:
         return ca.Function("M_h", [q, v], [ca.cse(ca.vertcat(*lower, *h))])
 
     @cached_property
-    def _measure_graph(self) -> Any:
+    def measure_graph(self) -> Any:
+        """CasADi Function (q, v) -> what `measurements` names."""
         import casadi as ca
 
         q, v, _, _ = self._symbols()
@@ -359,7 +376,7 @@ class Model:
         return {name: ca.Function(name, inputs, out) for name, (inputs, out) in graphs.items()}
 
     def _measure(self, q: Array, v: Array) -> Array:
-        return np.array(self._measure_graph(self._q(q), self._q(v, "v"))).ravel()
+        return np.array(self.measure_graph(self._q(q), self._q(v, "v"))).ravel()
 
     def _q(self, x: Array, name: str = "q") -> Array:
         return _checked(x, self.n, name)

@@ -9,8 +9,7 @@ from typing import Any
 import gymnasium as gym
 
 from flexarm_env.env import FlexArmEnv
-from flexarm_env.kernels import TERMS
-from flexarm_env.rewards import REWARDS, TipTrackingReward, VibrationSuppressionReward
+from flexarm_env.rewards import REWARDS, TERMS, TipTrackingReward, VibrationSuppressionReward
 from flexarm_env.tasks import TASKS
 from flexarm_env.vector import FlexArmVectorEnv
 

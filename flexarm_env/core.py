@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from dynamics import Arm, load_arm
 from dynamics.integrators import INTEGRATORS
-from dynamics.kernels import LANES
-from dynamics.model import Model, compile_arm
-from dynamics.stepper import Stepper
+from dynamics.model import FREE_PARAMETERS, Model, compile_arm
 from flexarm_env import kernels
-from flexarm_env.observations import curvature_columns, observation_layout
+from flexarm_env.observations import observation_layout
 from flexarm_env.physics import (
     DEFLECTION_LIMIT,
     MOVE,
@@ -24,20 +22,22 @@ from flexarm_env.physics import (
     integration,
     physics,
 )
-from flexarm_env.rewards import resolve_weights
+from flexarm_env.report import FLAGS, Report
+from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.tasks import find_task
 
 Array = NDArray[np.float64]
-N_FLAG = int(kernels.N_FLAG)
-TERMS = slice(int(kernels.FIRST_TERM), int(kernels.FIRST_TERM) + len(kernels.TERMS))
+REWARD = 0  # row of info
+TERMINATED, TRUNCATED, SETTLED = range(3)  # rows of flags
+OPERATIONS_PER_SECOND = 3e10  # of one thread, roughly
+WORTH_A_THREAD = 1e-4  # [s] of work; waking a thread takes half as long
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm
 
 
 class Core:
     """N copies of an arm at a task.
 
-    A control step is three compiled calls: `kernels.command`, `Stepper.advance`, `kernels.judge`
-    (and one to `Stepper.measure` where the target moves).
+    A control step is one compiled call: command, substeps and report of all, see `report.Report`.
 
     Parameters
     ----------
@@ -51,7 +51,15 @@ class Core:
     torque_limit : [N m] one number or one per joint; None: see `physics.Physics`.
     deflection_limit : [-] deflection over length above which an episode ends as invalid.
     max_steps : control steps after which an episode is truncated; 0: never.
-    threads : worker threads.
+    threads : worker threads at most; a batch with too little work for them takes fewer.
+    dtype : number type of the compiled code, "float64" or "float32".
+    randomize : ranges (low, high) of free parameters, drawn anew at every reset; names are those
+        of `dynamics.model.FREE_PARAMETERS`.
+
+    Attributes
+    ----------
+    q, v : (N, n) coordinates and rates, writable views.
+    parameters : (N, n_free) values of the randomized parameters, a view.
     """
 
     def __init__(
@@ -69,6 +77,8 @@ class Core:
         deflection_limit: float = DEFLECTION_LIMIT,
         max_steps: int = 0,
         threads: int = 1,
+        dtype: str = "float64",
+        randomize: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
         self.arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
@@ -82,6 +92,7 @@ class Core:
         ):
             _require_whole(name, value, least)
         self.n_env, self.threads, self.control_dt = int(n_env), int(threads), float(control_dt)
+        self.randomize = _ranges(randomize or {})
         self.physics = physics(self.arm)
         self.torque_limit = self._torque_limit(torque_limit)
         self.integrator, self.substeps = self._integration(integrator, substeps)
@@ -92,8 +103,12 @@ class Core:
         self.move_time = 2.0 * math.sqrt(MOVE / acceleration)  # [s] of a bang-bang move by MOVE
         self.layout = observation_layout(self.arm, self.task, obs, self.physics, self.rate_scale)
 
-        self.model: Model = compile_arm(self.arm)
-        self._set_constants(weights, float(deflection_limit), int(max_steps))
+        self.model: Model = compile_arm(
+            self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
+        )
+        self.report = Report(self.model, self.task.moving, self.layout)
+        self._constants = self._fixed_numbers(weights, float(deflection_limit), int(max_steps))
+        self._start = self._episode_ranges()
         self._allocate()
 
     def _torque_limit(self, given: float | Sequence[float] | None) -> Array:
@@ -117,67 +132,88 @@ class Core:
         name, count = integration(self.arm, self.control_dt, integrator)
         return name, count if substeps is None else int(substeps)
 
-    def _set_constants(
+    def _fixed_numbers(
         self, weights: dict[str, float], deflection_limit: float, max_steps: int
-    ) -> None:
-        """What the kernels know of the arm, the task and the reward."""
-        arm, model = self.arm, self.model
-        first = {name: part.start for name, part in model.measurements.items()}
-        self.gauges = curvature_columns(arm)
-        whole = [arm.n_joint, arm.n, int(self.task.moving), max_steps, len(self.gauges)]
-        whole += [first[k] for k in ("tip", "tip_velocity", "rigid_tip", "deflection", "slope")]
-        whole += [*arm.joint_index, *(first["curvature"] + k for k in self.gauges)]
-        real = [self.control_dt, arm.reach, deflection_limit]
-        real += [SLOPE_PER_DEFLECTION * deflection_limit, arm.reach * self.rate_scale]
-        real += [self.rate_scale, MOVE, self.move_time]
-        real += [x for row in arm.links[0].joint.rotation for x in row]
-        real += [weights.get(name, 0.0) for name in kernels.TERMS]
-        self._whole, self._real = np.array(whole, dtype=np.uint64), np.array(real)
-        self._report = (self.layout.picks, self.layout.table, self.layout.n_signal)
-        self._start = (
+    ) -> Array:
+        """What holds for all environments, as `report.Report.constants` names it."""
+        values: dict[str, Any] = {
+            "step": self.control_dt / self.substeps,
+            "torque_limit": self.torque_limit,
+            "control_dt": self.control_dt,
+            "max_steps": max_steps,
+            "deflection_limit": deflection_limit,
+            "slope_limit": SLOPE_PER_DEFLECTION * deflection_limit,
+            "per_rate": 1.0 / self.rate_scale,
+            "move_time": self.move_time,
+            "weights": [weights.get(name, 0.0) for name in TERMS],
+            "factors": self.layout.factors,
+        }
+        return np.concatenate([np.ravel(values[name]) for name in self.report.constants.sizes])
+
+    def _episode_ranges(self) -> tuple[Any, ...]:
+        """What `kernels.begin` draws from, and where it writes."""
+        first = {name: rows.start for name, rows in self.report.state.slices.items()}
+        names = ("q", "v", "centre", "amplitude", "frequency", "phase", "free")  # as the kernels'
+        return (
             np.int64(self.task.code),
             self.task.ranges(self.move_time),
             np.array(self.physics.home),
+            np.array(self.arm.joint_index, dtype=np.uint64),
             np.array(self.physics.modal_scale),
             np.array(self.physics.modal_rate),
+            np.array([MOVE, self.rate_scale**2 / MOVE]),
+            np.array(list(self.randomize.values()), dtype=np.float64).reshape(-1, 2),
+            np.array([first[name] for name in names], dtype=np.uint64),
         )
-        self.n_obs = self.layout.picks.size
-        self.n_info = TERMS.stop + len(self.gauges) + arm.n_joint
 
     def _allocate(self) -> None:
-        """The state of all environments, and one stepper per thread on its share of the rows."""
-        arm, n_env = self.arm, self.n_env
-        self.q, self.v = np.zeros((n_env, arm.n)), np.zeros((n_env, arm.n))
-        self.torque = np.zeros((n_env, arm.n_joint))
-        self.status = np.zeros(n_env, dtype=np.int64)
-        self.measured = np.zeros((n_env, self.model.n_measure))
-        self.memory = np.zeros((n_env, int(kernels.WIDTH) * arm.n_joint))
-        self.counters = np.zeros((n_env, 2), dtype=np.int64)
-        self.ref_q, self.ref_v = np.zeros((n_env, arm.n)), np.zeros((n_env, arm.n))
-        self.ref_measured = np.zeros((n_env, self.model.n_measure))
-        blocks = max(1, n_env // LANES)  # of lanes; the rest joins the last share
-        count = min(self.threads, blocks)
-        bounds = [*(LANES * (k * blocks // count) for k in range(count)), n_env]
-        self._shares = [_Share(self, slice(a, b)) for a, b in pairwise(bounds)]
-        self._pool = ThreadPoolExecutor(count - 1) if count > 1 else None
+        """The state of all environments, and a workspace per thread."""
+        n_env, rows = self.n_env, self.report.state.slices
+        lanes = 1 if n_env == 1 else self.model.lanes
+        self._program = self.model.program(lanes, self.integrator, self.report.addition)
+        blocks = -(-n_env // lanes)
+        self._width = lanes * (blocks | 1)  # an odd number of blocks spreads rows over the cache
+        self.state = np.zeros((self.report.state.total, self._width))
+        self.state[rows["free"]] = self.model.nominal_parameters[:, None]
+        self.streams = np.zeros(n_env, dtype=np.int64)
+        self.q, self.v = self.state[rows["q"], :n_env].T, self.state[rows["v"], :n_env].T
+        self.parameters = self.state[rows["free"], :n_env].T
+        evaluations = self.substeps * (1 if INTEGRATORS[self.integrator].implicit else 4)
+        work = n_env * evaluations * self._program.OPERATIONS / OPERATIONS_PER_SECOND  # [s]
+        count = max(1, min(self.threads, blocks, int(work / WORTH_A_THREAD)))
+        bounds = [*(lanes * (k * blocks // count) for k in range(count)), n_env]
+        self._shares = [(a, b, self._workspace()) for a, b in pairwise(bounds)]
+        self._pool = ThreadPoolExecutor(max(1, count - 1))  # starts no thread before the first job
+
+    def _workspace(self) -> Array:
+        w = self.model.workspace(self._program)
+        lanes = int(self._program.LANES)
+        first = int(self._program.CONSTANTS)
+        w[first : first + lanes * self._constants.size] = np.repeat(self._constants, lanes)
+        return w
+
+    def _outputs(self) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
+        """New arrays: observations, and info and flags with a row per name, a column per env."""
+        obs = np.empty((self.n_env, self.layout.size), np.float32)
+        info = np.empty((self.report.info.total, self._width))
+        return obs, info, np.empty((len(FLAGS), self._width), np.bool_)
 
     # ---- stepping ----------------------------------------------------------------------------
 
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], int]:
-        """One control step of all; new arrays (N, n_obs), (N, n_info), (N, n_flag), ended count."""
-        obs = np.empty((self.n_env, self.n_obs), np.float32)
-        info = np.empty((self.n_env, self.n_info))
-        flags = np.empty((self.n_env, N_FLAG), np.bool_)
-        first, *others = self._shares
-        if not others:
-            ended = first.step(actions, obs, info, flags)
-        else:
-            assert self._pool is not None
-            waiting = [self._pool.submit(s.step, actions, obs, info, flags) for s in others]
-            counts = [first.step(actions, obs, info, flags), *(w.result() for w in waiting)]
-            ended = -1 if -1 in counts else sum(counts)
+        """One control step of all: observations, info, flags (new arrays), how many ended."""
+        obs, info, flags = self._outputs()
+        step, substeps, state = self._program.step, self.substeps, self.state
+        (first, stop, w), *others = self._shares
+        waiting = [
+            self._pool.submit(step, actions, a, b, substeps, state, own, obs, info, flags)
+            for a, b, own in others
+        ]
+        ended = step(actions, first, stop, substeps, state, w, obs, info, flags)
+        if waiting:
+            ended += sum(job.result() for job in waiting)
         if ended < 0:
             bad = int(np.flatnonzero(np.isnan(actions).any(axis=1))[0])
             raise ValueError(
@@ -195,45 +231,31 @@ class Core:
         options: Mapping[str, Any] | None = None,
     ) -> None:
         """Start new episodes in the environments `rows`; their entries of obs, info, flags."""
-        kernels.begin(
-            rows, *self._start, self.q, self.v, self.memory, self.counters, self.ref_q, self.ref_v,
-            self._whole, self._real,
-        )  # fmt: skip
+        kernels.begin(rows, *self._start, self.state, self.streams)
         if options:
             self._place(rows, options)
-        for q, v, measured in (
-            (self.q, self.v, self.measured),
-            (self.ref_q, self.ref_v, self.ref_measured),
-        ):
-            out = np.empty((rows.size, measured.shape[1]))
-            self._shares[0].stepper.measure(q[rows], v[rows], out)
-            measured[rows] = out
-        kernels.judge(
-            rows, True, self.q, self.v, self.torque, self.status, self.measured, self.memory,
-            self.counters, self.ref_q, self.ref_v, self.ref_measured, self._whole, self._real,
-            *self._report, obs, info, flags,
-        )  # fmt: skip
+        w = self._shares[0][-1]
+        self._program.report_rows(rows, self.state, w, obs, info, flags)
 
     def reset(
         self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
-        """Start new episodes in `rows` and report on all; rows not started are left undefined."""
-        obs = np.zeros((self.n_env, self.n_obs), np.float32)
-        info = np.zeros((self.n_env, self.n_info))
-        flags = np.zeros((self.n_env, N_FLAG), np.bool_)
+        """Start new episodes in `rows` and report on them; the other rows are zero."""
+        obs, info, flags = self._outputs()
+        for array in (obs, info, flags):
+            array[...] = 0
         self.restart(rows, obs, info, flags, options)
         return obs, info, flags
 
     def seed(self, row: int, generator: np.random.Generator) -> None:
         """Start environment `row`'s own stream of random numbers from one number of a generator."""
-        self.counters[row, kernels.STREAM] = generator.integers(1 << 63, dtype=np.int64)
+        self.streams[row] = generator.integers(1 << 63, dtype=np.int64)
 
     def _place(self, rows: NDArray[np.int64], options: Mapping[str, Any]) -> None:
         """Replace drawn states and targets by given ones."""
         unknown = sorted(set(options) - {"state", "target"})
         if unknown:
             raise ValueError(f"Unknown reset options {unknown}. Known: ['state', 'target'].")
-        n_joint, joints = self.arm.n_joint, list(self.arm.joint_index)
         state = options.get("state")
         if state is not None:
             if not isinstance(state, Mapping) or not set(state) <= {"q", "v"}:
@@ -243,100 +265,69 @@ class Core:
             self.q[rows], self.v[rows] = q, v
         target = options.get("target")
         if target is not None:
-            angles = _checked("options['target']", target, n_joint, rows.size)
-            centre = slice(int(kernels.CENTRE) * n_joint, int(kernels.CENTRE + 1) * n_joint)
-            self.memory[rows, centre] = angles
-            self.ref_q[rows[:, None], joints] = angles
+            angles = _checked("options['target']", target, self.arm.n_joint, rows.size)
+            self.state[self.report.state.slices["centre"], :].T[rows] = angles
 
     # ---- reports -----------------------------------------------------------------------------
 
     def joint_target(self) -> Array:
         """(N, n_joint) [rad] joint angles that put the tip on the target, links straight."""
-        return self.ref_q[:, list(self.arm.joint_index)]
+        return self.state[self.report.state.slices["target"], : self.n_env].T.copy()
 
     def joint_state(self) -> tuple[Array, Array]:
         """(N, n_joint) [rad] and [rad/s]: what ideal encoders read."""
         joints = list(self.arm.joint_index)
         return self.q[:, joints], self.v[:, joints]
 
+    def goal(self, row: int) -> Array:
+        """(3,) [m] where environment `row`'s tip should be."""
+        q = np.zeros(self.arm.n)
+        q[list(self.arm.joint_index)] = self.joint_target()[row]
+        return self.model.tip(q)
+
+    def elapsed(self, row: int) -> int:
+        """Control steps since the start of environment `row`'s episode."""
+        return int(self.state[self.report.state.slices["elapsed"].start, row])
+
     def describe(self, info: Array, flags: NDArray[np.bool_]) -> dict[str, Any]:
         """Info arrays of all environments by name, views of `info` and `flags`."""
-        gauges = TERMS.stop + len(self.gauges)
-        return {
-            "time": info[:, kernels.TIME],
-            "tip_error": info[:, kernels.TIP_ERROR],
-            "tip_speed": info[:, kernels.TIP_SPEED],
-            "deflection": info[:, kernels.MAX_DEFLECTION],
-            "tip_deflection": info[:, kernels.TIP_DEFLECTION],
-            "root_curvature": info[:, TERMS.stop : gauges],
-            "torque": info[:, gauges:],
-            "reward_terms": dict(zip(kernels.TERMS, info[:, TERMS].T, strict=True)),
-            "settled": flags[:, kernels.SETTLED],
-            "diverged": flags[:, kernels.DIVERGED],
-            "invalid": flags[:, kernels.INVALID],
-        }
+        described: dict[str, Any] = {}
+        for name, rows in self.report.info.slices.items():
+            if name == "reward_terms":
+                terms = info[rows, : self.n_env]
+                described[name] = dict(zip(TERMS, terms, strict=True))
+            elif name in ("root_curvature", "torque"):
+                described[name] = info[rows, : self.n_env].T
+            elif name != "reward":
+                described[name] = info[rows.start, : self.n_env]
+        for k, name in enumerate(FLAGS[SETTLED:], SETTLED):
+            described[name] = flags[k, : self.n_env]
+        return described
 
     # ---- copies ------------------------------------------------------------------------------
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        names = ("q", "v", "torque", "status", "measured", "memory", "counters")
-        return {name: getattr(self, name) for name in (*names, "ref_q", "ref_v", "ref_measured")}
-
     def __getstate__(self) -> dict[str, Any]:
-        arrays = {name: array.copy() for name, array in self._arrays().items()}
+        arrays = {"state": self.state.copy(), "streams": self.streams.copy()}
         return {"arguments": self.arguments, "arrays": arrays}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Core.__init__(self, **state["arguments"])
-        for name, array in self._arrays().items():
-            array[...] = state["arrays"][name]
+        self.state[...] = state["arrays"]["state"]
+        self.streams[...] = state["arrays"]["streams"]
 
 
-class _Share:
-    """The rows of one thread: its stepper, and views of the core's arrays."""
-
-    def __init__(self, core: Core, rows: slice) -> None:
-        n_env = rows.stop - rows.start
-        self.rows, self.whole_batch = rows, n_env == core.n_env
-        self.stepper = Stepper(
-            core.model,
-            n_env,
-            dt=core.control_dt / core.substeps,
-            substeps=core.substeps,
-            integrator=core.integrator,
-        )
-        for name in ("q", "v", "torque", "status", "measured"):
-            setattr(self.stepper, name, getattr(core, name)[rows])
-        s = self.stepper
-        memory, counters = core.memory[rows], core.counters[rows]
-        self.reference = core.ref_q[rows], core.ref_v[rows], core.ref_measured[rows]
-        self.moving = core.task.moving
-        self.command = (
-            core.torque_limit, s.torque, memory, counters, *self.reference[:2], core._whole,
-            core._real,
-        )  # fmt: skip
-        self.judge = (
-            np.arange(n_env), False, s.q, s.v, s.torque, s.status, s.measured, memory, counters,
-            *self.reference, core._whole, core._real, *core._report,
-        )  # fmt: skip
-
-    def step(
-        self,
-        actions: NDArray[np.float32],
-        obs: NDArray[np.float32],
-        info: Array,
-        flags: NDArray[np.bool_],
-    ) -> int:
-        """One control step; the number of ended episodes, or -1 for an action that is NaN."""
-        if not self.whole_batch:
-            actions, obs = actions[self.rows], obs[self.rows]
-            info, flags = info[self.rows], flags[self.rows]
-        if kernels.command(actions, *self.command) >= 0:
-            return -1
-        self.stepper.advance()
-        if self.moving:
-            self.stepper.measure(*self.reference)
-        return kernels.judge(*self.judge, obs, info, flags)
+def _ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Checked ranges of free parameters."""
+    unknown = sorted(set(map(str, given)) - set(FREE_PARAMETERS))
+    if unknown:
+        raise ValueError(f"Unknown randomize {unknown}. Known: {sorted(FREE_PARAMETERS)}.")
+    for name, pair in given.items():
+        low, high = _checked(f"randomize[{name!r}]", pair, 2, 1)
+        if not 0.0 <= low <= high:
+            raise ValueError(
+                f"randomize[{name!r}] must be (low, high) with 0 <= low <= high, got {pair!r}."
+            )
+    return {name: (float(low), float(high)) for name, (low, high) in given.items()}
 
 
 def _require_positive(name: str, value: Any, unit: str) -> None:

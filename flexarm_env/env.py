@@ -7,13 +7,13 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from flexarm_env import kernels
-from flexarm_env.core import TERMS, Array, Core
+from flexarm_env.core import Array, Core
 from flexarm_env.observations import Layout
+from flexarm_env.rewards import TERMS
 
 RENDER_MODES = ("human", "rgb_array")
 Observation = NDArray[np.float32]
-_TERMS = tuple(kernels.TERMS)
+_TERMS = tuple(TERMS)
 _ONE = np.zeros(1, np.int64)
 
 
@@ -39,8 +39,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
         self._seeded = False
         self._renderer: Any = None
-        self._gauges = slice(TERMS.stop, TERMS.stop + len(self.core.gauges))
-        self._torque = slice(self._gauges.stop, None)
+        self._rows = self.core.report.info.slices
 
     # ---- what agents ask ---------------------------------------------------------------------
 
@@ -78,7 +77,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return obs[0], self._describe(info, info[0].tolist(), flags[0].tolist())
+        return obs[0], self._describe(info, info[:, 0].tolist(), flags[:, 0].tolist())
 
     def step(
         self, action: NDArray[np.float32]
@@ -91,7 +90,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
                 f"An action is {self._action.size} numbers in [-1, 1], got {action!r}."
             ) from None
         obs, info, flags, _ = self.core.step(self._action)
-        values, marks = info[0].tolist(), flags[0].tolist()
+        values, marks = info[:, 0].tolist(), flags[:, 0].tolist()
         if self._renderer is not None:
             self._renderer.follow(self.core)
         if self.render_mode == "human":
@@ -99,15 +98,16 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         return obs[0], values[0], marks[0], marks[1], self._describe(info, values, marks)
 
     def _describe(self, info: Array, values: list[float], marks: list[bool]) -> dict[str, Any]:
+        rows = self._rows
         return {
             "time": values[1],
             "tip_error": values[2],
             "tip_speed": values[3],
             "deflection": values[4],
             "tip_deflection": values[5],
-            "root_curvature": info[0, self._gauges],
-            "torque": info[0, self._torque],
-            "reward_terms": dict(zip(_TERMS, values[TERMS], strict=True)),
+            "reward_terms": dict(zip(_TERMS, values[rows["reward_terms"]], strict=True)),
+            "root_curvature": info[rows["root_curvature"], 0],
+            "torque": info[rows["torque"], 0],
             "settled": marks[2],
             "diverged": marks[3],
             "invalid": marks[4],
@@ -146,5 +146,5 @@ def check_render_mode(mode: str | None) -> None:
 
 def observation_space(layout: Layout) -> Any:
     """The Box of a layout."""
-    bound = layout.table[1].astype(np.float32)
+    bound = layout.bounds.astype(np.float32)
     return gym.spaces.Box(-bound, bound, dtype=np.float32)

@@ -1,5 +1,6 @@
 """What a policy sees: which signals, in which units, within which bounds."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ class Part:
     name: str
     meaning: str
     unit: str
-    signals: tuple[int, ...]  # where the kernels keep them
+    entries: tuple[int, ...]  # of the signal of this name in report.py
     scale: tuple[float, ...]  # physical = observation * scale
     bound: float = BOUND
 
@@ -32,25 +33,28 @@ class Layout:
     """An observation: its parts in order."""
 
     parts: tuple[Part, ...]
-    n_signal: int  # signals the kernels prepare
 
     @property
-    def picks(self) -> NDArray[np.uint64]:
-        """(n,) per element: its signal."""
-        return np.array([k for part in self.parts for k in part.signals], dtype=np.uint64)
+    def size(self) -> int:
+        """Number of elements."""
+        return self.bounds.size
 
     @property
-    def table(self) -> Array:
-        """(2, n) per element: factor to the observation, bound."""
-        rows = [(1.0 / scale, part.bound) for part in self.parts for scale in part.scale]
-        return np.array(rows).T.copy()
+    def factors(self) -> Array:
+        """(n,) observation = physical * factor, then clipped."""
+        return np.array([1.0 / scale for part in self.parts for scale in part.scale])
+
+    @property
+    def bounds(self) -> Array:
+        """(n,) largest magnitude."""
+        return np.array([part.bound for part in self.parts for _ in part.scale])
 
     @property
     def slices(self) -> dict[str, slice]:
         """Where each part is."""
-        stops = np.cumsum([len(part.signals) for part in self.parts]).tolist()
+        stops = np.cumsum([len(part.entries) for part in self.parts]).tolist()
         return {
-            part.name: slice(stop - len(part.signals), stop)
+            part.name: slice(stop - len(part.entries), stop)
             for part, stop in zip(self.parts, stops, strict=True)
         }
 
@@ -61,7 +65,7 @@ class Layout:
 
 
 def curvature_columns(arm: Arm) -> tuple[int, ...]:
-    """Columns of the stepper's "curvature" that can differ from zero: the strain gauges."""
+    """Columns of the model's "curvature" that can differ from zero: the strain gauges."""
     return tuple(
         2 * i + k
         for i, link in enumerate(arm.links)
@@ -82,60 +86,48 @@ def observation_layout(arm: Arm, task: Task, kind: str, physics: Physics, rate: 
     """The observation of an arm at a task; `rate` [rad/s] is the joint rate of a typical move."""
     if kind not in MODES:
         raise ValueError(f"obs must be one of {list(MODES)}, got {kind!r}.")
-    m, n = arm.n_joint, arm.n
-    columns = curvature_columns(arm)
-    sizes = {
-        "joint_error": m, "joint_rate": m, "action": m, "sine": m, "cosine": m, "q": n, "v": n,
-        "tip_error": 3, "curvature": len(columns), "target_rate": m, "near": m, "far": m,
-    }  # fmt: skip
-    starts = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
-    modal = [i for i in range(n) if i not in arm.joint_index]
-    axes = [k for k in range(3) if (k != 0 or m > 1) and (k != 2 or not is_planar(arm))]
-    turned = range(0 if any(arm.gravity) else 1, m)  # the first joint only matters under gravity
-
-    def at(name: str, entries: "list[int] | range") -> tuple[int, ...]:
-        return tuple(starts[name] + k for k in entries)
-
-    def each(value: float, entries: "list[int] | range") -> tuple[float, ...]:
-        return tuple(value for _ in entries)
-
-    joints, gauges = range(m), range(len(columns))
+    joints, columns = range(arm.n_joint), curvature_columns(arm)
+    modal = [i for i in range(arm.n) if i not in arm.joint_index]
+    axes = [k for k in range(3) if (k or arm.n_joint > 1) and (k != 2 or not is_planar(arm))]
+    turned = joints if any(arm.gravity) else joints[1:]  # the first only matters under gravity
+    bend = "curvature at the root of the link, as a strain gauge sees it"
+    named = ", ".join("xyz"[k] for k in axes)
+    frame = f"target minus tip, along the first link's undeformed axes ({named})"
     every = [
-        Part("joint_error", "joint angle minus its target", "rad", at("joint_error", joints),
-             each(MOVE, joints)),
-        Part("joint_sin", "sine of the joint angle", "-", at("sine", turned), each(1.0, turned),
-             1.0),
-        Part("joint_cos", "cosine of the joint angle", "-", at("cosine", turned), each(1.0, turned),
-             1.0),
-        Part("joint_rate", "joint rate", "rad/s", at("joint_rate", joints), each(rate, joints)),
-    ]  # fmt: skip
+        _part("joint_error", "joint angle minus its target", "rad", joints, MOVE),
+        _part("joint_sin", "sine of the joint angle", "-", turned, 1.0, 1.0),
+        _part("joint_cos", "cosine of the joint angle", "-", turned, 1.0, 1.0),
+        _part("joint_rate", "joint rate", "rad/s", joints, rate),
+    ]
     if kind == "state":
         every += [
-            Part("modal_amplitude", "modal amplitude", "m", at("q", modal), physics.modal_scale),
-            Part("modal_rate", "modal rate", "m/s", at("v", modal), physics.modal_rate),
-            Part("tip_error", "target minus tip, along the first link's undeformed axes "
-                 f"({', '.join('xyz'[k] for k in axes)})", "m", at("tip_error", axes),
-                 each(MOVE * arm.reach, axes)),
-        ]  # fmt: skip
+            _part("modal_amplitude", "modal amplitude", "m", modal, physics.modal_scale),
+            _part("modal_rate", "modal rate", "m/s", modal, physics.modal_rate),
+            _part("tip_error", frame, "m", axes, MOVE * arm.reach),
+        ]
     else:
-        every.append(
-            Part("root_curvature", "curvature at the root of the link, as a strain gauge sees it",
-                 "1/m", at("curvature", gauges), curvature_scale(arm, columns))
-        )  # fmt: skip
+        every.append(_part("root_curvature", bend, "1/m", columns, curvature_scale(arm, columns)))
     if task.moving:
+        ahead = "target joint angle {} typical move ahead, minus now"
         every += [
-            Part("target_rate", "rate of the target joint angle", "rad/s",
-                 at("target_rate", joints), each(rate, joints)),
-            Part("target_near", "target joint angle half a typical move ahead, minus now", "rad",
-                 at("near", joints), each(MOVE, joints)),
-            Part("target_far", "target joint angle a typical move ahead, minus now", "rad",
-                 at("far", joints), each(MOVE, joints)),
-        ]  # fmt: skip
-    every.append(
-        Part("last_action", "the action before", "-", at("action", joints), each(1.0, joints), 1.0)
-    )
-    parts = tuple(part for part in every if part.signals)
-    return Layout(parts, sum(sizes.values()))
+            _part("target_rate", "rate of the target joint angle", "rad/s", joints, rate),
+            _part("target_near", ahead.format("half a"), "rad", joints, MOVE),
+            _part("target_far", ahead.format("a"), "rad", joints, MOVE),
+        ]
+    every.append(_part("last_action", "the action before", "-", joints, 1.0, 1.0))
+    return Layout(tuple(part for part in every if part.entries))
+
+
+def _part(
+    name: str,
+    meaning: str,
+    unit: str,
+    entries: Sequence[int],
+    scale: float | tuple[float, ...],
+    bound: float = BOUND,
+) -> Part:
+    scales = scale if isinstance(scale, tuple) else (scale,) * len(entries)
+    return Part(name, meaning, unit, tuple(entries), scales, bound)
 
 
 def curvature_scale(arm: Arm, columns: tuple[int, ...]) -> tuple[float, ...]:

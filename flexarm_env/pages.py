@@ -10,9 +10,9 @@ import numpy as np
 from flexarm_env import IDS, REWARDS, TASKS, TERMS
 from flexarm_env.core import Core
 from flexarm_env.env import FlexArmEnv
-from flexarm_env.kernels import LOST, SETTLED_BAND
 from flexarm_env.observations import Layout
 from flexarm_env.physics import DEFLECTION_LIMIT, SLOPE_PER_DEFLECTION
+from flexarm_env.report import LOST, SETTLED_BAND
 
 ARGUMENTS = (
     ("arm", "the id's", "preset name, path to an arm file (.json, .yaml), dict or `Arm`"),
@@ -24,7 +24,14 @@ ARGUMENTS = (
     ("torque_limit", "None", "[N m] one number or one per joint; None: chosen for the arm"),
     ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
     ("render_mode", "None", '"rgb_array" or "human"'),
-    ("threads", "1", "worker threads, `gym.make_vec` only"),
+    ("threads", "1", "worker threads at most, `gym.make_vec` only"),
+    ("dtype", '"float64"', 'number type of the compiled code: "float64" or "float32"'),
+    (
+        "randomize",
+        "None",
+        "ranges (low, high) of `payload_mass` [kg] and of factors of "
+        "`stiffness`, `damping` and `friction`, drawn at every reset: a dict",
+    ),
 )
 
 

@@ -57,11 +57,10 @@ class Renderer:
 
     def follow(self, core: Core, row: int = 0) -> None:
         """Remember where the tip is now."""
-        if core.counters[row, 1] <= 1:
+        if core.elapsed(row) <= 1:
             self.clear()
-        measured = core.measured[row]
-        places = core.model.measurements
-        tip, rigid = measured[places["tip"]], measured[places["rigid_tip"]]
+        tip = core.model.tip(core.q[row])
+        rigid = core.model.tip(core.model.rigid(core.q[row]))
         self.trail.append(tip.copy())
         shift = tip - rigid
         sign = 1.0
@@ -114,7 +113,7 @@ class Renderer:
         pen = ImageDraw.Draw(image)
         self._draw_floor(pen, core.arm.reach)
         q = core.q[row]
-        goal = core.ref_measured[row, core.model.measurements["tip"]]
+        goal = core.goal(row)
         if row == 0 and len(self.trail) > 1:
             self._draw_trail(pen)
         straight = core.model.rigid(q)
@@ -183,10 +182,8 @@ class Renderer:
             )
 
     def _draw_words(self, pen: ImageDraw.ImageDraw, core: Core, row: int) -> None:
-        places = core.model.measurements
-        goal = core.ref_measured[row, places["tip"]]
-        error = float(np.linalg.norm(goal - core.measured[row, places["tip"]]))
-        time = core.counters[row, 1] * core.control_dt
+        error = float(np.linalg.norm(core.goal(row) - core.model.tip(core.q[row])))
+        time = core.elapsed(row) * core.control_dt
         unit, factor = ("mm", 1e3) if core.arm.reach < 10.0 else ("m", 1.0)
         right = SIZE[0] * FINE - 16 * FINE
         large, small = self._fonts[14], self._fonts[12]

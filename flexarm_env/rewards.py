@@ -1,17 +1,88 @@
-"""Rewards: weights of the terms in `kernels.TERMS`, as presets, as a keyword and as wrappers.
+"""Rewards: a table of terms, and weights of them as presets, as a keyword and as wrappers.
 
 reward = sum of weight times term. The environment measures the terms at every step and puts them
 into info["reward_terms"]; the keyword `reward=` and the wrappers here only weigh them, so that both
-give the same numbers.
+give the same numbers to round-off.
+
+Terms are plain functions on any scalars: floats, or symbols where an environment is compiled.
 """
 
 import math
-from collections.abc import Mapping
-from typing import Any, SupportsFloat
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, SupportsFloat
 
 import gymnasium as gym
 
-from flexarm_env.kernels import TERMS
+
+class Measured(NamedTuple):
+    """What a reward term sees, all dimensionless."""
+
+    error: Any  # tip error over reach
+    speed: Any  # tip speed relative to the target's, over that of a typical move
+    vibration: Any  # elastic tip displacement over 10 % of the reach
+    rate: Any  # mean square over the joints of rate over that of a typical move
+    effort: Any  # mean square of the actions
+    change: Any  # mean square of the change of the actions
+    failed: Any  # 1 or 0
+
+
+def tracking(m: Measured) -> Any:
+    """Closeness of the tip to its target: 1 on it, 1/2 at 10 % of the reach."""
+    return 1.0 / (1.0 + 10.0 * m.error)
+
+
+def precision(m: Measured) -> Any:
+    """Narrow closeness: 1 on the target, 1/2 at the edge of the settled band, 2 % of the reach."""
+    return 1.0 / (1.0 + (50.0 * m.error) ** 2)
+
+
+def stillness(m: Measured) -> Any:
+    """On the target and at rest: 1 there, 1/2 at 5 % of the reach or 10 % of a move's speed."""
+    return 1.0 / (1.0 + (20.0 * m.error) ** 2 + (10.0 * m.speed) ** 2)
+
+
+def distance(m: Measured) -> Any:
+    """Negative tip error over the reach."""
+    return -m.error
+
+
+def tip_speed(m: Measured) -> Any:
+    """Negative squared tip speed (of a typical move's), halved at 10 % of the reach off target."""
+    return -(m.speed**2) / (1.0 + (10.0 * m.error) ** 2)
+
+
+def vibration(m: Measured) -> Any:
+    """Negative squared elastic tip displacement (of 10 % of the reach)."""
+    return -(m.vibration**2)
+
+
+def effort(m: Measured) -> Any:
+    """Negative mean square of the actions."""
+    return -m.effort
+
+
+def smoothness(m: Measured) -> Any:
+    """Negative mean square of the change of the actions."""
+    return -m.change
+
+
+def joint_rate(m: Measured) -> Any:
+    """Negative mean square of the joint rates (of a typical move's)."""
+    return -m.rate
+
+
+def failure(m: Measured) -> Any:
+    """-1 at the step that ends an episode by failure."""
+    return -m.failed
+
+
+TERMS: dict[str, Callable[[Measured], Any]] = {
+    term.__name__: term
+    for term in (
+        tracking, precision, stillness, distance, tip_speed, vibration, effort, smoothness,
+        joint_rate, failure,
+    )
+}  # fmt: skip
 
 REWARDS: dict[str, dict[str, float]] = {
     "reach": {

@@ -10,8 +10,6 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from flexarm_env import kernels
-from flexarm_env.core import N_FLAG
 from flexarm_env.vector import FlexArmVectorEnv
 
 
@@ -38,11 +36,10 @@ class SB3VecEnv(VecEnv):
         seeds = [None if seed is None else int(seed) for seed in self._seeds]
         given = any(seed is not None for seed in seeds)
         self.envs.seed_streams(seeds if given else None)
-        obs = np.zeros((self.num_envs, self.core.n_obs), np.float32)
-        info = np.zeros((self.num_envs, self.core.n_info))
-        flags = np.zeros((self.num_envs, N_FLAG), np.bool_)
-        for i in range(self.num_envs):
-            self.core.restart(np.array([i]), obs, info, flags, self._options[i] or None)
+        obs, info, flags = self.core.reset(np.arange(self.num_envs))
+        for i, options in enumerate(self._options):
+            if options:
+                self.core.restart(np.array([i]), obs, info, flags, options)
         self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
@@ -55,17 +52,19 @@ class SB3VecEnv(VecEnv):
     def step_wait(self) -> Any:
         """One control step of all."""
         obs, info, flags, ended = self.core.step(self._actions)
-        rewards = info[:, kernels.REWARD].astype(np.float32)
-        self._returns += info[:, kernels.REWARD]
+        reward, terminated, truncated = self.envs._outcome(info, flags)
+        self._returns += reward
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        dones = flags[:, kernels.TERMINATED] | flags[:, kernels.TRUNCATED]
+        dones = terminated | truncated
         if ended:
             rows = np.flatnonzero(dones)
             self._report(rows, obs, info, flags, infos)
+            for i in rows.tolist():
+                infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
             self.core.restart(rows, obs, info, flags)
             self._returns[rows], self._lengths[rows] = 0.0, 0
-        return obs, rewards, dones, infos
+        return obs, reward.astype(np.float32), dones, infos
 
     def _report(self, rows: Any, obs: Any, info: Any, flags: Any, infos: list[Any]) -> None:
         """Infos of the environments whose episode ended."""
@@ -79,9 +78,6 @@ class SB3VecEnv(VecEnv):
             }
             entry["reward_terms"] = {name: float(values[i]) for name, values in terms.items()}
             entry["terminal_observation"] = obs[i].copy()
-            entry["TimeLimit.truncated"] = bool(
-                flags[i, kernels.TRUNCATED] and not flags[i, kernels.TERMINATED]
-            )
             entry["is_success"] = entry["settled"]
             entry["episode"] = {
                 "r": round(float(self._returns[i]), 6),

@@ -10,12 +10,12 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from flexarm_env import kernels
-from flexarm_env.core import Array, Core
+from flexarm_env.core import REWARD, TERMINATED, TRUNCATED, Array, Core
 from flexarm_env.env import RENDER_MODES, check_render_mode, observation_space
+from flexarm_env.rewards import TERMS
 
 Flags = NDArray[np.bool_]
-_TERM_MASKS = [f"_{name}" for name in kernels.TERMS]
+_TERM_MASKS = [f"_{name}" for name in TERMS]
 _AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
 
 
@@ -127,11 +127,16 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         if self._pending.size:
             self.core.restart(self._pending, obs, info, flags)
             ended = True
-        terminated, truncated = flags[:, kernels.TERMINATED], flags[:, kernels.TRUNCATED]
+        reward, terminated, truncated = self._outcome(info, flags)
         self._pending = np.flatnonzero(terminated | truncated) if ended else self._pending
         self._after_step()
         described = self._with_masks(self.core.describe(info, flags))
-        return obs, info[:, kernels.REWARD].copy(), terminated.copy(), truncated.copy(), described
+        return obs, reward, terminated, truncated, described
+
+    def _outcome(self, info: Array, flags: Flags) -> tuple[Array, Flags, Flags]:
+        """Copies of reward, terminated, truncated."""
+        n = self.num_envs
+        return info[REWARD, :n].copy(), flags[TERMINATED, :n].copy(), flags[TRUNCATED, :n].copy()
 
     def _actions(self, actions: Any) -> NDArray[np.float32]:
         array = np.ascontiguousarray(actions, dtype=np.float32)
@@ -143,11 +148,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self, obs: NDArray[np.float32], info: Array, flags: Flags, ended: int
     ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """SAME_STEP: the observation is the new episode's first, the last is in final_obs."""
-        reward = info[:, kernels.REWARD].copy()
-        terminated, truncated = (
-            flags[:, kernels.TERMINATED].copy(),
-            flags[:, kernels.TRUNCATED].copy(),
-        )
+        reward, terminated, truncated = self._outcome(info, flags)
         final: dict[str, Any] = {}
         if ended:
             done = terminated | truncated

@@ -1,6 +1,7 @@
 """The batch, the single environment and the one for stable-baselines3 are the same environment."""
 
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -9,6 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import flexarm_env
+from dynamics import load_arm
 
 TASKS = ("Reach", "Track", "Damp")
 ROUND_OFF = 1e-6  # observations are float32
@@ -79,17 +81,68 @@ def test_batch_equals_single_environments(scene: str, task: str, mode: str) -> N
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize(("n_env", "threads"), [(5, 1), (40, 1), (40, 2), (33, 2)])
 def test_results_do_not_depend_on_batch_size_or_threads(
-    task: str, n_env: int, threads: int
+    task: str, n_env: int, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bit for bit, over restarts."""
+    """Bit for bit, over restarts; so few would be left to one thread."""
+    monkeypatch.setattr(flexarm_env.core, "WORTH_A_THREAD", 1e-9)
     env_id = f"FlexArm/OneLink-{task}-v0"
     actions = random_actions(60, 40, 1)
     reference = gym.make_vec(env_id, num_envs=33, max_episode_steps=25)
     other = gym.make_vec(env_id, num_envs=n_env, threads=threads, max_episode_steps=25)
+    assert len(other.unwrapped.core._shares) == threads
     common = min(33, n_env)
     for a, b in zip(run(reference, actions), run(other, actions), strict=True):
         for x, y in zip(a[:-1], b[:-1], strict=True):
             np.testing.assert_array_equal(x[:common], y[:common])
+
+
+def test_a_batch_with_little_work_takes_fewer_threads() -> None:
+    few = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=64, threads=2)
+    many = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=16384, threads=2)
+    assert [len(envs.unwrapped.core._shares) for envs in (few, many)] == [1, 2]
+
+
+@pytest.mark.parametrize("env_id", ["FlexArm/OneLink-Reach-v0", "FlexArm/TwoLink-Track-v0"])
+def test_single_precision_is_the_same_environment_to_six_digits(env_id: str) -> None:
+    double, single = (gym.make_vec(env_id, num_envs=40, dtype=t) for t in ("float64", "float32"))
+    actions = random_actions(40, 40, double.unwrapped.n_joint, size=0.3)
+    for a, b in zip(run(double, actions), run(single, actions), strict=True):
+        np.testing.assert_allclose(a[0], b[0], atol=2e-4)
+        np.testing.assert_allclose(a[-1]["tip_error"], b[-1]["tip_error"], atol=2e-5)
+
+
+def test_free_parameters_are_drawn_at_every_reset_and_move_the_arm() -> None:
+    """Each value in its range, another one every episode; a given value is that of another arm."""
+    env_id, ranges = (
+        "FlexArm/OneLink-Reach-v0",
+        {"payload_mass": (0.01, 0.05), "stiffness": (0.8, 1.2)},
+    )
+    envs = gym.make_vec(env_id, num_envs=64, max_episode_steps=3, randomize=ranges)
+    envs.reset(seed=0)
+    first = envs.unwrapped.core.parameters.copy()
+    again = gym.make_vec(env_id, num_envs=64, randomize=ranges)
+    again.reset(seed=0)
+    np.testing.assert_array_equal(first, again.unwrapped.core.parameters)
+    for k, (low, high) in enumerate(ranges.values()):
+        assert low <= first[:, k].min() < first[:, k].max() <= high
+    for _ in range(4):
+        envs.step(np.zeros((64, 1)))
+    assert (envs.unwrapped.core.parameters != first).all()
+
+    fixed = gym.make_vec(env_id, num_envs=2, randomize={"stiffness": (2.0, 2.0)})
+    arm = load_arm("slim")
+    stiff = replace(arm, links=(replace(arm.links[0], EIz=2.0 * arm.links[0].EIz),))
+    other = gym.make_vec(env_id, num_envs=2, arm=stiff, torque_limit=fixed.unwrapped.torque_limit)
+    start = {"state": {"q": [0.0, 0.01, 0.0]}, "target": [0.3]}
+    for batch in (fixed, other):
+        batch.reset(seed=0, options=start)
+    for action in random_actions(20, 2, 1):
+        tips = [batch.step(action)[-1]["tip_error"] for batch in (fixed, other)]
+        np.testing.assert_allclose(*tips, rtol=1e-3)
+    with pytest.raises(ValueError, match=r"Unknown randomize \['mass'\]. Known"):
+        gym.make_vec(env_id, num_envs=2, randomize={"mass": (0.0, 1.0)})
+    with pytest.raises(ValueError, match=r"randomize\['stiffness'\] must be \(low, high\)"):
+        gym.make_vec(env_id, num_envs=2, randomize={"stiffness": (1.2, 0.8)})
 
 
 def test_next_step_and_same_step_tell_the_same_episodes() -> None:

@@ -155,13 +155,13 @@ def test_default_integration_keeps_the_tip_within_a_thousandth_of_the_reach(scen
         core.reset(np.arange(4))
     rng = np.random.default_rng(0)
     worst = 0.0
-    tip = default.model.measurements["tip"]
+    tip = default.model.tip
     for _ in range(steps):
         action = rng.uniform(-0.4, 0.4, (4, default.arm.n_joint)).astype(np.float32)
         default.step(action)
         fine.step(action)
-        gap = default.measured[:, tip] - fine.measured[:, tip]
-        worst = max(worst, float(np.linalg.norm(gap, axis=1).max()))
+        gaps = [tip(a) - tip(b) for a, b in zip(default.q, fine.q, strict=True)]
+        worst = max(worst, float(np.linalg.norm(gaps, axis=1).max()))
     assert worst < 1e-3 * default.arm.reach
 
 
@@ -175,7 +175,7 @@ def test_track_targets_move_smoothly_from_rest() -> None:
     rate = base.observation_slices["target_rate"]
     scale = base.observation_scales["target_rate"]
     assert np.abs(observation[:, rate]).max() == 0.0
-    assert info["tip_error"].max() == 0.0
+    assert info["tip_error"].max() < 1e-15  # round-off of two routes to one point
     targets, rates = [base.joint_target()], [observation[:, rate] * scale]
     for _ in range(1000):
         observation = envs.step(np.zeros((16, 2)))[0]

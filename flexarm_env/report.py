@@ -1,0 +1,246 @@
+"""What an environment reports: traced once for an arm and a task, compiled with the arm's physics.
+
+As with the physics, one description for every arm; what a task or an observation leaves out is not
+compiled. Everything that keywords may change without another structure is a constant of the
+workspace.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+from dynamics.lowering import Addition, hash_of_sources, render_function
+from dynamics.model import Model
+from flexarm_env.kernels import ENTRIES, WAVES
+from flexarm_env.observations import Layout, curvature_columns
+from flexarm_env.rewards import TERMS, Measured
+
+FLAGS = ("terminated", "truncated", "settled", "diverged", "invalid")
+SETTLED_BAND = 0.02  # [-] tip error over reach
+LOST = 3.0  # [-] times the deflection limit: finite, but no longer a motion of this arm
+_SOURCES = hash_of_sources(Path(__file__).parent)
+
+Symbols = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Named runs of rows in an array."""
+
+    sizes: Mapping[str, int]
+
+    @property
+    def slices(self) -> dict[str, slice]:
+        """Where each name is."""
+        result, start = {}, 0
+        for name, size in self.sizes.items():
+            result[name] = slice(start, start + size)
+            start += size
+        return result
+
+    @property
+    def total(self) -> int:
+        """How many rows."""
+        return sum(self.sizes.values())
+
+
+class Report:
+    """The report of an arm at a task: its rows, and what is compiled for it.
+
+    Attributes
+    ----------
+    state : rows of an environment's state, as `kernels.begin` and the entry points know them.
+    info : rows of the numbers beside an observation.
+    constants : rows of what holds for all environments.
+    """
+
+    def __init__(self, model: Model, moving: bool, layout: Layout) -> None:
+        n, m = model.n, model.n_joint
+        self.model, self.moving, self.layout = model, moving, layout
+        self.gauges = curvature_columns(model.arm)
+        waves = WAVES * m * moving
+        self.memory = {"action": m, "elapsed": 1, "target": m, "centre": m, "amplitude": waves,
+                       "frequency": waves, "phase": waves}  # fmt: skip
+        self.state = Rows({"q": n, "v": n, **self.memory, "free": len(model.free_parameters)})
+        self.info = Rows({
+            "reward": 1, "time": 1, "tip_error": 1, "tip_speed": 1, "deflection": 1,
+            "tip_deflection": 1, "reward_terms": len(TERMS), "root_curvature": len(self.gauges),
+            "torque": m,
+        })  # fmt: skip
+        self.constants = Rows({
+            "step": 1, "torque_limit": m, "control_dt": 1, "max_steps": 1, "deflection_limit": 1,
+            "slope_limit": 1, "per_rate": 1, "move_time": 1, "weights": len(TERMS),
+            "factors": layout.size,
+        })  # fmt: skip
+
+    @property
+    def addition(self) -> Addition:
+        """What joins the accelerations in the generated module."""
+        m = self.model.n_joint
+        sizes = {name.upper(): size for name, size in self.memory.items()}
+        sizes |= {"BEFORE": m, "LOST": 1, "CHECK": 1, "CONSTANTS": self.constants.total}
+        sizes |= {"TARGET_NOW": m, "FLAGS": len(FLAGS), "INFO": self.info.total}
+        sizes |= {"OBSERVATION": self.layout.size}
+        counts = {
+            "N_STATE": 2 * self.model.n + sum(self.memory.values()), "N_JOINT": m,
+            "N_COORDINATE": self.model.n, "N_MEMORY": sum(self.memory.values()),
+            "N_FREE": len(self.model.free_parameters), "N_FLAG": len(FLAGS),
+            "N_INFO": self.info.total, "N_OBSERVATION": self.layout.size,
+        }  # fmt: skip
+        lines = [f"{name} = np.uint64({count})" for name, count in counts.items()]
+        parts = [(part.name, part.entries, part.bound) for part in self.layout.parts]
+
+        def functions(at: Mapping[str, int]) -> list[str]:
+            inputs = [at["Q"], at["V"], at["ACTION"], at["BEFORE"], at["LOST"], at["CONSTANTS"]]
+            report = render_function("report", self.graph, inputs, at["TARGET_NOW"])
+            return [self._check(at), report]
+
+        return Addition(
+            key=f"environment {_SOURCES} {self.moving} {parts}",
+            sizes=sizes,
+            functions=functions,
+            entries="\n".join([*lines, ENTRIES]),
+        )
+
+    def _check(self, at: Mapping[str, int]) -> str:
+        """Text of `check(w)`: zero where q and v are finite, else not a number."""
+        slots = [at[name] + k for name in ("Q", "V") for k in range(self.model.n)]
+        lines = ["@straight_line(LANES)", "def check(w):", "    s = 0.0"]
+        for slot in slots:
+            lines += [f"    x = w[{slot}]", "    d = x - x", "    s = s + d"]
+        return "\n".join([*lines, f"    w[{at['CHECK']}] = s", ""])
+
+    @property
+    def graph(self) -> Any:
+        """CasADi Function (q, v, memory, before, lost, constants) -> target, flags, info, obs."""
+        import casadi as ca
+
+        model, total = self.model, sum(self.memory.values())
+        sizes = {"q": model.n, "v": model.n, "memory": total, "before": model.n_joint, "lost": 1,
+                 "constants": self.constants.total}  # fmt: skip
+        symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        s = dict(symbols)
+        s |= {k: symbols["memory"][rows] for k, rows in Rows(self.memory).slices.items()}
+        s |= {k: symbols["constants"][rows] for k, rows in self.constants.slices.items()}
+        s["time"] = s["control_dt"] * s["elapsed"]
+        s["target"], s["target_rate"] = self._reference(s, s["time"])
+        values = self._values(s)
+        outputs = [s["target"], *(values[name] for name in FLAGS)]
+        outputs += [values[name] for name in self.info.sizes]
+        outputs.append(self._observation(s, values))
+        return ca.Function("report", list(symbols.values()), [ca.cse(ca.vertcat(*outputs))])
+
+    def _reference(self, s: Symbols, t: Any) -> tuple[Any, Any]:
+        """Joint angles [rad] and rates [rad/s] of the target at time t.
+
+        centre + ramp(t) sum_k A_k sin(w_k t + p_k): smooth to the second derivative, from rest.
+        """
+        import casadi as ca
+
+        if not self.moving:
+            return s["centre"], ca.SX(self.model.n_joint, 1)
+        angle = s["frequency"] * t + s["phase"]
+        shape = (self.model.n_joint, WAVES)
+        value = ca.sum2(ca.reshape(s["amplitude"] * ca.sin(angle), *shape))
+        rate = ca.sum2(ca.reshape(s["amplitude"] * s["frequency"] * ca.cos(angle), *shape))
+        x = ca.fmin(t / s["move_time"], 1.0)
+        ramp = x * x * x * (10.0 + x * (6.0 * x - 15.0))
+        slope = 30.0 * x * x * (1.0 - x) * (1.0 - x) / s["move_time"]
+        return s["centre"] + ramp * value, ramp * rate + slope * value
+
+    def _measured(self, q: Any, v: Any) -> dict[str, Any]:
+        values = self.model.measure_graph(q, v)
+        return {name: values[rows] for name, rows in self.model.measurements.items()}
+
+    def _straight(self, joints: Any) -> Any:
+        """The coordinates of an arm with straight links."""
+        import casadi as ca
+
+        x = ca.SX(self.model.n, 1)
+        for k, i in enumerate(self.model.arm.joint_index):
+            x[i] = joints[k]
+        return x
+
+    def _values(self, s: Symbols) -> dict[str, Any]:
+        """Flags and info by name, and the tip error's vector; flags are 1 or 0."""
+        import casadi as ca
+
+        arm, here = self.model.arm, self._measured(s["q"], s["v"])
+        goal = self._measured(self._straight(s["target"]), self._straight(s["target_rate"]))
+        gap = goal["tip"] - here["tip"]
+        error, speed = _length(gap), _length(goal["tip_velocity"] - here["tip_velocity"])
+        bent = _length(here["tip"] - here["rigid_tip"])
+        deflection = reduce(ca.fmax, ca.vertsplit(here["deflection"]))
+        slope = reduce(ca.fmax, ca.vertsplit(here["slope"]))
+
+        live = s["elapsed"] > 0.0
+        invalid = ca.fmax(s["deflection_limit"] < deflection, s["slope_limit"] < slope)
+        diverged = ca.fmax(s["lost"], LOST * s["deflection_limit"] < deflection)
+        failed = live * ca.fmax(invalid, diverged)
+        late = live * (s["max_steps"] > 0.0) * (s["max_steps"] <= s["elapsed"])
+        rates = s["v"][list(arm.joint_index)] * s["per_rate"]
+        measured = Measured(
+            error=error / arm.reach,
+            speed=speed * s["per_rate"] / arm.reach,
+            vibration=bent / (0.1 * arm.reach),
+            rate=ca.sumsqr(rates) / arm.n_joint,
+            effort=ca.sumsqr(s["action"]) / arm.n_joint,
+            change=ca.sumsqr(s["action"] - s["before"]) / arm.n_joint,
+            failed=failed,
+        )
+        terms = ca.vertcat(*(term(measured) for term in TERMS.values()))
+        return {
+            "terminated": failed, "truncated": late, "settled": error < SETTLED_BAND * arm.reach,
+            "diverged": diverged, "invalid": invalid,
+            "reward": live * ca.dot(s["weights"], terms), "time": s["time"], "tip_error": error,
+            "tip_speed": speed, "deflection": deflection, "tip_deflection": bent,
+            "reward_terms": terms, "root_curvature": here["curvature"][list(self.gauges)],
+            "torque": s["action"] * s["torque_limit"], "gap": gap, "curvature": here["curvature"],
+        }  # fmt: skip
+
+    def _observation(self, s: Symbols, values: Symbols) -> Any:
+        """Scaled and clipped."""
+        import casadi as ca
+
+        signals = self._signals(s, values)
+        picked = [signals[part.name][k] for part in self.layout.parts for k in part.entries]
+        bounds = self.layout.bounds
+        return ca.fmin(ca.fmax(ca.vertcat(*picked) * s["factors"], -bounds), bounds)
+
+    def _signals(self, s: Symbols, values: Symbols) -> dict[str, Any]:
+        """Everything that an observation may hold, in physical units."""
+        import casadi as ca
+
+        joints = s["q"][list(self.model.arm.joint_index)]
+        signals = {
+            "joint_error": joints - s["target"],
+            "joint_sin": ca.sin(joints),
+            "joint_cos": ca.cos(joints),
+            "joint_rate": s["v"][list(self.model.arm.joint_index)],
+            "modal_amplitude": s["q"],
+            "modal_rate": s["v"],
+            "tip_error": self._in_first_link(values["gap"], joints[0]),
+            "root_curvature": values["curvature"],
+            "last_action": s["action"],
+            "target_rate": s["target_rate"],
+        }
+        for name, share in (("target_near", 0.5), ("target_far", 1.0)):
+            ahead, _ = self._reference(s, s["time"] + share * s["move_time"])
+            signals[name] = ahead - s["target"]
+        return signals
+
+    def _in_first_link(self, vector: Any, angle: Any) -> Any:
+        """A vector of the world along the axes of the undeformed first link."""
+        import casadi as ca
+
+        x, y, z = ca.vertsplit(ca.mtimes(ca.DM(self.model.arm.links[0].joint.rotation).T, vector))
+        c, d = ca.cos(angle), ca.sin(angle)
+        return ca.vertcat(c * x + d * y, c * y - d * x, z)
+
+
+def _length(vector: Any) -> Any:
+    import casadi as ca
+
+    return ca.sqrt(ca.sumsqr(vector))
