@@ -106,7 +106,7 @@ def choose_model(arm: Arm, scene: Scene, tolerance: float) -> Choice:
     RuntimeError : naming numbers, if the reference does not converge or no step is small enough.
     """
     scene.check(arm)
-    bench = _Bench(arm, scene, checks.positive(tolerance, "tolerance", "m"))
+    bench = Bench(arm, scene, checks.positive(tolerance, "tolerance", "m"))
     reference = bench.converge()
     ladder: list[Rung] = []
     chosen = _climb_all(bench, ladder)
@@ -134,7 +134,7 @@ def choose_model(arm: Arm, scene: Scene, tolerance: float) -> Choice:
     )
 
 
-class _Bench:
+class Bench:
     """An arm on a scene: every model's motions, computed once."""
 
     def __init__(self, arm: Arm, scene: Scene, tolerance: float) -> None:
@@ -166,7 +166,7 @@ class _Bench:
 
     def error(self, fidelity: Fidelity) -> float:
         """[m] from the reference."""
-        return _apart(self.tips(fidelity), self.truth)
+        return apart(self.tips(fidelity), self.truth)
 
     def operations(self, fidelity: Fidelity) -> int:
         return self.rollout(fidelity).operations
@@ -186,7 +186,7 @@ class _Bench:
             counts, before = everything(self.arm, modes, 2), tips
             level = replace(start, counts=counts, segments=cut)
             tips = self._reference(level)
-            change = _apart(tips, before)
+            change = apart(tips, before)
         if change > CONVERGED * self.tolerance:
             raise RuntimeError(
                 f"The reference does not converge: with '{level}' the tip still moves by "
@@ -232,7 +232,7 @@ def _kinds(arm: Arm) -> list[list[_Kind]]:
     return [*result, [_Kind(rigid(arm, True, polynomial=True), few, MOST_SEGMENTS)]]
 
 
-def _climb_all(bench: _Bench, ladder: list[Rung]) -> Fidelity:
+def _climb_all(bench: Bench, ladder: list[Rung]) -> Fidelity:
     """The cheapest model that is good enough; a kind that cannot be is not climbed."""
     start, kinds = rigid(bench.arm), _kinds(bench.arm)
     ladder.append(_rung(bench, start, kinds[0][0].best))
@@ -263,7 +263,7 @@ def _climb_all(bench: _Bench, ladder: list[Rung]) -> Fidelity:
     )
 
 
-def _climb(bench: _Bench, kind: _Kind) -> list[Fidelity]:
+def _climb(bench: Bench, kind: _Kind) -> list[Fidelity]:
     """Add what reduces the error most for its cost, until it is enough or nothing is left."""
     path, promise = [kind.start], dict[Change, float]()
     while bench.error(path[-1]) > bench.enough:
@@ -282,7 +282,7 @@ def _climb(bench: _Bench, kind: _Kind) -> list[Fidelity]:
     return path
 
 
-def _gain(bench: _Bench, before: Fidelity, after: Fidelity) -> float:
+def _gain(bench: Bench, before: Fidelity, after: Fidelity) -> float:
     """Error reduced per cost added, both as ratios."""
     far = 1e3 * bench.arm.reach
     errors = [min(max(bench.error(f), 1e-15), far) for f in (before, after)]
@@ -290,7 +290,7 @@ def _gain(bench: _Bench, before: Fidelity, after: Fidelity) -> float:
     return math.log(errors[0] / errors[1]) / math.log(max(work, 1.01))
 
 
-def _pruned(bench: _Bench, fidelity: Fidelity) -> Fidelity:
+def _pruned(bench: Bench, fidelity: Fidelity) -> Fidelity:
     """Take away, cheapest remainder first, whatever turns out not to be needed."""
     while True:
         good = [f for f in fidelity.poorer() if bench.error(f) <= bench.enough]
@@ -299,12 +299,12 @@ def _pruned(bench: _Bench, fidelity: Fidelity) -> Fidelity:
         fidelity = min(good, key=bench.operations)
 
 
-def _rung(bench: _Bench, fidelity: Fidelity, best: Fidelity | None) -> Rung:
+def _rung(bench: Bench, fidelity: Fidelity, best: Fidelity | None) -> Rung:
     truncation = nonlinear = None
     if best is not None:
         nonlinear = bench.error(best)
         if nonlinear < math.inf:
-            truncation = _apart(bench.tips(fidelity), bench.tips(best))
+            truncation = apart(bench.tips(fidelity), bench.tips(best))
     return Rung(
         description=str(fidelity),
         error=bench.error(fidelity),
@@ -314,7 +314,7 @@ def _rung(bench: _Bench, fidelity: Fidelity, best: Fidelity | None) -> Rung:
     )
 
 
-def _steps(bench: _Bench, fidelity: Fidelity) -> Iterator[Rung]:
+def _steps(bench: Bench, fidelity: Fidelity) -> Iterator[Rung]:
     """Per integrator its largest step within the tolerance, if any."""
     model = bench.error(fidelity)
     left = bench.tolerance - bench.residual - model
@@ -336,7 +336,7 @@ def _steps(bench: _Bench, fidelity: Fidelity) -> Iterator[Rung]:
         )
 
 
-def _trials(bench: _Bench, fidelity: Fidelity, integrator: str) -> Iterator[tuple[float, float]]:
+def _trials(bench: Bench, fidelity: Fidelity, integrator: str) -> Iterator[tuple[float, float]]:
     """Ever smaller steps [s], and how far each moves the tip [m]."""
     rollout, motions = bench.rollout(fidelity), bench.scene.motions
     fastest = max(rollout.fastest(motion) for motion in motions)
@@ -351,7 +351,7 @@ def _trials(bench: _Bench, fidelity: Fidelity, integrator: str) -> Iterator[tupl
         dt /= FINER
 
 
-def _reason(bench: _Bench, chosen: Fidelity, best: Rung) -> str:
+def _reason(bench: Bench, chosen: Fidelity, best: Rung) -> str:
     poorer = [bench.error(f) for f in chosen.poorer()]
     less = f"; the next simpler model errs by {_metres(min(poorer))} m" if poorer else ""
     return (
@@ -360,7 +360,7 @@ def _reason(bench: _Bench, chosen: Fidelity, best: Rung) -> str:
     )
 
 
-def _apart(a: Tips, b: Tips) -> float:
+def apart(a: Tips, b: Tips) -> float:
     """[m] largest distance over all motions."""
     return max(distance(x, y) for x, y in zip(a, b, strict=True))
 

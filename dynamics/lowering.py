@@ -13,7 +13,7 @@ import importlib.util
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -245,16 +245,16 @@ def cache_folder() -> Path:
     return Path(os.environ.get("FLEXARM_CACHE") or platformdirs.user_cache_path("flexarm"))
 
 
-def hash_of_sources(folder: Path) -> str:
-    """Hash of a package's source files."""
+def hash_of_files(paths: Iterable[Path]) -> str:
+    """Hash of what is in these files."""
     digest = hashlib.sha256()
-    for path in sorted(folder.glob("*.py")):
+    for path in sorted(paths):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
 # as imported: a file edited later does not speak for the code in memory
-_SOURCES = hash_of_sources(Path(__file__).parent)
+_SOURCES = hash_of_files(Path(__file__).parent.glob("*.py"))
 
 
 def fingerprint(*parts: str) -> str:
@@ -278,7 +278,7 @@ def cached_module(key: str, build: Callable[[], str]) -> ModuleType:
         return sys.modules[name]
     path = cache_folder() / f"{name}.py"
     if not path.exists():
-        _write(path, build())
+        write_whole(path, build())
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
@@ -288,7 +288,7 @@ def cached_module(key: str, build: Callable[[], str]) -> ModuleType:
     return module
 
 
-def _write(path: Path, text: str) -> None:
+def write_whole(path: Path, text: str) -> None:
     """Write a file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")

@@ -14,6 +14,7 @@ from dynamics import Arm, load_arm
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import FREE_PARAMETERS, Model, compile_arm
 from flexarm_env import kernels
+from flexarm_env.certificates import find, fit
 from flexarm_env.observations import observation_layout
 from flexarm_env.physics import (
     DEFLECTION_LIMIT,
@@ -55,9 +56,15 @@ class Core:
     dtype : number type of the compiled code, "float64" or "float32".
     randomize : ranges (low, high) of free parameters, drawn anew at every reset; names are those
         of `dynamics.model.FREE_PARAMETERS`.
+    fidelity : "auto", the arm as described; "rigid", without modes; or "reference", cut into
+        foreshortened segments, and slow.
+    tolerance : [m] instead: the cheapest model, integrator and step whose tip error on the
+        environment's motions stays below it, by `dynamics.choose_model`.
 
     Attributes
     ----------
+    certificate : measured errors of model and step, see `dynamics.certificate.Certificate`; None
+        where this arm and step were never certified.
     q, v : (N, n) coordinates and rates, writable views.
     parameters : (N, n_free) values of the randomized parameters, a view.
     """
@@ -79,10 +86,12 @@ class Core:
         threads: int = 1,
         dtype: str = "float64",
         randomize: Mapping[str, tuple[float, float]] | None = None,
+        fidelity: str = "auto",
+        tolerance: float | None = None,
     ) -> None:
         self.arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
-        self.arm = load_arm(arm)
+        described = load_arm(arm)
         _require_positive("control_dt", control_dt, "s")
         _require_positive("deflection_limit", deflection_limit, "-")
         for name, value, least in (
@@ -93,11 +102,18 @@ class Core:
             _require_whole(name, value, least)
         self.n_env, self.threads, self.control_dt = int(n_env), int(threads), float(control_dt)
         self.randomize = _ranges(randomize or {})
-        self.physics = physics(self.arm)
-        self.torque_limit = self._torque_limit(torque_limit)
-        self.integrator, self.substeps = self._integration(integrator, substeps)
+        fitted = fit(described, self.control_dt, fidelity, tolerance)
+        self.arm, self.physics = fitted.arm, physics(fitted.arm)
+        given = physics(described)  # what a task asks does not depend on the model of the arm
+        self.torque_limit = self._torque_limit(torque_limit, given.torque_limit)
+        self.integrator, self.substeps = self._integration(
+            integrator or fitted.integrator, substeps or fitted.substeps
+        )
+        self.certificate = fitted.certificate or find(
+            self.arm, self.control_dt, self.integrator, self.substeps
+        )
         weights = resolve_weights(self.task.reward if reward is None else reward)
-        inertia = np.array(self.physics.inertia)
+        inertia = np.array(given.inertia)
         acceleration = float(np.min(self.torque_limit / inertia))  # [rad/s^2] at full torque
         self.rate_scale = math.sqrt(acceleration * MOVE)  # [rad/s] top speed of a typical move
         self.move_time = 2.0 * math.sqrt(MOVE / acceleration)  # [s] of a bang-bang move by MOVE
@@ -111,9 +127,11 @@ class Core:
         self._start = self._episode_ranges()
         self._allocate()
 
-    def _torque_limit(self, given: float | Sequence[float] | None) -> Array:
+    def _torque_limit(
+        self, given: float | Sequence[float] | None, default: tuple[float, ...]
+    ) -> Array:
         if given is None:
-            return np.array(self.physics.torque_limit)
+            return np.array(default)
         limit = np.asarray(given, dtype=np.float64)
         if limit.shape not in ((), (self.arm.n_joint,)):
             raise ValueError(

@@ -50,6 +50,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
     torque_limit = property(lambda self: self.core.torque_limit.copy())
     n_joint = property(lambda self: self.core.arm.n_joint)
     reach = property(lambda self: self.core.arm.reach)
+    certificate = property(lambda self: self.core.certificate)
     observation_slices = property(lambda self: self.core.layout.slices)
     observation_scales = property(lambda self: self.core.layout.scales)
 

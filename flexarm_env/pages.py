@@ -25,6 +25,13 @@ ARGUMENTS = (
     ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
     ("render_mode", "None", '"rgb_array" or "human"'),
     ("threads", "1", "worker threads at most, `gym.make_vec` only"),
+    ("fidelity", '"auto"', '"auto", the arm as described; "rigid"; or "reference", fine and slow'),
+    (
+        "tolerance",
+        "None",
+        "[m] instead: the cheapest model, integrator and step within it on "
+        "motions as hard as the torque limits allow; found once, then kept",
+    ),
     ("dtype", '"float64"', 'number type of the compiled code: "float64" or "float32"'),
     (
         "randomize",
@@ -48,6 +55,7 @@ def page(env_id: str) -> str:
         "```python\nimport gymnasium as gym\nimport flexarm_env\n\n"
         f'env = gym.make("{env_id}")\nenvs = gym.make_vec("{env_id}", num_envs=1024)\n```',
         _facts(core, steps),
+        "## Accuracy\n\n" + _accuracy(core),
         "## Actions\n\n" + _actions(core),
         "## Observations\n\n" + _observations("state", env_id),
         '### With `obs="sensors"`\n\n' + _observations("sensors", env_id),
@@ -76,6 +84,32 @@ def _facts(core: Core, steps: int) -> str:
         ("a typical move (0.5 rad, bang-bang)", f"{core.move_time:.2f} s"),
     ]
     return _table(("", ""), rows)
+
+
+def _accuracy(core: Core) -> str:
+    """The certificate as a table."""
+    c = core.certificate
+    assert c is not None, "A registered environment is certified: see certificates.py."
+    meanings = {
+        "error": "in all, from the reference",
+        "integration": "of the step alone",
+        "truncation": "of the modes kept, from more of them",
+        "nonlinear": "of a linear model with those, from the reference",
+        "residual": "of the reference: what its last refinement changed",
+    }
+    if core.arm.foreshortening:
+        meanings["nonlinear"] = "of a foreshortened model with those, from the reference"
+    rows = [
+        (key, text, f"{1e3 * c[key]:.2g} mm", f"{c[key] / c['reach']:.1e}")
+        for key, text in meanings.items()
+    ]
+    return (
+        f"Largest tip error on motions as hard as the torque limits allow ({c['scene']}), measured "
+        f"by `{c['reproduce']}` and kept as `env.unwrapped.certificate`:\n\n"
+        + _table(("part", "meaning", "tip error", "of the reach"), rows)
+        + f"\n\nModel: {c['model']}. Reference: {c['reference']}. Gentler motions err less; "
+        "`tolerance=` chooses another model."
+    )
 
 
 def _actions(core: Core) -> str:

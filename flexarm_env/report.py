@@ -11,7 +11,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-from dynamics.lowering import Addition, hash_of_sources, render_function
+from dynamics.lowering import Addition, hash_of_files, render_function
 from dynamics.model import Model
 from flexarm_env.kernels import ENTRIES, WAVES
 from flexarm_env.observations import Layout, curvature_columns
@@ -20,7 +20,9 @@ from flexarm_env.rewards import TERMS, Measured
 FLAGS = ("terminated", "truncated", "settled", "diverged", "invalid")
 SETTLED_BAND = 0.02  # [-] tip error over reach
 LOST = 3.0  # [-] times the deflection limit: finite, but no longer a motion of this arm
-_SOURCES = hash_of_sources(Path(__file__).parent)
+# the sources of what is compiled, besides those of dynamics; what they say when imported
+_TRACED = ("kernels", "report", "rewards")
+_SOURCES = hash_of_files(Path(__file__).with_name(f"{name}.py") for name in _TRACED)
 
 Symbols = Mapping[str, Any]
 

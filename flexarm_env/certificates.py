@@ -1,0 +1,163 @@
+"""How true an environment is, and models as true as one asks for.
+
+`python -m flexarm_env.certificates [ARM ...]` certifies the registered environments. Each arm is
+certified once, with the steps its environments take, on motions of their kind: all joints bang-bang
+at full torque for one period of the first joint-free mode, then coasting, and random torques held
+for a control step each. The numbers are kept in certificates.json.
+"""
+
+import argparse
+import json
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynamics import checks
+from dynamics.arm import Arm
+from dynamics.arm_file import load_arm
+from dynamics.case import PiecewiseConstant, Torque
+from dynamics.certificate import Certificate, certify
+from dynamics.choice import choose_model
+from dynamics.fidelity import everything, rigid
+from dynamics.lowering import cache_folder, fingerprint, write_whole
+from dynamics.scene import JointMotion, Scene
+from flexarm_env.physics import integration, physics
+
+STORE = Path(__file__).with_name("certificates.json")
+ACCURACY, LONG_ACCURACY = 1e-4, 1e-3  # of the reach; for more than two links, to end in minutes
+RANDOM_STEPS = 40  # control steps of random torque
+RANDOM_SHARE = 0.4  # of full torque, at most
+PERIODS = 4.0  # of the first joint-free mode, in the bang-bang motion
+RIGID_PERIOD = 0.5  # [s] instead, for an arm without modes
+FIDELITIES = ("rigid", "auto", "reference")
+REFERENCE_MODES, REFERENCE_SEGMENTS = 3, 2  # per direction of bending; per flexible link
+
+
+def scene(arm: Arm, control_dt: float) -> Scene:
+    """Motions as an arm's environments make them, from its home posture at rest."""
+    found = physics(arm)
+    limit = np.array(found.torque_limit)
+    period = 2.0 * np.pi / found.free[0] if found.free else RIGID_PERIOD
+    waves = [
+        PiecewiseConstant(times=(0.0, 0.5 * period, period), values=(u, -u, 0.0)) for u in limit
+    ]
+    rng = np.random.default_rng(0)
+    shares = rng.uniform(-RANDOM_SHARE, RANDOM_SHARE, (limit.size, RANDOM_STEPS))
+    times = tuple((control_dt * np.arange(RANDOM_STEPS)).tolist())
+    held = [
+        PiecewiseConstant(times=times, values=tuple((u * row).tolist()))
+        for u, row in zip(limit, shares, strict=True)
+    ]
+    rest = (0.0,) * arm.n_joint
+    return Scene(
+        name=f"bang-bang and random torques, held for {control_dt:g} s",
+        motions=tuple(
+            JointMotion(
+                joint_angles=found.home,
+                joint_rates=rest,
+                t_end=t_end,
+                torque=Torque(signals=tuple(signals)),
+            )
+            for signals, t_end in ((waves, PERIODS * period), (held, control_dt * RANDOM_STEPS))
+        ),
+    )
+
+
+def measure(name: str, control_dt: float) -> Certificate:
+    """The certificate of a preset at its environments' step."""
+    arm = load_arm(name)
+    integrator, substeps = integration(arm, control_dt)
+    accuracy = (ACCURACY if arm.n_joint <= 2 else LONG_ACCURACY) * arm.reach
+    return certify(arm, scene(arm, control_dt), integrator, control_dt / substeps, accuracy)
+
+
+@lru_cache(maxsize=1)
+def stored() -> dict[str, dict[str, Any]]:
+    """All kept certificates: preset -> control_dt, certificate."""
+    text = STORE.read_text(encoding="utf-8") if STORE.exists() else "{}"
+    result: dict[str, dict[str, Any]] = json.loads(text)
+    return result
+
+
+def find(arm: Arm, control_dt: float, integrator: str, substeps: int) -> dict[str, Any] | None:
+    """The kept certificate of just this arm and step, or None."""
+    for name, entry in stored().items():
+        kept = entry["certificate"]
+        same = entry["control_dt"] == control_dt and kept["integrator"] == integrator
+        if same and kept["dt"] == control_dt / substeps and load_arm(name) == arm:
+            return {**kept, "reproduce": f"python -m flexarm_env.certificates {name}"}
+    return None
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What an environment steps in place of the arm it was given."""
+
+    arm: Arm
+    integrator: str | None = None  # None: chosen for the arm
+    substeps: int | None = None
+    certificate: dict[str, Any] | None = None
+
+
+def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> Fitted:
+    """The model for a fidelity of FIDELITIES, or the cheapest within a tolerance [m].
+
+    Raises
+    ------
+    ValueError : for an unknown fidelity, or one beside a tolerance.
+    RuntimeError : if no model is that true, see `dynamics.choose_model`.
+    """
+    if fidelity not in FIDELITIES:
+        raise ValueError(f"Unknown fidelity {fidelity!r}. Known: {list(FIDELITIES)}.")
+    if tolerance is not None:
+        if fidelity != "auto":
+            raise ValueError(f"Give a tolerance ({tolerance!r} m) or a fidelity, not both.")
+        return _chosen(arm, control_dt, checks.positive(tolerance, "tolerance", "m"))
+    if fidelity == "rigid":
+        return Fitted(rigid(arm).arm(arm))
+    if fidelity == "reference":
+        counts = everything(arm, REFERENCE_MODES, 2)
+        cut = tuple(REFERENCE_SEGMENTS if any(count) else 1 for count in counts)
+        fine = replace(rigid(arm, foreshortening=True, polynomial=True), counts=counts)
+        return Fitted(replace(fine, segments=cut).arm(arm), "midpoint")  # stiff and damped
+    return Fitted(arm)
+
+
+def _chosen(arm: Arm, control_dt: float, tolerance: float) -> Fitted:
+    """What `choose_model` finds for the environment's motions; kept, since it may take minutes."""
+    key = fingerprint("choice", json.dumps(arm.to_dict()), repr(control_dt), repr(tolerance))
+    path = cache_folder() / f"choice_{key}.json"
+    if path.exists():
+        found = json.loads(path.read_text(encoding="utf-8"))
+    else:
+        found = choose_model(arm, scene(arm, control_dt), tolerance).to_dict()
+        write_whole(path, json.dumps(found, indent=2))
+    substeps = max(1, math.ceil(control_dt / found["dt"] - 1e-9))
+    return Fitted(load_arm(found.pop("arm")), found["integrator"], substeps, found)
+
+
+def main() -> None:
+    """Measure the default arms, or those named, and keep what was found."""
+    from flexarm_env import SCENES
+
+    steps = {arm: control_dt for arm, control_dt, _ in SCENES.values()}
+    parser = argparse.ArgumentParser(description="Certify the environments' arms.")
+    parser.add_argument("arms", nargs="*", metavar="ARM", help=f"of {sorted(steps)}; all")
+    names = parser.parse_args().arms or list(steps)
+    unknown = sorted(set(names) - set(steps))
+    if unknown:
+        parser.error(f"unknown arms {unknown}; known: {sorted(steps)}")
+    entries = dict(stored())
+    for name in names:
+        certificate = measure(name, steps[name]).to_dict()
+        entries[name] = {"control_dt": steps[name], "certificate": certificate}
+        print(f"{name}: {json.dumps(certificate, indent=2)}")
+        STORE.write_text(json.dumps(entries, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
