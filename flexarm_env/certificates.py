@@ -1,12 +1,8 @@
 """How true an environment is, and models as true as one asks for.
 
-`python -m flexarm_env.certificates [ARM ...]` certifies the registered environments. Each arm is
-certified once, with the steps its environments take, on motions of their kind: all joints bang-bang
-at full torque for one period of the first joint-free mode, then coasting, and random torques held
-for a control step each. The numbers are kept in certificates.json.
+The registered environments' certificates are kept in certificates.json; certify.py makes them.
 """
 
-import argparse
 import json
 import math
 from dataclasses import dataclass, replace
@@ -20,15 +16,13 @@ from dynamics import checks
 from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
 from dynamics.case import PiecewiseConstant, Torque
-from dynamics.certificate import Certificate, certify
 from dynamics.choice import choose_model
 from dynamics.fidelity import everything, rigid
 from dynamics.lowering import cache_folder, fingerprint, write_whole
 from dynamics.scene import JointMotion, Scene
-from flexarm_env.physics import integration, physics
+from flexarm_env.physics import physics
 
 STORE = Path(__file__).with_name("certificates.json")
-ACCURACY, LONG_ACCURACY = 1e-4, 1e-3  # of the reach; for more than two links, to end in minutes
 RANDOM_STEPS = 40  # control steps of random torque
 RANDOM_SHARE = 0.4  # of full torque, at most
 PERIODS = 4.0  # of the first joint-free mode, in the bang-bang motion
@@ -67,14 +61,6 @@ def scene(arm: Arm, control_dt: float) -> Scene:
     )
 
 
-def measure(name: str, control_dt: float) -> Certificate:
-    """The certificate of a preset at its environments' step."""
-    arm = load_arm(name)
-    integrator, substeps = integration(arm, control_dt)
-    accuracy = (ACCURACY if arm.n_joint <= 2 else LONG_ACCURACY) * arm.reach
-    return certify(arm, scene(arm, control_dt), integrator, control_dt / substeps, accuracy)
-
-
 @lru_cache(maxsize=1)
 def stored() -> dict[str, dict[str, Any]]:
     """All kept certificates: preset -> control_dt, certificate."""
@@ -89,7 +75,7 @@ def find(arm: Arm, control_dt: float, integrator: str, substeps: int) -> dict[st
         kept = entry["certificate"]
         same = entry["control_dt"] == control_dt and kept["integrator"] == integrator
         if same and kept["dt"] == control_dt / substeps and load_arm(name) == arm:
-            return {**kept, "reproduce": f"python -m flexarm_env.certificates {name}"}
+            return {**kept, "reproduce": f"python -m flexarm_env.certify {name}"}
     return None
 
 
@@ -138,26 +124,3 @@ def _chosen(arm: Arm, control_dt: float, tolerance: float) -> Fitted:
         write_whole(path, json.dumps(found, indent=2))
     substeps = max(1, math.ceil(control_dt / found["dt"] - 1e-9))
     return Fitted(load_arm(found.pop("arm")), found["integrator"], substeps, found)
-
-
-def main() -> None:
-    """Measure the default arms, or those named, and keep what was found."""
-    from flexarm_env import SCENES
-
-    steps = {arm: control_dt for arm, control_dt, _ in SCENES.values()}
-    parser = argparse.ArgumentParser(description="Certify the environments' arms.")
-    parser.add_argument("arms", nargs="*", metavar="ARM", help=f"of {sorted(steps)}; all")
-    names = parser.parse_args().arms or list(steps)
-    unknown = sorted(set(names) - set(steps))
-    if unknown:
-        parser.error(f"unknown arms {unknown}; known: {sorted(steps)}")
-    entries = dict(stored())
-    for name in names:
-        certificate = measure(name, steps[name]).to_dict()
-        entries[name] = {"control_dt": steps[name], "certificate": certificate}
-        print(f"{name}: {json.dumps(certificate, indent=2)}")
-        STORE.write_text(json.dumps(entries, indent=2) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -9,7 +9,8 @@ import pytest
 import flexarm_env
 from dynamics import compile_arm, load_arm, simulate
 from dynamics.case import Torque
-from flexarm_env.certificates import RANDOM_STEPS, fit, measure, scene, stored
+from flexarm_env.certificates import RANDOM_STEPS, fit, scene, stored
+from flexarm_env.certify import measure
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 MEASURED = ("error", "integration", "truncation", "nonlinear", "residual")
