@@ -23,7 +23,8 @@ SLOPE_PER_DEFLECTION = 1.6  # [rad] a beam whose tip deflects in its first shape
 BENT = 0.6  # [rad] home angle of every joint but the first
 MOVE = 0.5  # [rad] a typical move; the scale of angles
 RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
-RK4_STEP = 1.1  # [-] dt omega of the highest mode
+RK4_STEP = 2.1  # [-] dt omega of the highest mode; stable below 2.83, and a pose may raise omega
+RK4_SMOOTH = 0.5  # [-] dt omega of the first joint-free mode, which a move excites and must follow
 RK4_STEPS = 30  # above that many substeps per control step the midpoint rule is cheaper
 MIDPOINT_STEP = 0.03  # [-] dt omega of the first joint-free mode: it is only second order
 _UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not reach
@@ -152,7 +153,7 @@ def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> t
     highest = max((*found.held, *found.free), default=100.0)
     lowest = min(found.free, default=100.0)
     steps = {
-        "rk4": max(1, math.ceil(control_dt * highest / RK4_STEP)),
+        "rk4": max(1, math.ceil(control_dt * max(highest / RK4_STEP, lowest / RK4_SMOOTH))),
         "midpoint": max(1, math.ceil(control_dt * lowest / MIDPOINT_STEP)),
     }
     if integrator is None:
