@@ -16,8 +16,13 @@ from dynamics.integrators import INTEGRATORS
 TARGETS = (1e-2, 1e-3, 1e-4)  # of the reach
 SMALL = 0.3  # of a model's error: an integration error below leaves the model's to be seen
 LOWEST, HIGHEST = 3e-8, 2.0  # errors drawn; diverged runs lie on the upper edge
-KINDS = {"rigid": "*", "linear": "o", "foreshortened": "s"}  # markers; segments have their own
-CUT = "D"
+STEP = "The step: distance from the default model's own exact motion"
+MODEL = "The model: distance of its exact motion from the truth"
+BOTH = "Both added: every run"
+STAR: dict[str, Any] = {
+    "color": "gold", "markeredgecolor": "k", "markersize": 14, "zorder": 5, "linestyle": "none",
+}  # fmt: skip
+CODE = "modes x segments, f: foreshortened"
 Row = dict[str, Any]
 
 
@@ -31,7 +36,8 @@ def draw(results: Row, folder: Path) -> None:
         _draw_runs(axes[2], scene)
         axes[0].set_ylabel("tip error / reach [-]")
         figure.suptitle(scene["title"], fontsize=12)
-        figure.supxlabel(_cost_label(results), fontsize=10)
+        scipy = " (SciPy: one environment, from Python)"
+        figure.supxlabel(_cost_label(results) + scipy, fontsize=10)
         save_figure(figure, folder / f"work_precision_{name}")
     columns = min(3, len(scenes))
     rows = math.ceil(len(scenes) / columns)
@@ -44,15 +50,15 @@ def draw(results: Row, folder: Path) -> None:
         axis.set_title(scene["title"], fontsize=10)
         axis.set_ylim(1e-6, HIGHEST)
     for axis in grid[:, 0]:
-        axis.set_ylabel("tip error / reach [-]")
+        axis.set_ylabel("tip error / reach [-], model and step added")
     figure.supxlabel(_cost_label(results), fontsize=10)
     save_figure(figure, folder / "work_precision")
 
 
 def _cost_label(results: Row) -> str:
     return (
-        "CPU time per simulated second [s/s]: one environment of a batch of "
-        f"{results['batch']}, one thread (SciPy: one environment, from Python)"
+        "CPU time per simulated second [s/s] of one environment in a batch of "
+        f"{results['batch']}, one thread"
     )
 
 
@@ -65,20 +71,27 @@ def _drawn(error: float) -> float:
     return min(max(error, LOWEST), 1.0)
 
 
+def _short(model: str) -> str:
+    """A model's name at a point: modes, times segments, f where foreshortened."""
+    if model == "rigid":
+        return model
+    cut = model.split(" segments")[0].split()[-1] if "segments" in model else ""
+    return model.split()[0] + (f"x{cut}" if cut else "") + "f" * ("foreshortened" in model)
+
+
 def _prepare(axis: Any, title: str, scene: Row) -> None:
     axis.set(xscale="log", yscale="log", ylim=(LOWEST, HIGHEST))
     axis.set_title(title, fontsize=10)
     axis.grid(alpha=0.25)
-    if title != STEP_TITLE:
-        axis.axhspan(LOWEST, scene["floor"], color="0.85", zorder=0)
-
-
-STEP_TITLE = "The step: distance from the default model's own exact motion"
+    if title != STEP:
+        axis.axhspan(
+            LOWEST, scene["floor"], color="0.88", zorder=0, label="below the truth's accuracy"
+        )
 
 
 def _draw_steps(axis: Any, scene: Row) -> None:
     """Integration error of the default model, a line per integrator."""
-    _prepare(axis, STEP_TITLE, scene)
+    _prepare(axis, STEP, scene)
     model = scene["default"]["model"]
     mine = [p for p in scene["points"] if p["model"] == model]
     for name, group in groupby(mine, key=lambda p: p["integrator"]):
@@ -98,65 +111,66 @@ def _draw_steps(axis: Any, scene: Row) -> None:
 
 def _draw_models(axis: Any, scene: Row) -> None:
     """Model error against what it costs to integrate a model so well that only that is left."""
-    _prepare(axis, "The model: distance of its exact motion from the truth", scene)
-    lost = []
-    drawn: dict[str, list[tuple[float, float]]] = {}
+    _prepare(axis, MODEL, scene)
+    groups: dict[str, list[tuple[float, float, str]]] = {}
     for name, row in scene["models"].items():
         error = row["model error"]
         mine = [p for p in scene["points"] if p["model"] == name and "rtol" not in p]
-        good = [p["cpu"] for p in mine if p["integration"] <= SMALL * error]
-        if not error < math.inf or not good:
-            lost.append(name)
-            continue
-        kind = name.split("modes, ")[-1].split("mode, ")[-1]
-        drawn.setdefault(kind, []).append((min(good), error))
-        if kind != "rigid":
+        good = [p["cpu"] for p in mine if p["integration"] <= SMALL * error < math.inf]
+        place = min(good) if good else min(p["cpu"] for p in mine)
+        kind = "foreshortened" if "foreshortened" in name else "linear"
+        kind = f"{kind}, in segments" if "segments" in name else kind
+        kind = "rigid" if name == "rigid" else kind if good else "diverged"
+        groups.setdefault(kind, []).append((place, _drawn(error), name))
+    for kind, points in groups.items():
+        colour = {"rigid": "0.3", "diverged": "C3"}.get(kind, "C4" if "linear" in kind else "C2")
+        marker = {"rigid": "P", "diverged": "x"}.get(kind, "D" if "segments" in kind else "o")
+        x, y, names = zip(*points, strict=True)
+        axis.plot(x, y, marker, color=colour, markersize=7, label=kind)
+        for place, error, name in zip(x, y, names, strict=True):
             axis.annotate(
-                name.split()[0], (min(good), _drawn(error)), textcoords="offset points",
-                xytext=(6, 3), fontsize=8,
-            )  # fmt: skip
-    for k, (kind, points) in enumerate(drawn.items()):
-        axis.plot(
-            [x for x, _ in points], [_drawn(y) for _, y in points], KINDS.get(kind, CUT),
-            linestyle="-", linewidth=0.8, color=f"C{k}", markersize=6, label=kind,
-        )  # fmt: skip
-    if lost:
-        axis.annotate(
-            "diverged: " + "; ".join(lost), (0.02, 0.98), xycoords="axes fraction", va="top",
-            fontsize=7, wrap=True,
-        )  # fmt: skip
-    title = f"numbers: modes per link or segment\ndefault: {scene['default']['model']}"
-    axis.legend(fontsize=8, loc="lower left", title=title, title_fontsize=8)
+                _short(name), (place, error), textcoords="offset points", xytext=(6, 4), fontsize=8
+            )
+            if name == scene["default"]["model"]:
+                axis.plot(place, error, "*", label="default", **STAR)
+    axis.legend(fontsize=8, loc="lower left", title=CODE, title_fontsize=8)
 
 
 def _draw_runs(axis: Any, scene: Row) -> None:
-    """Every run, the Pareto line, and the default."""
-    _prepare(axis, "Both: every run, distance from the truth", scene)
-    names = dict.fromkeys(p["integrator"] for p in scene["points"])
-    for name in names:
+    """Every run of the table's integrators, the Pareto line, and the default."""
+    _prepare(axis, BOTH, scene)
+    for name in INTEGRATORS:
         mine = [p for p in scene["points"] if p["integrator"] == name]
+        held = [p for p in mine if p["error"] < math.inf]
         axis.plot(
-            [p["cpu"] for p in mine], [_drawn(p["total"]) for p in mine], ".",
-            color=_colour(name), alpha=0.45, markersize=5 if name in INTEGRATORS else 7,
-            rasterized=True, label=name if name in INTEGRATORS else f"SciPy {name}",
+            [p["cpu"] for p in held], [_drawn(p["error"]) for p in held], ".",
+            color=_colour(name), alpha=0.45, markersize=5, rasterized=True, label=name,
         )  # fmt: skip
-    front = scene["front"]
+        lost = [p["cpu"] for p in mine if p["error"] == math.inf]
+        axis.plot(
+            lost, [1.0] * len(lost), "x", color=_colour(name), alpha=0.3, markersize=3,
+            rasterized=True,
+        )  # fmt: skip
+    line = scene["front"]
     axis.step(
-        [p["cpu"] for p in front], [_drawn(p["total"]) for p in front], "k-", where="post",
+        [p["cpu"] for p in line], [_drawn(p["error"]) for p in line], "k-", where="post",
         linewidth=1.4, label="Pareto line",
     )  # fmt: skip
-    _draw_default(axis, scene, "total")
-    axis.legend(fontsize=7, loc="lower left")
+    first = {point["model"]: point for point in reversed(line)}
+    for name, point in first.items():
+        axis.annotate(
+            _short(name), (point["cpu"], _drawn(point["error"])), textcoords="offset points",
+            xytext=(2, 3), fontsize=7.5, weight="bold", zorder=6,
+        )  # fmt: skip
+    _draw_default(axis, scene, "error")
+    axis.legend(fontsize=7, loc="lower left", title=CODE, title_fontsize=7)
 
 
 def _draw_default(axis: Any, scene: Row, error: str) -> None:
     """A star where the default is."""
     for point in scene["points"]:
         if point["default"]:
-            axis.plot(
-                point["cpu"], _drawn(point[error]), "*", color="gold", markeredgecolor="k",
-                markersize=15, zorder=5, label="default",
-            )  # fmt: skip
+            axis.plot(point["cpu"], _drawn(point[error]), "*", label="default", **STAR)
 
 
 def table(results: Row) -> str:
@@ -166,42 +180,41 @@ def table(results: Row) -> str:
         "# Speed against accuracy: the cheapest runs",
         "",
         f"Made by `{results['command']}` on {machine['cores']} cores ({machine['processor']}), "
-        f"commit {results['commit']}. Errors are the largest distance of the tip from the truth "
-        "over the reach; cost is CPU time of one environment in a batch of "
-        f"{results['batch']}, one thread, per simulated second.",
+        f"commit {results['commit']}. Errors are distances of the tip over the reach, the largest "
+        "of the motion; cost is CPU time per simulated second of one environment in a batch of "
+        f"{results['batch']}, one thread. The error of a run is the sum of its model's and its "
+        "step's, and at least the measured distance from the truth.",
         "",
     ]
     for scene in results["scenes"].values():
         lines += [
             f"## {scene['title']}", "",
             f"Truth good to {scene['floor']:.1e} of the reach ({scene['reach [m]']:.4g} m).", "",
-            "| error wanted | model | integrator | step [ms] | CPU [us/s] | error | of it model |",
-            "|---|---|---|---:|---:|---:|---:|",
+            "| wanted | model | integrator | step [ms] | CPU [us/s] | error | of the model | "
+            "of the step | measured |",
+            "|---|---|---|---:|---:|---:|---:|---:|---:|",
         ]  # fmt: skip
-        for target in TARGETS:
-            found = cheapest(scene, target)
-            none = f"| {target:.0e} | none | | | | | |"
-            lines.append(_line(f"{target:.0e}", found, scene) if found else none)
         default = next(p for p in scene["points"] if p["default"])
-        lines.append(_line("default", default, scene))
-        equal = cheapest(scene, default["total"])
-        if equal is not None:
-            lines.append(_line("as good as it", equal, scene))
+        wanted = {f"{target:.0e}": cheapest(scene, target) for target in TARGETS}
+        wanted |= {"default": default, "as good as it": cheapest(scene, default["error"])}
+        lines += [_line(label, point, scene) for label, point in wanted.items()]
         lines.append("")
     return "\n".join(lines)
 
 
 def cheapest(scene: Row, target: float) -> Row | None:
-    """The cheapest run whose tip stays within `target` of the truth, if there is one."""
-    good = [p for p in scene["front"] if p["total"] <= target]
-    return min(good, key=lambda p: p["cpu"], default=None)
+    """The cheapest run whose error is at most `target`, if there is one."""
+    return next((p for p in scene["front"] if p["error"] <= target), None)
 
 
-def _line(label: str, point: Row, scene: Row) -> str:
+def _line(label: str, point: Row | None, scene: Row) -> str:
+    if point is None:
+        return f"| {label} | none |" + " |" * 7
     cells = [
         label, point["model"], point["integrator"],
-        f"{1e3 * point['dt']:.3g}" if "dt" in point else "",
-        f"{1e6 * point['cpu']:.3g}", f"{point['total']:.1e}",
+        f"{1e3 * point['dt']:.3g}" if "dt" in point else "by error control",
+        f"{1e6 * point['cpu']:.3g}", f"{point['error']:.1e}",
         f"{scene['models'][point['model']]['model error']:.1e}",
+        f"{point['integration']:.1e}", f"{point['total']:.1e}",
     ]  # fmt: skip
     return "| " + " | ".join(cells) + " |"
