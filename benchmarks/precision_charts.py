@@ -106,7 +106,7 @@ def _draw_steps(axis: Any, scene: Row) -> None:
         lost = [p["cpu"] for p in mine if p["integrator"] == name and p not in line]
         axis.plot(lost, [1.0] * len(lost), "x", color=_colour(name), markersize=5)
     _draw_default(axis, scene, "integration")
-    axis.legend(fontsize=8, loc="lower left", title=model, title_fontsize=8)
+    axis.legend(fontsize=8, loc="upper right", title=model, title_fontsize=8)
 
 
 def _draw_models(axis: Any, scene: Row) -> None:
