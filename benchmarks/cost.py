@@ -3,7 +3,8 @@
     python benchmarks/cost.py [--quick] [--out FILE] [--images FOLDER]
 
 CPU time is that of one right-hand side of one environment, many lanes side by side on one thread;
-in a batch also the calls' share. Exponents are fitted to the upper half of each line.
+in a batch also the calls' share. An exponent says how that grows which is added to the second
+number of a line: the first link or segment is cheaper, for its root rests.
 """
 
 import argparse
@@ -88,6 +89,7 @@ def right_hand_side(arm: Arm) -> Row:
     return {
         "coordinates": model.n,
         "operations": sum(operations(model.graph).values()),
+        "workspace [kB]": w.nbytes / 1e3,
         "ns": 1e9 * seconds,
     }
 
@@ -103,9 +105,9 @@ def batches(arm: str, sizes: list[int]) -> list[float]:
 
 
 def exponent(x: list[int], y: list[float]) -> float:
-    """Slope of log y over log x, fitted to the upper half of the points."""
-    half = (len(x) - 1) // 2
-    return float(np.polyfit(np.log(x[half:]), np.log(y[half:]), 1)[0])
+    """Slope of log (y - y of the second) over log (x - second): 1 where each adds the same."""
+    added = np.log(np.subtract(x[2:], x[1])), np.log(np.subtract(y[2:], y[1]))
+    return float(np.polyfit(*added, 1)[0])
 
 
 def measure(most: int, sizes: list[int]) -> Row:
@@ -135,8 +137,8 @@ def draw(results: Row, path: Path) -> None:
     for axis, (kind, label) in zip(axes, titles.items(), strict=False):
         mine = {k: v for k, v in results["lines"].items() if v["grows"] == kind}
         for k, (name, line) in enumerate(mine.items()):
-            text = f"{name}: operations ^{line['exponent, operations']:.2f}"
-            text += f", time ^{line['exponent, time']:.2f}"
+            text = f"{name}: operations {line['exponent, operations']:.2f}"
+            text += f", time {line['exponent, time']:.2f}"
             axis.loglog(line["x"], line["ns"], "o-", color=f"C{k}", label=text)
         _guide(axis, next(iter(mine.values())))
         axis.set(xlabel=label, ylabel="ns per right-hand side")
@@ -149,7 +151,7 @@ def draw(results: Row, path: Path) -> None:
     axes[2].set(xlabel="environments in the batch", ylabel="ns per right-hand side, calls included")
     for axis in axes:
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=8)
+        axis.legend(fontsize=8, title="exponents" if axis is not axes[2] else None)
     save_figure(figure, path)
 
 
@@ -166,15 +168,16 @@ def table(results: Row) -> str:
         "# How cost grows",
         "",
         f"Made by `{results['command']}` on {machine['cores']} cores ({machine['processor']}), "
-        f"commit {results['commit']}. An exponent is fitted to the upper half of its line.",
+        f"commit {results['commit']}. An exponent says how that grows which is added to the second "
+        "number.",
         "",
-        "| | numbers | operations | ns | exponent of operations | of time |",
-        "|---|---|---|---|---:|---:|",
+        "| | numbers | operations | ns | workspace [kB] | exponent of operations | of time |",
+        "|---|---|---|---|---|---:|---:|",
     ]
     for name, line in results["lines"].items():
         cells = [
             f"{line['grows']}: {name}", *(", ".join(f"{x:.3g}" if isinstance(x, float) else str(x)
-            for x in line[key]) for key in ("x", "operations", "ns")),
+            for x in line[key]) for key in ("x", "operations", "ns", "workspace [kB]")),
             f"{line['exponent, operations']:.2f}", f"{line['exponent, time']:.2f}",
         ]  # fmt: skip
         rows.append(f"| {' | '.join(cells)} |")
@@ -189,12 +192,14 @@ def table(results: Row) -> str:
 def main() -> None:
     """Measure, and write JSON, a table and the chart."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="at most two links and four segments")
+    parser.add_argument(
+        "--quick", action="store_true", help="at most four links and eight segments"
+    )
     parser.add_argument("--out", type=Path, default=Path("docs/results/cost.json"))
     parser.add_argument("--images", type=Path, default=Path("docs/results"))
     options = parser.parse_args()
     sizes = [1, 16, 1024] if options.quick else [4**k for k in range(7)] + [8192]
-    results = measure(2 if options.quick else 8, sizes)
+    results = measure(4 if options.quick else 8, sizes)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.images.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(results, indent=1) + "\n")

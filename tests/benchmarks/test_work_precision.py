@@ -167,4 +167,10 @@ def test_operations_grow_linearly_with_segments_and_links(changes: dict[str, boo
     assert np.diff(by_segments, 2) == pytest.approx(0.0, abs=0.01 * by_segments[0])
     by_links = [count(k, 1) for k in (3, 5, 7)]
     assert np.diff(by_links, 2) == pytest.approx(0.0, abs=0.01 * by_links[0])
-    assert cost.exponent([1, 2, 4, 8], [3.0 * k**1.5 for k in (1, 2, 4, 8)]) == pytest.approx(1.5)
+
+
+def test_the_exponent_is_that_of_what_further_parts_add() -> None:
+    x = [1, 2, 3, 4, 6, 10]
+    assert cost.exponent(x, [1.0, *(9.0 + 3.0 * (k - 2) ** 1.5 for k in x[1:])]) == pytest.approx(
+        1.5
+    )
