@@ -1,0 +1,213 @@
+"""How the cost of the accelerations grows: with links, segments, modes and the size of a batch.
+
+    python benchmarks/cost.py [--quick] [--out FILE] [--images FOLDER]
+
+CPU time is that of one right-hand side of one environment, many lanes side by side on one thread;
+in a batch also the calls' share. An exponent says how that grows which is added to the second
+number of a line: the first link or segment is cheaper, for its root rests.
+"""
+
+import argparse
+import json
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
+from benchmarks.model_choice import ACROSS
+from benchmarks.output import provenance, save_figure
+from benchmarks.timing import cpu_seconds
+from dynamics import Arm, Joint, Link, Mode, Stepper, compile_arm
+from dynamics.checks import IDENTITY
+from dynamics.lowering import operations
+
+DEFAULT_ARMS = ("slim", "deluca-siciliano", "six-link")
+EVALUATIONS = 4  # of the accelerations per Runge-Kutta step
+SUBSTEPS = 5
+Row = dict[str, Any]
+
+
+def chain(links: int, modes: int, *, spatial: bool = False, **changes: Any) -> Arm:
+    """Equal links; spatial ones bend both ways, on joints that are perpendicular in turns."""
+    shapes = tuple(
+        Mode(kind="poly", index=k, direction=direction)
+        for direction in ("yz" if spatial else "y")
+        for k in range(1, modes + 1)
+    )
+    link = {"length": 0.5, "rho_A": 0.4, "EIz": 100.0, "EIy": 100.0, "tip_mass": 0.5}
+    inertia = ((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3))
+    turned = (IDENTITY, ACROSS) if spatial else (IDENTITY, IDENTITY)
+    return Arm(
+        links=tuple(
+            Link(
+                **link, tip_inertia=inertia, modes=shapes, segments=changes.get("segments", 1),
+                joint=Joint(rotor_inertia=0.1, rotation=turned[k % 2]),
+            )
+            for k in range(links)
+        ),
+        foreshortening=changes.get("foreshortening", False),
+    )  # fmt: skip
+
+
+def growth(most: int) -> dict[str, tuple[str, dict[int, Arm]]]:
+    """Lines of the chart: what grows, and the arm at each number; `most` links or segments."""
+    links = [n for n in (1, 2, 3, 4, 6, 8) if n <= most]
+    segments = [n for n in (1, 2, 4, 8, 16) if n <= 2 * most]
+    modes = [n for n in (1, 2, 3, 4, 5, 6) if n <= most]
+    return {
+        "planar links, 2 modes": ("parts", {n: chain(n, 2) for n in links}),
+        "spatial links, 1 mode each way": (
+            "parts", {n: chain(n, 1, spatial=True) for n in links},
+        ),
+        "segments of a link, 2 modes": (
+            "parts", {n: chain(1, 2, segments=n) for n in segments},
+        ),
+        "segments, 2 modes, foreshortened": (
+            "parts", {n: chain(1, 2, segments=n, foreshortening=True) for n in segments},
+        ),
+        "one link": ("modes", {n: chain(1, n) for n in modes}),
+        "two links": ("modes", {n: chain(2, n) for n in modes}),
+        "two links, foreshortened": (
+            "modes", {n: chain(2, n, foreshortening=True) for n in modes if n < 5},
+        ),
+    }  # fmt: skip
+
+
+def right_hand_side(arm: Arm) -> Row:
+    """Operations and CPU time [ns] of the accelerations of one environment."""
+    model = compile_arm(arm)
+    program = model.program(model.lanes, "rk4")
+    w = model.workspace(program)
+    seconds = cpu_seconds(partial(program.evaluate_often, w, 200)) / 200 / model.lanes
+    return {
+        "coordinates": model.n,
+        "operations": sum(operations(model.graph).values()),
+        "workspace [kB]": w.nbytes / 1e3,
+        "ns": 1e9 * seconds,
+    }
+
+
+def batches(arm: str, sizes: list[int]) -> list[float]:
+    """CPU time [ns] per right-hand side and environment, calls included, by size of the batch."""
+    model = compile_arm(arm)
+    found = []
+    for size in sizes:
+        stepper = Stepper(model, size, dt=1e-7, substeps=SUBSTEPS)
+        found.append(1e9 * cpu_seconds(stepper.advance) / size / SUBSTEPS / EVALUATIONS)
+    return found
+
+
+def exponent(x: list[int], y: list[float]) -> float:
+    """Slope of log (y - y of the second) over log (x - second): 1 where each adds the same."""
+    added = np.log(np.subtract(x[2:], x[1])), np.log(np.subtract(y[2:], y[1]))
+    return float(np.polyfit(*added, 1)[0])
+
+
+def measure(most: int, sizes: list[int]) -> Row:
+    """All lines."""
+    lines: Row = {}
+    for name, (kind, arms) in growth(most).items():
+        rows = {n: right_hand_side(arm) for n, arm in arms.items()}
+        x = list(rows)
+        lines[name] = {
+            "grows": kind,
+            "x": x,
+            **{key: [row[key] for row in rows.values()] for key in rows[x[0]]},
+            "exponent, operations": exponent(x, [row["operations"] for row in rows.values()]),
+            "exponent, time": exponent(x, [row["ns"] for row in rows.values()]),
+        }
+    return {
+        **provenance("numpy", "numba", "casadi"),
+        "lines": lines,
+        "batch": {"x": sizes, **{arm: batches(arm, sizes) for arm in DEFAULT_ARMS}},
+    }
+
+
+def draw(results: Row, path: Path) -> None:
+    """Three panels: parts, modes, batch."""
+    figure, axes = plt.subplots(1, 3, figsize=(14.0, 5.0), layout="constrained")
+    titles = {"parts": "links, or segments of one link", "modes": "modes per link"}
+    for axis, (kind, label) in zip(axes, titles.items(), strict=False):
+        mine = {k: v for k, v in results["lines"].items() if v["grows"] == kind}
+        for k, (name, line) in enumerate(mine.items()):
+            text = f"{name}: operations {line['exponent, operations']:.2f}"
+            text += f", time {line['exponent, time']:.2f}"
+            axis.loglog(line["x"], line["ns"], "o-", color=f"C{k}", label=text)
+        _guide(axis, next(iter(mine.values())))
+        axis.set(xlabel=label, ylabel="ns per right-hand side")
+        ticks = sorted({n for line in mine.values() for n in line["x"]})
+        axis.set_xticks(ticks, [str(n) for n in ticks])
+        axis.set_xticks([], minor=True)
+    sizes = results["batch"]["x"]
+    for name in DEFAULT_ARMS:
+        axes[2].loglog(sizes, results["batch"][name], "o-", label=name)
+    axes[2].set(xlabel="environments in the batch", ylabel="ns per right-hand side, calls included")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8, title="exponents" if axis is not axes[2] else None)
+    save_figure(figure, path)
+
+
+def _guide(axis: Any, line: Row) -> None:
+    """A grey line of slope one, from the first point of a line."""
+    x = np.array([line["x"][0], line["x"][-1]])
+    axis.loglog(x, 0.6 * line["ns"][0] * x / x[0], "--", color="0.6", label="linear")
+
+
+def table(results: Row) -> str:
+    """The lines as a page."""
+    machine = results["machine"]
+    rows = [
+        "# How cost grows",
+        "",
+        f"Made by `{results['command']}` on {machine['cores']} cores ({machine['processor']}), "
+        f"commit {results['commit']}. An exponent says how that grows which is added to the second "
+        "number.",
+        "",
+        "| | numbers | operations | ns | workspace [kB] | exponent of operations | of time |",
+        "|---|---|---|---|---|---:|---:|",
+    ]
+    for name, line in results["lines"].items():
+        cells = [
+            f"{line['grows']}: {name}", *(", ".join(f"{x:.3g}" if isinstance(x, float) else str(x)
+            for x in line[key]) for key in ("x", "operations", "ns", "workspace [kB]")),
+            f"{line['exponent, operations']:.2f}", f"{line['exponent, time']:.2f}",
+        ]  # fmt: skip
+        rows.append(f"| {' | '.join(cells)} |")
+    sizes = results["batch"]["x"]
+    rows += ["", "ns per right-hand side and environment in a batch, calls included:", ""]
+    rows += ["| batch | " + " | ".join(map(str, sizes)) + " |", "|---|" + "---:|" * len(sizes)]
+    for name in DEFAULT_ARMS:
+        rows.append(f"| {name} | " + " | ".join(f"{x:.3g}" for x in results["batch"][name]) + " |")
+    return "\n".join(rows) + "\n"
+
+
+def main() -> None:
+    """Measure, and write JSON, a table and the chart."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument(
+        "--quick", action="store_true", help="at most four links and eight segments"
+    )
+    parser.add_argument("--out", type=Path, default=Path("docs/results/cost.json"))
+    parser.add_argument("--images", type=Path, default=Path("docs/results"))
+    options = parser.parse_args()
+    sizes = [1, 16, 1024] if options.quick else [4**k for k in range(7)] + [8192]
+    results = measure(4 if options.quick else 8, sizes)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.images.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(results, indent=1) + "\n")
+    text = table(results)
+    options.out.with_suffix(".md").write_text(text)
+    print(text)
+    draw(results, options.images / "cost")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""The short form of the work-precision charts, and how cost grows."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import flexarm_env  # noqa: F401  (registers the ids)
+from benchmarks import cost, precision_charts, work_precision
+from benchmarks.precision_scenes import SETTINGS, Level, undamped
+from dynamics import compile_arm
+from dynamics.integrators import INTEGRATORS
+from dynamics.lowering import operations
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, Any]:
+    return work_precision.quick()
+
+
+@pytest.fixture(scope="module")
+def scene(results: dict[str, Any]) -> dict[str, Any]:
+    return results["scenes"]["S1"]
+
+
+def runs(scene: dict[str, Any], integrator: str) -> list[dict[str, Any]]:
+    """Runs of the default model, ever shorter steps."""
+    mine = [p for p in scene["points"] if p["model"] == scene["default"]["model"]]
+    return sorted((p for p in mine if p["integrator"] == integrator), key=lambda p: -p["dt"])
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_errors_fall_at_the_order_of_the_method(scene: dict[str, Any], integrator: str) -> None:
+    """Against the same model integrated by another step until nothing changes."""
+    fine = [p for p in runs(scene, integrator) if p["integration"] > work_precision.ENOUGH][-4:]
+    logs = np.log([[p["dt"], p["integration"]] for p in fine]).T
+    assert np.polyfit(*logs, 1)[0] > INTEGRATORS[integrator].order - 0.3
+    assert fine[-1]["integration"] < 1e-4
+
+
+@pytest.mark.parametrize(
+    "integrator", [name for name, method in INTEGRATORS.items() if method.limit < np.inf]
+)
+def test_runs_beyond_the_stability_limit_are_kept_as_diverged(
+    scene: dict[str, Any], integrator: str
+) -> None:
+    setting = SETTINGS["S1"]
+    model = compile_arm(setting.arm)
+    fastest = model.frequencies(setting.start(model)[0], joints="free").max()
+    limit = INTEGRATORS[integrator].limit
+    beyond = [p for p in runs(scene, integrator) if p["dt"] * fastest > 1.5 * limit]
+    within = [p for p in runs(scene, integrator) if p["dt"] * fastest < 0.7 * limit]
+    assert beyond
+    assert all(p["total"] == np.inf for p in beyond)
+    assert all(p["total"] < 1.0 for p in within)
+
+
+def test_the_three_errors_are_sides_of_a_triangle(scene: dict[str, Any]) -> None:
+    """Model, integration and total error are measured apart; as distances they fit together."""
+    finite = [p for p in scene["points"] if p["total"] < np.inf]
+    assert len(finite) > 20
+    for point in finite:
+        model = scene["models"][point["model"]]["model error"]
+        assert point["total"] <= point["error"] + 1e-12
+        assert point["error"] == model + point["integration"]
+        if point.get("stride", 1) == 1:  # at all output times
+            assert point["total"] >= abs(model - point["integration"]) - 1e-12
+
+
+def test_the_pareto_line_falls_and_nothing_lies_below_it(scene: dict[str, Any]) -> None:
+    line = scene["front"]
+    assert len(line) > 2
+    assert np.all(np.diff([p["cpu"] for p in line]) > 0.0)
+    assert np.all(np.diff([p["error"] for p in line]) < 0.0)
+    for point in scene["points"]:
+        assert any(p["cpu"] <= point["cpu"] and p["error"] <= point["error"] for p in line)
+
+
+def test_the_default_is_on_the_chart(scene: dict[str, Any]) -> None:
+    marked = [p for p in scene["points"] if p["default"]]
+    assert len(marked) == 1
+    assert marked[0].items() >= scene["default"].items()
+    assert marked[0]["error"] < 1e-2
+
+
+@pytest.mark.parametrize("family", ["OneLink", "TwoLink", "SixLink"])
+def test_the_default_is_what_the_environment_does(family: str) -> None:
+    core: Any = gym.make(f"FlexArm/{family}-Reach-v0").unwrapped
+    core = core.core
+    setting = next(s for s in SETTINGS.values() if s.title.startswith(family))
+    assert setting.arm == undamped(core.arm)
+    integrator, step = work_precision.default_of(setting)
+    assert (integrator, step.substeps) == (core.integrator, core.substeps)
+    assert step.dt(setting) == pytest.approx(core.control_dt / core.substeps)
+    assert np.array_equal(setting.motion.torque(0.0), core.torque_limit)
+    assert work_precision.models_of(setting)[0] != "default"  # one of the charted levels
+
+
+def test_a_rigid_link_errs_as_much_as_the_nonlinear_beams_say(scene: dict[str, Any]) -> None:
+    """7.0e-3 of the length is known of S1; modes make it better, step by step."""
+    errors = [row["model error"] for row in scene["models"].values()]
+    assert errors[0] == pytest.approx(7.0e-3, rel=0.01)
+    assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
+
+
+def test_the_linear_model_diverges_in_the_spin_up_and_one_foreshortened_mode_holds() -> None:
+    setting = SETTINGS["S3"]
+    error = {}
+    for foreshortening in (False, True):
+        level = Level(modes=1, foreshortening=foreshortening)
+        model = compile_arm(level.arm(setting.arm))
+        step = work_precision.Step(1, 1)
+        tips = work_precision.follow(model, setting, work_precision.ACCURATE, step)
+        error[foreshortening] = work_precision.apart(tips, setting.truth, setting)
+    assert error[False] == np.inf
+    assert error[True] < 1e-3
+
+
+@pytest.mark.slow
+def test_many_segments_are_as_good_a_truth_as_a_nonlinear_beam() -> None:
+    """The way the other scenes' truths are made, where one of another kind is known."""
+    setting = SETTINGS["S1"]
+    level = SETTINGS["slim"].refined[-1]
+    tips, _ = work_precision.settled(compile_arm(level.arm(setting.arm)), setting, 1)
+    assert work_precision.apart(tips, setting.truth, setting) < setting.floor
+
+
+def test_results_are_plain_json_with_a_table_and_pictures(
+    results: dict[str, Any], tmp_path: Path
+) -> None:
+    def refuse(name: str) -> None:
+        raise AssertionError(name)
+
+    text = json.dumps(work_precision.plain(results))
+    assert json.loads(text, parse_constant=refuse)["scenes"]["S1"]["points"]
+    assert "diverged" in text
+    assert {"machine", "versions", "commit"} <= set(results)
+    precision_charts.draw(results, tmp_path)
+    for name in ("work_precision", "work_precision_S1"):
+        for suffix in (".png", ".svg"):
+            assert (tmp_path / name).with_suffix(suffix).stat().st_size > 10_000
+    table = precision_charts.table(results)
+    for target in precision_charts.TARGETS:
+        found = precision_charts.cheapest(results["scenes"]["S1"], target)
+        assert f"| {target:.0e} | " + ("none" if found is None else found["model"]) in table
+
+
+def test_a_truth_about_other_times_is_refused() -> None:
+    other = replace(SETTINGS["S1"], period=0.02)
+    with pytest.raises(ValueError, match="not about the output times"):
+        _ = other.truth
+
+
+@pytest.mark.parametrize("changes", [{}, {"foreshortening": True}], ids=["linear", "foreshortened"])
+def test_operations_grow_linearly_with_segments_and_links(changes: dict[str, bool]) -> None:
+    """Inner parts cost the same each: the second differences vanish."""
+
+    def count(links: int, segments: int) -> int:
+        arm = cost.chain(links, 2, segments=segments, **changes)
+        return sum(operations(compile_arm(arm).graph).values())
+
+    by_segments = [count(1, k) for k in (3, 5, 7)]
+    assert np.diff(by_segments, 2) == pytest.approx(0.0, abs=0.01 * by_segments[0])
+    by_links = [count(k, 1) for k in (3, 5, 7)]
+    assert np.diff(by_links, 2) == pytest.approx(0.0, abs=0.01 * by_links[0])
+
+
+def test_the_exponent_is_that_of_what_further_parts_add() -> None:
+    x = [1, 2, 3, 4, 6, 10]
+    assert cost.exponent(x, [1.0, *(9.0 + 3.0 * (k - 2) ** 1.5 for k in x[1:])]) == pytest.approx(
+        1.5
+    )
