@@ -1,0 +1,32 @@
+"""What every benchmark writes beside its numbers: where they come from, and pictures."""
+
+import os
+import platform
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from agents.runs import revision
+
+
+def provenance(*packages: str) -> dict[str, Any]:
+    """Machine, versions of Python and of the packages, commit and command."""
+    return {
+        "machine": {
+            "processor": platform.processor() or platform.machine(),
+            "cores": os.cpu_count(),
+        },
+        "versions": {"python": platform.python_version(), **{p: version(p) for p in packages}},
+        "commit": revision(),
+        "command": " ".join(["python", "benchmarks/" + Path(sys.argv[0]).name, *sys.argv[1:]]),
+    }
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """PNG and SVG."""
+    import matplotlib.pyplot as plt
+
+    for suffix in (".png", ".svg"):
+        figure.savefig(path.with_suffix(suffix), dpi=110)
+    plt.close(figure)
