@@ -84,7 +84,7 @@ class PeerScene:
 
     def error(self, tips: Array, rate: Fraction) -> float:
         """[-] largest distance from the truth over the reach; infinite where one diverged."""
-        largest = np.linalg.norm(tips - self.sampled(rate)[1:, 1:], axis=1).max()
+        largest = np.hypot(*(tips - self.sampled(rate)[1:, 1:]).T).max()
         return float(largest) / self.arm.reach if np.isfinite(largest) else math.inf
 
 
