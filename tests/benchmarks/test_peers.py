@@ -90,6 +90,14 @@ def test_a_chain_of_hinges_converges_to_our_tip_with_their_square(tips: dict[str
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.3)
 
 
+def test_cable_elements_confirm_the_truth_made_of_hinges(peers: Any) -> None:
+    """Two links: the truth is an extrapolated chain; 1e-5 is what the engines are compared at."""
+    engines, scene, fine = peers.peers, SCENES["korayem"], Fraction(32)
+    cable = engines.cable(scene, 4, scene.axial, explicit=False)
+    tips, _ = engines.follow(cable, scene, engines.EXUDYN_METHODS["trapezoidal"], fine)
+    assert scene.error(tips, fine) < 1e-5
+
+
 def test_every_engine_has_a_line_and_ours_is_the_cheapest(peers: Any) -> None:
     """The benchmark in its quick form. It measures a factor above 50 where 5 is asked here."""
     points = peers.measure(SCENES["S1"], quick=True)
