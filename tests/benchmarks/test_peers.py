@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.peer_lines import BATCHED, ENGINES, OURS, Family, Point, best, front
+from benchmarks.peer_lines import BATCHED, ENGINES, OURS, Family, Point, best, front, steady
 from benchmarks.peer_scenes import SCENES, Array
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,6 +27,17 @@ def test_a_line_holds_what_nothing_beats_in_error_and_cost() -> None:
     assert front([*worse, *good], near=1.1) == [good[0], worse[0], good[1], worse[1]]
     assert best([*worse, *good], 5e-4) == good[0]
     assert best([*worse, *good], 1e-5) is None
+
+
+def test_a_run_that_finer_steps_contradict_is_luck() -> None:
+    """Error 1e-4 between 3e-3 and 2e-3 is cancellation; one step alone tells nothing."""
+    first = a_point(3e-3, 1.0)
+    lucky = Point(first.family, Fraction(2), 1e-4, 2.0)
+    finer = [Point(first.family, Fraction(k), 2e-3, float(k)) for k in (3, 4)]
+    runs = [first, lucky, *finer, a_point(1e-4, 1.0)]
+    assert best(runs[:-1], 1e-3) == lucky
+    assert steady(runs, 1e-3) == []
+    assert steady(runs, 2.5e-3) == [lucky, finer[0]]
 
 
 @pytest.mark.parametrize("missing", ["exudyn", "mujoco"])
@@ -100,7 +111,8 @@ def test_cable_elements_confirm_the_truth_made_of_hinges(peers: Any) -> None:
 
 def test_every_engine_has_a_line_and_ours_is_the_cheapest(peers: Any) -> None:
     """The benchmark in its quick form. It measures a factor above 50 where 5 is asked here."""
-    points = peers.measure(SCENES["S1"], quick=True)
+    scene = SCENES["S1"]
+    points = peers.time_again(scene, peers.explore(scene, quick=True))
     costs = {engine: best(runs, 4e-3) for engine, runs in points.items()}
     assert set(costs) == {*ENGINES, BATCHED}
     assert all(costs[e].cost > 5.0 * costs[OURS].cost for e in ENGINES[1:])
