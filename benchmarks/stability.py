@@ -7,6 +7,7 @@ Every map is a grid of environments stepped in one batch. `--quick` takes a coar
 
 import argparse
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
+from benchmarks.output import save_figure
 from dynamics import Arm, Joint, Link, Mode, Model, Payload, Stepper, compile_arm
 from dynamics.integrators import INTEGRATORS
 
@@ -241,7 +244,7 @@ def draw_maps(maps: list[dict[str, Any]], path: Path) -> None:
         axis.set(xlabel=data["x_label"], ylabel=data["y_label"])
         if "bandwidth" in data["y_label"]:
             axis.set_yscale("log")
-    save(figure, path)
+    save_figure(figure, path)
 
 
 def draw_lines(data: dict[str, Any], x: str, labels: tuple[str, str], path: Path) -> None:
@@ -258,14 +261,7 @@ def draw_lines(data: dict[str, Any], x: str, labels: tuple[str, str], path: Path
     axis.set(xlabel=labels[0], ylabel=labels[1], title=data["title"])
     axis.grid(alpha=0.3)
     axis.legend(fontsize=7, ncols=len(groups))
-    save(figure, path)
-
-
-def save(figure: Any, path: Path) -> None:
-    """PNG and SVG."""
-    for suffix in (".png", ".svg"):
-        figure.savefig(path.with_suffix(suffix), dpi=110)
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def main() -> None:

@@ -94,8 +94,8 @@ def test_the_compiled_choice_is_as_good_as_claimed(name: str) -> None:
 
 
 def test_the_claim_holds_against_a_beam_without_assumed_modes() -> None:
-    truth = np.loadtxt(NONLINEAR_BEAM, delimiter=",", skiprows=3)[::4]
     choice = chosen("laboratory arm")
+    truth = np.loadtxt(NONLINEAR_BEAM, delimiter=",", skiprows=3)[::4]
     tips = chosen_tips(choice, motion_of("laboratory arm"), truth[:, 0])
     apart = np.linalg.norm(tips[:, :2] - truth[:, 1:3], axis=1).max()
     own = 7e-6 * S1.reach  # what the beam's solution is good to

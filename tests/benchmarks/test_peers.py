@@ -1,0 +1,118 @@
+"""Three engines that share no line agree on the tip; and what the peers' benchmark makes of it."""
+
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.peer_lines import BATCHED, ENGINES, OURS, Family, Point, best, front, steady
+from benchmarks.peer_scenes import SCENES, Array
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def a_point(error: float, cost: float) -> Point:
+    family = Family("ours", "a model", "a method", lambda rate, record: (np.zeros((0, 2)), 0.0))
+    return Point(family, Fraction(1), error, cost)
+
+
+def test_a_line_holds_what_nothing_beats_in_error_and_cost() -> None:
+    good = [a_point(1e-4, 3.0), a_point(1e-3, 1.0)]
+    worse = [a_point(2e-4, 3.1), a_point(1e-2, 1.0), a_point(np.inf, 0.1)]
+    assert front([*worse, *good]) == good
+    assert front([*worse, *good], near=1.1) == [good[0], worse[0], good[1], worse[1]]
+    assert best([*worse, *good], 5e-4) == good[0]
+    assert best([*worse, *good], 1e-5) is None
+
+
+def test_a_run_that_finer_steps_contradict_is_luck() -> None:
+    """Error 1e-4 between 3e-3 and 2e-3 is cancellation; one step alone tells nothing."""
+    first = a_point(3e-3, 1.0)
+    lucky = Point(first.family, Fraction(2), 1e-4, 2.0)
+    finer = [Point(first.family, Fraction(k), 2e-3, float(k)) for k in (3, 4)]
+    runs = [first, lucky, *finer, a_point(1e-4, 1.0)]
+    assert best(runs[:-1], 1e-3) == lucky
+    assert steady(runs, 1e-3) == []
+    assert steady(runs, 2.5e-3) == [lucky, finer[0]]
+
+
+@pytest.mark.parametrize("missing", ["exudyn", "mujoco"])
+def test_without_the_extra_a_sentence_says_what_to_install(missing: str) -> None:
+    code = f"import sys; sys.modules[{missing!r}] = None; import benchmarks.peer_engines"
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 1
+    assert f'need {missing}, which is not installed: pip install "flexarm[peers]"' in result.stderr
+
+
+def test_steps_end_where_the_torque_jumps() -> None:
+    """A pulse of 0.25 s is 25 rows of S1's truth, not a whole number of pairs of them."""
+    scene = SCENES["S1"]
+    assert scene.allows(Fraction(1, 5))
+    assert not scene.allows(Fraction(1, 2))
+    torques = scene.torques(Fraction(2))
+    assert torques.size * scene.step(Fraction(2)) == pytest.approx(2.0)
+    assert np.flatnonzero(np.diff(torques)).tolist() == [49, 99]
+
+
+@pytest.fixture(scope="module")
+def peers() -> Any:
+    pytest.importorskip("exudyn")
+    pytest.importorskip("mujoco")
+    from benchmarks import peers
+
+    return peers
+
+
+@pytest.fixture(scope="module")
+def tips(peers: Any) -> dict[str, Array]:
+    """S1's tip by cable elements, chains of hinges and assumed modes, finely stepped."""
+    engines, scene, fine = peers.peers, SCENES["S1"], Fraction(24)
+    cable = engines.cable(scene, 6, scene.axial, explicit=False)
+    shapes = peers.Shapes(("clamped-tip-mass",), (3,), True)
+    model = peers.compiled(shapes.arm(scene.arm))
+    result = {
+        "cable": engines.follow(cable, scene, engines.Method("GeneralizedAlpha"), fine)[0],
+        "ours": peers.our_run(scene, model, "rk4", fine, True)[0],
+    }
+    for hinges, rate in ((8, 20), (16, 80), (32, 256)):
+        result[f"{hinges} hinges"] = engines.mujoco_chain(scene, hinges, "RK4", Fraction(rate))[0]
+    return result
+
+
+def apart(a: Array, b: Array) -> float:
+    """[-] largest distance of two tips over the reach."""
+    return float(np.linalg.norm(a - b, axis=1).max()) / SCENES["S1"].arm.reach
+
+
+def test_cable_elements_and_foreshortened_modes_agree(tips: dict[str, Array]) -> None:
+    """To the smallest error that S1 is compared at; and with the stored beam, a third method."""
+    assert apart(tips["ours"], tips["cable"]) < 1e-4
+    assert SCENES["S1"].error(tips["ours"], Fraction(1)) < 1e-4
+    assert SCENES["S1"].error(tips["cable"], Fraction(1)) < 1e-4
+
+
+def test_a_chain_of_hinges_converges_to_our_tip_with_their_square(tips: dict[str, Array]) -> None:
+    errors = [apart(tips[f"{n} hinges"], tips["ours"]) for n in (8, 16, 32)]
+    assert errors[0] > 2.0 * errors[1]
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.3)
+
+
+def test_cable_elements_confirm_the_truth_made_of_hinges(peers: Any) -> None:
+    """Two links: the truth is an extrapolated chain; 1e-5 is what the engines are compared at."""
+    engines, scene, fine = peers.peers, SCENES["korayem"], Fraction(32)
+    cable = engines.cable(scene, 4, scene.axial, explicit=False)
+    tips, _ = engines.follow(cable, scene, engines.EXUDYN_METHODS["trapezoidal"], fine)
+    assert scene.error(tips, fine) < 1e-5
+
+
+def test_every_engine_has_a_line_and_ours_is_the_cheapest(peers: Any) -> None:
+    """The benchmark in its quick form. It measures a factor above 50 where 5 is asked here."""
+    scene = SCENES["S1"]
+    points = peers.time_again(scene, peers.explore(scene, quick=True))
+    costs = {engine: best(runs, 4e-3) for engine, runs in points.items()}
+    assert set(costs) == {*ENGINES, BATCHED}
+    assert all(costs[e].cost > 5.0 * costs[OURS].cost for e in ENGINES[1:])
