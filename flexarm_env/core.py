@@ -309,17 +309,15 @@ class Core:
 
     def describe(self, info: Array, flags: NDArray[np.bool_]) -> dict[str, Any]:
         """Info arrays of all environments by name, views of `info` and `flags`."""
-        described: dict[str, Any] = {}
-        for name, rows in self.report.info.slices.items():
-            if name == "reward_terms":
-                terms = info[rows, : self.n_env]
-                described[name] = dict(zip(TERMS, terms, strict=True))
-            elif name in ("root_curvature", "torque"):
-                described[name] = info[rows, : self.n_env].T
-            elif name != "reward":
-                described[name] = info[rows.start, : self.n_env]
-        for k, name in enumerate(FLAGS[SETTLED:], SETTLED):
-            described[name] = flags[k, : self.n_env]
+        rows, n = self.report.info.slices, self.n_env
+        described: dict[str, Any] = {
+            name: info[rows[name].start, :n]
+            for name in ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")
+        }
+        described["reward_terms"] = dict(zip(TERMS, info[rows["reward_terms"], :n], strict=True))
+        described["root_curvature"] = info[rows["root_curvature"], :n].T
+        described["torque"] = info[rows["torque"], :n].T
+        described |= zip(FLAGS[SETTLED:], flags[SETTLED:, :n], strict=True)
         return described
 
     # ---- copies ------------------------------------------------------------------------------

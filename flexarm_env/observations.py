@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ class Layout:
 
     parts: tuple[Part, ...]
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of elements."""
         return self.bounds.size

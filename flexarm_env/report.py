@@ -7,7 +7,7 @@ workspace.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ class Rows:
 
     sizes: Mapping[str, int]
 
-    @property
+    @cached_property
     def slices(self) -> dict[str, slice]:
         """Where each name is."""
         result, start = {}, 0
@@ -42,7 +42,7 @@ class Rows:
             start += size
         return result
 
-    @property
+    @cached_property
     def total(self) -> int:
         """How many rows."""
         return sum(self.sizes.values())

@@ -10,8 +10,9 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from flexarm_env.core import REWARD, TERMINATED, TRUNCATED, Array, Core
+from flexarm_env.core import REWARD, SETTLED, TERMINATED, TRUNCATED, Array, Core
 from flexarm_env.env import RENDER_MODES, check_render_mode, observation_space
+from flexarm_env.report import FLAGS
 from flexarm_env.rewards import TERMS
 
 Flags = NDArray[np.bool_]
@@ -61,6 +62,10 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._shape = (num_envs, self.core.arm.n_joint)
         self._all = np.arange(num_envs)
+        self._everyone = np.ones(num_envs, np.bool_)
+        self._everyone.flags.writeable = False  # shared by all steps' infos
+        self._masks = [f"_{name}" for name in (*self.core.report.info.sizes, *FLAGS[SETTLED:])]
+        self._masks.remove("_reward")
         self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
         self._seeded = False
 
@@ -171,9 +176,9 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     def _with_masks(self, described: dict[str, Any], mask: Flags | None = None) -> dict[str, Any]:
         """Gymnasium's `_name` beside each `name`: which environments have it."""
-        mask = np.ones(self.num_envs, np.bool_) if mask is None else mask
-        described["reward_terms"].update(dict.fromkeys(_TERM_MASKS, mask))
-        described.update(dict.fromkeys([f"_{name}" for name in described], mask))
+        mask = self._everyone if mask is None else mask
+        described["reward_terms"] |= dict.fromkeys(_TERM_MASKS, mask)
+        described |= dict.fromkeys(self._masks, mask)
         return described
 
     def _after_step(self) -> None:
