@@ -107,7 +107,8 @@ class Core:
         given = physics(described)  # what a task asks does not depend on the model of the arm
         self.torque_limit = self._torque_limit(torque_limit, given.torque_limit)
         self.integrator, self.substeps = self._integration(
-            integrator or fitted.integrator, substeps or fitted.substeps
+            fitted.integrator if integrator is None else integrator,
+            fitted.substeps if substeps is None else substeps,
         )
         self.certificate = fitted.certificate or find(
             self.arm, self.control_dt, self.integrator, self.substeps

@@ -129,16 +129,18 @@ def test_free_parameters_are_drawn_at_every_reset_and_move_the_arm() -> None:
         envs.step(np.zeros((64, 1)))
     assert (envs.unwrapped.core.parameters != first).all()
 
-    fixed = gym.make_vec(env_id, num_envs=2, randomize={"stiffness": (2.0, 2.0)})
+    twice = {"stiffness": (2.0, 2.0), "damping": (2.0**0.5, 2.0**0.5)}  # at the same ratio
+    fixed = gym.make_vec(env_id, num_envs=2, substeps=4, randomize=twice)
     arm = load_arm("slim")
     stiff = replace(arm, links=(replace(arm.links[0], EIz=2.0 * arm.links[0].EIz),))
-    other = gym.make_vec(env_id, num_envs=2, arm=stiff, torque_limit=fixed.unwrapped.torque_limit)
+    limit = fixed.unwrapped.torque_limit
+    other = gym.make_vec(env_id, num_envs=2, substeps=4, arm=stiff, torque_limit=limit)
     start = {"state": {"q": [0.0, 0.01, 0.0]}, "target": [0.3]}
     for batch in (fixed, other):
         batch.reset(seed=0, options=start)
     for action in random_actions(20, 2, 1):
         tips = [batch.step(action)[-1]["tip_error"] for batch in (fixed, other)]
-        np.testing.assert_allclose(*tips, rtol=1e-3)
+        np.testing.assert_allclose(*tips, rtol=1e-12)
     with pytest.raises(ValueError, match=r"Unknown randomize \['mass'\]. Known"):
         gym.make_vec(env_id, num_envs=2, randomize={"mass": (0.0, 1.0)})
     with pytest.raises(ValueError, match=r"randomize\['stiffness'\] must be \(low, high\)"):
