@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics import gibbs_appell
+from dynamics import gibbs_appell, linear
 from dynamics.algebra import add, combine, matvec
 from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
@@ -227,12 +227,7 @@ class Model:
     @cached_property
     def stiffness(self) -> Array:
         """(n, n) K, zero in the joints."""
-        K, start = np.zeros((self.n, self.n)), 0
-        for link in self.chain.links:
-            first = start + (not link.welded)
-            start = first + len(link.K)
-            K[first:start, first:start] = np.array(link.K).reshape(len(link.K), len(link.K))
-        return K
+        return linear.stiffness(self.chain)
 
     def rigid(self, q: Array) -> Array:
         """A copy of q, (n,) or (N, n), with every link straight."""
@@ -254,29 +249,38 @@ class Model:
         """Scratch memory for one thread in `program`."""
         return np.zeros(program.SLOTS * int(program.LANES), dtype=self.dtype)
 
-    def _layout(self) -> dict[str, int]:
+    def _layout(self, scratch: int) -> dict[str, int]:
         """Workspace slots that are no temporaries: name -> first slot; END is the next free one."""
         sizes = {
             "Q": self.n, "V": self.n, "TAU": self.n_joint, "PARAMETERS": len(self.free_parameters),
-            "IMPLICIT": 2 + self.n, "ACC": self.n, "SCRATCH": 4 * self.n, "CHECK": 1, "GOOD": 1,
+            "IMPLICIT": 2 + self.n, "ACC": self.n, "SCRATCH": scratch, "CHECK": 1, "GOOD": 1,
             "MEASURED": self.n_measure,
         }  # fmt: skip
         starts = np.cumsum([0, *sizes.values()]).tolist()
         return dict(zip([*sizes, "END"], starts, strict=True))
 
     def _generate(self, lanes: int, integrator: str) -> str:
-        at = self._layout()
-        implicit = INTEGRATORS[integrator].implicit
+        method = INTEGRATORS[integrator]
+        at, implicit = self._layout(method.scratch(self.n)), method.implicit
         inputs = [at["Q"], at["V"], at["TAU"], at["PARAMETERS"], at["IMPLICIT"]]
         graph = self._trace_accelerations(implicit) if implicit else self.graph
         functions = [
             render_function("accelerations", graph, inputs, at["ACC"]),
             render_function("measure", self._measure_graph, inputs[:2], at["MEASURED"]),
+            *self._aid(method.aid, inputs, at["SCRATCH"]),
             f"METHOD = INTEGRATORS[{integrator!r}]",
         ]
         title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}, {self.dtype}"
         constants = at | {"N": self.n}
         return render_module(title, lanes, at.pop("END"), constants, functions)
+
+    def _aid(self, aid: str, inputs: Sequence[int], scratch: int) -> list[str]:
+        """Source of what a method needs beside the accelerations: AID."""
+        if aid == "modes":
+            return [f"AID = np.array({linear.frozen_modes(self.chain).tolist()!r})"]
+        if aid == "jacobian":
+            return [render_function("AID", self.jacobian_graph, inputs, scratch)]
+        return ["AID = None"]
 
     # ---- tracing -------------------------------------------------------------------------------
 
@@ -304,6 +308,16 @@ class Model:
             self._traced_chain(p), ca.vertsplit(q), ca.vertsplit(v), ca.vertsplit(tau), weights
         )
         return ca.Function("accelerations", [q, v, tau, p, extra], [ca.cse(ca.vertcat(*a))])
+
+    @cached_property
+    def jacobian_graph(self) -> Any:
+        """CasADi Function (q, v, tau, parameters, nothing) -> da/dq, then da/dv, row by row."""
+        import casadi as ca
+
+        x = self.graph.sx_in()
+        a = self.graph(*x)
+        rows = [ca.vec(ca.densify(ca.jacobian(a, y)).T) for y in x[:2]]
+        return ca.Function("jacobian", x, [ca.cse(ca.vertcat(*rows))])
 
     @cached_property
     def _M_h(self) -> Any:
