@@ -1,9 +1,13 @@
-"""One step of each integration method, and the table of them.
+"""The table of integration methods, one function per step of each.
 
 A method works in place on the flat workspace `w`: `n` values (coordinates times lanes) of q, v and
-a start at these offsets, scratch space for four times as many at `s`. `evaluate(w)` writes the
-accelerations of the present q and v. The functions are plain Python, with numbers typed to the
-workspace (float64 or float32); a generated module compiles them around its arm.
+a start at these offsets, scratch space at `s`. `evaluate(w)` writes the accelerations of the
+present q and v. The functions are plain Python, with numbers typed to the workspace (float64 or
+float32); a generated module compiles them around its arm.
+
+`start` runs once per call, under a new torque, `step` as often as there are substeps. Nothing but
+q and v outlives a call, so a method that remembers must begin well: on true accelerations and,
+where it needs their rate, on one more evaluation a little later.
 
 An implicit method takes elastic and linear damping forces implicitly, all others at an
 extrapolated state: `evaluate` then solves (M + W) a = f(q, v) + W guess with W = k K + c C, one
@@ -13,8 +17,31 @@ number each of k and c at `implicit`, then the guess. It stays linear and costs 
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from dynamics.exponential import exponential, start_exponential
+from dynamics.newmark import (
+    generalized_alpha,
+    midpoint,
+    numerov,
+    start_generalized_alpha,
+    start_midpoint,
+    start_numerov,
+)
+from dynamics.rosenbrock import rosenbrock
 
-def rk4(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
+
+def start_nothing(w, h, evaluate, lanes, n, q, v, a, implicit, s, aid):  # type: ignore[no-untyped-def]
+    """A one-step method that needs no preparation."""
+
+
+def euler(w, h, evaluate, lanes, n, q, v, a, implicit, s, aid):  # type: ignore[no-untyped-def]
+    """Semi-implicit Euler: new rates move the coordinates. Order 1, stable up to omega h = 2."""
+    evaluate(w)
+    for i in range(n):
+        w[v + i] += h * w[a + i]
+        w[q + i] += h * w[v + i]
+
+
+def rk4(w, h, evaluate, lanes, n, q, v, a, implicit, s, aid):  # type: ignore[no-untyped-def]
     """Classical Runge-Kutta, order 4; stable on an undamped mode up to omega h = 2.83."""
     q0, v0, dq, dv = s, s + n, s + n + n, s + n + n + n
     two = w.dtype.type(2.0)
@@ -46,37 +73,6 @@ def rk4(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-unty
         w[v + i] = w[v0 + i] + sixth * (w[dv + i] + w[a + i])
 
 
-def start_nothing(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
-    """A one-step method that needs no preparation."""
-
-
-def start_midpoint(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
-    """Weights of the implicit forces, and first accelerations from a guess of none."""
-    half = w.dtype.type(0.5) * h
-    for b in range(lanes):
-        w[implicit + b] = half * half
-        w[implicit + lanes + b] = half
-    for i in range(n):
-        w[implicit + lanes + lanes + i] = w.dtype.type(0.0)
-    evaluate(w)
-
-
-def midpoint(w, h, evaluate, lanes, n, q, v, a, implicit, s):  # type: ignore[no-untyped-def]
-    """Augmented-mass midpoint rule: order 2, A-stable on the elastic part, no numerical damping."""
-    guess, v0, q0 = implicit + lanes + lanes, s, s + n
-    half = w.dtype.type(0.5) * h
-    for i in range(n):
-        w[guess + i] = w[a + i]
-        w[q0 + i] = w[q + i] + half * w[v + i]
-        w[v0 + i] = w[v + i]
-        w[q + i] = w[q0 + i] + half * half * w[a + i]
-        w[v + i] += half * w[a + i]
-    evaluate(w)
-    for i in range(n):
-        w[v + i] = w[v0 + i] + h * w[a + i]
-        w[q + i] = w[q0 + i] + half * w[v + i]
-
-
 @dataclass(frozen=True)
 class Integrator:
     """A method: what it does once per call, what it does each step, and what to expect of it."""
@@ -84,11 +80,32 @@ class Integrator:
     step: Callable[..., None]
     start: Callable[..., None]
     order: int
-    implicit: bool  # needs the graph with stiffness and damping in the mass matrix
     limit: float  # largest omega h on an undamped mode
+    implicit: bool = False  # needs the graph with stiffness and damping in the mass matrix
+    aid: str = "none"  # what it needs beside `evaluate`: "modes" of the arm, or its "jacobian"
+    scratch: Callable[[int], int] = lambda n: 4 * n  # values per lane at `s`
+    kept: Callable[[int], int] = lambda n: 0  # how many of them, the first, outlive a step
 
 
+ALWAYS = float("inf")
 INTEGRATORS = {
-    "rk4": Integrator(rk4, start_nothing, order=4, implicit=False, limit=2.828),
-    "midpoint": Integrator(midpoint, start_midpoint, order=2, implicit=True, limit=float("inf")),
-}
+    "rk4": Integrator(rk4, start_nothing, order=4, limit=2.828),
+    "midpoint": Integrator(midpoint, start_midpoint, order=2, implicit=True, limit=ALWAYS),
+    "numerov": Integrator(
+        numerov, start_numerov, order=4, implicit=True, limit=2.449,
+        scratch=lambda n: 5 * n, kept=lambda n: 5 * n,
+    ),
+    "generalized-alpha": Integrator(
+        generalized_alpha, start_generalized_alpha, order=2, implicit=True, limit=ALWAYS,
+        kept=lambda n: n,
+    ),
+    "exponential": Integrator(
+        exponential, start_exponential, order=2, limit=ALWAYS, aid="modes",
+        scratch=lambda n: 16 * n, kept=lambda n: 12 * n,
+    ),
+    "rosenbrock": Integrator(
+        rosenbrock, start_nothing, order=4, limit=ALWAYS, aid="jacobian",
+        scratch=lambda n: 10 * n + 3 * n * n,
+    ),
+    "euler": Integrator(euler, start_nothing, order=1, limit=2.0),
+}  # fmt: skip

@@ -61,9 +61,9 @@ def advance_lanes(block, q, v, torque, parameters, dt, substeps, w, status, meas
         w[CHECK + b] = 0.0
         w[GOOD + b] = 0.0
     h = w.dtype.type(dt)
-    start(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH)
+    start(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
     for _ in range(substeps):
-        step(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH)
+        step(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
         count_finite(w, LANES, Q, V + N, CHECK, GOOD)
     measure(w)
     for b in range(count):

@@ -1,18 +1,19 @@
 """The compiled arm and its questions."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from dynamics import gibbs_appell
+from dynamics import gibbs_appell, linear
 from dynamics.algebra import add, combine, matvec
 from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
+from dynamics.free_parameters import FREE_PARAMETERS
 from dynamics.gibbs_appell import Implicit
 from dynamics.integrators import INTEGRATORS
 from dynamics.kernels import GLUE, LANES
@@ -25,55 +26,12 @@ from dynamics.lowering import (
     render_function,
     render_module,
 )
-from dynamics.modes import LinkConstants, chain_constants, curvature, parts
+from dynamics.modes import chain_constants, curvature, parts
 
 Array = np.ndarray
 
 FORMULATIONS = ("gibbs_appell",)
 LANES_OF = {"float64": LANES, "float32": 2 * LANES}
-
-
-def _payload_mass(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
-    return [*links[:-1], replace(links[-1], tip_mass=links[-1].tip_mass + p)]
-
-
-def _stiffness(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
-    return [replace(link, K=_scaled(link.K, p)) for link in links]
-
-
-def _damping(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
-    return [replace(link, damping=_scaled(link.damping, p)) for link in links]
-
-
-def _friction(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
-    return [
-        replace(
-            link,
-            viscous=p * link.viscous if link.viscous else 0.0,
-            coulomb=p * link.coulomb if link.coulomb else 0.0,
-        )
-        for link in links
-    ]
-
-
-def _scaled(rows: Any, p: Any) -> Any:
-    return tuple(tuple(p * x if x else 0.0 for x in row) for row in rows)
-
-
-@dataclass(frozen=True)
-class FreeParameter:
-    """A number that may differ between environments of one compiled arm."""
-
-    nominal: float
-    apply: Callable[[list[LinkConstants], Any], list[LinkConstants]]
-
-
-FREE_PARAMETERS = {
-    "payload_mass": FreeParameter(0.0, _payload_mass),  # [kg] added at the last tip
-    "stiffness": FreeParameter(1.0, _stiffness),  # [-] scales every K
-    "damping": FreeParameter(1.0, _damping),  # [-] scales all modal damping
-    "friction": FreeParameter(1.0, _friction),  # [-] scales viscous and Coulomb friction
-}
 
 
 def compile_arm(
@@ -234,12 +192,7 @@ class Model:
     @cached_property
     def stiffness(self) -> Array:
         """(n, n) K, zero in the joints."""
-        K, start = np.zeros((self.n, self.n)), 0
-        for link in self.chain.links:
-            first = start + (not link.welded)
-            start = first + len(link.K)
-            K[first:start, first:start] = np.array(link.K).reshape(len(link.K), len(link.K))
-        return K
+        return linear.stiffness(self.chain)
 
     def rigid(self, q: Array) -> Array:
         """A copy of q, (n,) or (N, n), with every link straight."""
@@ -264,18 +217,19 @@ class Model:
         return np.zeros(program.SLOTS * int(program.LANES), dtype=self.dtype)
 
     def _generate(self, lanes: int, integrator: str, added: Addition) -> str:
+        method = INTEGRATORS[integrator]
         sizes = {
             "Q": self.n, "V": self.n, "TAU": self.n_joint, "PARAMETERS": len(self.free_parameters),
-            "IMPLICIT": 2 + self.n, "ACC": self.n, "SCRATCH": 4 * self.n, **added.sizes,
+            "IMPLICIT": 2 + self.n, "ACC": self.n, "SCRATCH": method.scratch(self.n), **added.sizes,
         }  # fmt: skip
         starts = np.cumsum([0, *sizes.values()]).tolist()
-        at = dict(zip(sizes, starts, strict=False))
-        implicit = INTEGRATORS[integrator].implicit
+        at, implicit = dict(zip(sizes, starts, strict=False)), method.implicit
         inputs = [at["Q"], at["V"], at["TAU"], at["PARAMETERS"], at["IMPLICIT"]]
         graph = self._trace_accelerations(implicit) if implicit else self.graph
         functions = [
             render_function("accelerations", graph, inputs, at["ACC"]),
             *added.functions(at),
+            *self._aid(method.aid, inputs, at["SCRATCH"]),
             f"METHOD = INTEGRATORS[{integrator!r}]",
         ]
         title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}, {self.dtype}"
@@ -293,6 +247,14 @@ class Model:
 
         sizes = {"CHECK": 1, "GOOD": 1, "MEASURED": self.n_measure}
         return Addition(key="stepper", sizes=sizes, functions=functions, entries=GLUE)
+
+    def _aid(self, aid: str, inputs: Sequence[int], scratch: int) -> list[str]:
+        """Source of what a method needs beside the accelerations: AID."""
+        if aid == "modes":
+            return [f"AID = np.array({linear.frozen_modes(self.chain).tolist()!r})"]
+        if aid == "jacobian":
+            return [render_function("AID", self.jacobian_graph, inputs, scratch)]
+        return ["AID = None"]
 
     # ---- tracing -------------------------------------------------------------------------------
 
@@ -320,6 +282,16 @@ class Model:
             self._traced_chain(p), ca.vertsplit(q), ca.vertsplit(v), ca.vertsplit(tau), weights
         )
         return ca.Function("accelerations", [q, v, tau, p, extra], [ca.cse(ca.vertcat(*a))])
+
+    @cached_property
+    def jacobian_graph(self) -> Any:
+        """CasADi Function (q, v, tau, parameters, nothing) -> da/dq, then da/dv, row by row."""
+        import casadi as ca
+
+        x = self.graph.sx_in()
+        a = self.graph(*x)
+        rows = [ca.vec(ca.densify(ca.jacobian(a, y)).T) for y in x[:2]]
+        return ca.Function("jacobian", x, [ca.cse(ca.vertcat(*rows))])
 
     @cached_property
     def _M_h(self) -> Any:

@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics import stability
 from dynamics.arm import Arm
-from dynamics.gibbs_appell import Implicit, accelerations, mass_matrix
+from dynamics.gibbs_appell import Implicit, accelerations
 from dynamics.integrators import INTEGRATORS
 from dynamics.kinematics import outward, poses
+from dynamics.linear import frozen_modes
 from dynamics.lowering import operations
 from dynamics.model import Model
 from dynamics.scene import JointMotion
@@ -39,7 +41,7 @@ class Traced:
 
     start: Any  # (state, torque, step) -> state
     step: Any
-    evaluations: int  # of the accelerations, per step
+    evaluations: float  # of the accelerations that a step is worth, by its operations
     operations: int  # per evaluation
 
 
@@ -68,23 +70,7 @@ class Rollout:
         """[rad/s] bound on the eigenvalues of the arm at rest at the start of a motion."""
         q = np.zeros(self.model.n)
         q[list(self.arm.joint_index)] = motion.joint_angles
-        omega = float(self.model.frequencies(q, joints="free").max(initial=0.0))
-        M = np.array(mass_matrix(self.model.chain, q.tolist()), dtype=np.float64)
-        decay = float(np.linalg.eigvals(np.linalg.solve(M, self._damping())).real.max())
-        return max(omega, decay)
-
-    def _damping(self) -> Array:
-        """(n, n) modal damping and joint friction, Coulomb's at its steepest."""
-        C, start = np.zeros((self.model.n, self.model.n)), 0
-        for link in self.model.chain.links:
-            first, m = start + (not link.welded), len(link.K)
-            C[first : first + m, first : first + m] = np.reshape(link.damping, (m, m))
-            if not link.welded:
-                slip = np.array([1.0, *link.root_slope])
-                friction = link.viscous + link.coulomb / link.coulomb_speed
-                C[start : first + m, start : first + m] += friction * np.outer(slip, slip)
-            start = first + m
-        return C
+        return stability.fastest(self.model, q)
 
     def method(self, integrator: str) -> Traced:
         """The traced steps of one method."""
@@ -197,26 +183,30 @@ def _trace(model: Model, integrator: str) -> Traced:
 
     method, n = INTEGRATORS[integrator], model.n
     Q, V, A, W, GUESS, SCRATCH = 0, n, 2 * n, 3 * n, 3 * n + 2, 4 * n + 2
-    x = ca.vertsplit(ca.SX.sym("x", SCRATCH))  # the workspace, but for what no step keeps
+    keep = SCRATCH + method.kept(n)
+    x = ca.vertsplit(ca.SX.sym("x", keep))  # the workspace, but for what no step keeps
     tau, h = ca.SX.sym("tau", model.n_joint), ca.SX.sym("h")
-    implicit = Implicit(x[W], x[W + 1], x[GUESS:]) if method.implicit else None
+    implicit = Implicit(x[W], x[W + 1], x[GUESS:SCRATCH]) if method.implicit else None
     result = accelerations(model.chain, x[Q:V], x[V:A], ca.vertsplit(tau), implicit)
-    inputs = [ca.vertcat(*part) for part in (x[Q:V], x[V:A], x[W:])]
+    inputs = [ca.vertcat(*part) for part in (x[Q:V], x[V:A], x[W:SCRATCH])]
     graph = ca.Function("accelerations", [*inputs, tau], [ca.cse(ca.vertcat(*result))])
-    evaluations = 0
 
     def evaluate(w: Any) -> None:
-        nonlocal evaluations
-        evaluations += 1
         values = [ca.vertcat(*part) for part in (w[Q:V], w[V:A], w[W:SCRATCH])]
         w[A:W] = ca.vertsplit(graph(*values, tau))
 
+    def jacobian(w: Any) -> None:
+        values = [ca.vertcat(*part) for part in (w[Q:V], w[V:A])]
+        rows = model.jacobian_graph(*values, tau, *[ca.SX(0, 1)] * 2)
+        w[SCRATCH : SCRATCH + 2 * n * n] = ca.vertsplit(rows)
+
+    aid = {"none": None, "modes": frozen_modes(model.chain), "jacobian": jacobian}[method.aid]
     steps = []
     for function in (method.start, method.step):
-        evaluations = 0
-        w = np.zeros(SCRATCH + 4 * n, dtype=object)
-        w[:SCRATCH] = x
-        function(w, h, evaluate, 1, n, Q, V, A, W, SCRATCH)
-        after = ca.vertcat(*w[:SCRATCH])
+        w = np.zeros(SCRATCH + method.scratch(n), dtype=object)
+        w[:keep] = x
+        function(w, h, evaluate, 1, n, Q, V, A, W, SCRATCH, aid)
+        after = ca.vertcat(*w[:keep])
         steps.append(ca.Function("step", [ca.vertcat(*x), tau, h], [after]))
-    return Traced(steps[0], steps[1], evaluations, sum(operations(graph).values()))
+    cost, whole = (sum(operations(x).values()) for x in (graph, steps[1]))
+    return Traced(steps[0], steps[1], whole / cost, cost)

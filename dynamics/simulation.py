@@ -1,4 +1,4 @@
-"""Follow one arm through time."""
+"""Follow one arm through time, by SciPy's methods with error control or by fixed steps."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import DOP853
+from scipy.integrate import BDF, DOP853, OdeSolver, Radau
 
+from dynamics import stability
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
 from dynamics.stepper import Stepper
@@ -15,9 +16,12 @@ from dynamics.stepper import Stepper
 Array = NDArray[np.float64]
 TorqueSignal = Callable[[float], ArrayLike]
 
-REFERENCE = "dop853"
-RTOL = 1e-10  # of the reference method, unless the caller says
-CAREFUL = 0.1  # default omega_max dt of a fixed-step method
+REFERENCES = {"dop853": DOP853, "radau": Radau, "bdf": BDF}
+RTOL = 1e-10  # of a method with error control, unless the caller says
+CAREFUL = 0.1  # default dt of a fixed-step method, times the fastest rate of the arm
+WORTH = 100_000  # evaluations of DOP853, a few seconds, from which "auto" tries Radau's method
+TRIAL = 8000  # evaluations of each to tell which gets farther: decaying starts are slow for both
+DEARER = 4.0  # an implicit method's evaluation, with its share of Jacobians and linear algebra
 
 
 class Diverged(RuntimeError):
@@ -54,10 +58,12 @@ def simulate(
     torque : (n_joint,) [N m] constant; a function of time, whose attribute `breakpoints`, if it
         has one, lists the times where it jumps; or None.
     times : (N,) [s] increasing output times.
-    integrator : "auto" (SciPy's DOP853 with error control), "dop853", or a fixed-step method of
-        INTEGRATORS. A fixed-step method holds a torque that varies at its value in mid-step.
-    dt : [s] largest step of a fixed-step method; default 0.1 / omega_max.
-    rtol : relative tolerance of DOP853; default 1e-10.
+    integrator : SciPy's "dop853" (explicit), "radau" or "bdf" (implicit, with exact Jacobians),
+        which control their error; "auto", the cheaper of the first two, or a fixed-step method of
+        INTEGRATORS, which holds a torque that varies at its value in mid-step. At one tolerance
+        BDF's error is the largest, ten times the others' and more.
+    dt : [s] largest step of a fixed-step method; default 0.1 over the fastest frequency or decay.
+    rtol : relative tolerance of error control; default 1e-10.
 
     Raises
     ------
@@ -70,17 +76,18 @@ def simulate(
         raise ValueError(f"times must be a list of finite numbers, got shape {grid.shape}.")
     if np.any(np.diff(grid) <= 0.0):
         raise ValueError("times must increase.")
-    known = ["auto", REFERENCE, *INTEGRATORS]
+    known = ["auto", *REFERENCES, *INTEGRATORS]
     if integrator not in known:
         raise ValueError(f"Unknown integrator {integrator!r}. Known: {known}.")
     signal, jumps = _signal(model, torque)
-    if integrator in ("auto", REFERENCE):
+    if integrator not in INTEGRATORS:
         if dt is not None:
-            raise ValueError(f"dt ({dt!r} s) is for fixed-step methods; DOP853 takes rtol.")
-        states = _reference(model, start, signal, jumps, grid, RTOL if rtol is None else rtol)
+            raise ValueError(f"dt ({dt!r} s) is for fixed-step methods; {integrator} takes rtol.")
+        motion = _Motion(model, start, signal, jumps, grid, RTOL if rtol is None else rtol)
+        states = motion.solve(motion.cheapest() if integrator == "auto" else integrator)
     else:
         if rtol is not None:
-            raise ValueError(f"rtol ({rtol!r}) is for DOP853; {integrator} takes dt.")
+            raise ValueError(f"rtol ({rtol!r}) is for error control; {integrator} takes dt.")
         states = _fixed_steps(model, start, signal, jumps, grid, integrator, dt)
     rates = states[:, model.n :]
     positions = states[:, : model.n]
@@ -108,49 +115,86 @@ def _signal(
     return constant, []
 
 
-@np.errstate(over="ignore", invalid="ignore")  # divergence is found in the accelerations
-def _reference(
-    model: Model,
-    start: tuple[Array, Array],
-    signal: TorqueSignal | Array,
-    jumps: list[float],
-    times: Array,
-    rtol: float,
-) -> Array:
-    """DOP853 from jump to jump, dense output at the times."""
-    program = model.program(1, "rk4")
-    w, out, n = model.workspace(program), np.empty((1, model.n)), model.n
-    parameters = model.nominal_parameters[None]
-    state = np.empty((2, 1, n))
-    tau = np.empty((1, model.n_joint))
-    between = 0.0  # a time inside the present step: a jump belongs to the piece it starts
+class _Motion:
+    """A motion for the methods with error control."""
 
-    def derivative(t: float, x: Array) -> Array:
-        state[:, 0] = x.reshape(2, n)
-        tau[0] = signal(min(max(t, between), before_end)) if callable(signal) else signal
-        program.evaluate_states(state[0], state[1], tau, parameters, w, out)
-        if not np.all(np.isfinite(out)):
-            raise _diverged(t)
-        return np.concatenate([x[n:], out[0]])
+    def __init__(
+        self,
+        model: Model,
+        start: tuple[Array, Array],
+        signal: TorqueSignal | Array,
+        jumps: list[float],
+        times: Array,
+        rtol: float,
+    ) -> None:
+        self.model, self.signal, self.times, self.rtol = model, signal, times, rtol
+        self.start = np.concatenate(start)
+        between = sorted(t for t in jumps if times[0] < t < times[-1])
+        self.knots = [float(times[0]), *between, float(times[-1])]
+        self._program = model.program(1, "rk4")
+        self._w, self._out = model.workspace(self._program), np.empty((1, model.n))
 
-    rows = np.empty((times.size, 2 * n))
-    x = np.concatenate(start)
-    rows[0] = x
-    knots = [times[0], *(t for t in sorted(jumps) if times[0] < t < times[-1]), times[-1]]
-    done = 1
-    for begin, end in pairwise(knots):
-        between, before_end = begin, np.nextafter(end, begin)
-        solver = DOP853(derivative, begin, x, end, rtol=rtol, atol=1e-2 * rtol)
-        while solver.status == "running":
+    def _torque(self, t: float, begin: float, end: float) -> Array:
+        """A jump belongs to the piece of motion that it starts."""
+        if not callable(self.signal):
+            return self.signal
+        return np.array(self.signal(min(max(t, begin), np.nextafter(end, begin))), dtype=float)
+
+    def solver(self, name: str, x: Array, begin: float, end: float) -> OdeSolver:
+        """One of SciPy's, from state x, from jump to jump."""
+        n, parameters = self.model.n, self.model.nominal_parameters[None]
+
+        def derivative(t: float, x: Array) -> Array:
+            tau = self._torque(t, begin, end)[None]
+            self._program.evaluate_states(
+                x[None, :n], x[None, n:], tau, parameters, self._w, self._out
+            )
+            return np.concatenate([x[n:], self._out[0]])
+
+        def jacobian(t: float, x: Array) -> Array:
+            return self.model.linearize(x[:n], x[n:], self._torque(t, begin, end))[0]
+
+        options = {} if name == "dop853" else {"jac": jacobian}
+        return REFERENCES[name](
+            derivative, begin, x, end, rtol=self.rtol, atol=1e-2 * self.rtol, **options
+        )
+
+    @np.errstate(over="ignore", invalid="ignore")  # from what is not finite it steps back, or fails
+    def solve(self, name: str) -> Array:
+        """(N, 2 n) states at the times, from the method's dense output."""
+        rows = np.empty((self.times.size, self.start.size))
+        rows[0] = x = self.start
+        done = 1
+        for begin, end in pairwise(self.knots):
+            solver = self.solver(name, x, begin, end)
+            while solver.status == "running":
+                try:
+                    solver.step()
+                except ValueError:  # SciPy's, of a matrix that is not finite
+                    raise _diverged(solver.t) from None
+                if solver.status == "failed":
+                    raise _diverged(solver.t)
+                stop = int(np.searchsorted(self.times, solver.t, side="right"))
+                if stop > done:
+                    rows[done:stop] = solver.dense_output()(self.times[done:stop]).T
+                    done = stop
+            x = solver.y
+        return rows
+
+    def cheapest(self) -> str:
+        """DOP853, unless Radau's method gets through the motion's start for less."""
+        explicit = self._rate("dop853")
+        if not explicit * (self.knots[-1] - self.knots[0]) > WORTH:
+            return "dop853"
+        return "radau" if DEARER * self._rate("radau") < explicit else "dop853"
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def _rate(self, name: str) -> float:
+        """Evaluations per second of motion, over the first TRIAL of them."""
+        solver = self.solver(name, self.start, self.knots[0], self.knots[1])
+        while solver.status == "running" and solver.nfev < TRIAL:
             solver.step()
-            if solver.status == "failed":
-                raise _diverged(solver.t)
-            stop = int(np.searchsorted(times, solver.t, side="right"))
-            if stop > done:
-                rows[done:stop] = solver.dense_output()(times[done:stop]).T
-                done = stop
-        x = solver.y
-    return rows
+        return float(solver.nfev / max(solver.t - self.knots[0], np.finfo(float).tiny))
 
 
 def _fixed_steps(
@@ -163,14 +207,17 @@ def _fixed_steps(
     dt: float | None,
 ) -> Array:
     """Equal steps of at most `dt` between output times and jumps."""
-    fastest = float(model.frequencies(start[0], joints="free").max(initial=0.0))
+    fastest = stability.fastest(model, start[0])
     largest = CAREFUL / fastest if fastest else float(np.ptp(times)) / 1000.0
     largest = largest if dt is None else dt
-    limit = INTEGRATORS[integrator].limit
-    if not largest > 0.0 or largest * fastest > limit:
+    if not (np.isfinite(largest) and largest > 0.0):
+        raise ValueError(f"dt must be positive and finite, got {dt!r}. Unit: [s].")
+    limit = stability.largest_step(model, start[0], integrator, largest)
+    if limit < largest:
         raise ValueError(
-            f"dt must be positive and at most {limit / fastest if fastest else limit:.3g} s, where "
-            f"{integrator} is stable on the fastest mode ({fastest:.4g} rad/s); got {largest!r} s."
+            f"dt must be at most {limit:.3g} s, or {integrator} diverges from rest (fastest "
+            f"frequency or decay {fastest:.4g} rad/s); got {dt!r} s. Take a smaller dt, or "
+            f"'midpoint', which takes elastic forces implicitly."
         )
     stepper = Stepper(model, 1, dt=largest, substeps=1, integrator=integrator)
     stepper.q[0], stepper.v[0] = start

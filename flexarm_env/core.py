@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import Arm, load_arm
+from dynamics.free_parameters import FREE_PARAMETERS
 from dynamics.integrators import INTEGRATORS
-from dynamics.model import FREE_PARAMETERS, Model, compile_arm
+from dynamics.model import Model, compile_arm
 from flexarm_env import kernels
 from flexarm_env.certificates import find, fit
 from flexarm_env.observations import observation_layout
@@ -20,6 +21,7 @@ from flexarm_env.physics import (
     DEFLECTION_LIMIT,
     MOVE,
     SLOPE_PER_DEFLECTION,
+    WORK,
     integration,
     physics,
 )
@@ -55,7 +57,7 @@ class Core:
     threads : worker threads at most; a batch with too little work for them takes fewer.
     dtype : number type of the compiled code, "float64" or "float32".
     randomize : ranges (low, high) of free parameters, drawn anew at every reset; names are those
-        of `dynamics.model.FREE_PARAMETERS`.
+        of `dynamics.free_parameters.FREE_PARAMETERS`.
     fidelity : "auto", the arm as described; "rigid", without modes; or "reference", cut into
         foreshortened segments, and slow.
     tolerance : [m] instead: the cheapest model, integrator and step whose tip error on the
@@ -197,7 +199,8 @@ class Core:
         self.streams = np.zeros(n_env, dtype=np.int64)
         self.q, self.v = self.state[rows["q"], :n_env].T, self.state[rows["v"], :n_env].T
         self.parameters = self.state[rows["free"], :n_env].T
-        evaluations = self.substeps * (1 if INTEGRATORS[self.integrator].implicit else 4)
+        per_step, per_call = WORK.get(self.integrator, WORK["rk4"])
+        evaluations = per_step * self.substeps + per_call
         work = n_env * evaluations * self._program.OPERATIONS / OPERATIONS_PER_SECOND  # [s]
         count = max(1, min(self.threads, blocks, int(work / WORTH_A_THREAD)))
         bounds = [*(lanes * (k * blocks // count) for k in range(count)), n_env]

@@ -68,9 +68,9 @@ def step_lanes(actions, column, substeps, state, w):
         take(w, PARAMETERS + k * LANES, state, (N_STATE + k) * width + column)
     command(actions, column, w)
     h = w[CONSTANTS]
-    start(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH)
+    start(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
     for _ in range(substeps):
-        march(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH)
+        march(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
     restore_lost(state, column, w)
     report(w)
     for k in range(N_JOINT):

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from dynamics.arm import Arm
 from dynamics.gibbs_appell import mass_matrix
+from dynamics.integrators import INTEGRATORS
+from dynamics.linear import damping, friction
 from dynamics.model import Model
 from dynamics.modes import chain_constants
 
@@ -22,11 +24,12 @@ SLOPE_PER_DEFLECTION = 1.6  # [rad] a beam whose tip deflects in its first shape
 # length turns its tip by 1.38 rad (held, bare) to 1.57 rad (on a free, light hub)
 BENT = 0.6  # [rad] home angle of every joint but the first
 MOVE = 0.5  # [rad] a typical move; the scale of angles
+RIGID_RATE = 25.0  # [rad/s] of motions of an arm without flexible links
 RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
-RK4_STEP = 2.1  # [-] dt omega of the highest mode; stable below 2.83, and a pose may raise omega
-RK4_SMOOTH = 0.5  # [-] dt omega of the first joint-free mode, which a move excites and must follow
-RK4_STEPS = 30  # above that many substeps per control step the midpoint rule is cheaper
-MIDPOINT_STEP = 0.03  # [-] dt omega of the first joint-free mode: it is only second order
+SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequency
+SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # by order: dt omega of the first joint-free mode, which moves
+# excite and a step must follow to 1e-3 of the reach
+WORK = {"rk4": (4, 0), "numerov": (1, 2), "midpoint": (1, 1)}  # evaluations per step, per call
 _UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not reach
 _SAMPLES = 200  # per period of the first joint-free mode
 
@@ -40,6 +43,7 @@ class Physics:
     inertia: tuple[float, ...]  # (n_joint,) [kg m^2] each joint carries, the others held
     held: tuple[float, ...]  # [rad/s] natural frequencies, joints held
     free: tuple[float, ...]  # [rad/s] natural frequencies, joints free
+    fastest: float  # [rad/s] the highest of them, or the fastest decay by damping and friction
     modal_scale: tuple[float, ...]  # (n - n_joint,) [m] amplitude in that bang-bang; 1 if none
     modal_rate: tuple[float, ...]  # (n - n_joint,) [m/s] rate in it
 
@@ -60,6 +64,8 @@ def physics(arm: Arm) -> Physics:
     q[joints] = home
     M = np.array(mass_matrix(model.chain, q.tolist()), dtype=np.float64)
     K = model.stiffness
+    C = damping(model.chain) + friction(model.chain)
+    decay = float(np.linalg.eigvals(np.linalg.solve(M, C)).real.max())
     inertia = np.diag(M)[joints]
     held = _frequencies(M[np.ix_(modal, modal)], K[np.ix_(modal, modal)])
     free = _frequencies(M, K)[arm.n_joint :]
@@ -74,6 +80,7 @@ def physics(arm: Arm) -> Physics:
         inertia=tuple(inertia.tolist()),
         held=tuple(held.tolist()),
         free=tuple(free.tolist()),
+        fastest=max(decay, *held.tolist(), *free.tolist()),
         modal_scale=tuple(scale[modal].tolist()),
         modal_rate=tuple(scale[[arm.n + i for i in modal]].tolist()),
     )
@@ -147,15 +154,19 @@ def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tu
 def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> tuple[str, int]:
     """Integrator and substeps per control step that keep the tip within 1e-3 of the reach.
 
-    Runge-Kutta where a few steps suffice, else the midpoint rule; or the one that is asked for.
+    The cheapest of WORK by evaluations of the accelerations, or the one that is asked for.
     """
     found = physics(arm)
-    highest = max((*found.held, *found.free), default=100.0)
-    lowest = min(found.free, default=100.0)
-    steps = {
-        "rk4": max(1, math.ceil(control_dt * max(highest / RK4_STEP, lowest / RK4_SMOOTH))),
-        "midpoint": max(1, math.ceil(control_dt * lowest / MIDPOINT_STEP)),
-    }
-    if integrator is None:
-        integrator = "rk4" if steps["rk4"] <= RK4_STEPS else "midpoint"
-    return integrator, steps.get(integrator, steps["rk4"])
+    first = min(found.free, default=RIGID_RATE)
+
+    def steps(name: str) -> int:
+        method = INTEGRATORS[name]
+        stable = found.fastest / (SAFE * method.limit)
+        return max(1, math.ceil(control_dt * max(stable, first / SMOOTH[method.order]) - 1e-9))
+
+    def cost(name: str) -> int:
+        per_step, per_call = WORK[name]
+        return per_step * steps(name) + per_call
+
+    chosen = min(WORK, key=cost) if integrator is None else integrator
+    return chosen, steps(chosen)

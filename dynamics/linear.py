@@ -1,0 +1,88 @@
+"""The linear arm, links straight and at rest: M a + C v + K q = B tau."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.gibbs_appell import mass_matrix
+from dynamics.kinematics import Chain
+from dynamics.modes import LinkConstants
+
+Array = NDArray[np.float64]
+ELASTIC = 1e-9  # of the largest squared frequency: what is less belongs to a free joint
+
+
+def inertia(chain: Chain, q: Array) -> Array:
+    """(n, n) M at q."""
+    return np.array(mass_matrix(chain, [float(x) for x in q]), dtype=np.float64)
+
+
+def stiffness(chain: Chain) -> Array:
+    """(n, n) K, zero in the joints."""
+    return _assemble(chain, lambda link: link.K, lambda link: 0.0)
+
+
+def damping(chain: Chain) -> Array:
+    """(n, n) C of the modes, and viscous joint friction."""
+    return _assemble(chain, lambda link: link.damping, lambda link: link.viscous)
+
+
+def friction(chain: Chain) -> Array:
+    """(n, n) Coulomb's friction at its steepest: about a resting joint."""
+    return _assemble(chain, lambda link: (), lambda link: link.coulomb / link.coulomb_speed)
+
+
+def _assemble(
+    chain: Chain,
+    modal: Callable[[LinkConstants], object],
+    joint: Callable[[LinkConstants], float],
+) -> Array:
+    """Blocks of the modes, and a number that acts on the slip between a link's root and its hub."""
+    sizes = [len(link.K) + (not link.welded) for link in chain.links]
+    result, first = np.zeros((sum(sizes), sum(sizes))), 0
+    for link, size in zip(chain.links, sizes, strict=True):
+        m = len(link.K)
+        block = np.reshape(np.array(modal(link), dtype=np.float64), (-1, m)) if m else np.zeros(0)
+        modes = slice(first + size - m, first + size)
+        if block.size:
+            result[modes, modes] = block
+        if not link.welded:
+            slip = np.array([1.0, *link.root_slope])
+            result[first : first + size, first : first + size] += joint(link) * np.outer(slip, slip)
+        first += size
+    return result
+
+
+@dataclass(frozen=True)
+class LinearArm:
+    """One posture's matrices, each (n, n), and the modes that an exponential step freezes."""
+
+    M: Array
+    K: Array
+    C: Array  # of the modes, and viscous joint friction: what implicit methods know
+    friction: Array  # Coulomb's at its steepest, about resting joints
+    frozen: Array  # (m, 2 + 2 n), see `frozen_modes`
+
+
+def linear_arm(chain: Chain, q: Array) -> LinearArm:
+    """The arm about rest at q (n,), links straight."""
+    modes = frozen_modes(chain)
+    return LinearArm(inertia(chain, q), stiffness(chain), damping(chain), friction(chain), modes)
+
+
+def frozen_modes(chain: Chain) -> Array:
+    """(m, 2 + 2 n) elastic modes of the straight arm, joints free, for exponential.py.
+
+    Per row the squared frequency [1/s^2], the damping [1/s], L (n) and S (n): y = L q is the mode's
+    amplitude, S y its share of q. Damping that couples modes is left out.
+    """
+    from scipy.linalg import eigh
+
+    M = inertia(chain, np.zeros(len(stiffness(chain))))
+    squares, S = eigh(stiffness(chain), M)
+    keep = squares > ELASTIC * squares.max(initial=0.0)
+    squares, S = squares[keep], S[:, keep]
+    decays = np.einsum("ik,ij,jk->k", S, damping(chain), S)
+    return np.hstack([squares[:, None], decays[:, None], S.T @ M, S.T])
