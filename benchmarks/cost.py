@@ -151,7 +151,10 @@ def draw(results: Row, path: Path) -> None:
     axes[2].set(xlabel="environments in the batch", ylabel="ns per right-hand side, calls included")
     for axis in axes:
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=8, title="exponents" if axis is not axes[2] else None)
+        axis.legend(
+            fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12),
+            title="exponents" if axis is not axes[2] else None,
+        )  # fmt: skip
     save_figure(figure, path)
 
 
