@@ -12,7 +12,7 @@ import json
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import matplotlib
 
@@ -31,7 +31,9 @@ from dynamics.lowering import operations
 DEFAULT_ARMS = ("slim", "deluca-siciliano", "six-link")
 EVALUATIONS = 4  # of the accelerations per Runge-Kutta step
 SUBSTEPS = 5
+REPEATED = 50  # evaluations per timed call
 Row = dict[str, Any]
+K = TypeVar("K")
 
 
 def chain(links: int, modes: int, *, spatial: bool = False, **changes: Any) -> Arm:
@@ -80,28 +82,34 @@ def growth(most: int) -> dict[str, tuple[str, dict[int, Arm]]]:
     }  # fmt: skip
 
 
-def right_hand_side(arm: Arm) -> Row:
-    """Operations and CPU time [ns] of the accelerations of one environment."""
-    model = compile_arm(arm)
-    program = model.program(model.lanes, "rk4")
-    w = model.workspace(program)
-    seconds = cpu_seconds(partial(program.evaluate_often, w, 200)) / 200 / model.lanes
-    return {
-        "coordinates": model.n,
-        "operations": sum(operations(model.graph).values()),
-        "workspace [kB]": w.nbytes / 1e3,
-        "ns": 1e9 * seconds,
-    }
+def right_hand_sides(arms: dict[K, Arm]) -> dict[K, Row]:
+    """Operations and CPU time [ns] of the accelerations of one environment, for each arm."""
+    rows, calls = {}, {}
+    for key, arm in arms.items():
+        model = compile_arm(arm)
+        program = model.program(model.lanes, "rk4")
+        w = model.workspace(program)
+        calls[key] = partial(program.evaluate_often, w, REPEATED)
+        rows[key] = {
+            "coordinates": model.n,
+            "operations": sum(operations(model.graph).values()),
+            "workspace [kB]": w.nbytes / 1e3,
+        }
+    for key, seconds in cpu_seconds(calls).items():
+        rows[key]["ns"] = 1e9 * seconds / REPEATED / compile_arm(arms[key]).lanes
+    return rows
 
 
-def batches(arm: str, sizes: list[int]) -> list[float]:
+def batches(arms: tuple[str, ...], sizes: list[int]) -> dict[str, list[float]]:
     """CPU time [ns] per right-hand side and environment, calls included, by size of the batch."""
-    model = compile_arm(arm)
-    found = []
-    for size in sizes:
-        stepper = Stepper(model, size, dt=1e-7, substeps=SUBSTEPS)
-        found.append(1e9 * cpu_seconds(stepper.advance) / size / SUBSTEPS / EVALUATIONS)
-    return found
+    calls = {
+        (arm, size): Stepper(compile_arm(arm), size, dt=1e-7, substeps=SUBSTEPS).advance
+        for arm in arms
+        for size in sizes
+    }
+    seconds = cpu_seconds(calls)
+    share = 1e9 / SUBSTEPS / EVALUATIONS
+    return {arm: [share * seconds[arm, size] / size for size in sizes] for arm in arms}
 
 
 def exponent(x: list[int], y: list[float]) -> float:
@@ -112,21 +120,24 @@ def exponent(x: list[int], y: list[float]) -> float:
 
 def measure(most: int, sizes: list[int]) -> Row:
     """All lines."""
+    wanted = growth(most)
+    arms = {(name, n): arm for name, (_, line) in wanted.items() for n, arm in line.items()}
+    rows = right_hand_sides(arms)
     lines: Row = {}
-    for name, (kind, arms) in growth(most).items():
-        rows = {n: right_hand_side(arm) for n, arm in arms.items()}
-        x = list(rows)
+    for name, (kind, line) in wanted.items():
+        x = list(line)
+        mine = {key: [rows[name, n][key] for n in x] for key in rows[name, x[0]]}
         lines[name] = {
             "grows": kind,
             "x": x,
-            **{key: [row[key] for row in rows.values()] for key in rows[x[0]]},
-            "exponent, operations": exponent(x, [row["operations"] for row in rows.values()]),
-            "exponent, time": exponent(x, [row["ns"] for row in rows.values()]),
+            **mine,
+            "exponent, operations": exponent(x, mine["operations"]),
+            "exponent, time": exponent(x, mine["ns"]),
         }
     return {
         **provenance("numpy", "numba", "casadi"),
         "lines": lines,
-        "batch": {"x": sizes, **{arm: batches(arm, sizes) for arm in DEFAULT_ARMS}},
+        "batch": {"x": sizes, **batches(DEFAULT_ARMS, sizes)},
     }
 
 
@@ -151,7 +162,10 @@ def draw(results: Row, path: Path) -> None:
     axes[2].set(xlabel="environments in the batch", ylabel="ns per right-hand side, calls included")
     for axis in axes:
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=8, title="exponents" if axis is not axes[2] else None)
+        axis.legend(
+            fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12),
+            title="exponents" if axis is not axes[2] else None,
+        )  # fmt: skip
     save_figure(figure, path)
 
 

@@ -47,11 +47,14 @@ def draw(results: Row, folder: Path) -> None:
     )  # fmt: skip
     for axis, scene in zip(grid.flat, scenes.values(), strict=False):
         _draw_runs(axis, scene)
+        axis.get_legend().remove()
         axis.set_title(scene["title"], fontsize=10)
         axis.set_ylim(1e-6, HIGHEST)
     for axis in grid[:, 0]:
         axis.set_ylabel("tip error / reach [-], model and step added")
     figure.supxlabel(_cost_label(results), fontsize=10)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=8, fontsize=9, title=CODE)
     save_figure(figure, folder / "work_precision")
 
 

@@ -1,23 +1,34 @@
 """How CPU time is measured."""
 
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+K = TypeVar("K")
+
+ROUNDS = 12
+LONG_ENOUGH = 2e-3  # [s] of calls at a time
 
 
-def cpu_seconds(call: Callable[[], Any], at_least: float = 0.03, runs: int = 9) -> float:
-    """CPU time of one call [s]: the least of several runs of many calls, after a first one.
+def cpu_seconds(calls: Mapping[K, Callable[[], Any]]) -> dict[K, float]:
+    """CPU time of each call [s]: the least of many rounds through all of them.
 
-    The work is the same every time, so that whatever takes longer was disturbed.
+    The work is the same in every round, so that whatever takes longer was disturbed; and a
+    disturbance of a second does not fall on all rounds of one call.
     """
-    call()
+    least = {}
+    for key, call in calls.items():
+        call()
+        least[key] = _timed(call, 1)
+    often = {key: max(1, int(LONG_ENOUGH / max(t, 1e-7))) for key, t in least.items()}
+    for _ in range(ROUNDS):
+        for key, call in calls.items():
+            least[key] = min(least[key], _timed(call, often[key]))
+    return least
+
+
+def _timed(call: Callable[[], Any], times: int) -> float:
     begin = time.process_time()
-    call()
-    calls = max(1, int(at_least / runs / max(time.process_time() - begin, 1e-7)))
-    times = []
-    for _ in range(runs):
-        begin = time.process_time()
-        for _ in range(calls):
-            call()
-        times.append((time.process_time() - begin) / calls)
-    return min(times)
+    for _ in range(times):
+        call()
+    return (time.process_time() - begin) / times

@@ -131,22 +131,25 @@ def apart(a: Array | None, b: Array | None, setting: Setting) -> float:
     return float(np.linalg.norm(a - b, axis=1).max()) / setting.arm.reach
 
 
-def cost(model: Model, setting: Setting, integrator: str) -> Cost:
-    """Measured on a batch at the start of the motion, with steps too short to leave it."""
-    seconds = []
-    for substeps in (1, LONG):
-        stepper = Stepper(model, BATCH, dt=1e-7, substeps=substeps, integrator=integrator)
-        stepper.q[:], stepper.v[:] = setting.start(model)
-        seconds.append(cpu_seconds(stepper.advance) / BATCH)
-    step = max((seconds[1] - seconds[0]) / (LONG - 1), 1e-12)
-    return Cost(max(seconds[0] - step, 0.0), step)
-
-
 def costs(
     models: dict[str, Model], setting: Setting, pairs: list[tuple[str, str]]
 ) -> dict[tuple[str, str], Cost]:
-    """Of every model by every method, one right after the other."""
-    return {pair: cost(models[pair[0]], setting, pair[1]) for pair in pairs}
+    """Of models by methods, on batches at the start of the motion, too short to leave it."""
+    calls = {}
+    for name, integrator in pairs:
+        for substeps in (1, LONG):
+            stepper = Stepper(
+                models[name], BATCH, dt=1e-7, substeps=substeps, integrator=integrator
+            )
+            stepper.q[:], stepper.v[:] = setting.start(models[name])
+            calls[name, integrator, substeps] = stepper.advance
+    seconds = {key: t / BATCH for key, t in cpu_seconds(calls).items()}
+    result = {}
+    for pair in pairs:
+        one, many = seconds[*pair, 1], seconds[*pair, LONG]
+        step = max((many - one) / (LONG - 1), 1e-12)
+        result[pair] = Cost(max(one - step, 0.0), step)
+    return result
 
 
 # ---- points --------------------------------------------------------------------------------------

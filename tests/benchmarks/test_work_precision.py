@@ -59,6 +59,14 @@ def test_runs_beyond_the_stability_limit_are_kept_as_diverged(
     assert all(p["total"] < 1.0 for p in within)
 
 
+def test_a_run_that_leaves_the_numbers_within_one_call_has_diverged() -> None:
+    """The stepper then keeps the state before the call, which looks like an arm at rest."""
+    setting = SETTINGS["S1"]
+    model = compile_arm(Level(modes=2, foreshortening=True).arm(setting.arm))
+    whole = work_precision.Step(setting.times.size - 1, 40)
+    assert work_precision.follow(model, setting, "rk4", whole) is None
+
+
 def test_the_three_errors_are_sides_of_a_triangle(scene: dict[str, Any]) -> None:
     """Model, integration and total error are measured apart; as distances they fit together."""
     finite = [p for p in scene["points"] if p["total"] < np.inf]
