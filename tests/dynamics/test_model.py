@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from dynamics import ARMS, Arm, Link, Mode, Model, Payload, compile_arm, load_arm, simulate
-from dynamics.model import FREE_PARAMETERS
+from dynamics.free_parameters import FREE_PARAMETERS
 from tests.dynamics.random_arms import (
     Array,
     compiled,
