@@ -5,6 +5,7 @@ yield the expression graph of one step, and CasADi runs that over many. A model 
 a fraction of a second, so that many can be compared.
 """
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -205,7 +206,9 @@ def _trace(model: Model, integrator: str) -> Traced:
     for function in (method.start, method.step):
         w = np.zeros(SCRATCH + method.scratch(n), dtype=object)
         w[:keep] = x
-        function(w, h, evaluate, 1, n, Q, V, A, W, SCRATCH, aid)
+        with warnings.catch_warnings():  # CasADi's, of numpy.cos on its symbols: as meant
+            warnings.simplefilter("ignore")
+            function(w, h, evaluate, 1, n, Q, V, A, W, SCRATCH, aid)
         after = ca.vertcat(*w[:keep])
         steps.append(ca.Function("step", [ca.vertcat(*x), tau, h], [after]))
     cost, whole = (sum(operations(x).values()) for x in (graph, steps[1]))

@@ -19,6 +19,7 @@ TorqueSignal = Callable[[float], ArrayLike]
 REFERENCES = {"dop853": DOP853, "radau": Radau, "bdf": BDF}
 RTOL = 1e-10  # of a method with error control, unless the caller says
 CAREFUL = 0.1  # default dt of a fixed-step method, times the fastest rate of the arm
+FARTHEST = 1e8  # [rad], [rad/s] beyond which sine and cosine of an angle mean nothing
 WORTH = 100_000  # evaluations of DOP853, a few seconds, from which "auto" tries Radau's method
 TRIAL = 8000  # evaluations of each to tell which gets farther: decaying starts are slow for both
 DEARER = 4.0  # an implicit method's evaluation, with its share of Jacobians and linear algebra
@@ -172,7 +173,7 @@ class _Motion:
                     solver.step()
                 except ValueError:  # SciPy's, of a matrix that is not finite
                     raise _diverged(solver.t) from None
-                if solver.status == "failed":
+                if solver.status == "failed" or np.abs(solver.y).max() > FARTHEST:
                     raise _diverged(solver.t)
                 stop = int(np.searchsorted(self.times, solver.t, side="right"))
                 if stop > done:

@@ -25,11 +25,15 @@ def stability() -> ModuleType:
 def test_a_method_fails_exactly_where_its_amplification_says(
     stability: ModuleType, integrator: str
 ) -> None:
-    """Step against damping; an A-stable method fails nowhere, RK4 on one side of its boundary."""
+    """Step against damping; an A-stable method fails nowhere, others beyond their boundary.
+
+    The exponential step fails where the stiffness is far from the one that it froze.
+    """
     found = stability.method_map(integrator, 9)
     failed = np.array(found["failed"])
     assert np.array_equal(failed, found["predicted"])
-    assert failed.any() == np.isfinite(INTEGRATORS[integrator].limit)
+    limited = np.isfinite(INTEGRATORS[integrator].limit) or integrator == "exponential"
+    assert failed.any() == limited
     assert not failed.all()
 
 

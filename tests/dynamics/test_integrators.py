@@ -152,6 +152,21 @@ def test_energy_drift_of_a_swing_falls_at_the_order_of_the_method(integrator: st
     assert np.all(orders(drifts) > INTEGRATORS[integrator].order - 0.3)
 
 
+def test_lanes_of_a_rosenbrock_batch_do_not_mix() -> None:
+    """Each environment of a batch moves as it does alone, factorisation and all."""
+    batch = Stepper(compiled(TWO_LINK), 20, dt=1e-3, substeps=10, integrator="rosenbrock")
+    alone = Stepper(compiled(TWO_LINK), 1, dt=1e-3, substeps=10, integrator="rosenbrock")
+    batch.q[:] = np.linspace(-1.0, 1.0, 20)[:, None] * START
+    batch.torque[:] = TORQUE
+    alone.q[0], alone.torque[0] = batch.q[13], TORQUE
+
+    batch.advance()
+    alone.advance()
+
+    assert_allclose(batch.q[13], alone.q[0], rtol=1e-11, atol=1e-13)
+    assert np.abs(np.diff(batch.q, axis=0)).min() > 0.0
+
+
 STIFF = planar(1, 1, EIz=2e6)
 STIFFEST = float(compiled(STIFF).frequencies(joints="free").max())  # [rad/s]
 

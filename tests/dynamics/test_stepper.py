@@ -42,7 +42,8 @@ def results(stepper: Stepper, times: int = 2) -> np.ndarray:
     return np.hstack([stepper.q, stepper.v, stepper.measured])
 
 
-@pytest.fixture(scope="module", params=sorted(INTEGRATORS))
+# Rosenbrock's Jacobian of this arm would take minutes to compile: test_integrators.py has it.
+@pytest.fixture(scope="module", params=sorted(set(INTEGRATORS) - {"rosenbrock"}))
 def integrator(request: pytest.FixtureRequest) -> str:
     return request.param
 
@@ -184,7 +185,7 @@ def changed(parameters: dict[str, float]) -> Arm:
 
 
 def test_free_parameters_equal_arms_compiled_with_them(integrator: str) -> None:
-    """One program, a different arm in every lane."""
+    """One program, a different arm in every lane; frozen modes stay those of the nominal arm."""
     model = compiled(ARM, *FREE)
     stepper = batch(model, 3, integrator=integrator)
     assert stepper.parameters.tolist() == [[0.0, 1.0, 1.0, 1.0]] * 3
@@ -194,7 +195,8 @@ def test_free_parameters_equal_arms_compiled_with_them(integrator: str) -> None:
 
     fixed = compile_arm(changed(dict(zip(FREE, stepper.parameters[1], strict=True))))
     same = batch(fixed, 1, integrator=integrator, first=1)
-    assert_allclose(free[1], results(same)[0], rtol=1e-10, atol=1e-13)
+    close = {"rtol": 1e-5} if INTEGRATORS[integrator].aid == "modes" else {"rtol": 1e-10}
+    assert_allclose(free[1], results(same)[0], **close, atol=1e-13)
     nominal = results(batch(compiled(ARM), 2, integrator=integrator))
     assert_allclose(free[0], nominal[0], rtol=1e-11, atol=1e-13)
     assert np.abs(free[1] - nominal[1]).max() > 1e-3
@@ -260,7 +262,7 @@ BAD = [
     ({"threads": 0}, "threads must be a positive integer, got 0."),
     ({"dt": 0.0}, "dt must be positive and finite, got 0.0. Unit: [s]."),
     ({"dt": float("nan")}, "dt must be positive and finite, got nan. Unit: [s]."),
-    ({"integrator": "euler"}, f"Unknown integrator 'euler'. Known: {sorted(INTEGRATORS)}."),
+    ({"integrator": "leapfrog"}, f"Unknown integrator 'leapfrog'. Known: {sorted(INTEGRATORS)}."),
 ]
 
 

@@ -137,7 +137,7 @@ def test_any_arm_can_be_given(tmp_path: Any) -> None:
         ({"reward": {"tracking": float("nan")}}, r"weight of 'tracking' must be finite"),
         ({"reward": {}}, r"At least one weight"),
         ({"control_dt": 0.0}, r"control_dt must be positive, got 0\.0"),
-        ({"integrator": "euler"}, r"Unknown integrator 'euler'"),
+        ({"integrator": "leapfrog"}, r"Unknown integrator 'leapfrog'"),
         ({"substeps": 0}, r"substeps must be a whole number, at least 1, got 0"),
         ({"torque_limit": -1.0}, r"torque_limit must be positive, got -1\.0"),
         ({"torque_limit": [1.0, 2.0]}, r"torque_limit must be one number or 1"),
