@@ -19,7 +19,12 @@ ARGUMENTS = (
     ("obs", '"state"', '"state", or "sensors": encoders, joint rates, strain gauges'),
     ("reward", "the task's", "a preset's name or a dict of weights of the terms below"),
     ("control_dt", "the id's", "[s] time between actions"),
-    ("integrator", "None", '"rk4" or "midpoint"; None: chosen for the arm'),
+    (
+        "integrator",
+        "None",
+        "a method of `dynamics.integrators.INTEGRATORS`; None: the one with the "
+        "fewest evaluations that keeps the tip within 1e-3 of the reach",
+    ),
     ("substeps", "None", "integration steps per control step; None: chosen for the arm"),
     ("torque_limit", "None", "[N m] one number or one per joint; None: chosen for the arm"),
     ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
