@@ -48,7 +48,7 @@ class Core:
     arm : whatever `load_arm` takes.
     n_env : number of environments.
     obs : "state" or "sensors".
-    reward : name in `rewards.REWARDS` or weights of `kernels.TERMS`; None: the task's own.
+    reward : name in `rewards.REWARDS` or weights of `rewards.TERMS`; None: the task's own.
     control_dt : [s] time between actions.
     integrator, substeps : None: chosen for the arm, see `physics.integration`.
     torque_limit : [N m] one number or one per joint; None: see `physics.Physics`.
