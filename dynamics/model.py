@@ -251,7 +251,8 @@ class Model:
     def _aid(self, aid: str, inputs: Sequence[int], scratch: int) -> list[str]:
         """Source of what a method needs beside the accelerations: AID."""
         if aid == "modes":
-            return [f"AID = np.array({linear.frozen_modes(self.chain).tolist()!r})"]
+            modes = linear.frozen_modes(self.chain)  # none of a rigid arm: the shape must tell
+            return [f"AID = np.array({modes.tolist()!r}).reshape({modes.shape})"]
         if aid == "jacobian":
             return [render_function("AID", self.jacobian_graph, inputs, scratch)]
         return ["AID = None"]

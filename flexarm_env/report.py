@@ -107,11 +107,19 @@ class Report:
         )
 
     def _check(self, at: Mapping[str, int]) -> str:
-        """Text of `check(w)`: zero where q and v are finite, else not a number."""
+        """Text of `check(w)`: zero where q and v are finite and their eighth powers, too.
+
+        Not a number elsewhere: what is larger would overflow on the way into a report.
+        """
         slots = [at[name] + k for name in ("Q", "V") for k in range(self.model.n)]
         lines = ["@straight_line(LANES)", "def check(w):", "    s = 0.0"]
         for slot in slots:
-            lines += [f"    x = w[{slot}]", "    d = x - x", "    s = s + d"]
+            lines += [
+                f"    x = w[{slot}]",
+                *3 * ["    x = x * x"],
+                "    d = x - x",
+                "    s = s + d",
+            ]
         return "\n".join([*lines, f"    w[{at['CHECK']}] = s", ""])
 
     @property

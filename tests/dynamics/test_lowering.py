@@ -231,38 +231,6 @@ def test_sine_and_cosine_are_good_to_the_last_bits(
     assert np.abs(cosine - [math.cos(x) for x in angles]).max() < 4e-16
 
 
-MOVES = """
-from dynamics.emission import lane_moves
-from dynamics.kernels import outermost
-take, put = lane_moves({lanes})
-
-@outermost
-def there_and_back(source, w, numbers, flags):
-    take(w, {lanes}, source, 3)
-    put(w, {lanes}, numbers, 1)
-    put(w, {lanes}, flags, 1)
-"""
-
-
-@pytest.mark.parametrize("lanes", [1, LANES])
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-@pytest.mark.usefixtures("empty_cache")
-def test_lanes_move_between_workspace_and_arrays(lanes: int, dtype: str) -> None:
-    """Just those elements, converted; whatever is not zero is true."""
-    module = cached_module(f"moves_{lanes}_{dtype}", lambda: MOVES.format(lanes=lanes))
-    source = np.arange(3.0 * LANES) % 5.0 - 3.0
-    source[4] = np.nan
-    w, numbers = np.zeros(3 * lanes, dtype), np.full(2 + lanes, 7.0)
-    flags = np.zeros(2 + lanes, np.bool_)
-
-    module.there_and_back(source, w, numbers, flags)
-
-    moved = source[3 : 3 + lanes]
-    np.testing.assert_array_equal(w, np.r_[np.zeros(lanes), moved, np.zeros(lanes)])
-    np.testing.assert_array_equal(numbers, np.r_[7.0, moved, 7.0])
-    np.testing.assert_array_equal(flags, np.r_[False, moved != 0.0, False])
-
-
 def test_the_root_of_a_square_is_a_magnitude_and_comparisons_are_numbers() -> None:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     outputs = ca.vertcat(ca.sqrt(x * x), x < y, x <= y, ca.fmin(x, y), ca.fmax(x, y))

@@ -1,0 +1,42 @@
+"""Vector code that no expression graph writes: lanes between a workspace and other arrays."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamics.kernels import LANES
+from dynamics.lowering import cached_module
+
+MOVES = """
+from dynamics.emission import lane_moves
+from dynamics.kernels import outermost
+take, put = lane_moves({lanes})
+
+@outermost
+def there_and_back(source, w, numbers, flags):
+    take(w, {lanes}, source, 3)
+    put(w, {lanes}, numbers, 1)
+    put(w, {lanes}, flags, 1)
+"""
+
+
+@pytest.mark.parametrize("lanes", [1, LANES])
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_lanes_move_between_workspace_and_arrays(
+    lanes: int, dtype: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Just those elements, converted; whatever is not zero is true."""
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
+    module = cached_module(f"moves_{lanes}_{dtype}", lambda: MOVES.format(lanes=lanes))
+    source = np.arange(3.0 * LANES) % 5.0 - 3.0
+    source[4] = np.nan
+    w, numbers = np.zeros(3 * lanes, dtype), np.full(2 + lanes, 7.0)
+    flags = np.zeros(2 + lanes, np.bool_)
+
+    module.there_and_back(source, w, numbers, flags)
+
+    moved = source[3 : 3 + lanes]
+    np.testing.assert_array_equal(w, np.r_[np.zeros(lanes), moved, np.zeros(lanes)])
+    np.testing.assert_array_equal(numbers, np.r_[7.0, moved, 7.0])
+    np.testing.assert_array_equal(flags, np.r_[False, moved != 0.0, False])
