@@ -6,8 +6,8 @@ Every vector of link i lives in the frame of link i: origin at its joint, x alon
 link, z the joint axis. Run on floats this is the plain reference; run on symbols it is the
 expression graph of one arm.
 
-Two ways to the accelerations share all of it: `mass_matrix` and `bias` (the composite form, as
-in the paper) and `accelerations`, which eliminates each link's modes and joint on the way inward.
+`mass_matrix` and `bias` are the composite form, as in the paper; elimination.py solves for the
+accelerations link by link, from the same blocks.
 """
 
 from collections.abc import Sequence
@@ -30,13 +30,11 @@ from dynamics.algebra import (
     matvec,
     mcombine,
     minus,
-    msub,
     mul,
     plus,
     rotate,
     scale,
     skew,
-    sub,
     symmetric,
     tanh,
     tmatvec,
@@ -127,7 +125,7 @@ class Wrench(NamedTuple):
         return Wrench(force, add(matvec(R, self.moment), cross(offset, force)))
 
 
-def _load(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
+def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
     """Wrench at the joint and generalized forces (modes, then any joint) that the bias needs.
 
     `outer` acts at the tip. Sums of (98) to (103), with elastic, dissipative and friction forces.
@@ -151,7 +149,7 @@ def _load(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
     return total, modal if link.welded else [*modal, plus(total.moment[2], friction)]
 
 
-def _joint_first(link: LinkConstants, values: list[Scalar]) -> list[Scalar]:
+def joint_first(link: LinkConstants, values: list[Scalar]) -> list[Scalar]:
     """From the order of elimination, modes then joint, to the order of the coordinates."""
     return values if link.welded else [values[-1], *values[:-1]]
 
@@ -162,8 +160,8 @@ def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]
     outer = Wrench(ZERO, ZERO)
     h: list[Scalar] = []
     for f, (rate, _) in zip(reversed(frames), reversed(chain.split(v)), strict=True):
-        wrench, forces = _load(f, rate, outer)
-        h = [*_joint_first(f.link, forces), *h]
+        wrench, forces = load_of(f, rate, outer)
+        h = [*joint_first(f.link, forces), *h]
         outer = wrench.from_next(f.R, f.offset)
     return h
 
@@ -176,7 +174,7 @@ class Block(NamedTuple):
     D: list[list[Scalar]]  # coupling of the coordinates, upper triangle filled
 
 
-def _block(f: Frame, outer: Inertia) -> Block:
+def block_of(f: Frame, outer: Inertia) -> Block:
     """Blocks of the mass matrix of one link carrying `outer` at its tip: (75), (81), (85)."""
     link, m = f.link, len(f.delta)
     size = m if link.welded else m + 1
@@ -215,14 +213,14 @@ def _block(f: Frame, outer: Inertia) -> Block:
     return Block(inertia, columns, couplings)
 
 
-def _with_tip_body(f: Frame, outer: Inertia) -> Inertia:
+def with_tip_body(f: Frame, outer: Inertia) -> Inertia:
     """Add the body at the tip."""
     m, J = f.link.tip_mass, congruence(f.E, f.link.tip_inertia)
     A = symmetric(lambda i, j: plus(outer.A[i][j], m if i == j else 0.0))
     return Inertia(A, outer.B, symmetric(lambda i, j: plus(outer.D[i][j], J[i][j])))
 
 
-_NOTHING = Inertia(ZEROS, ZEROS, ZEROS)
+NOTHING = Inertia(ZEROS, ZEROS, ZEROS)
 
 
 def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
@@ -237,10 +235,10 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
         places.append(order if f.link.welded else [*order[1:], order[0]])
         start = stop
 
-    outer = _NOTHING
+    outer = NOTHING
     for i in reversed(range(len(frames))):
         f = frames[i]
-        block = _block(f, _with_tip_body(f, outer))
+        block = block_of(f, with_tip_body(f, outer))
         for c, column in enumerate(block.columns):
             for d in range(c, len(block.columns)):
                 row, col = places[i][c], places[i][d]
@@ -262,139 +260,3 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
         turned = Inertia(block.inertia.A, skew(matvec(f.R, b)), congruence(f.R, block.inertia.D))
         outer = turned.moved(f.offset)
     return M
-
-
-class Implicit(NamedTuple):
-    """Linear forces taken implicitly: (M + W) a = B tau - h + W guess, W = stiffness K + damping C.
-
-    `guess` are the accelerations with which q and v were extrapolated (integrators.py).
-    """
-
-    stiffness: Scalar = 0.0  # [s^2]
-    damping: Scalar = 0.0  # [s]
-    guess: Sequence[Scalar] = ()  # (n,) accelerations
-
-
-def accelerations(
-    chain: Chain,
-    q: Sequence[Scalar],
-    v: Sequence[Scalar],
-    tau: Sequence[Scalar],
-    implicit: Implicit | None = None,
-) -> list[Scalar]:
-    """(n,) accelerations in O(n): each link's modes and joint are eliminated on the way inward."""
-    frames = outward(chain, q, v)
-    rates = chain.split(v)
-    guesses = chain.split(implicit.guess) if implicit else [(0.0, ())] * len(frames)
-    torques = iter(reversed(list(tau)))
-    solved = []
-    outer, load = _NOTHING, Wrench(ZERO, ZERO)
-    for i in reversed(range(len(frames))):
-        f = frames[i]
-        wrench, forces = _load(f, rates[i][0], load)
-        block = _block(f, _with_tip_body(f, outer))
-        torque = 0.0 if f.link.welded else next(torques)
-        drive = [*(mul(s, torque) for s in f.link.root_slope), torque]
-        residual = [minus(t, h) for t, h in zip(drive, forces, strict=False)]
-        if implicit:
-            _take_implicitly(f.link, block.D, residual, implicit, guesses[i])
-        pivots = _eliminate(block, residual)
-        solved.append((block, residual, pivots))
-        if i:
-            held = f.link.rotor_inertia  # what resists the joint but does not load the link before
-            if implicit:
-                held = plus(held, mul(implicit.damping, f.link.viscous))
-            inertia = _reduced(f.link, block, pivots, held)
-            outer = inertia.turned(f.R).moved(f.offset)
-            push = [mul(e, p) for e, p in zip(residual, pivots, strict=True)]
-            load = Wrench(
-                add(wrench.force, combine(push, [c.force for c in block.columns])),
-                add(wrench.moment, combine(push, [c.moment for c in block.columns])),
-            ).from_next(f.R, f.offset)
-    return _outward_solution(frames, solved[::-1])
-
-
-def _take_implicitly(
-    link: LinkConstants,
-    D: list[list[Scalar]],
-    residual: list[Scalar],
-    implicit: Implicit,
-    guess: tuple[Scalar, Sequence[Scalar]],
-) -> None:
-    """Add stiffness K + damping C to one link's block, and what of them the guess has taken."""
-    m = len(link.K)
-    slopes = [*link.root_slope, 1.0]
-    values = [*guess[1], guess[0]][: len(D)]
-    for j in range(len(D)):
-        row: list[Scalar] = []
-        for k in range(len(D)):
-            C, K = mul(link.viscous, slopes[j] * slopes[k]), 0.0
-            if j < m and k < m:
-                C, K = plus(C, link.damping[j][k]), link.K[j][k]
-            row.append(plus(mul(implicit.damping, C), mul(implicit.stiffness, K)))
-            D[j][k] = plus(D[j][k], row[k])
-        residual[j] = plus(residual[j], dot(row, values))
-
-
-def _eliminate(block: Block, residual: list[Scalar]) -> list[Scalar]:
-    """LDL' of one link's coordinates, modes first: inverse pivots; columns and D are reduced."""
-    D, columns = block.D, block.columns
-    pivots = []
-    for c in range(len(columns)):
-        inverse = 1.0 / D[c][c]
-        pivots.append(inverse)
-        for d in range(c + 1, len(columns)):
-            factor = mul(D[c][d], inverse)
-            if is_zero(factor):
-                continue
-            columns[d] = Wrench(
-                sub(columns[d].force, scale(factor, columns[c].force)),
-                sub(columns[d].moment, scale(factor, columns[c].moment)),
-            )
-            for e in range(d, len(columns)):
-                D[d][e] = minus(D[d][e], mul(factor, D[c][e]))
-            residual[d] = minus(residual[d], mul(factor, residual[c]))
-            D[c][d] = factor
-    return pivots
-
-
-def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar], held: Scalar) -> Inertia:
-    """Articulated inertia: what is left at the joint once the link's coordinates move freely."""
-    A, B, D = block.inertia
-    for column, pivot in zip(block.columns, pivots, strict=True):
-        F, N = column
-        pF, pN = scale(pivot, F), scale(pivot, N)
-        A = symmetric(lambda i, j, A=A, pF=pF, F=F: minus(A[i][j], mul(pF[i], F[j])))
-        B = msub(B, tuple(tuple(mul(pN[i], F[j]) for j in range(3)) for i in range(3)))
-        D = symmetric(lambda i, j, D=D, pN=pN, N=N: minus(D[i][j], mul(pN[i], N[j])))
-    if link.welded or (any(link.root_slope) and not is_zero(held)):
-        return Inertia(A, B, D)
-    # about the free axis only what holds the joint resists: exactly zero without it
-    keep = mul(held, pivots[-1])
-    z = Wrench(*(scale(keep, u) for u in block.columns[-1]))
-    B = (B[0], B[1], z.force)
-    D = symmetric(lambda i, j, D=D: z.moment[i] if j == 2 else D[i][j])
-    return Inertia(A, B, D)
-
-
-def _outward_solution(
-    frames: list[Frame], solved: list[tuple[Block, list[Scalar], list[Scalar]]]
-) -> list[Scalar]:
-    """Back substitution from base to tip."""
-    result: list[Scalar] = []
-    a, w_dot = ZERO, ZERO  # at the tip of the link before, beyond the bias accelerations
-    for f, (block, residual, pivots) in zip(frames, solved, strict=True):
-        a = tmatvec(f.R, add(a, cross(w_dot, f.offset)))
-        w_dot = tmatvec(f.R, w_dot)
-        u: list[Scalar] = [0.0] * len(pivots)
-        for c in reversed(range(len(pivots))):
-            F, N = block.columns[c]
-            driven = minus(residual[c], plus(dot(F, a), dot(N, w_dot)))
-            u[c] = minus(mul(driven, pivots[c]), dot(block.D[c][c + 1 :], u[c + 1 :]))
-        result += _joint_first(f.link, u)
-        modal = u[: len(f.delta)]
-        if not f.link.welded:
-            w_dot = add(w_dot, (0.0, 0.0, u[-1]))
-        a = add(a, cross(w_dot, f.r), combine(modal, f.tip_phi))
-        w_dot = add(w_dot, combine(modal, f.tip_theta))
-    return result

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from dynamics import gibbs_appell, linear
+from dynamics import elimination, gibbs_appell, linear
 from dynamics.algebra import add, combine, matvec
 from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
+from dynamics.elimination import Implicit
 from dynamics.free_parameters import FREE_PARAMETERS
-from dynamics.gibbs_appell import Implicit
 from dynamics.integrators import INTEGRATORS
 from dynamics.kernels import GLUE, LANES
 from dynamics.kinematics import Chain, energies, outward, poses
@@ -279,7 +279,7 @@ class Model:
         extra = ca.SX.sym("implicit", 2 + self.n if implicit else 0)
         x = ca.vertsplit(extra)
         weights = Implicit(x[0], x[1], x[2:]) if implicit else None
-        a = gibbs_appell.accelerations(
+        a = elimination.accelerations(
             self._traced_chain(p), ca.vertsplit(q), ca.vertsplit(v), ca.vertsplit(tau), weights
         )
         return ca.Function("accelerations", [q, v, tau, p, extra], [ca.cse(ca.vertcat(*a))])
@@ -338,7 +338,7 @@ class Model:
         q, v, tau, _ = self._symbols()
         x, rates = ca.vertsplit(q), ca.vertsplit(v)
         M = gibbs_appell.mass_matrix(self.chain, x)
-        a = ca.vertcat(*gibbs_appell.accelerations(self.chain, x, rates, ca.vertsplit(tau)))
+        a = ca.vertcat(*elimination.accelerations(self.chain, x, rates, ca.vertsplit(tau)))
         derivatives = [ca.jacobian(a, x) for x in (q, v, tau)]
         graphs = {
             "mass_matrix": ([q], [ca.vertcat(*(ca.horzcat(*row) for row in M))]),

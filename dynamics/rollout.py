@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dynamics import stability
 from dynamics.arm import Arm
-from dynamics.gibbs_appell import Implicit, accelerations
+from dynamics.elimination import Implicit, accelerations
 from dynamics.integrators import INTEGRATORS
 from dynamics.kinematics import outward, poses
 from dynamics.linear import frozen_modes

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from dynamics import Arm, Joint, gibbs_appell, kinematics
+from dynamics import Arm, Joint, elimination, gibbs_appell, kinematics
 from dynamics.kernels import LANES
 from dynamics.kinematics import energies
 from dynamics.shapes import KINDS
@@ -47,7 +47,7 @@ def composite(arm: Arm, q: Array, v: Array, recursion: Any = gibbs_appell) -> tu
 def accelerations(arm: Arm, q: Array, v: Array, tau: Array) -> Array:
     """The O(n) recursion on plain floats."""
     chain = compiled(arm).chain
-    return np.array(gibbs_appell.accelerations(chain, floats(q), floats(v), floats(tau)))
+    return np.array(elimination.accelerations(chain, floats(q), floats(v), floats(tau)))
 
 
 def rate(along: Callable[[Any], Any]) -> float:
@@ -117,8 +117,8 @@ def test_implicit_elimination_solves_the_augmented_equations(case: tuple[int, in
     C = brute_slope(lambda x: brute_force.resisting_forces(linear, 0.0 * q, x), arm.n)
     M, h = composite(arm, q, v)
 
-    implicit = gibbs_appell.Implicit(s, d, floats(guess))
-    a = gibbs_appell.accelerations(compiled(arm).chain, floats(q), floats(v), floats(tau), implicit)
+    implicit = elimination.Implicit(s, d, floats(guess))
+    a = elimination.accelerations(compiled(arm).chain, floats(q), floats(v), floats(tau), implicit)
 
     W = s * K + d * C
     expected = np.linalg.solve(M + W, torque_matrix(arm) @ tau - h + W @ guess)

@@ -326,7 +326,9 @@ def test_a_second_process_starts_from_the_cache(tmp_path: Path) -> None:
     assert files() == written
 
 
-@pytest.mark.parametrize("name", ["gibbs_appell", "kinematics", "modes", "integrators", "kernels"])
+@pytest.mark.parametrize(
+    "name", ["gibbs_appell", "elimination", "kinematics", "modes", "integrators", "kernels"]
+)
 def test_an_edited_source_cannot_run_stale(name: str, tmp_path: Path) -> None:
     """One more byte in the package is another key."""
     package = tmp_path / "dynamics"
