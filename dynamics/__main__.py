@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,12 @@ def write(path: Path, text: str) -> None:
 def _follow(model: Any, motion: Motion) -> dict[str, Any]:
     from dynamics.simulation import simulate
 
-    path = simulate(model, np.array(motion.q), np.array(motion.qd), motion.torque, motion.times)
+    start = np.array(motion.q), np.array(motion.qd)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        path = simulate(model, *start, motion.torque, motion.times)
+    for warning in caught:
+        print(f"Warning: {warning.message}", file=sys.stderr)
     energies = [model.energy(q, v) for q, v in zip(path.q, path.v, strict=True)]
     return {
         "t": path.t.tolist(),
