@@ -108,7 +108,7 @@ def _remark(digits: str, shown: bool, tuned: bool) -> str:
         return "ours: ralf-like, EI tuned to this"
     if "?" in digits:
         return f"{digits}: a digit is unreadable"
-    return "ours: ralf-like, five shapes per link" if shown else "needs the actuators' geometry"
+    return "ours: ralf-like, five shapes per link" if shown else "needs the printed arm's geometry"
 
 
 CONFIGURATION_S = {  # configuration S, presumably straight: printed [Hz], light and heavy payload

@@ -13,7 +13,8 @@ from dynamics.published import alone, carried_inertia, hertz
 CHAPTER = "Yuan, Book and Huggins 1993: SLIM"
 NOTES = {
     CHAPTER: "Printed are the data and three columns of frequencies. The other numbers, among them "
-    "which shapes suit which hub, are those of the frequency equation, solved independently."
+    "which shapes suit which hub (mapped in [stability](stability.md)), are those of the "
+    "frequency equation, solved independently."
 }
 SLIM = ARMS["slim"]
 BEAM = SLIM.links[0]

@@ -42,11 +42,19 @@ def _rate(mode: int) -> Callable[[Arm], float]:
     return lambda arm: 2.0 * pi * measure(arm)
 
 
-CHECKS = tuple(
-    Check(
-        quantity=f"hinged, mode {k}", unit="rad/s", expected=printed, tolerance=5e-3,
-        source=_SOURCE,
-        measure=_rate(k),
-    )
-    for k, printed in enumerate(_RAD_S, 1)
+CHECKS = (
+    *(
+        Check(
+            quantity=f"hinged, mode {k}", unit="rad/s", expected=printed, tolerance=5e-3,
+            source=_SOURCE, measure=_rate(k),
+        )
+        for k, printed in enumerate(_RAD_S, 1)
+    ),
+    *(
+        Check(
+            quantity=f"clamped, mode {k}", unit="Hz", expected=expected, tolerance=1e-3,
+            source="frequency equation of a beam with a tip mass", measure=mode_of_link(0, k),
+        )
+        for k, expected in enumerate((0.0622, 1.304, 4.194, 8.733), 1)
+    ),
 )  # fmt: skip

@@ -1,13 +1,14 @@
 """Every preset against published numbers, and those marked so against finite elements."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks import tune_presets
-from dynamics import ARMS, Arm
+from dynamics import ARMS, Arm, arms
 from dynamics.arms import CHECKS
 from dynamics.published import Check, alone, hertz
 from tests.dynamics.beam_elements import beam_frequencies
@@ -19,6 +20,13 @@ FLEXIBLE = [  # every flexible link that bends along y
     for k, link in enumerate(ARMS[name].links)
     if link.in_direction("y")
 ]
+
+
+def test_a_file_beside_the_presets_is_a_preset() -> None:
+    """No second place to edit."""
+    files = {path.stem for path in Path(arms.__file__).parent.glob("*.py")} - {"__init__"}
+    assert len(ARMS) == len(CHECKS) == len(files)
+    assert {name.replace("-", "_") for name in ARMS} >= files
 
 
 @pytest.mark.parametrize(
