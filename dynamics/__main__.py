@@ -56,8 +56,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 def listing() -> str:
     """The presets, one per line: name, links, coordinates, reach, description."""
+    width = max(len(name) for name in ARMS)
     rows = [
-        f"{arm.name:18} {arm.n_joint} links  {arm.n:2} coordinates  {arm.reach:.2f} m  "
+        f"{arm.name:{width}} {arm.n_joint} links  {arm.n:2} coordinates  {arm.reach:.2f} m  "
         f"{arm.description}"
         for arm in ARMS.values()
     ]
