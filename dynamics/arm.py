@@ -279,6 +279,8 @@ class Arm:
             rotation=ROTATIONS[checks.choice(self.rotation, "Arm.rotation", ROTATIONS)],
         )
         if not links:
+            if self.payload is not None:
+                raise ValueError(f"Arm.payload ({self.payload!r}) needs a link that holds it.")
             return
         last = self.links[-1]
         polar = last.rho_Ip + last.tip_inertia[0][0]

@@ -15,6 +15,7 @@ IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 _LARGEST = 1e30  # in any SI unit; beyond it, and for a length below its inverse, floats overflow
 _ORTHONORMAL = 1e-9  # [-] largest entry of R'R - 1 of a mounting rotation
+_ROUND_OFF = 1e-15  # [-] of a length that is one
 _UNIT = 1e-6  # [-] largest error of a quaternion's length
 _SYMMETRIC = 1e-9  # [-] largest asymmetry of an inertia, relative to its largest entry
 
@@ -137,6 +138,8 @@ def quaternion(value: object, name: str) -> tuple[float, float, float, float]:
             f"{name} must have length 1 [w, x, y, z], got length {size:.6g} in {_short(value)}; "
             "divide by it."
         )
+    if abs(size - 1.0) < _ROUND_OFF:  # normalised before: leave it
+        return (w, x, y, z)
     return (w / size, x / size, y / size, z / size)
 
 

@@ -94,6 +94,11 @@ class Core:
         self.arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
         described = load_arm(arm)
+        if described.base.n:
+            raise ValueError(
+                f"Base.type must be 'fixed' for an environment, got {described.base.type!r}; "
+                "step a free base with dynamics.Stepper."
+            )
         _require_positive("control_dt", control_dt, "s")
         _require_positive("deflection_limit", deflection_limit, "-")
         for name, value, least in (
