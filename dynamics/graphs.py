@@ -1,7 +1,7 @@
 """Expression graphs of one arm that answer questions; those that step it are in model.py.
 
-Of a free base, coordinates and rates are those in its own frame (free_base.py), beside its attitude
-(4,); of a fixed base there is none (0,).
+Of a free base, coordinates and rates are those in its own frame (free_base.py), and its attitude
+(4,) is a third input.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 class Seen(NamedTuple):
     """Symbols of a state, and what the recursion takes of them."""
 
-    inputs: list[Any]  # q, v, attitude
+    inputs: list[Any]  # q, v and, of a free base, attitude
     attitude: Sequence[Scalar]
     chain: Chain
     x: list[Scalar]  # (n,) q, a free base not turned
@@ -42,15 +42,15 @@ class Seen(NamedTuple):
 def _seen(model: "Model") -> Seen:
     import casadi as ca
 
-    sizes = {"q": model.n, "v": model.n, "attitude": 4 if model.arm.base.n else 0}
-    q, v, attitude = inputs = [ca.SX.sym(name, size) for name, size in sizes.items()]
-    turn = ca.vertsplit(attitude)
-    x = unturned(ca.vertsplit(q), turn)
-    return Seen(inputs, turn, turned(model.chain, turn), x, ca.vertsplit(v))
+    inputs = [ca.SX.sym("q", model.n), ca.SX.sym("v", model.n)]
+    q, v = (ca.vertsplit(x) for x in inputs)
+    inputs += [ca.SX.sym("attitude", 4)] if model.arm.base.n else []
+    turn = ca.vertsplit(inputs[2]) if model.arm.base.n else []
+    return Seen(inputs, turn, turned(model.chain, turn), unturned(q, turn), v)
 
 
 def mass_matrix_and_bias(model: "Model") -> Any:
-    """CasADi Function (q, v, attitude) -> lower triangle of M row by row, then h."""
+    """CasADi Function (q, v) -> lower triangle of M row by row, then h."""
     import casadi as ca
 
     s = _seen(model)
@@ -60,7 +60,7 @@ def mass_matrix_and_bias(model: "Model") -> Any:
 
 
 def questions(model: "Model") -> dict[str, Any]:
-    """CasADi Functions (q, v, attitude) for the questions that nobody asks in a loop."""
+    """CasADi Functions (q, v) for the questions that nobody asks in a loop."""
     import casadi as ca
 
     s = _seen(model)
@@ -76,7 +76,7 @@ def questions(model: "Model") -> dict[str, Any]:
 
 
 def measure(model: "Model") -> Any:
-    """CasADi Function (q, v, attitude) -> what `Model.measurements` names."""
+    """CasADi Function (q, v) -> what `Model.measurements` names."""
     import casadi as ca
 
     s = _seen(model)
@@ -103,14 +103,14 @@ def measure(model: "Model") -> Any:
 
 
 def jacobians(model: "Model") -> Any:
-    """CasADi Function (q, v, attitude, tau) -> derivatives of the accelerations by q, v and tau.
+    """CasADi Function (q, v, then tau) -> derivatives of the accelerations by q, v and tau.
 
     Of a free base q[3:6] is a small rotation: good where it is zero.
     """
     import casadi as ca
 
     s = _seen(model)
-    q, v, _ = s.inputs
+    q, v = s.inputs[:2]
     tau = ca.SX.sym("tau", model.n_joint)
     x, rates = ca.vertsplit(q), list(s.rates)
     if s.attitude:

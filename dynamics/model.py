@@ -191,13 +191,13 @@ class Model:
         A free base's rotation is here a small one from the attitude of that state, seen in the
         base's own frame.
         """
-        own, rates, attitude = self._state(q, v)
-        dq, dv, dtau = (np.array(d) for d in self._jacobian(own, rates, attitude, self._tau(tau)))
+        state = self._state(q, v)
+        dq, dv, dtau = (np.array(d) for d in self._jacobian(*state, self._tau(tau)))
         n, kinematic = self.n, np.zeros((self.n, self.n))
-        if attitude.size:
-            kinematic[3:6, 3:6] = np.cross(np.eye(3), rates[3:6]).T  # -omega~
+        if self.arm.base.n:
+            kinematic[3:6, 3:6] = np.cross(np.eye(3), state[1][3:6]).T  # -omega~
             turn = np.eye(n)
-            turn[:3, :3] = rotation_matrix(attitude)
+            turn[:3, :3] = rotation_matrix(state[2])
             dq, dv, dtau = turn @ dq @ turn.T, turn @ dv @ turn.T, turn @ dtau
         A = np.block([[kinematic, np.eye(n)], [dq, dv]])
         return A, np.vstack([np.zeros((n, self.n_joint)), dtau])
@@ -281,7 +281,7 @@ class Model:
         """What the stepper needs: measurements, and a check for numbers that are not finite."""
 
         def functions(at: Mapping[str, int]) -> list[str]:
-            inputs = [at["Q"], at["V"], at.get("ATTITUDE", 0)]
+            inputs = [at[name] for name in ("Q", "V", "ATTITUDE") if name in at]
             return [render_function("measure", self.measure_graph, inputs, at["MEASURED"])]
 
         sizes = {"CHECK": 1, "GOOD": 1, "MEASURED": self.n_measure}
@@ -350,7 +350,7 @@ class Model:
 
     @cached_property
     def measure_graph(self) -> Any:
-        """CasADi Function (q, v, attitude) -> what `measurements` names: see graphs.measure."""
+        """CasADi Function (q, v) -> what `measurements` names: see graphs.measure."""
         return graphs.measure(self)
 
     @cached_property
@@ -364,12 +364,15 @@ class Model:
     def _measure(self, q: Array, v: Array) -> Array:
         return np.array(self.measure_graph(*self._state(q, v))).ravel()
 
-    def _state(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """q and v in a free base's own frame, and its attitude (4,) or nothing."""
-        at, rates = self._q(q).tolist(), self._q(v, "v").tolist()
-        attitude = from_rotation_vector(at[3:6]) if self.arm.base.n else ()
-        own = free_base.unturned(free_base.local(at, attitude), attitude)
-        return np.array(own), np.array(free_base.local(rates, attitude)), np.array(attitude)
+    def _state(self, q: Array, v: Array) -> tuple[Array, ...]:
+        """q and v; of a free base, in its own frame, and its attitude (4,)."""
+        q, v = self._q(q), self._q(v, "v")
+        if not self.arm.base.n:
+            return q, v
+        attitude = from_rotation_vector(q[3:6].tolist())
+        own = free_base.unturned(free_base.local(q.tolist(), attitude), attitude)
+        rates = free_base.local(v.tolist(), attitude)
+        return np.array(own), np.array(rates), np.array(attitude)
 
     def _q(self, x: Array, name: str = "q") -> Array:
         return _checked(x, self.n, name)
