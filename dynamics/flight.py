@@ -4,6 +4,7 @@ Its rate is half the quaternion times the angular velocity, smooth at every atti
 equations of motion see of it has unit length.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -31,9 +32,9 @@ def rates(x: Array, v: Array) -> Array:
     return np.concatenate([v[:3], 0.5 * np.array(turning), v[6:]])
 
 
-def quaternions(q: Array) -> Array:
-    """(N, 4) of coordinates (N, n), each with the sign that is nearer to the one before."""
+def quaternions(q: Array, first: Sequence[float]) -> Array:
+    """(N, 4) of coordinates (N, n), each with the sign nearer to the one before, or to `first`."""
     result = np.array([from_rotation_vector(row[3:6].tolist()) for row in q])
-    flips = [before @ after < 0.0 for before, after in pairwise(result)]
-    signs = np.where(np.cumsum([False, *flips]) % 2, -1.0, 1.0)
+    flips = [before @ after < 0.0 for before, after in pairwise([np.array(first), *result])]
+    signs = np.where(np.cumsum(flips) % 2, -1.0, 1.0)
     return signs[:, None] * result

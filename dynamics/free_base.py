@@ -97,16 +97,17 @@ def unturned(x: Scalars, attitude: Scalars) -> list[Scalar]:
 def matrix_in_world(M: Sequence[Scalars], attitude: Scalars) -> list[list[Scalar]]:
     """A mass matrix whose rows and columns are those of `world`."""
     rows = [world(row, attitude) for row in M]
-    return [world(column, attitude) for column in zip(*rows, strict=True)]
+    columns = [world(column, attitude) for column in zip(*rows, strict=True)]
+    every = range(len(columns))
+    return [[columns[min(i, j)][max(i, j)] for j in every] for i in every]  # not two roundings
 
 
 def renewed(
-    six: Scalars, rates: Scalars, accelerations: Scalars, attitude: Scalars
-) -> tuple[list[Scalar], list[Scalar], list[Scalar], list[Scalar]]:
+    six: Scalars, rates: Scalars, attitude: Scalars
+) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
     """The base in the frame turned to its present attitude, from the frame of an earlier one.
 
-    Returns the coordinates (6,), their rates (6,), accelerations (6,) and the attitude (4,). The
-    accelerations are turned only: a guess of the next step's may be wrong by one step's turn.
+    Returns the coordinates (6,), their rates (6,) and the attitude (4,).
     """
     E, turning, _ = tip_rotation(_MOVER, six, rates, "exp")
     omega = combine(rates, turning)
@@ -117,7 +118,6 @@ def renewed(
     return (
         [*tmatvec(E, six[:3]), *ZERO],
         [*tmatvec(E, rates[:3]), *tmatvec(E, omega)],
-        [*tmatvec(E, accelerations[:3]), *tmatvec(E, accelerations[3:])],
         [mul(inverse, x) for x in fresh],
     )
 

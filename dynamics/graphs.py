@@ -126,12 +126,12 @@ def jacobians(model: "Model") -> Any:
 def renewal(gravity: Sequence[float]) -> tuple[Any, dict[str, int]]:
     """CasADi Function of what follows every step: a free base's own frame is the next step's.
 
-    (coordinates, rates, accelerations, attitude), of the base alone -> the same, then gravity in
-    that frame if there is any; and how many numbers each is, by the names of their slots.
+    (coordinates, rates, attitude), of the base alone -> the same, then gravity in that frame if
+    there is any; and how many numbers each is, by the names of their slots.
     """
     import casadi as ca
 
-    sizes = {"Q": SIZE, "V": SIZE, "ACC": SIZE, "ATTITUDE": 4}
+    sizes = {"Q": SIZE, "V": SIZE, "ATTITUDE": 4}
     inputs = [ca.SX.sym(name, size) for name, size in sizes.items()]
     values = list(renewed(*(ca.vertsplit(x) for x in inputs)))
     if any(gravity):

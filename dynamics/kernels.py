@@ -43,7 +43,8 @@ def count_finite(w, lanes, first, stop, check, good):  # type: ignore[no-untyped
         w[good + b] += w.dtype.type(1.0 if finite else 0.0)
 
 
-# What a generated module adds to its arm's functions `accelerations(w)` and `measure(w)`.
+# What a generated module adds to its arm's functions `accelerations(w)` and `measure(w)`; the marks
+# are for a free base, whose `renew(w)` comes with the arm: see free_base.py and chart.py.
 _GLUE = """
 start = compiled(METHOD.start)
 step = compiled(METHOD.step)
@@ -128,7 +129,7 @@ def evaluate_often(w, times):
         accelerations(w)
 """
 
-_OWN = {  # what a free base needs in between: free_base.py
+_MARKS = {
     "#enter": "enter(w, LANES, Q, V, ATTITUDE)\nrenew(w)",
     "#renew": "renew(w)",
     "#leave": "leave(w, LANES, Q, V, ATTITUDE)",
@@ -141,10 +142,10 @@ def glue(free_base: bool) -> str:
     lines = []
     for line in _GLUE.replace("#first", "ATTITUDE" if free_base else "Q").splitlines():
         bare = line.lstrip()
-        if bare not in _OWN:
+        if bare not in _MARKS:
             lines.append(line)
         elif free_base:
             indent = line[: len(line) - len(bare)]
-            lines += [indent + own for own in _OWN[bare].splitlines()]
+            lines += [indent + own for own in _MARKS[bare].splitlines()]
     head = "from dynamics.chart import enter, leave, turn_out\n" if free_base else ""
     return head + "\n".join(lines) + "\n"

@@ -303,7 +303,7 @@ class Model:
             return []
         places = {**at, "GRAVITY": at["PARAMETERS"] + len(self.free_parameters)}
         graph, sizes = graphs.renewal(self.arm.gravity)
-        inputs = [places[name] for name in list(sizes)[:4]]
+        inputs = [places[name] for name in list(sizes)[:3]]
         outputs = [places[name] + i for name, size in sizes.items() for i in range(size)]
         return [render_function("renew", graph, inputs, outputs)]
 

@@ -97,7 +97,9 @@ def simulate(
     positions = states[:, : model.n]
     measured = np.empty((grid.size, model.n_measure))
     Stepper(model, 1, dt=1.0, substeps=1).measure(positions.copy(), rates.copy(), measured)
-    pose = (positions[:, :3].copy(), flight.quaternions(positions)) if base.n else ()
+    pose: tuple[Array, ...] = ()
+    if base.n:
+        pose = positions[:, :3].copy(), flight.quaternions(positions, base.quaternion)
     return Trajectory(grid, positions, rates, measured[:, model.measurements["tip"]].copy(), *pose)
 
 

@@ -57,6 +57,7 @@ def test_mass_matrix_is_the_metric_of_kinetic_energy(case: tuple[int, int, int])
 
     M, _ = plain.composite()
 
+    assert np.array_equal(M, M.T)
     size = np.sqrt(np.diag(M))
     assert np.abs((M - brute_force.mass_matrix(arm, q)) / np.outer(size, size)).max() < 1e-10
     assert np.linalg.eigvalsh(M / np.outer(size, size))[0] > 0.0
