@@ -48,6 +48,7 @@ class Chain:
     links: tuple[LinkConstants, ...]
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2]
     rotation: str = "exp"  # the bent end's rotation: exp(theta~), or "linear": 1 + theta~
+    free_base: bool = False  # the first two bodies are a base that moves: see free_base.py
 
     def split(self, x: Sequence[Scalar]) -> list[tuple[Scalar, Sequence[Scalar]]]:
         """Coordinates body by body: (joint, modes); a welded body's joint is a structural zero."""
@@ -123,7 +124,7 @@ class Frame(NamedTuple):
 _TERMS = 7  # series in |theta|^2: error below 1e-16 up to 0.6 rad, 5e-14 at 1 rad
 
 
-def _series(x: Scalar, first: int) -> tuple[Scalar, Scalar]:
+def series(x: Scalar, first: int) -> tuple[Scalar, Scalar]:
     """Sum of (-x)^k / (2k + first)! and its derivative, by Horner's rule."""
     c = [(-1.0) ** k / factorial(2 * k + first) for k in range(_TERMS)]
     value: Scalar = 0.0
@@ -153,8 +154,8 @@ def tip_rotation(
     if kind != "exp":
         return madd(EYE, T), shapes, ZERO
     x = dot(theta, theta)
-    c, dc = _series(x, 2)
-    d, dd = _series(x, 3)
+    c, dc = series(x, 2)
+    d, dd = series(x, 3)
     sinc = minus(1.0, mul(x, d))
     squares = symmetric(lambda i, j: mul(theta[i], theta[j]))
     TT = symmetric(lambda i, j: minus(squares[i][j], x) if i == j else squares[i][j])
@@ -212,7 +213,8 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
         shape = amplitudes(link, delta, delta_dot)
         r = add((link.length, 0.0, 0.0), combine(shape.x, link.tip_phi))
         r_dot = combine(shape.x_dot, link.tip_phi)
-        E, tip_theta, bias = tip_rotation(link, delta, delta_dot, chain.rotation)
+        kind = "exp" if chain.free_base and not frames else chain.rotation
+        E, tip_theta, bias = tip_rotation(link, delta, delta_dot, kind)
         theta_dot = combine(delta_dot, tip_theta)
         a_tip = add(
             a, matvec(Phi, r), scale(2.0, cross(w, r_dot)), combine(shape.bias, link.tip_phi)

@@ -73,7 +73,7 @@ class LinkConstants:
 
 def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
     """Constants of every link of an arm, each as its welded parts."""
-    payloads = [None] * (len(arm.links) - 1) + [arm.payload]
+    payloads = [*[None] * len(arm.links), arm.payload][1:]
     return [
         tuple(
             link_constants(

@@ -1,0 +1,141 @@
+"""Expression graphs of one arm that answer questions; those that step it are in model.py.
+
+Of a free base, coordinates and rates are those in its own frame (free_base.py), and its attitude
+(4,) is a third input.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from dynamics.algebra import Scalar, add, combine, matvec
+from dynamics.elimination import accelerations
+from dynamics.free_base import (
+    SIZE,
+    local,
+    matrix_in_world,
+    momentum,
+    own_accelerations,
+    own_rates,
+    renewed,
+    turned,
+    unturned,
+    world,
+)
+from dynamics.gibbs_appell import bias, mass_matrix
+from dynamics.kinematics import Chain, energies, outward, poses
+from dynamics.modes import curvature, parts
+
+if TYPE_CHECKING:
+    from dynamics.model import Model
+
+
+class Seen(NamedTuple):
+    """Symbols of a state, and what the recursion takes of them."""
+
+    inputs: list[Any]  # q, v and, of a free base, attitude
+    attitude: Sequence[Scalar]
+    chain: Chain
+    x: list[Scalar]  # (n,) q, a free base not turned
+    rates: list[Scalar]  # (n,)
+
+
+def _seen(model: "Model") -> Seen:
+    import casadi as ca
+
+    inputs = [ca.SX.sym("q", model.n), ca.SX.sym("v", model.n)]
+    q, v = (ca.vertsplit(x) for x in inputs)
+    inputs += [ca.SX.sym("attitude", 4)] if model.arm.base.n else []
+    turn = ca.vertsplit(inputs[2]) if model.arm.base.n else []
+    return Seen(inputs, turn, turned(model.chain, turn), unturned(q, turn), v)
+
+
+def mass_matrix_and_bias(model: "Model") -> Any:
+    """CasADi Function (q, v) -> lower triangle of M row by row, then h."""
+    import casadi as ca
+
+    s = _seen(model)
+    M, h = mass_matrix(s.chain, s.x), bias(s.chain, s.x, s.rates)
+    lower = [x for i, row in enumerate(M) for x in row[: i + 1]]
+    return ca.Function("M_h", s.inputs, [ca.cse(ca.vertcat(*lower, *h))])
+
+
+def questions(model: "Model") -> dict[str, Any]:
+    """CasADi Functions (q, v) for the questions that nobody asks in a loop."""
+    import casadi as ca
+
+    s = _seen(model)
+    M = matrix_in_world(mass_matrix(s.chain, s.x), s.attitude)
+    moved = [world(p, s.attitude) for p in momentum(s.chain, s.x, s.rates)]
+    values = {
+        "mass_matrix": ca.vertcat(*(ca.horzcat(*row) for row in M)),
+        "bias": ca.vertcat(*world(bias(s.chain, s.x, s.rates), s.attitude)),
+        "energy": ca.vertcat(*energies(s.chain, s.x, s.rates)),
+        "momentum": ca.vertcat(*moved[0], *moved[1]),
+    }
+    return {name: ca.Function(name, s.inputs, [value]) for name, value in values.items()}
+
+
+def measure(model: "Model") -> Any:
+    """CasADi Function (q, v) -> what `Model.measurements` names."""
+    import casadi as ca
+
+    s = _seen(model)
+    frames = outward(model.chain, s.x, s.rates)
+    end = poses(frames)[-1]
+    kept = {*range(model.arm.base.n), *model.arm.joint_index}
+    straight = [x if i in kept else 0.0 for i, x in enumerate(s.x)]
+    rigid = poses(outward(model.chain, straight, [0.0] * model.n))[-1].tip
+    tips = [x for y in (end.tip, end.tip_velocity, rigid) for x in world(y, s.attitude)]
+    deflections, slopes, curvatures = [], [], []
+    for link, place in zip(model.arm.links, model.bodies, strict=True):
+        bodies = frames[place]
+        tip = bodies[-1].r
+        for outer, inner in zip(bodies[:0:-1], bodies[-2::-1], strict=True):
+            tip = add(inner.r, matvec(outer.R, tip))
+        theta = add(*(combine(f.delta, f.link.tip_theta) for f in bodies))
+        bend = combine(bodies[0].delta, curvature(parts(link)[0], 0.0).tolist())
+        shift = ca.vertcat(tip[0] - link.length, *tip[1:])
+        deflections.append(ca.norm_2(shift) / link.length)
+        slopes.append(ca.norm_2(ca.vertcat(*theta)))
+        curvatures += [bend[2], bend[1]]
+    values = [*tips, *deflections, *slopes, *curvatures]
+    return ca.Function("measure", s.inputs, [ca.cse(ca.vertcat(*values))])
+
+
+def jacobians(model: "Model") -> Any:
+    """CasADi Function (q, v, then tau) -> derivatives of the accelerations by q, v and tau.
+
+    Of a free base q[3:6] is a small rotation: good where it is zero.
+    """
+    import casadi as ca
+
+    s = _seen(model)
+    q, v = s.inputs[:2]
+    tau = ca.SX.sym("tau", model.n_joint)
+    x, rates = ca.vertsplit(q), list(s.rates)
+    if s.attitude:
+        rates[:SIZE] = own_rates(x[:SIZE], rates[:SIZE])
+    a = accelerations(s.chain, x, rates, ca.vertsplit(tau))
+    if s.attitude:
+        a[:SIZE] = own_accelerations(x[:SIZE], rates[:SIZE], a[:SIZE])
+    result = ca.vertcat(*a)
+    derivatives = [ca.jacobian(result, y) for y in (q, v, tau)]
+    return ca.Function("jacobians", [*s.inputs, tau], derivatives)
+
+
+def renewal(gravity: Sequence[float]) -> tuple[Any, dict[str, int]]:
+    """CasADi Function of what follows every step: a free base's own frame is the next step's.
+
+    (coordinates, rates, attitude), of the base alone -> the same, then gravity in that frame if
+    there is any; and how many numbers each is, by the names of their slots.
+    """
+    import casadi as ca
+
+    sizes = {"Q": SIZE, "V": SIZE, "ATTITUDE": 4}
+    inputs = [ca.SX.sym(name, size) for name, size in sizes.items()]
+    values = list(renewed(*(ca.vertsplit(x) for x in inputs)))
+    if any(gravity):
+        sizes["GRAVITY"] = 3
+        values.append(local(gravity, values[-1]))
+    every = ca.vertcat(*(x for part in values for x in part))
+    return ca.Function("renew", inputs, [ca.cse(every)]), sizes
