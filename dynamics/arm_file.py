@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from dynamics import checks
-from dynamics.arm import Arm, Base, Joint, Link, Mode, Payload
+from dynamics.arm import Arm, Base, Body, Joint, Link, Mode, Payload
 from dynamics.arms import ARMS
 
 ARM_KEYS = (*(entry.name for entry in fields(Arm)), "units")
@@ -101,6 +101,8 @@ def _link(data: object, where: str) -> Link:
     values = checks.mapping(data, where, [entry.name for entry in fields(Link)])
     if "joint" in values:
         values["joint"] = _build(Joint, values["joint"], f"{where}.joint")
+    if values.get("body") is not None:
+        values["body"] = _build(Body, values["body"], f"{where}.body")
     if "modes" in values:
         modes = checks.sequence(values["modes"], f"{where}.modes")
         values["modes"] = [_build(Mode, m, f"{where}.modes[{j}]") for j, m in enumerate(modes)]

@@ -316,15 +316,15 @@ class Model:
         straight = [angle if i in self.arm.joint_index else 0.0 for i, angle in enumerate(x)]
         rigid = poses(outward(self.chain, straight, [0.0] * self.n))[-1].tip
         deflections, slopes, curvatures = [], [], []
-        for link, first, last in zip(self.arm.links, [0, *self._last], self._last, strict=False):
-            bodies = frames[first:last]
+        for link, last in zip(self.arm.links, self._last, strict=True):
+            bodies = frames[last - link.segments : last]
             tip = bodies[-1].r
             for outer, inner in zip(bodies[:0:-1], bodies[-2::-1], strict=True):
                 tip = add(inner.r, matvec(outer.R, tip))
             theta = add(*(combine(f.delta, f.link.tip_theta) for f in bodies))
             bend = combine(bodies[0].delta, curvature(parts(link)[0], 0.0).tolist())
             shift = ca.vertcat(tip[0] - link.length, *tip[1:])
-            deflections.append(ca.norm_2(shift) / link.length)
+            deflections.append(ca.norm_2(shift) / (link.length or 1.0))
             slopes.append(ca.norm_2(ca.vertcat(*theta)))
             curvatures += [bend[2], bend[1]]
         values = [*end.tip, *end.tip_velocity, *rigid, *deflections, *slopes, *curvatures]
