@@ -159,10 +159,18 @@ def joint_first(link: LinkConstants, values: list[Scalar]) -> list[Scalar]:
     return values if link.welded else [values[-1], *values[:-1]]
 
 
-def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]:
-    """(n,) h of M qdd + h = B tau: inertial, gravity, elastic and dissipative forces."""
+NO_LOAD = Wrench(ZERO, ZERO)
+
+
+def bias(
+    chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar], load: Wrench = NO_LOAD
+) -> list[Scalar]:
+    """(n,) h of M qdd + h = B tau: inertial, gravity, elastic and dissipative forces.
+
+    `load` is what the last link exerts at its tip on its surroundings, in its own frame.
+    """
     frames = outward(chain, q, v)
-    outer = Wrench(ZERO, ZERO)
+    outer = load
     h: list[Scalar] = []
     for f, (rate, _) in zip(reversed(frames), reversed(chain.split(v)), strict=True):
         wrench, forces = load_of(f, rate, outer)

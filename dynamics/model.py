@@ -120,9 +120,19 @@ class Model:
         )  # fmt: skip
         return out[0]
 
-    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
-        """(n,) generalized forces M a + h; motion under joint torques alone needs B tau."""
-        return self.mass_matrix(q) @ self._q(a, "a") + self.bias(q, v)
+    def inverse_dynamics(self, q: Array, v: Array, a: Array, wrench: Array | None = None) -> Array:
+        """(n,) generalized forces M a + h; motion under joint torques alone needs B tau.
+
+        `wrench` (6,), force [N] then moment [N m], is what the last link exerts at its tip on its
+        surroundings, in that link's frame.
+        """
+        h = self.bias(q, v)
+        if wrench is not None:
+            x, rates = self._q(q).tolist(), self._q(v, "v").tolist()
+            f = _checked(wrench, 6, "wrench").tolist()
+            load = gibbs_appell.Wrench(f[:3], f[3:])
+            h = np.array(gibbs_appell.bias(self.chain, x, rates, load), dtype=np.float64)
+        return self.mass_matrix(q) @ self._q(a, "a") + h
 
     def energy(self, q: Array, v: Array) -> tuple[float, float, float]:
         """(kinetic, elastic, gravity) [J]; gravity is zero with all mass at the base's origin."""
