@@ -93,7 +93,7 @@ class Core:
     ) -> None:
         self.arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
-        described = load_arm(arm)
+        described = _turning(load_arm(arm))
         _require_positive("control_dt", control_dt, "s")
         _require_positive("deflection_limit", deflection_limit, "-")
         for name, value, least in (
@@ -348,6 +348,17 @@ def _ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, 
                 f"randomize[{name!r}] must be (low, high) with 0 <= low <= high, got {pair!r}."
             )
     return {name: (float(low), float(high)) for name, (low, high) in given.items()}
+
+
+def _turning(arm: Arm) -> Arm:
+    """The arm, if all its joints turn."""
+    for i, link in enumerate(arm.links, 1):
+        if link.joint.type != "revolute":
+            raise ValueError(
+                f"Environments take arms whose joints turn, but joint {i} is {link.joint.type}; "
+                "follow such an arm with dynamics.simulate."
+            )
+    return arm
 
 
 def _require_positive(name: str, value: Any, unit: str) -> None:
