@@ -2,8 +2,8 @@
 
 From the table of Cyril's FLEXLINK thesis, read from a scan; all its digits are legible. Frames and
 signs are those of `dynamics.denavit_hartenberg`, joint 1 upright. In those frames the mass centres
-of links 3 and 5 lie on the far side of the next joint (y = -0.191 m where joint 4 is at +0.432 m):
-their signs, or those of d, may belong to another convention; they are used as printed.
+of links 3 and 5 lie opposite to the next joint (y = -0.191 m where joint 4 is at +0.432 m): their
+signs, or those of d, may belong to another convention; they are used as printed.
 """
 
 from math import pi

@@ -284,3 +284,17 @@ def test_randomised_stiffness_damping_and_friction_reach_the_elastic_joint() -> 
 
         expected = elimination.accelerations(chain, q, v, [1.5])
         assert_allclose(np.array(found).ravel(), expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_spring_leaves_a_light_rotor_nothing_of_the_links_inertia(kind: str) -> None:
+    """A rotor of 1e-10 of the link: what round-off of the link would show in, a million times."""
+    for inertia in (0.7, 0.9, 1.1, 1.3, 2.9):
+        body = Body(mass=inertia, inertia=np.diag([0.0, 0.0, inertia]))
+        joint = Joint(type=kind, rotor_inertia=1e-10, stiffness=STIFFNESS)
+        chain = Model(Arm(links=(Link(length=0.0, body=body, joint=joint),))).chain
+
+        rotor, twist = elimination.accelerations(chain, [0.4, 0.2], [0.0, 0.0], [3.0])
+
+        assert rotor == pytest.approx((3.0 + STIFFNESS * 0.2) / 1e-10, rel=1e-13)
+        assert twist == pytest.approx(-rotor - STIFFNESS * 0.2 / inertia, rel=1e-13)
