@@ -8,6 +8,8 @@ import pytest
 
 import flexarm_env  # noqa: F401
 from dynamics import ARMS, Arm, Link
+from flexarm_env.core import Core
+from flexarm_env.rendering import Renderer
 
 ID = "FlexArm/OneLink-Reach-v0"
 
@@ -37,6 +39,14 @@ def test_encoders_read_the_rotor_of_a_sprung_joint(link: Link) -> None:
     assert np.array_equal(angles[0], core.q[0, :1])
     assert np.array_equal(rates[0], core.v[0, :1])
     assert env.render().std() > 0.0
+
+
+def test_a_sprung_joint_is_drawn_where_it_is() -> None:
+    """The picture's own kinematics turns the link by rotor and twist."""
+    core = Core(task="Reach", arm=sprung(SLIM))
+    q = np.array([0.7, -0.4, 0.03, 0.001])
+    drawn = Renderer(core).shapes(core, q, 1.0)[-1][-1]
+    np.testing.assert_allclose(drawn, core.model.tip(q), atol=1e-12)
 
 
 def test_torque_limits_of_a_sprung_rigid_arm_are_those_of_the_rigid_arm() -> None:
