@@ -21,18 +21,18 @@ from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
 
-import flexarm_env  # noqa: F401  (registers the ids)
 from dynamics import ARMS, Stepper, compile_arm
 from dynamics.kernels import LANES
 from dynamics.lowering import cached_module
+from flexarm_env import FlexArmVectorEnv
 
 DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
-BATCHES = (1024, 8192)
+BATCHES = (1024, 16384)
 CHAINS, ROUNDS = 3, 200  # 3 chains of 16 lanes keep 12 of 16 vector registers in flight
 
 
@@ -126,14 +126,26 @@ def env_steps(family: str) -> dict[str, float]:
     row["single gym.make [steps/s]"] = len(actions) / median_seconds(lambda: episode(env))
     bare = env.unwrapped
     row["single unwrapped [steps/s]"] = len(actions) / median_seconds(lambda: episode(bare))
-    for size, threads in itertools.product(BATCHES, (1, 2)):
-        batch = gym.make_vec(env_id, num_envs=size, threads=threads)
+    for size, threads, dtype in itertools.product(BATCHES, (1, 2), ("float64", "float32")):
+        batch = gym.make_vec(env_id, num_envs=size, threads=threads, dtype=dtype)
         batch.reset(seed=0)
         many = rng.uniform(-1.0, 1.0, (size, actions.shape[1])).astype(np.float32)
-        name = f"batch of {size}, {threads} thread{'s' * (threads > 1)} [steps/s]"
+        name = f"batch of {size}, {threads} thread{'s' * (threads > 1)}, {dtype} [steps/s]"
         row[name] = size / median_seconds(partial(batch.step, many))
         batch.close()
+    row["vector interface [us/call]"] = 1e6 * interface_seconds(env_id)
     return row
+
+
+def interface_seconds(env_id: str) -> float:
+    """What a call of a batch costs beside its compiled code: a batch of one block of lanes."""
+    batch = cast(FlexArmVectorEnv, gym.make_vec(env_id, num_envs=LANES))
+    batch.reset(seed=0)
+    actions = np.zeros((LANES, batch.n_joint), np.float32)
+    core = batch.core
+    outputs = core.outputs()
+    whole = median_seconds(partial(batch.step, actions))
+    return whole - median_seconds(partial(core.step_share, 0, actions, *outputs))
 
 
 def physics_steps(family: str) -> dict[str, float]:

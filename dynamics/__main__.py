@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +56,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 def listing() -> str:
     """The presets, one per line: name, links, coordinates, reach, description."""
+    width = max(len(name) for name in ARMS)
     rows = [
-        f"{arm.name:18} {arm.n_joint} links  {arm.n:2} coordinates  {arm.reach:.2f} m  "
+        f"{arm.name:{width}} {arm.n_joint} links  {arm.n:2} coordinates  {arm.reach:.2f} m  "
         f"{arm.description}"
         for arm in ARMS.values()
     ]
@@ -108,7 +110,12 @@ def write(path: Path, text: str) -> None:
 def _follow(model: Any, motion: Motion) -> dict[str, Any]:
     from dynamics.simulation import simulate
 
-    path = simulate(model, np.array(motion.q), np.array(motion.qd), motion.torque, motion.times)
+    start = np.array(motion.q), np.array(motion.qd)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        path = simulate(model, *start, motion.torque, motion.times)
+    for warning in caught:
+        print(f"Warning: {warning.message}", file=sys.stderr)
     energies = [model.energy(q, v) for q, v in zip(path.q, path.v, strict=True)]
     return {
         "t": path.t.tolist(),

@@ -1,5 +1,6 @@
 """Follow one arm through time, by SciPy's methods with error control or by fixed steps."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,6 +13,7 @@ from dynamics import stability
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
 from dynamics.stepper import Stepper
+from dynamics.validity import ValidityWarning, limits
 
 Array = NDArray[np.float64]
 TorqueSignal = Callable[[float], ArrayLike]
@@ -66,6 +68,9 @@ def simulate(
     dt : [s] largest step of a fixed-step method; default 0.1 over the fastest frequency or decay.
     rtol : relative tolerance of error control; default 1e-10.
 
+    Warns with a `ValidityWarning` for each assumption of the model that the motion leaves at the
+    output times, see `dynamics.limits`.
+
     Raises
     ------
     Diverged : naming the time and the remedy.
@@ -94,7 +99,11 @@ def simulate(
     positions = states[:, : model.n]
     measured = np.empty((grid.size, model.n_measure))
     Stepper(model, 1, dt=1.0, substeps=1).measure(positions.copy(), rates.copy(), measured)
-    return Trajectory(grid, positions, rates, measured[:, model.measurements["tip"]].copy())
+    tip = measured[:, model.measurements["tip"]].copy()
+    trajectory = Trajectory(grid, positions, rates, tip)
+    for sentence in limits(model, trajectory):
+        warnings.warn(sentence, ValidityWarning, stacklevel=2)
+    return trajectory
 
 
 def _state(model: Model, x: ArrayLike, name: str) -> Array:

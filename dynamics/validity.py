@@ -1,21 +1,29 @@
 """Where an assumed-modes model leaves what it assumes: small deflections, slow turning."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from dynamics.model import Model
-from dynamics.simulation import Trajectory
+
+if TYPE_CHECKING:
+    from dynamics.simulation import Trajectory
 
 LARGEST_DEFLECTION = 0.1  # [-] of the length of a link, or of a segment of it
 LARGEST_SLOPE = 0.15  # [rad] at its tip
 LARGEST_RATE = 0.5  # [-] joint rate over the first clamped frequency, without foreshortening
 
 
-def limits(model: Model, trajectory: Trajectory) -> tuple[str, ...]:
+class ValidityWarning(UserWarning):
+    """A motion left what its model assumes: expect errors."""
+
+
+def limits(model: Model, trajectory: "Trajectory") -> tuple[str, ...]:
     """One sentence for every assumption that a motion of the arm leaves; empty if it keeps all."""
     return (*_rates(model, trajectory), *_bending(model, trajectory))
 
 
-def _rates(model: Model, trajectory: Trajectory) -> list[str]:
+def _rates(model: Model, trajectory: "Trajectory") -> list[str]:
     joints = list(model.arm.joint_index)
     if model.arm.foreshortening or model.n == model.n_joint:
         return []
@@ -29,7 +37,7 @@ def _rates(model: Model, trajectory: Trajectory) -> list[str]:
     ]
 
 
-def _bending(model: Model, trajectory: Trajectory) -> list[str]:
+def _bending(model: Model, trajectory: "Trajectory") -> list[str]:
     parts = iter(zip(model.chain.links, model.chain.split(list(trajectory.q.T)), strict=True))
     result = []
     for i, link in enumerate(model.arm.links, 1):

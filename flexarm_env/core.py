@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics import Arm, load_arm
+from dynamics import Arm, checks, load_arm
 from dynamics.free_parameters import FREE_PARAMETERS
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model, compile_arm
+from dynamics.validity import LARGEST_RATE
 from flexarm_env import kernels
-from flexarm_env.certificates import find, fit
+from flexarm_env.certificates import find, fit, kept
 from flexarm_env.observations import observation_layout
 from flexarm_env.physics import (
     DEFLECTION_LIMIT,
@@ -25,13 +26,14 @@ from flexarm_env.physics import (
     integration,
     physics,
 )
-from flexarm_env.report import FLAGS, Report
+from flexarm_env.report import FLAGS, NUMBERS, Report
 from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.tasks import find_task
 
 Array = NDArray[np.float64]
 REWARD = 0  # row of info
 TERMINATED, TRUNCATED, SETTLED = range(3)  # rows of flags
+FASTEST = 1e12  # [rad/s] of a joint without a limit
 OPERATIONS_PER_SECOND = 3e10  # of one thread, roughly
 WORTH_A_THREAD = 1e-4  # [s] of work; waking a thread takes half as long
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm
@@ -50,7 +52,8 @@ class Core:
     obs : "state" or "sensors".
     reward : name in `rewards.REWARDS` or weights of `rewards.TERMS`; None: the task's own.
     control_dt : [s] time between actions.
-    integrator, substeps : None: chosen for the arm, see `physics.integration`.
+    integrator, substeps : None: the fastest that was measured to be accurate, see certify.py; for
+        an arm that was not measured, by rule, see `physics.integration`.
     torque_limit : [N m] one number or one per joint; None: see `physics.Physics`.
     deflection_limit : [-] deflection over length above which an episode ends as invalid.
     max_steps : control steps after which an episode is truncated; 0: never.
@@ -65,6 +68,7 @@ class Core:
 
     Attributes
     ----------
+    blocks : where info has reward terms, root curvature and torque.
     certificate : measured errors of model and step, see `dynamics.certificate.Certificate`; None
         where this arm and step were never certified.
     q, v : (N, n) coordinates and rates, writable views.
@@ -93,9 +97,9 @@ class Core:
     ) -> None:
         self.arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
-        described = _turning(load_arm(arm))
-        _require_positive("control_dt", control_dt, "s")
-        _require_positive("deflection_limit", deflection_limit, "-")
+        described = load_arm(arm)
+        checks.positive(control_dt, "control_dt", "s")
+        checks.positive(deflection_limit, "deflection_limit", "-")
         for name, value, least in (
             ("n_env", n_env, 1),
             ("max_episode_steps", max_steps, 0),
@@ -126,6 +130,8 @@ class Core:
             self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
         )
         self.report = Report(self.model, self.task.moving, self.layout)
+        info = self.report.info.slices
+        self.blocks = tuple(info[name] for name in ("reward_terms", "root_curvature", "torque"))
         self._constants = self._fixed_numbers(weights, float(deflection_limit), int(max_steps))
         self._start = self._episode_ranges()
         self._allocate()
@@ -150,7 +156,12 @@ class Core:
             raise ValueError(f"Unknown integrator {integrator!r}. Known: {sorted(INTEGRATORS)}.")
         if substeps is not None:
             _require_whole("substeps", substeps, 1)
-        name, count = integration(self.arm, self.control_dt, integrator)
+        entry = kept(self.arm, self.control_dt) if integrator is None else None
+        if entry is not None:
+            best = entry["steps"][0]
+            name, count = best["integrator"], best["substeps"]
+        else:
+            name, count = integration(self.arm, self.control_dt, integrator)
         return name, count if substeps is None else int(substeps)
 
     def _fixed_numbers(
@@ -164,12 +175,19 @@ class Core:
             "max_steps": max_steps,
             "deflection_limit": deflection_limit,
             "slope_limit": SLOPE_PER_DEFLECTION * deflection_limit,
+            "rate_limit": self._rate_limit(),
             "per_rate": 1.0 / self.rate_scale,
             "move_time": self.move_time,
             "weights": [weights.get(name, 0.0) for name in TERMS],
             "factors": self.layout.factors,
         }
         return np.concatenate([np.ravel(values[name]) for name in self.report.constants.sizes])
+
+    def _rate_limit(self) -> float:
+        """[rad/s] joint rate beyond which linear modes lose much of their stiffness."""
+        if self.arm.foreshortening or not self.physics.held:
+            return FASTEST
+        return LARGEST_RATE * min(self.physics.held)
 
     def _episode_ranges(self) -> tuple[Any, ...]:
         """What `kernels.begin` draws from, and where it writes."""
@@ -194,6 +212,10 @@ class Core:
         self._program = self.model.program(lanes, self.integrator, self.report.addition)
         blocks = -(-n_env // lanes)
         self._width = lanes * (blocks | 1)  # an odd number of blocks spreads rows over the cache
+        self._shapes = (
+            (n_env, self.layout.size), (self.report.info.total, self._width),
+            (len(FLAGS), self._width),
+        )  # fmt: skip
         self.state = np.zeros((self.report.state.total, self._width))
         self.state[rows["free"]] = self.model.nominal_parameters[:, None]
         self.streams = np.zeros(n_env, dtype=np.int64)
@@ -214,11 +236,10 @@ class Core:
         w[first : first + lanes * self._constants.size] = np.repeat(self._constants, lanes)
         return w
 
-    def _outputs(self) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
+    def outputs(self) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
         """New arrays: observations, and info and flags with a row per name, a column per env."""
-        obs = np.empty((self.n_env, self.layout.size), np.float32)
-        info = np.empty((self.report.info.total, self._width))
-        return obs, info, np.empty((len(FLAGS), self._width), np.bool_)
+        obs, info, flags = self._shapes
+        return np.empty(obs, np.float32), np.empty(info), np.empty(flags, np.bool_)
 
     # ---- stepping ----------------------------------------------------------------------------
 
@@ -226,14 +247,12 @@ class Core:
         self, actions: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], int]:
         """One control step of all: observations, info, flags (new arrays), how many ended."""
-        obs, info, flags = self._outputs()
-        step, substeps, state = self._program.step, self.substeps, self.state
-        (first, stop, w), *others = self._shares
+        obs, info, flags = self.outputs()
         waiting = [
-            self._pool.submit(step, actions, a, b, substeps, state, own, obs, info, flags)
-            for a, b, own in others
+            self._pool.submit(self.step_share, k, actions, obs, info, flags)
+            for k in range(1, len(self._shares))
         ]
-        ended = step(actions, first, stop, substeps, state, w, obs, info, flags)
+        ended = self.step_share(0, actions, obs, info, flags)
         if waiting:
             ended += sum(job.result() for job in waiting)
         if ended < 0:
@@ -243,6 +262,21 @@ class Core:
                 f"environment {bad}."
             )
         return obs, info, flags, ended
+
+    def step_share(
+        self,
+        k: int,
+        actions: NDArray[np.float32],
+        obs: NDArray[np.float32],
+        info: Array,
+        flags: NDArray[np.bool_],
+    ) -> int:
+        """The compiled call: step the environments of thread k, say how many ended."""
+        first, stop, w = self._shares[k]
+        ended: int = self._program.step(
+            actions, first, stop, self.substeps, self.state, w, obs, info, flags
+        )
+        return ended
 
     def restart(
         self,
@@ -263,7 +297,7 @@ class Core:
         self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
         """Start new episodes in `rows` and report on them; the other rows are zero."""
-        obs, info, flags = self._outputs()
+        obs, info, flags = self.outputs()
         for array in (obs, info, flags):
             array[...] = 0
         self.restart(rows, obs, info, flags, options)
@@ -313,15 +347,13 @@ class Core:
 
     def describe(self, info: Array, flags: NDArray[np.bool_]) -> dict[str, Any]:
         """Info arrays of all environments by name, views of `info` and `flags`."""
-        rows, n = self.report.info.slices, self.n_env
-        described: dict[str, Any] = {
-            name: info[rows[name].start, :n]
-            for name in ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")
-        }
-        described["reward_terms"] = dict(zip(TERMS, info[rows["reward_terms"], :n], strict=True))
-        described["root_curvature"] = info[rows["root_curvature"], :n].T
-        described["torque"] = info[rows["torque"], :n].T
-        described |= zip(FLAGS[SETTLED:], flags[SETTLED:, :n], strict=True)
+        n, (terms, curvature, torque) = self.n_env, self.blocks
+        info = info[:, :n]
+        rows = list(info)
+        described: dict[str, Any] = dict(zip(NUMBERS, rows[1 : terms.start], strict=True))
+        described["reward_terms"] = dict(zip(TERMS, rows[terms], strict=True))
+        described["root_curvature"], described["torque"] = info[curvature].T, info[torque].T
+        described.update(zip(FLAGS[SETTLED:], flags[SETTLED:, :n], strict=True))
         return described
 
     # ---- copies ------------------------------------------------------------------------------
@@ -348,23 +380,6 @@ def _ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, 
                 f"randomize[{name!r}] must be (low, high) with 0 <= low <= high, got {pair!r}."
             )
     return {name: (float(low), float(high)) for name, (low, high) in given.items()}
-
-
-def _turning(arm: Arm) -> Arm:
-    """The arm, if all its joints turn."""
-    for i, link in enumerate(arm.links, 1):
-        if link.joint.type != "revolute":
-            raise ValueError(
-                f"Environments take arms whose joints turn, but joint {i} is {link.joint.type}; "
-                "follow such an arm with dynamics.simulate."
-            )
-    return arm
-
-
-def _require_positive(name: str, value: Any, unit: str) -> None:
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not number or not (math.isfinite(value) and value > 0.0):
-        raise ValueError(f"{name} must be positive, got {value!r}. Unit: [{unit}].")
 
 
 def _require_whole(name: str, value: Any, least: int) -> None:

@@ -39,7 +39,8 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
         self._seeded = False
         self._renderer: Any = None
-        self._rows = self.core.report.info.slices
+        self._terms, *wide = self.core.blocks
+        self._curvature, self._torque = ((rows, 0) for rows in wide)
 
     # ---- what agents ask ---------------------------------------------------------------------
 
@@ -99,19 +100,19 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         return obs[0], values[0], marks[0], marks[1], self._describe(info, values, marks)
 
     def _describe(self, info: Array, values: list[float], marks: list[bool]) -> dict[str, Any]:
-        rows = self._rows
         return {
             "time": values[1],
             "tip_error": values[2],
             "tip_speed": values[3],
             "deflection": values[4],
             "tip_deflection": values[5],
-            "reward_terms": dict(zip(_TERMS, values[rows["reward_terms"]], strict=True)),
-            "root_curvature": info[rows["root_curvature"], 0],
-            "torque": info[rows["torque"], 0],
+            "reward_terms": dict(zip(_TERMS, values[self._terms], strict=True)),
+            "root_curvature": info[self._curvature],
+            "torque": info[self._torque],
             "settled": marks[2],
             "diverged": marks[3],
             "invalid": marks[4],
+            "overspeed": marks[5],
         }
 
     def render(self) -> NDArray[np.uint8] | None:

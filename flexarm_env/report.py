@@ -17,7 +17,8 @@ from flexarm_env.kernels import ENTRIES, WAVES
 from flexarm_env.observations import Layout, curvature_columns
 from flexarm_env.rewards import TERMS, Measured
 
-FLAGS = ("terminated", "truncated", "settled", "diverged", "invalid")
+FLAGS = ("terminated", "truncated", "settled", "diverged", "invalid", "overspeed")
+NUMBERS = ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")  # one row of info each
 SETTLED_BAND = 0.02  # [-] tip error over reach
 LOST = 3.0  # [-] times the deflection limit: finite, but no longer a motion of this arm
 # the sources of what is compiled, besides those of dynamics; what they say when imported
@@ -67,14 +68,13 @@ class Report:
                        "frequency": waves, "phase": waves}  # fmt: skip
         self.state = Rows({"q": n, "v": n, **self.memory, "free": len(model.free_parameters)})
         self.info = Rows({
-            "reward": 1, "time": 1, "tip_error": 1, "tip_speed": 1, "deflection": 1,
-            "tip_deflection": 1, "reward_terms": len(TERMS), "root_curvature": len(self.gauges),
-            "torque": m,
+            "reward": 1, **dict.fromkeys(NUMBERS, 1), "reward_terms": len(TERMS),
+            "root_curvature": len(self.gauges), "torque": m,
         })  # fmt: skip
         self.constants = Rows({
             "step": 1, "torque_limit": m, "control_dt": 1, "max_steps": 1, "deflection_limit": 1,
-            "slope_limit": 1, "per_rate": 1, "move_time": 1, "weights": len(TERMS),
-            "factors": layout.size,
+            "slope_limit": 1, "rate_limit": 1, "per_rate": 1, "move_time": 1,
+            "weights": len(TERMS), "factors": layout.size,
         })  # fmt: skip
 
     @property
@@ -190,7 +190,8 @@ class Report:
         diverged = ca.fmax(s["lost"], LOST * s["deflection_limit"] < deflection)
         failed = live * ca.fmax(invalid, diverged)
         late = live * (s["max_steps"] > 0.0) * (s["max_steps"] <= s["elapsed"])
-        rates = s["v"][list(arm.joint_index)] * s["per_rate"]
+        joint_rates = s["v"][list(arm.joint_index)]
+        rates = joint_rates * s["per_rate"]
         measured = Measured(
             error=error / arm.reach,
             speed=speed * s["per_rate"] / arm.reach,
@@ -204,6 +205,7 @@ class Report:
         return {
             "terminated": failed, "truncated": late, "settled": error < SETTLED_BAND * arm.reach,
             "diverged": diverged, "invalid": invalid,
+            "overspeed": s["rate_limit"] ** 2 < reduce(ca.fmax, ca.vertsplit(joint_rates**2)),
             "reward": live * ca.dot(s["weights"], terms), "time": s["time"], "tip_error": error,
             "tip_speed": speed, "deflection": deflection, "tip_deflection": bent,
             "reward_terms": terms, "root_curvature": here["curvature"][list(self.gauges)],

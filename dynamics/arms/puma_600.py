@@ -11,6 +11,7 @@ from math import pi
 from dynamics import denavit_hartenberg
 from dynamics.checks import Matrix
 from dynamics.denavit_hartenberg import Row
+from dynamics.published import Check, holding, mass
 
 
 def _about_axes(x: float, y: float, z: float) -> Matrix:
@@ -53,3 +54,15 @@ ARM = denavit_hartenberg.arm(
     ),
     gravity=(0.0, 0.0, -9.81),  # chosen
 )
+
+CHECKS = (
+    Check(
+        quantity="mass", unit="kg", expected=37.524, tolerance=1e-12, source="sum of the table",
+        measure=mass,
+    ),
+    Check(  # 15.781 0.14 + 8.767 0.432 + (1.052 + 1.052 + 0.351) (0.432 + 0.02) = 7.106344 kg m
+        quantity="joint 2 holds the stretched arm", unit="N m", expected=69.71323464,
+        tolerance=1e-9, source="by hand from the table: masses times places, times 9.81 m/s^2",
+        measure=lambda arm: holding(arm, 1, (0.0,) * 6),
+    ),
+)  # fmt: skip

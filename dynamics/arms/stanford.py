@@ -12,6 +12,7 @@ from math import pi
 from dynamics import denavit_hartenberg
 from dynamics.checks import Matrix
 from dynamics.denavit_hartenberg import Row
+from dynamics.published import Check, holding, mass
 
 
 def _about_axes(x: float, y: float, z: float) -> Matrix:
@@ -47,3 +48,21 @@ ARM = denavit_hartenberg.arm(
     ),
     gravity=(0.0, 0.0, -9.81),  # chosen
 )
+
+_HAND = "by hand from the table: masses times places along the boom, times 9.81 m/s^2"
+
+CHECKS = (
+    Check(
+        quantity="mass, with the 9.0 kg of link 1", unit="kg", expected=21.1, tolerance=1e-12,
+        source="sum of the table", measure=mass,
+    ),
+    Check(  # 1.0 (0.7 - 0.1) + 0.6 (0.7 + 0.06) + 0.5 (0.7 + 0.02) = 1.416 kg m
+        quantity="joint 2 holds the horizontal boom", unit="N m", expected=13.89096,
+        tolerance=1e-9, source=_HAND,
+        measure=lambda arm: holding(arm, 1, (0.0, pi / 2, 0.0, 0.0, 0.0, 0.0)),
+    ),
+    Check(  # 4.0 + 1.0 + 0.6 + 0.5 = 6.1 kg
+        quantity="joint 3 holds the upright boom", unit="N", expected=59.841, tolerance=1e-9,
+        source=_HAND, measure=lambda arm: holding(arm, 2, (0.0,) * 6),
+    ),
+)  # fmt: skip

@@ -30,6 +30,7 @@ from dynamics import (
     Mode,
     Scene,
     Trajectory,
+    ValidityWarning,
     choose_model,
     limits,
     load_arm,
@@ -261,3 +262,5 @@ def test_limits_name_every_assumption_that_a_motion_leaves() -> None:
     assert "tip by up to 0.21 rad" in limits(model, moved(0.0, 0.15 * length))[1]
     stiffening = compiled(replace(model.arm, foreshortening=True))
     assert limits(stiffening, moved(2.0 * first, 0.0)) == ()
+    with pytest.warns(ValidityWarning, match="Joint 1 turns"):
+        simulate(model, [0.0, 0.0], [0.51 * first, 0.0], None, [0.0, 1e-3])

@@ -32,7 +32,7 @@ def test_encoders_read_the_rotor_of_a_sprung_joint(link: Link) -> None:
         env.step(env.action_space.high)
     core = env.unwrapped.core  # type: ignore[attr-defined]
 
-    angles, rates = core.encoders()
+    angles, rates = core.joint_state()
 
     assert core.model.names[:2] == ["q1", "s1"]
     assert abs(core.q[0, 1]) > 1e-4
