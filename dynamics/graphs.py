@@ -95,7 +95,7 @@ def measure(model: "Model") -> Any:
         theta = add(*(combine(f.delta, f.link.tip_theta) for f in bodies))
         bend = combine(bodies[0].delta, curvature(parts(link)[0], 0.0).tolist())
         shift = ca.vertcat(tip[0] - link.length, *tip[1:])
-        deflections.append(ca.norm_2(shift) / link.length)
+        deflections.append(ca.norm_2(shift) / (link.length or 1.0))
         slopes.append(ca.norm_2(ca.vertcat(*theta)))
         curvatures += [bend[2], bend[1]]
     values = [*tips, *deflections, *slopes, *curvatures]
@@ -121,6 +121,16 @@ def jacobians(model: "Model") -> Any:
     result = ca.vertcat(*a)
     derivatives = [ca.jacobian(result, y) for y in (q, v, tau)]
     return ca.Function("jacobians", [*s.inputs, tau], derivatives)
+
+
+def state_jacobian(graph: Any) -> Any:
+    """CasADi Function of a graph's inputs -> derivatives by the first two of them, row by row."""
+    import casadi as ca
+
+    x = graph.sx_in()
+    a = graph(*x)
+    rows = [ca.vec(ca.densify(ca.jacobian(a, y)).T) for y in x[:2]]
+    return ca.Function("jacobian", x, [ca.cse(ca.vertcat(*rows))])
 
 
 def renewal(gravity: Sequence[float]) -> tuple[Any, dict[str, int]]:

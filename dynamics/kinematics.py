@@ -100,6 +100,8 @@ class Frame(NamedTuple):
     link: LinkConstants
     R: Matrix  # from this frame to the frame of the link before
     offset: Vector  # joint from the tip before, in the frame of the link before
+    joint: Scalar  # its coordinate
+    slide: Vector  # velocity of a prismatic joint
     delta: Sequence[Scalar]
     delta_dot: Sequence[Scalar]
     shape: Shape
@@ -181,6 +183,14 @@ def _turn(q: Scalar) -> Matrix:
     return ((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))
 
 
+def _mounting(link: LinkConstants, joint: Scalar) -> tuple[Matrix, Vector]:
+    """Rotation and position of a joint's moving side in the end frame of the link before."""
+    if link.prismatic:
+        axis = transpose(link.rotation)[2]
+        return link.rotation, add(link.offset, scale(joint, axis))
+    return matmul(link.rotation, _turn(joint)), link.offset
+
+
 def _phi(w: Vector, w_dot: Vector) -> Matrix:
     """w_dot~ + w~ w~: acceleration of a body-fixed point is a + Phi r."""
     p = symmetric(lambda i, j: mul(w[i], w[j]))
@@ -199,15 +209,19 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
     E: Matrix = EYE
     a_tip: Vector = scale(-1.0, chain.gravity)
     w_tip, w_dot_tip = ZERO, ZERO
-    for link, (angle, delta), (rate, delta_dot) in zip(
+    for link, (joint, delta), (rate, delta_dot) in zip(
         chain.links, chain.split(q), chain.split(v), strict=True
     ):
-        R = E if link.welded else matmul(E, matmul(link.rotation, _turn(angle)))
-        offset = matvec(E, link.offset)
+        mounting, place = _mounting(link, joint)
+        along = (0.0, 0.0, rate)
+        spin, slide = (ZERO, along) if link.prismatic else (along, ZERO)
+        R = E if link.welded else matmul(E, mounting)
+        offset = matvec(E, place)
         before = tmatvec(R, w_tip)
         a = tmatvec(R, add(a_tip, matvec(_phi(w_tip, w_dot_tip), offset)))
-        w = add(before, (0.0, 0.0, rate))
-        w_dot = add(tmatvec(R, w_dot_tip), cross(before, (0.0, 0.0, rate)))
+        a = add(a, scale(2.0, cross(before, slide)))
+        w = add(before, spin)
+        w_dot = add(tmatvec(R, w_dot_tip), cross(before, spin))
         Phi = _phi(w, w_dot)
 
         shape = amplitudes(link, delta, delta_dot)
@@ -228,7 +242,8 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
         half = madd(mcombine(x, [transpose(C) for C in link.C]), mcombine(x, beta))
         frames.append(
             Frame(
-                link=link, R=R, offset=offset, delta=delta, delta_dot=delta_dot, shape=shape,
+                link=link, R=R, offset=offset, joint=joint, slide=slide,
+                delta=delta, delta_dot=delta_dot, shape=shape,
                 r=r, r_dot=r_dot, E=E, tip_phi=shape.project(link.tip_phi), tip_theta=tip_theta,
                 rho=add(link.first_moment, combine(x, link.epsilon)), alpha=alpha, beta=beta,
                 B9=symmetric(lambda i, j, C0=link.C0, half=half: plus(C0[i][j], half[i][j])),
@@ -236,6 +251,11 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
             )
         )  # fmt: skip
     return frames
+
+
+def stretch(f: Frame) -> Scalar:
+    """What a spring at the joint feels: its coordinate and the root's turn by the modes."""
+    return plus(f.joint, dot(f.link.root_slope, f.delta))
 
 
 class Pose(NamedTuple):
@@ -253,7 +273,7 @@ def poses(frames: Sequence[Frame]) -> list[Pose]:
     tip, R, velocity, w_tip = ZERO, EYE, ZERO, ZERO
     for f in frames:
         joint = add(tip, matvec(R, f.offset))
-        velocity = tmatvec(f.R, add(velocity, cross(w_tip, f.offset)))
+        velocity = add(tmatvec(f.R, add(velocity, cross(w_tip, f.offset))), f.slide)
         R = matmul(R, f.R)
         velocity = add(velocity, cross(f.w, f.r), f.r_dot)
         w_tip = f.w_tip
@@ -279,6 +299,7 @@ def energies(
         x_dot = f.shape.x_dot
         eps_dot = combine(x_dot, link.epsilon)
         slip = plus(rate, dot(link.root_slope, f.delta_dot))
+        twist = stretch(f)
         w_end = tmatvec(f.E, f.w_tip)
         kinetic = plus(
             kinetic,
@@ -292,6 +313,7 @@ def energies(
             mul(0.5, dot(w_end, matvec(link.tip_inertia, w_end))),
         )
         elastic = plus(elastic, mul(0.5, dot(f.delta, [dot(row, f.delta) for row in link.K])))
+        elastic = plus(elastic, mul(0.5, mul(link.spring, mul(twist, twist))))
         moment = add(scale(link.mass, pose.joint), matvec(pose.R, f.rho))
         moment = add(moment, scale(link.tip_mass, pose.tip))
         gravity = minus(gravity, dot(chain.gravity, moment))

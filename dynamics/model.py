@@ -4,7 +4,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
@@ -87,7 +86,9 @@ class Model:
         bodies = chain_constants(arm)
         base = free_base.bodies(arm.base)
         stops = np.cumsum([len(base), *(len(link) for link in bodies)]).tolist()
-        self.bodies = tuple(slice(a, b) for a, b in pairwise(stops))  # of every link in the chain
+        self.bodies = tuple(
+            slice(b - link.segments, b) for link, b in zip(arm.links, stops[1:], strict=True)
+        )  # parts of every link in the chain
         links = (*base, *(body for link in bodies for body in link))
         rotation = "exp" if arm.rotation == "exp" else "linear"
         self.chain = Chain(links, arm.gravity, rotation, bool(base))
@@ -104,6 +105,7 @@ class Model:
             for (name, width), stop in zip(widths.items(), stops, strict=True)
         }
         self.n_measure = stops[-1]
+        self._programs: dict[tuple[int, str, str], ModuleType] = {}
 
     def __reduce__(self) -> Any:
         return Model, (self.arm, self.free_parameters, self.dtype)
@@ -128,9 +130,21 @@ class Model:
         )  # fmt: skip
         return out[0]
 
-    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
-        """(n,) generalized forces M a + h; motion under joint torques alone needs B tau."""
-        return self.mass_matrix(q) @ self._q(a, "a") + self.bias(q, v)
+    def inverse_dynamics(self, q: Array, v: Array, a: Array, wrench: Array | None = None) -> Array:
+        """(n,) generalized forces M a + h; motion under joint torques alone needs B tau.
+
+        `wrench` (6,), force [N] then moment [N m], is what the last link exerts at its tip on its
+        surroundings, in that link's frame.
+        """
+        h = self.bias(q, v)
+        if wrench is not None:
+            if self.arm.base.n:
+                raise ValueError("wrench is for an arm with a fixed base; this one flies.")
+            x, rates = self._q(q).tolist(), self._q(v, "v").tolist()
+            f = _checked(wrench, 6, "wrench").tolist()
+            load = gibbs_appell.Wrench(f[:3], f[3:])
+            h = np.array(gibbs_appell.bias(self.chain, x, rates, load), dtype=np.float64)
+        return self.mass_matrix(q) @ self._q(a, "a") + h
 
     def energy(self, q: Array, v: Array) -> tuple[float, float, float]:
         """(kinetic, elastic, gravity) [J]; gravity is zero with all mass at the world's origin."""
@@ -237,7 +251,12 @@ class Model:
 
         `addition` replaces the stepper's measurements and entry points by others.
         """
-        added = addition or self._stepping
+        kind = lanes, integrator, addition.key if addition else ""
+        if kind not in self._programs:
+            self._programs[kind] = self._program(lanes, integrator, addition or self._stepping)
+        return self._programs[kind]
+
+    def _program(self, lanes: int, integrator: str, added: Addition) -> ModuleType:
         arm, free = json.dumps(self.arm.to_dict(), sort_keys=True), ",".join(self.free_parameters)
         key = fingerprint(arm, free, str(lanes), integrator, self.dtype, added.key)
         return cached_module(key, lambda: self._generate(lanes, integrator, added))
@@ -341,12 +360,7 @@ class Model:
     @cached_property
     def jacobian_graph(self) -> Any:
         """CasADi Function (q, v, tau, parameters, nothing) -> da/dq, then da/dv, row by row."""
-        import casadi as ca
-
-        x = self.graph.sx_in()
-        a = self.graph(*x)
-        rows = [ca.vec(ca.densify(ca.jacobian(a, y)).T) for y in x[:2]]
-        return ca.Function("jacobian", x, [ca.cse(ca.vertcat(*rows))])
+        return graphs.state_jacobian(self.graph)
 
     @cached_property
     def measure_graph(self) -> Any:

@@ -32,8 +32,8 @@ def _rates(model: Model, trajectory: "Trajectory") -> list[str]:
     return [
         f"Joint {i} turns at up to {rate:.3g} rad/s, more than half the first clamped frequency "
         f"({first:.3g} rad/s): linear modes lose stiffness; set Arm.foreshortening."
-        for i, rate in enumerate(fastest.tolist(), 1)
-        if rate > LARGEST_RATE * first
+        for i, (rate, link) in enumerate(zip(fastest.tolist(), model.arm.links, strict=True), 1)
+        if link.joint.type == "revolute" and rate > LARGEST_RATE * first
     ]
 
 

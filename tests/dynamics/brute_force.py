@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics import Arm, Joint, Link, Mode
+from dynamics import Arm, Body, Joint, Link, Mode
 from dynamics.checks import ZEROS
 from dynamics.shapes import Shape, shape
 
@@ -82,8 +82,8 @@ def inertial_forces(arm: Arm, q: Array, v: Array, a: Array) -> Array:
 
 def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
     """(n,) elastic, damping and friction forces, from their definitions."""
-    forces = [0.0] * arm.base.n
-    for (link, welded), (_, delta), (rate, delta_dot) in zip(
+    forces: list[float] = [0.0] * arm.base.n
+    for (link, welded, spring), (turn, delta), (rate, delta_dot) in zip(
         _parts(arm), _by_part(arm, q), _by_part(arm, v), strict=True
     ):
         K = np.zeros((len(delta), len(delta)))
@@ -110,6 +110,7 @@ def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
         slip = rate + root @ delta_dot
         joint = link.joint
         friction = joint.viscous * slip + joint.coulomb * np.tanh(slip / joint.coulomb_speed)
+        friction += spring * (turn + root @ delta)
         forces += [] if welded else [friction]
         forces += list(K @ delta + C @ delta_dot + root * friction)
     return np.array(forces)
@@ -179,22 +180,33 @@ def _constant(x: object) -> Array:
     return np.stack([value, 0.0 * value, 0.0 * value])[:, None]
 
 
-def _parts(arm: Arm) -> list[tuple[Link, bool]]:
-    """All segments of all links, and whether they are welded to the one before."""
+def _parts(arm: Arm) -> list[tuple[Link, bool, float]]:
+    """All segments of all links, whether they are welded to the one before, springs at joints.
+
+    A joint with a spring is two: a rotor without a link, and a free joint beside the spring.
+    """
     parts = []
     for link in arm.links:
+        joint, spring = link.joint, link.joint.stiffness or 0.0
+        if spring:
+            mounted = replace(joint, hub_inertia=0.0, stiffness=None, spring_damping=0.0)
+            parts.append((Link(length=0.0, body=Body(mass=0.0), joint=mounted), False, 0.0))
+            joint = Joint(
+                type=joint.type, hub_inertia=joint.hub_inertia, viscous=joint.spring_damping
+            )
         for k in range(link.segments):
             part = replace(link, length=link.length / link.segments, segments=1)
             if k < link.segments - 1:
                 part = replace(part, tip_mass=0.0, tip_inertia=ZEROS)
-            parts.append((replace(part, joint=Joint()) if k else part, k > 0))
+            part = replace(part, joint=Joint() if k else joint)
+            parts.append((part, k > 0, 0.0 if k else spring))
     return parts
 
 
 def _by_part(arm: Arm, x: Array) -> list[tuple[Array, Array]]:
     """(joint, modes) of every segment, along the last axis of x; no joint turns by zero."""
     found, start = [], arm.base.n
-    for part, welded in _parts(arm):
+    for part, welded, _ in _parts(arm):
         joint = np.zeros(x.shape[:-1]) if welded else x[..., start]
         start += not welded
         found.append((joint, x[..., start : start + len(part.modes)]))
@@ -211,10 +223,16 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
     com = p + _product(R, _constant(arm.base.com))
     parts.append((np.array([arm.base.mass]), np.array(arm.base.inertia)[None], com, R))
     whole = _parts(arm)
-    for i, ((link, _), (q, delta)) in enumerate(zip(whole, _by_part(arm, jet), strict=True)):
+    for i, ((link, _, _), (q, delta)) in enumerate(zip(whole, _by_part(arm, jet), strict=True)):
         p = p + _product(R, _constant(link.joint.offset))
         R = _product(R, _constant(link.joint.rotation))
-        R = _product(R, _rotation(q[:, None, None] * Z))
+        if link.joint.type == "prismatic":
+            p = p + _product(R, np.multiply.outer(q, Z)[:, None, :, None])
+        else:
+            R = _product(R, _rotation(q[:, None, None] * Z))
+        if link.body:
+            mass, at = np.array([link.body.mass]), p + _product(R, _constant(link.body.com))
+            parts.append((mass, np.array([link.body.inertia]), at, R))
         root = delta @ [s.slope(0.0) * (m.direction == "y") for m, s in _shapes(link)]
         hub = _product(R, _rotation(root[:, None, None] * Z))
         parts.append((np.zeros(1), link.joint.hub_inertia * np.outer(Z, Z)[None], p, hub))

@@ -61,7 +61,9 @@ def flying(arm: Arm, seed: int = 0) -> Arm:
 def random_state(arm: Arm, seed: int = 0) -> tuple[Array, Array]:
     """Coordinates and rates: any joint angles, moderate deflections."""
     rng = np.random.default_rng([seed, arm.n])
-    sizes = np.array([x for link in arm.links for x in (0.0, *_amplitudes(link))])
+    sizes = np.array(
+        [x for k in arm.links for x in (0.0, *[TURN] * k.joint.elastic, *_amplitudes(k))]
+    )
     sizes = np.concatenate([np.zeros(arm.base.n), sizes])
     q, v = rng.uniform(-1.0, 1.0, (2, arm.n)) * (sizes, 20.0 * sizes)
     joints = list(arm.joint_index)
@@ -114,9 +116,9 @@ def torque_matrix(arm: Arm) -> Array:
     for i, link in enumerate(arm.links):
         B[row, i] = 1.0
         for j, mode in enumerate(link.modes, 1):
-            if mode.direction == "y":
+            if mode.direction == "y" and not link.joint.elastic:
                 B[row + j, i] = shape(mode, link).slope(0.0)
-        row += 1 + link.segments * len(link.modes)
+        row += 1 + link.joint.elastic + link.segments * len(link.modes)
     return B
 
 

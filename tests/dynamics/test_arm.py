@@ -181,6 +181,21 @@ REFUSED_LINKS = {
     "must be a rotation .*determinant -1": {
         "joint": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}
     },
+    "Joint.type must be one of .*got 'screw'": {"joint": {"type": "screw"}},
+    "Joint.stiffness must be positive, got 0.0": {"joint": {"stiffness": 0.0}},
+    "rotor_inertia must be positive with Joint.stiffness .5.0.": {"joint": {"stiffness": 5.0}},
+    "spring_damping .0.2. needs a spring": {"joint": {"spring_damping": 0.2}},
+    "pinned-free with a prismatic joint": {
+        "joint": {"type": "prismatic"},
+        "modes": [{"kind": "pinned-free", "index": 1, "direction": "y"}],
+    },
+    "Body.mass is missing": {"modes": [], "body": {}},
+    "Body.mass must not be negative, got -2.0": {"modes": [], "body": {"mass": -2.0}},
+    "Body.inertia must be symmetric": {
+        "modes": [],
+        "body": {"mass": 1.0, "inertia": [[1, 1, 0], [0, 1, 0], [0, 0, 1]]},
+    },
+    "body is for a rigid link in one piece, got 1 modes": {"body": {"mass": 1.0}},
     "must be a rotation": {"joint": {"rotation": [[1, 1e-6, 0], [0, 1, 0], [0, 0, 1]]}},
 }
 
@@ -225,6 +240,9 @@ REFUSED_ARMS = {
     "Payload.mass must not be negative, got -1.0": {"payload": {"mass": -1.0}},
     "Payload.inertia must be symmetric": {
         "payload": {"mass": 1.0, "inertia": [[1, 1, 0], [0, 1, 0], [0, 0, 1]]}
+    },
+    "last link has no inertia that its joint could move": {
+        "links": [{"length": 0.0, "body": {"mass": 1.0}}]
     },
     "'gravty' in the arm; nearest known: 'gravity'": {"gravty": [0, 0, 0]},
 }
