@@ -65,7 +65,7 @@ class Inertia(NamedTuple):
         return Inertia(congruence(R, self.A), rotate(R, self.B), congruence(R, self.D))
 
 
-def _friction(link: LinkConstants, rate: Scalar) -> Scalar:
+def friction_torque(link: LinkConstants, rate: Scalar) -> Scalar:
     """Joint friction torque [N m]: viscous, and Coulomb smoothed by tanh."""
     viscous = mul(link.viscous, rate)
     if is_zero(link.coulomb):
@@ -135,7 +135,7 @@ def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]
     body = _tip_body_bias(f)
     tip = Wrench(add(body[0], outer.force), add(body[1], outer.moment))
     slip = plus(rate, dot(link.root_slope, f.delta_dot))
-    friction = _friction(link, slip)
+    friction = friction_torque(link, slip)
     for j, inertial in enumerate(modal):
         modal[j] = plus(
             inertial,
