@@ -75,11 +75,11 @@ def _project(shape: Shape, values: Sequence[Matrix]) -> list[Matrix]:
 def _own_modes(f: Transformed, beyond: Matrix) -> list[list[Scalar]]:
     """(m, m) Coefficients between modes of one link: (72), (73) in its long form."""
     metric = matmul(transpose(f.W), f.W)
-    own = [
+    shapes = [
         [plus(inner(C, metric), I) for C, I in zip(row, spin, strict=True)]
         for row, spin in zip(f.C, f.spin, strict=True)
     ]
-    own = f.shape.project([*zip(*f.shape.project(own), strict=True)])
+    own = f.shape.project([*zip(*f.shape.project(shapes), strict=True)])
     through = [matmul(X, beyond) for X in f.X_modal]
     return [
         [plus(own[j][k], inner(through[j], X)) for k, X in enumerate(f.X_modal)]

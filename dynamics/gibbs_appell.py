@@ -61,8 +61,14 @@ class Inertia(NamedTuple):
         return Inertia(self.A, B, D)
 
     def turned(self, R: Matrix) -> "Inertia":
-        """The same inertia in a frame turned by R."""
-        return Inertia(congruence(R, self.A), rotate(R, self.B), congruence(R, self.D))
+        """The same inertia in a frame turned by R, which may be no rotation."""
+        A, D = (congruence(R, X, rotation=False) for X in (self.A, self.D))
+        return Inertia(A, rotate(R, self.B), D)
+
+    def turned_composite(self, R: Matrix) -> "Inertia":
+        """The same with a rotation R: A = m 1 does not turn; of B = b~ the vector turns."""
+        b = (self.B[2][1], self.B[0][2], self.B[1][0])
+        return Inertia(self.A, skew(matvec(R, b)), congruence(R, self.D))
 
 
 def friction_torque(link: LinkConstants, rate: Scalar) -> Scalar:
@@ -255,8 +261,6 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
                 for row, entry in zip(places[k], [*entries, wrench.moment[2]], strict=False):
                     M[row][places[i][c]] = M[places[i][c]][row] = entry
                 child = parent
-        # B stays a skew matrix in a composite: turn its vector, not the matrix
-        b = (block.inertia.B[2][1], block.inertia.B[0][2], block.inertia.B[1][0])
-        turned = Inertia(block.inertia.A, skew(matvec(f.R, b)), congruence(f.R, block.inertia.D))
-        outer = turned.moved(f.offset)
+        turn = Inertia.turned_composite if chain.rotation == "exp" else Inertia.turned
+        outer = turn(block.inertia, f.R).moved(f.offset)
     return M

@@ -9,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from dynamics import elimination, gibbs_appell, linear
+from dynamics import linear
 from dynamics.algebra import add, combine, matvec
 from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
+from dynamics.christoffel import christoffel
 from dynamics.elimination import Implicit
+from dynamics.formulations import formulation_for
 from dynamics.free_parameters import FREE_PARAMETERS
 from dynamics.integrators import INTEGRATORS
 from dynamics.kernels import GLUE, LANES
-from dynamics.kinematics import Chain, energies, outward, poses
+from dynamics.kinematics import Chain, outward, poses
 from dynamics.lowering import (
     Addition,
     cached_module,
@@ -30,7 +32,6 @@ from dynamics.modes import chain_constants, curvature, parts
 
 Array = np.ndarray
 
-FORMULATIONS = ("gibbs_appell",)
 LANES_OF = {"float64": LANES, "float32": 2 * LANES}
 
 
@@ -46,7 +47,8 @@ def compile_arm(
     Parameters
     ----------
     arm : an Arm, a preset's name, a path or a dict.
-    formulation : how the equations of motion are formed; "gibbs_appell".
+    formulation : how the equations of motion are formed, a name in FORMULATIONS; stepping is
+        fastest with "gibbs_appell".
     dtype : number type of the compiled stepping code, "float64" or "float32"; descriptions,
         states and answers are float64 all the same.
     free_parameters : names in FREE_PARAMETERS that stay inputs instead of folding away.
@@ -55,14 +57,12 @@ def compile_arm(
     ------
     ValueError : naming the argument, its value and what is possible.
     """
-    if formulation not in FORMULATIONS:
-        raise ValueError(f"Unknown formulation {formulation!r}. Known: {sorted(FORMULATIONS)}.")
     if dtype not in LANES_OF:
         raise ValueError(f"Unknown dtype {dtype!r}. Known: {sorted(LANES_OF)}.")
     unknown = sorted(set(free_parameters) - set(FREE_PARAMETERS))
     if unknown:
         raise ValueError(f"Unknown free parameters {unknown}. Known: {sorted(FREE_PARAMETERS)}.")
-    return Model(load_arm(arm), tuple(free_parameters), dtype)
+    return Model(load_arm(arm), tuple(free_parameters), dtype, formulation)
 
 
 class Model:
@@ -73,9 +73,14 @@ class Model:
     """
 
     def __init__(
-        self, arm: Arm, free_parameters: tuple[str, ...] = (), dtype: str = "float64"
+        self,
+        arm: Arm,
+        free_parameters: tuple[str, ...] = (),
+        dtype: str = "float64",
+        formulation: str = "gibbs_appell",
     ) -> None:
-        self.arm, self.dtype = arm, dtype
+        self.arm, self.dtype, self.formulation = arm, dtype, formulation
+        self._formed = formulation_for(arm, formulation)
         self.lanes = LANES_OF[dtype]  # environments that a batch steps side by side
         self.free_parameters = free_parameters
         self.names = list(arm.names)
@@ -98,20 +103,24 @@ class Model:
         self.n_measure = stops[-1]
 
     def __reduce__(self) -> Any:
-        return Model, (self.arm, self.free_parameters, self.dtype)
+        return Model, (self.arm, self.free_parameters, self.dtype, self.formulation)
 
     # ---- questions -----------------------------------------------------------------------------
 
     def mass_matrix(self, q: Array) -> Array:
-        """(n, n) M at q, from composite inertias: (75), (81), (85)."""
+        """(n, n) M at q."""
         return np.array(self._questions["mass_matrix"](self._q(q)))
 
     def bias(self, q: Array, v: Array) -> Array:
         """(n,) h: inertial, gravity, elastic and dissipative forces."""
         return np.array(self._questions["bias"](self._q(q), self._q(v, "v"))).ravel()
 
+    def christoffel(self, q: Array, v: Array) -> Array:
+        """(n, n) H: H v are the velocity terms of h, dM/dt - 2 H is skew-symmetric."""
+        return np.array(self._christoffel(self._q(q), self._q(v, "v")))
+
     def accelerations(self, q: Array, v: Array, tau: Array) -> Array:
-        """(n,) second derivatives under joint torques tau (n_joint,) [N m], by O(n) elimination."""
+        """(n,) second derivatives under joint torques tau (n_joint,) [N m]."""
         program = self.program(1, "rk4")
         out = np.empty((1, self.n))
         program.evaluate_states(
@@ -161,7 +170,9 @@ class Model:
         if joints not in ("locked", "free"):
             raise ValueError(f"joints must be 'locked' or 'free', got {joints!r}.")
         rigid = self.rigid(np.zeros(self.n) if q is None else self._q(q))
-        M = np.array(gibbs_appell.mass_matrix(self.chain, [float(x) for x in rigid]), dtype=float)
+        M: Array = np.array(
+            self._formed.equations.mass_matrix(self.chain, [float(x) for x in rigid])
+        )
         K = self.stiffness
         modal = np.setdiff1d(np.arange(self.n), self.arm.joint_index)
         if joints == "locked":
@@ -209,7 +220,9 @@ class Model:
         """
         added = addition or self._stepping
         arm, free = json.dumps(self.arm.to_dict(), sort_keys=True), ",".join(self.free_parameters)
-        key = fingerprint(arm, free, str(lanes), integrator, self.dtype, added.key)
+        key = fingerprint(
+            arm, free, str(lanes), integrator, self.dtype, self.formulation, added.key
+        )
         return cached_module(key, lambda: self._generate(lanes, integrator, added))
 
     def workspace(self, program: ModuleType) -> Array:
@@ -279,7 +292,7 @@ class Model:
         extra = ca.SX.sym("implicit", 2 + self.n if implicit else 0)
         x = ca.vertsplit(extra)
         weights = Implicit(x[0], x[1], x[2:]) if implicit else None
-        a = elimination.accelerations(
+        a = self._formed.accelerations(
             self._traced_chain(p), ca.vertsplit(q), ca.vertsplit(v), ca.vertsplit(tau), weights
         )
         return ca.Function("accelerations", [q, v, tau, p, extra], [ca.cse(ca.vertcat(*a))])
@@ -299,8 +312,8 @@ class Model:
         import casadi as ca
 
         q, v, _, _ = self._symbols()
-        M = gibbs_appell.mass_matrix(self.chain, ca.vertsplit(q))
-        h = gibbs_appell.bias(self.chain, ca.vertsplit(q), ca.vertsplit(v))
+        M = self._formed.equations.mass_matrix(self.chain, ca.vertsplit(q))
+        h = self._formed.equations.bias(self.chain, ca.vertsplit(q), ca.vertsplit(v))
         lower = [x for i, row in enumerate(M) for x in row[: i + 1]]
         return ca.Function("M_h", [q, v], [ca.cse(ca.vertcat(*lower, *h))])
 
@@ -327,7 +340,8 @@ class Model:
             deflections.append(ca.norm_2(shift) / link.length)
             slopes.append(ca.norm_2(ca.vertcat(*theta)))
             curvatures += [bend[2], bend[1]]
-        values = [*end.tip, *end.tip_velocity, *rigid, *deflections, *slopes, *curvatures]
+        velocity = self._formed.tip_velocity(self.chain, x, ca.vertsplit(v))
+        values = [*end.tip, *velocity, *rigid, *deflections, *slopes, *curvatures]
         return ca.Function("measure", [q, v], [ca.cse(ca.vertcat(*values))])
 
     @cached_property
@@ -337,16 +351,21 @@ class Model:
 
         q, v, tau, _ = self._symbols()
         x, rates = ca.vertsplit(q), ca.vertsplit(v)
-        M = gibbs_appell.mass_matrix(self.chain, x)
-        a = ca.vertcat(*elimination.accelerations(self.chain, x, rates, ca.vertsplit(tau)))
+        formed = self._formed
+        M = formed.equations.mass_matrix(self.chain, x)
+        a = ca.vertcat(*formed.accelerations(self.chain, x, rates, ca.vertsplit(tau)))
         derivatives = [ca.jacobian(a, x) for x in (q, v, tau)]
         graphs = {
             "mass_matrix": ([q], [ca.vertcat(*(ca.horzcat(*row) for row in M))]),
-            "bias": ([q, v], [ca.vertcat(*gibbs_appell.bias(self.chain, x, rates))]),
-            "energy": ([q, v], [ca.vertcat(*energies(self.chain, x, rates))]),
+            "bias": ([q, v], [ca.vertcat(*formed.equations.bias(self.chain, x, rates))]),
+            "energy": ([q, v], [ca.vertcat(*formed.energies(self.chain, x, rates))]),
             "jacobian": ([q, v, tau], derivatives),
         }
         return {name: ca.Function(name, inputs, out) for name, (inputs, out) in graphs.items()}
+
+    @cached_property
+    def _christoffel(self) -> Any:
+        return christoffel(self._formed.equations, self.chain, self.n)
 
     def _measure(self, q: Array, v: Array) -> Array:
         return np.array(self.measure_graph(self._q(q), self._q(v, "v"))).ravel()

@@ -160,7 +160,7 @@ def _integrals(
     square = pseudo(link.C0)
     second = symmetric(lambda i, j: plus(square[i][j], half[i][j]))
     first = add(link.first_moment, combine(shape.x, link.epsilon))
-    D = [
+    D: list[Matrix] = [
         ((0.0, *eps), *((0.0, *row) for row in block))
         for eps, block in zip(link.epsilon, rows, strict=True)
     ]
