@@ -22,7 +22,7 @@ from tests.dynamics.random_arms import (
 )
 
 ARM = two_link_spatial()
-CODE = [random_arm(18, 1, 2), ARM]
+SMALL = random_arm(18, 1, 2)
 SIBLINGS = [name for name in FORMULATIONS if name != "gibbs_appell"]
 
 
@@ -36,9 +36,8 @@ def central(f: object, step: float = 1e-5) -> Array:
     return (8.0 * (f(step) - f(-step)) - (f(2 * step) - f(-2 * step))) / (12.0 * step)
 
 
-@pytest.mark.parametrize("arm", CODE, ids=lambda arm: f"{arm.n_joint}-link-{arm.n}")
+@pytest.mark.parametrize(("arm", "lanes"), [(SMALL, LANES), (ARM, 1)], ids=["many", "one"])
 @pytest.mark.parametrize("name", FORMULATIONS)
-@pytest.mark.parametrize("lanes", [1, LANES])
 def test_compiled_code_is_the_formulation_on_floats(arm: Arm, name: str, lanes: int) -> None:
     """In every lane, also of a block that is not full."""
     model, count = compile_arm(arm, formulation=name), LANES + 3
@@ -113,17 +112,16 @@ def test_tip_velocity_is_the_rate_of_the_tip(name: str, rotation: str) -> None:
         assert error < 1e-8
 
 
-@pytest.mark.parametrize("integrator", ["midpoint", "numerov"])
 @pytest.mark.parametrize("name", SIBLINGS)
-def test_implicit_steps_are_those_of_the_recursion(name: str, integrator: str) -> None:
+def test_implicit_steps_are_those_of_the_recursion(name: str) -> None:
     """A hundred steps of a batch, elastic and damping forces taken implicitly."""
     ends = []
     for formulation in (name, "gibbs_appell"):
-        model = compile_arm(ARM, formulation=formulation)
-        stepper = Stepper(model, 2, dt=1e-3, substeps=100, integrator=integrator)
+        model = compile_arm(SMALL, formulation=formulation)
+        stepper = Stepper(model, 2, dt=1e-3, substeps=100, integrator="midpoint")
         for row, seed in enumerate((0, 1)):
-            stepper.q[row] = random_state(ARM, seed)[0]
-        stepper.torque[:] = (0.5, -0.2)
+            stepper.q[row] = random_state(SMALL, seed)[0]
+        stepper.torque[:] = 0.5
         stepper.advance()
         ends.append((stepper.q.copy(), stepper.v.copy()))
 
@@ -163,7 +161,7 @@ def test_a_model_remembers_its_formulation(model: Model) -> None:
 
 
 def test_formulations_have_programs_of_their_own() -> None:
-    files = [compile_arm(CODE[0], formulation=x).program(1, "rk4").__file__ for x in FORMULATIONS]
+    files = [compile_arm(SMALL, formulation=x).program(1, "rk4").__file__ for x in FORMULATIONS]
     assert len(set(files)) == len(FORMULATIONS)
 
 
