@@ -86,8 +86,8 @@ PUBLISHED = {
     ),
 }  # fmt: skip
 
-# Korayem & Shafei (2009), Table 1: steps 1 to 10 of their recursion. The last sum of step 10 reads
-# 9 n^2 - 9 where print and count of the loops are not at odds.
+# Korayem & Shafei (2009), Table 1: steps 1 to 10 of their recursion. The sums of step 10 begin with
+# 9 n^2 - 9: so many its loops have, and only so the steps add up to Table 2.
 STEPS = (
     Published(lambda n, f, m: 15 * n - 15, lambda n, f, m: 6 * n - 6),
     Published(lambda n, f, m: 60 * n - 60, lambda n, f, m: 55 * n - 55),
