@@ -1,14 +1,15 @@
-"""Expression graphs of one arm that answer questions; those that step it are in model.py.
+"""Expression graphs of one arm: those that are compiled and those that answer questions.
 
 Of a free base, coordinates and rates are those in its own frame (free_base.py), and its attitude
 (4,) is a third input.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dynamics.algebra import Scalar, add, combine, matvec
-from dynamics.elimination import accelerations
+from dynamics.elimination import Implicit
 from dynamics.free_base import (
     SIZE,
     local,
@@ -21,8 +22,8 @@ from dynamics.free_base import (
     unturned,
     world,
 )
-from dynamics.gibbs_appell import bias, mass_matrix
-from dynamics.kinematics import Chain, energies, outward, poses
+from dynamics.free_parameters import FREE_PARAMETERS
+from dynamics.kinematics import Chain, outward, poses
 from dynamics.modes import curvature, parts
 
 if TYPE_CHECKING:
@@ -54,7 +55,8 @@ def mass_matrix_and_bias(model: "Model") -> Any:
     import casadi as ca
 
     s = _seen(model)
-    M, h = mass_matrix(s.chain, s.x), bias(s.chain, s.x, s.rates)
+    equations = model.formed.equations
+    M, h = equations.mass_matrix(s.chain, s.x), equations.bias(s.chain, s.x, s.rates)
     lower = [x for i, row in enumerate(M) for x in row[: i + 1]]
     return ca.Function("M_h", s.inputs, [ca.cse(ca.vertcat(*lower, *h))])
 
@@ -64,12 +66,13 @@ def questions(model: "Model") -> dict[str, Any]:
     import casadi as ca
 
     s = _seen(model)
-    M = matrix_in_world(mass_matrix(s.chain, s.x), s.attitude)
-    moved = [world(p, s.attitude) for p in momentum(s.chain, s.x, s.rates)]
+    formed, state = model.formed, (s.chain, s.x, s.rates)
+    M = matrix_in_world(formed.equations.mass_matrix(s.chain, s.x), s.attitude)
+    moved = [world(p, s.attitude) for p in momentum(*state)]
     values = {
         "mass_matrix": ca.vertcat(*(ca.horzcat(*row) for row in M)),
-        "bias": ca.vertcat(*world(bias(s.chain, s.x, s.rates), s.attitude)),
-        "energy": ca.vertcat(*energies(s.chain, s.x, s.rates)),
+        "bias": ca.vertcat(*world(formed.equations.bias(*state), s.attitude)),
+        "energy": ca.vertcat(*formed.energies(*state)),
         "momentum": ca.vertcat(*moved[0], *moved[1]),
     }
     return {name: ca.Function(name, s.inputs, [value]) for name, value in values.items()}
@@ -85,7 +88,8 @@ def measure(model: "Model") -> Any:
     kept = {*range(model.arm.base.n), *model.arm.joint_index}
     straight = [x if i in kept else 0.0 for i, x in enumerate(s.x)]
     rigid = poses(outward(model.chain, straight, [0.0] * model.n))[-1].tip
-    tips = [x for y in (end.tip, end.tip_velocity, rigid) for x in world(y, s.attitude)]
+    velocity = model.formed.tip_velocity(model.chain, s.x, s.rates)
+    tips = [x for y in (end.tip, velocity, rigid) for x in world(y, s.attitude)]
     deflections, slopes, curvatures = [], [], []
     for link, place in zip(model.arm.links, model.bodies, strict=True):
         bodies = frames[place]
@@ -115,7 +119,7 @@ def jacobians(model: "Model") -> Any:
     x, rates = ca.vertsplit(q), list(s.rates)
     if s.attitude:
         rates[:SIZE] = own_rates(x[:SIZE], rates[:SIZE])
-    a = accelerations(s.chain, x, rates, ca.vertsplit(tau))
+    a = model.formed.accelerations(s.chain, x, rates, ca.vertsplit(tau))
     if s.attitude:
         a[:SIZE] = own_accelerations(x[:SIZE], rates[:SIZE], a[:SIZE])
     result = ca.vertcat(*a)
@@ -131,6 +135,30 @@ def state_jacobian(graph: Any) -> Any:
     a = graph(*x)
     rows = [ca.vec(ca.densify(ca.jacobian(a, y)).T) for y in x[:2]]
     return ca.Function("jacobian", x, [ca.cse(ca.vertcat(*rows))])
+
+
+def accelerations(model: "Model", implicit: bool) -> Any:
+    """CasADi Function (q, v, tau, parameters, nothing or `Implicit`) -> accelerations."""
+    import casadi as ca
+
+    parameters = len(model.free_parameters) + model.n_gravity
+    sizes = {"q": model.n, "v": model.n, "tau": model.n_joint, "p": parameters,
+             "implicit": 2 + model.n if implicit else 0}  # fmt: skip
+    symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
+    q, v, tau, _, x = (ca.vertsplit(symbol) for symbol in symbols)
+    weights = Implicit(x[0], x[1], x[2:]) if implicit else None
+    a = model.formed.accelerations(_with_parameters(model, symbols[3]), q, v, tau, weights)
+    return ca.Function("accelerations", symbols, [ca.cse(ca.vertcat(*a))])
+
+
+def _with_parameters(model: "Model", p: Any) -> Chain:
+    links = list(model.chain.links)
+    for k, name in enumerate(model.free_parameters):
+        links = FREE_PARAMETERS[name].apply(links, p[k])
+    first, gravity = len(model.free_parameters), model.arm.gravity
+    if model.n_gravity:
+        gravity = (p[first], p[first + 1], p[first + 2])
+    return replace(model.chain, links=tuple(links), gravity=gravity)
 
 
 def renewal(gravity: Sequence[float]) -> tuple[Any, dict[str, int]]:

@@ -18,6 +18,7 @@ from dynamics.algebra import (
     Vector,
     add,
     combine,
+    congruence,
     cos,
     cross,
     dot,
@@ -33,7 +34,6 @@ from dynamics.algebra import (
     scale,
     sin,
     skew,
-    sub,
     symmetric,
     tmatvec,
     transpose,
@@ -265,6 +265,7 @@ class Pose(NamedTuple):
     R: Matrix  # from the link's frame to the world
     tip: Vector  # [m]
     tip_velocity: Vector  # [m/s]
+    joint_velocity: Vector  # [m/s] in the link's own frame
 
 
 def poses(frames: Sequence[Frame]) -> list[Pose]:
@@ -273,12 +274,12 @@ def poses(frames: Sequence[Frame]) -> list[Pose]:
     tip, R, velocity, w_tip = ZERO, EYE, ZERO, ZERO
     for f in frames:
         joint = add(tip, matvec(R, f.offset))
-        velocity = add(tmatvec(f.R, add(velocity, cross(w_tip, f.offset))), f.slide)
+        at_joint = add(tmatvec(f.R, add(velocity, cross(w_tip, f.offset))), f.slide)
         R = matmul(R, f.R)
-        velocity = add(velocity, cross(f.w, f.r), f.r_dot)
+        velocity = add(at_joint, cross(f.w, f.r), f.r_dot)
         w_tip = f.w_tip
         tip = add(joint, matvec(R, f.r))
-        result.append(Pose(joint, R, tip, matvec(R, velocity)))
+        result.append(Pose(joint, R, tip, matvec(R, velocity), at_joint))
     return result
 
 
@@ -295,12 +296,12 @@ def energies(
     frames = outward(chain, q, v)
     for f, pose, (rate, _) in zip(frames, poses(frames), chain.split(v), strict=True):
         link = f.link
-        u = sub(tmatvec(pose.R, pose.tip_velocity), add(cross(f.w, f.r), f.r_dot))  # joint
+        u = pose.joint_velocity
+        u_end = add(u, cross(f.w, f.r), f.r_dot)
         x_dot = f.shape.x_dot
         eps_dot = combine(x_dot, link.epsilon)
         slip = plus(rate, dot(link.root_slope, f.delta_dot))
         twist = stretch(f)
-        w_end = tmatvec(f.E, f.w_tip)
         kinetic = plus(
             kinetic,
             mul(0.5 * link.mass, dot(u, u)),
@@ -309,8 +310,8 @@ def energies(
             dot(f.w, combine(x_dot, f.alpha)),
             mul(0.5, dot(x_dot, [dot(row, x_dot) for row in link.s])),
             mul(0.5 * link.rotor_inertia, mul(slip, slip)),
-            mul(0.5 * link.tip_mass, dot(pose.tip_velocity, pose.tip_velocity)),
-            mul(0.5, dot(w_end, matvec(link.tip_inertia, w_end))),
+            mul(0.5 * link.tip_mass, dot(u_end, u_end)),
+            mul(0.5, dot(f.w_tip, matvec(congruence(f.E, link.tip_inertia), f.w_tip))),
         )
         elastic = plus(elastic, mul(0.5, dot(f.delta, [dot(row, f.delta) for row in link.K])))
         elastic = plus(elastic, mul(0.5, mul(link.spring, mul(twist, twist))))

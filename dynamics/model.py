@@ -2,18 +2,18 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from dynamics import elimination, free_base, gibbs_appell, graphs, linear
+from dynamics import free_base, gibbs_appell, graphs, linear
 from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
 from dynamics.attitude import from_rotation_vector, rotation_matrix
-from dynamics.elimination import Implicit
+from dynamics.christoffel import christoffel
+from dynamics.formulations import formulation_for
 from dynamics.free_parameters import FREE_PARAMETERS
 from dynamics.integrators import INTEGRATORS
 from dynamics.kernels import LANES, glue
@@ -30,7 +30,6 @@ from dynamics.modes import chain_constants, curvature, parts
 
 Array = np.ndarray
 
-FORMULATIONS = ("gibbs_appell",)
 LANES_OF = {"float64": LANES, "float32": 2 * LANES}
 
 
@@ -46,7 +45,8 @@ def compile_arm(
     Parameters
     ----------
     arm : an Arm, a preset's name, a path or a dict.
-    formulation : how the equations of motion are formed; "gibbs_appell".
+    formulation : how the equations of motion are formed, a name in FORMULATIONS; stepping is
+        fastest with "gibbs_appell".
     dtype : number type of the compiled stepping code, "float64" or "float32"; descriptions,
         states and answers are float64 all the same.
     free_parameters : names in FREE_PARAMETERS that stay inputs instead of folding away.
@@ -55,14 +55,12 @@ def compile_arm(
     ------
     ValueError : naming the argument, its value and what is possible.
     """
-    if formulation not in FORMULATIONS:
-        raise ValueError(f"Unknown formulation {formulation!r}. Known: {sorted(FORMULATIONS)}.")
     if dtype not in LANES_OF:
         raise ValueError(f"Unknown dtype {dtype!r}. Known: {sorted(LANES_OF)}.")
     unknown = sorted(set(free_parameters) - set(FREE_PARAMETERS))
     if unknown:
         raise ValueError(f"Unknown free parameters {unknown}. Known: {sorted(FREE_PARAMETERS)}.")
-    return Model(load_arm(arm), tuple(free_parameters), dtype)
+    return Model(load_arm(arm), tuple(free_parameters), dtype, formulation)
 
 
 class Model:
@@ -76,9 +74,14 @@ class Model:
     """
 
     def __init__(
-        self, arm: Arm, free_parameters: tuple[str, ...] = (), dtype: str = "float64"
+        self,
+        arm: Arm,
+        free_parameters: tuple[str, ...] = (),
+        dtype: str = "float64",
+        formulation: str = "gibbs_appell",
     ) -> None:
-        self.arm, self.dtype = arm, dtype
+        self.arm, self.dtype, self.formulation = arm, dtype, formulation
+        self.formed = formulation_for(arm, formulation)
         self.lanes = LANES_OF[dtype]  # environments that a batch steps side by side
         self.free_parameters = free_parameters
         self.names = list(arm.names)
@@ -93,7 +96,7 @@ class Model:
         rotation = "exp" if arm.rotation == "exp" else "linear"
         self.chain = Chain(links, arm.gravity, rotation, bool(base))
         # of a free base, gravity is an input: its own frame turns
-        self._n_gravity = 3 if base and any(arm.gravity) else 0
+        self.n_gravity = 3 if base and any(arm.gravity) else 0
         self.nominal_parameters = np.array([FREE_PARAMETERS[p].nominal for p in free_parameters])
         widths = {
             "tip": 3, "tip_velocity": 3, "rigid_tip": 3, "deflection": self.n_joint,
@@ -108,20 +111,25 @@ class Model:
         self._programs: dict[tuple[int, str, str], ModuleType] = {}
 
     def __reduce__(self) -> Any:
-        return Model, (self.arm, self.free_parameters, self.dtype)
+        return Model, (self.arm, self.free_parameters, self.dtype, self.formulation)
 
     # ---- questions -----------------------------------------------------------------------------
 
     def mass_matrix(self, q: Array) -> Array:
-        """(n, n) M at q, from composite inertias: (75), (81), (85)."""
+        """(n, n) M at q."""
         return np.array(self._questions["mass_matrix"](*self._state(q, np.zeros(self.n))))
 
     def bias(self, q: Array, v: Array) -> Array:
         """(n,) h: inertial, gravity, elastic and dissipative forces."""
         return np.array(self._questions["bias"](*self._state(q, v))).ravel()
 
+    def christoffel(self, q: Array, v: Array) -> Array:
+        """(n, n) H: H v are the velocity terms of h, dM/dt - 2 H is skew-symmetric."""
+        self._refuse_flight("christoffel")
+        return np.array(self._christoffel(self._q(q), self._q(v, "v")))
+
     def accelerations(self, q: Array, v: Array, tau: Array) -> Array:
-        """(n,) second derivatives under joint torques tau (n_joint,) [N m], by O(n) elimination."""
+        """(n,) second derivatives under joint torques tau (n_joint,) [N m]."""
         program = self.program(1, "rk4")
         out = np.empty((1, self.n))
         program.evaluate_states(
@@ -138,8 +146,7 @@ class Model:
         """
         h = self.bias(q, v)
         if wrench is not None:
-            if self.arm.base.n:
-                raise ValueError("wrench is for an arm with a fixed base; this one flies.")
+            self._refuse_flight("wrench")
             x, rates = self._q(q).tolist(), self._q(v, "v").tolist()
             f = _checked(wrench, 6, "wrench").tolist()
             load = gibbs_appell.Wrench(f[:3], f[3:])
@@ -188,7 +195,9 @@ class Model:
         if joints not in ("locked", "free"):
             raise ValueError(f"joints must be 'locked' or 'free', got {joints!r}.")
         rigid = self.rigid(np.zeros(self.n) if q is None else self._q(q))
-        M = np.array(gibbs_appell.mass_matrix(self.chain, [float(x) for x in rigid]), dtype=float)
+        M: Array = np.array(
+            self.formed.equations.mass_matrix(self.chain, [float(x) for x in rigid])
+        )
         K = self.stiffness
         if joints == "locked":
             moving = np.setdiff1d(np.arange(self.n), self.arm.joint_index)
@@ -231,7 +240,7 @@ class Model:
         Of a free base in coordinates whose rates are derivatives: x and rotation vector in a frame
         that does not move, in which gravity ends the parameters: see free_base.py.
         """
-        return self._trace_accelerations(implicit=False)
+        return graphs.accelerations(self, implicit=False)
 
     @cached_property
     def stiffness(self) -> Array:
@@ -258,7 +267,9 @@ class Model:
 
     def _program(self, lanes: int, integrator: str, added: Addition) -> ModuleType:
         arm, free = json.dumps(self.arm.to_dict(), sort_keys=True), ",".join(self.free_parameters)
-        key = fingerprint(arm, free, str(lanes), integrator, self.dtype, added.key)
+        key = fingerprint(
+            arm, free, str(lanes), integrator, self.dtype, self.formulation, added.key
+        )
         return cached_module(key, lambda: self._generate(lanes, integrator, added))
 
     def workspace(self, program: ModuleType) -> Array:
@@ -273,7 +284,7 @@ class Model:
                 f"integrator {integrator!r} remembers earlier steps, but a free base has new "
                 f"coordinates after every step; take one of {others}."
             )
-        parameters = len(self.free_parameters) + self._n_gravity
+        parameters = len(self.free_parameters) + self.n_gravity
         sizes = {
             **({"ATTITUDE": 4} if self.arm.base.n else {}),
             "Q": self.n, "V": self.n, "TAU": self.n_joint, "PARAMETERS": parameters,
@@ -282,7 +293,7 @@ class Model:
         starts = np.cumsum([0, *sizes.values()]).tolist()
         at, implicit = dict(zip(sizes, starts, strict=False)), method.implicit
         inputs = [at["Q"], at["V"], at["TAU"], at["PARAMETERS"], at["IMPLICIT"]]
-        graph = self._trace_accelerations(implicit) if implicit else self.graph
+        graph = graphs.accelerations(self, implicit) if implicit else self.graph
         functions = [
             render_function("accelerations", graph, inputs, at["ACC"]),
             *added.functions(at),
@@ -328,35 +339,6 @@ class Model:
 
     # ---- tracing -------------------------------------------------------------------------------
 
-    def _symbols(self) -> tuple[Any, Any, Any, Any]:
-        import casadi as ca
-
-        parameters = len(self.free_parameters) + self._n_gravity
-        sizes = {"q": self.n, "v": self.n, "tau": self.n_joint, "p": parameters}
-        q, v, tau, p = (ca.SX.sym(name, size) for name, size in sizes.items())
-        return q, v, tau, p
-
-    def _traced_chain(self, p: Any) -> Chain:
-        links = list(self.chain.links)
-        for k, name in enumerate(self.free_parameters):
-            links = FREE_PARAMETERS[name].apply(links, p[k])
-        first, gravity = len(self.free_parameters), self.arm.gravity
-        if self._n_gravity:
-            gravity = (p[first], p[first + 1], p[first + 2])
-        return replace(self.chain, links=tuple(links), gravity=gravity)
-
-    def _trace_accelerations(self, implicit: bool) -> Any:
-        import casadi as ca
-
-        q, v, tau, p = self._symbols()
-        extra = ca.SX.sym("implicit", 2 + self.n if implicit else 0)
-        x = ca.vertsplit(extra)
-        weights = Implicit(x[0], x[1], x[2:]) if implicit else None
-        a = elimination.accelerations(
-            self._traced_chain(p), ca.vertsplit(q), ca.vertsplit(v), ca.vertsplit(tau), weights
-        )
-        return ca.Function("accelerations", [q, v, tau, p, extra], [ca.cse(ca.vertcat(*a))])
-
     @cached_property
     def jacobian_graph(self) -> Any:
         """CasADi Function (q, v, tau, parameters, nothing) -> da/dq, then da/dv, row by row."""
@@ -375,6 +357,10 @@ class Model:
     def _jacobian(self) -> Any:
         return graphs.jacobians(self)
 
+    @cached_property
+    def _christoffel(self) -> Any:
+        return christoffel(self.formed.equations, self.chain, self.n)
+
     def _measure(self, q: Array, v: Array) -> Array:
         return np.array(self.measure_graph(*self._state(q, v))).ravel()
 
@@ -387,6 +373,10 @@ class Model:
         own = free_base.unturned(free_base.local(q.tolist(), attitude), attitude)
         rates = free_base.local(v.tolist(), attitude)
         return np.array(own), np.array(rates), np.array(attitude)
+
+    def _refuse_flight(self, what: str) -> None:
+        if self.arm.base.n:
+            raise ValueError(f"{what} is for an arm with a fixed base; this one flies.")
 
     def _q(self, x: Array, name: str = "q") -> Array:
         return _checked(x, self.n, name)
