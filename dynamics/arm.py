@@ -6,6 +6,7 @@ from dataclasses import MISSING, dataclass, field, fields
 from typing import Any
 
 from dynamics import checks
+from dynamics.attitude import Quaternion, to_rotation_vector
 from dynamics.checks import ZEROS, Matrix, Vector
 from dynamics.joint import Joint
 from dynamics.shapes import KINDS, are_independent, shape
@@ -16,6 +17,7 @@ NORMS = ("tip-unit", "mass", "raw")
 ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # word in a file -> meaning
 STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy"}  # direction of a mode -> what resists it
 MAX_INDEX = 50
+BASE_NAMES = ("base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz")
 
 
 def _clean(self: object, **values: object) -> None:
@@ -201,14 +203,61 @@ class Payload:
 
 @dataclass(frozen=True, kw_only=True)
 class Base:
-    """What the first joint stands on."""
+    """What the first joint stands on: the ground, or a rigid body that flies freely.
 
-    type: str = "fixed"
+    A free base has its own frame: the first joint's offset and rotation, centre of mass and
+    inertia are given in it. Where it starts is part of the description.
+    """
+
+    type: str = "fixed"  # | "free"
+    mass: float = 0.0  # [kg]
+    com: Vector = (0.0, 0.0, 0.0)  # [m] centre of mass
+    inertia: Matrix = ZEROS  # (3, 3) [kg m^2] about the centre of mass
+    position: Vector = (0.0, 0.0, 0.0)  # [m] of the frame's origin in the world
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z: from the frame to the world
+    velocity: Vector = (0.0, 0.0, 0.0)  # [m/s] of the origin in the world
+    angular_velocity_body: Vector = (0.0, 0.0, 0.0)  # [rad/s] in the frame
 
     def __post_init__(self) -> None:
-        if self.type == "free":
-            raise ValueError("Base.type 'free' is not supported yet; use \"fixed\".")
-        checks.choice(self.type, "Base.type", ("fixed",))
+        kind = checks.choice(self.type, "Base.type", ("fixed", "free"))
+        values: dict[str, object] = {
+            "mass": checks.nonnegative(self.mass, "Base.mass", "kg"),
+            "com": checks.vector(self.com, "Base.com", "m"),
+            "inertia": checks.inertia(self.inertia, "Base.inertia"),
+            "position": checks.vector(self.position, "Base.position", "m"),
+            "quaternion": checks.quaternion(self.quaternion, "Base.quaternion"),
+            "velocity": checks.vector(self.velocity, "Base.velocity", "m/s"),
+            "angular_velocity_body": checks.vector(
+                self.angular_velocity_body, "Base.angular_velocity_body", "rad/s"
+            ),
+        }
+        _clean(self, **values)
+        if kind == "free":
+            checks.positive(self.mass, "Base.mass", "kg")
+            checks.solid(self.inertia, "Base.inertia")
+            return
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name != "type" and value != entry.default:
+                raise ValueError(
+                    f'Base.{entry.name} ({value!r}) is of a free base; give type "free", or '
+                    "leave it out."
+                )
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates: position and attitude."""
+        return len(BASE_NAMES) if self.type == "free" else 0
+
+    @property
+    def q(self) -> tuple[float, ...]:
+        """(n,) [m], [rad] position and rotation vector at the start."""
+        return (*self.position, *to_rotation_vector(self.quaternion))[: self.n]
+
+    @property
+    def v(self) -> tuple[float, ...]:
+        """(n,) [m/s], [rad/s] velocity in the world, angular velocity in the base's own frame."""
+        return (*self.velocity, *self.angular_velocity_body)[: self.n]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,8 +275,8 @@ class Arm:
 
     def __post_init__(self) -> None:
         links = tuple(checks.sequence(self.links, "Arm.links"))
-        if not links:
-            raise ValueError("Arm.links must hold at least one link, got [].")
+        if not links and not (isinstance(self.base, Base) and self.base.n):
+            raise ValueError("Arm.links must hold at least one link on a fixed base, got [].")
         for link in links:
             if not isinstance(link, Link):
                 raise ValueError(f"Arm.links must hold Link objects, got {link!r}.")
@@ -247,6 +296,10 @@ class Arm:
             gravity=checks.vector(self.gravity, "Arm.gravity", "m/s^2"),
             rotation=ROTATIONS[checks.choice(self.rotation, "Arm.rotation", ROTATIONS)],
         )
+        if not links:
+            if self.payload is not None:
+                raise ValueError(f"Arm.payload ({self.payload!r}) needs a link that holds it.")
+            return
         last = self.links[-1]
         if not _moved(last, self.payload) > 0.0:
             raise ValueError(
@@ -263,7 +316,7 @@ class Arm:
 
     @property
     def n(self) -> int:
-        """Number of coordinates: joint angles, twists of joint springs, modal amplitudes."""
+        """Number of coordinates: base, joint angles, twists of joint springs, modal amplitudes."""
         return len(self.names)
 
     @property
@@ -273,11 +326,11 @@ class Arm:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Coordinates link by link, segments inside out: "q1", "d1_1", "d1_2", ..., "q2", ...
+        """A free base's six, then link by link, inside out: "q1", "d1_1", "d1_2", ..., "q2", ...
 
         q is the rotor of an elastic joint; the twist of its spring follows it: "q1", "s1", "d1_1".
         """
-        return tuple(
+        return BASE_NAMES[: self.base.n] + tuple(
             name
             for i, link in enumerate(self.links, 1)
             for modes in [range(1, link.segments * len(link.modes) + 1)]

@@ -12,6 +12,7 @@ import yaml
 from dynamics import checks, denavit_hartenberg
 from dynamics.arm import Arm, Base, Body, Joint, Link, Mode, Payload
 from dynamics.arms import ARMS
+from dynamics.attitude import from_euler
 
 TABLE = "denavit_hartenberg"  # instead of links: rows of a table, see that module
 ARM_KEYS = (*(entry.name for entry in fields(Arm)), "units", TABLE)
@@ -117,10 +118,15 @@ def _link(data: object, where: str) -> Link:
 
 
 def _base(data: object) -> Base:
-    kind = data.get("type", "fixed") if isinstance(data, Mapping) else None
-    if kind == "free":  # it has further keys, which would be refused one by one
-        return Base(type="free")
-    base: Base = _build(Base, data, "base")
+    """A base; 3-2-1 Euler angles (theta about 3, phi about 2, psi about 1) may stand for it."""
+    names = [entry.name for entry in fields(Base)]
+    values = checks.mapping(data, "base", [*names, "euler"])
+    if "euler" in values:
+        if "quaternion" in values:
+            raise ValueError("base: euler and quaternion exclude each other; give one.")
+        angles = checks.vector(values.pop("euler"), "base.euler", "rad")
+        values["quaternion"] = from_euler(angles)
+    base: Base = _build(Base, values, "base")
     return base
 
 

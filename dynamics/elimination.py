@@ -71,7 +71,7 @@ def accelerations(
         drive = [*(mul(s, torque) for s in f.link.root_slope), torque]
         residual = [minus(t, h) for t, h in zip(drive, forces, strict=False)]
         if implicit:
-            _take_implicitly(f.link, block.D, residual, implicit, guesses[i])
+            take_implicitly(f.link, block.D, residual, implicit, guesses[i])
         pivots = _eliminate(block, residual)
         solved.append((block, residual, pivots))
         if i:
@@ -89,7 +89,7 @@ def accelerations(
     return _outward_solution(frames, solved[::-1])
 
 
-def _take_implicitly(
+def take_implicitly(
     link: LinkConstants,
     D: list[list[Scalar]],
     residual: list[Scalar],

@@ -61,11 +61,17 @@ class Inertia(NamedTuple):
         return Inertia(self.A, B, D)
 
     def turned(self, R: Matrix) -> "Inertia":
-        """The same inertia in a frame turned by R."""
-        return Inertia(congruence(R, self.A), rotate(R, self.B), congruence(R, self.D))
+        """The same inertia in a frame turned by R, which may be no rotation."""
+        A, D = (congruence(R, X, rotation=False) for X in (self.A, self.D))
+        return Inertia(A, rotate(R, self.B), D)
+
+    def turned_composite(self, R: Matrix) -> "Inertia":
+        """The same with a rotation R: A = m 1 does not turn; of B = b~ the vector turns."""
+        b = (self.B[2][1], self.B[0][2], self.B[1][0])
+        return Inertia(self.A, skew(matvec(R, b)), congruence(R, self.D))
 
 
-def _friction(link: LinkConstants, rate: Scalar) -> Scalar:
+def friction_torque(link: LinkConstants, rate: Scalar) -> Scalar:
     """Joint friction torque [N m]: viscous, and Coulomb smoothed by tanh."""
     viscous = mul(link.viscous, rate)
     if is_zero(link.coulomb):
@@ -140,7 +146,7 @@ def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]
     body = _tip_body_bias(f)
     tip = Wrench(add(body[0], outer.force), add(body[1], outer.moment))
     slip = plus(rate, dot(link.root_slope, f.delta_dot))
-    resistance = plus(_friction(link, slip), mul(link.spring, stretch(f)))
+    resistance = plus(friction_torque(link, slip), mul(link.spring, stretch(f)))
     for j, inertial in enumerate(modal):
         modal[j] = plus(
             inertial,
@@ -274,8 +280,6 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
                 for row, entry in zip(places[k], entries, strict=False):
                     M[row][places[i][c]] = M[places[i][c]][row] = entry
                 child = parent
-        # B stays a skew matrix in a composite: turn its vector, not the matrix
-        b = (block.inertia.B[2][1], block.inertia.B[0][2], block.inertia.B[1][0])
-        turned = Inertia(block.inertia.A, skew(matvec(f.R, b)), congruence(f.R, block.inertia.D))
-        outer = turned.moved(f.offset)
+        turn = Inertia.turned_composite if chain.rotation == "exp" else Inertia.turned
+        outer = turn(block.inertia, f.R).moved(f.offset)
     return M

@@ -18,6 +18,7 @@ from dynamics.algebra import (
     Vector,
     add,
     combine,
+    congruence,
     cos,
     cross,
     dot,
@@ -33,7 +34,6 @@ from dynamics.algebra import (
     scale,
     sin,
     skew,
-    sub,
     symmetric,
     tmatvec,
     transpose,
@@ -48,6 +48,7 @@ class Chain:
     links: tuple[LinkConstants, ...]
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2]
     rotation: str = "exp"  # the bent end's rotation: exp(theta~), or "linear": 1 + theta~
+    free_base: bool = False  # the first two bodies are a base that moves: see free_base.py
 
     def split(self, x: Sequence[Scalar]) -> list[tuple[Scalar, Sequence[Scalar]]]:
         """Coordinates body by body: (joint, modes); a welded body's joint is a structural zero."""
@@ -125,7 +126,7 @@ class Frame(NamedTuple):
 _TERMS = 7  # series in |theta|^2: error below 1e-16 up to 0.6 rad, 5e-14 at 1 rad
 
 
-def _series(x: Scalar, first: int) -> tuple[Scalar, Scalar]:
+def series(x: Scalar, first: int) -> tuple[Scalar, Scalar]:
     """Sum of (-x)^k / (2k + first)! and its derivative, by Horner's rule."""
     c = [(-1.0) ** k / factorial(2 * k + first) for k in range(_TERMS)]
     value: Scalar = 0.0
@@ -155,8 +156,8 @@ def tip_rotation(
     if kind != "exp":
         return madd(EYE, T), shapes, ZERO
     x = dot(theta, theta)
-    c, dc = _series(x, 2)
-    d, dd = _series(x, 3)
+    c, dc = series(x, 2)
+    d, dd = series(x, 3)
     sinc = minus(1.0, mul(x, d))
     squares = symmetric(lambda i, j: mul(theta[i], theta[j]))
     TT = symmetric(lambda i, j: minus(squares[i][j], x) if i == j else squares[i][j])
@@ -226,7 +227,8 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
         shape = amplitudes(link, delta, delta_dot)
         r = add((link.length, 0.0, 0.0), combine(shape.x, link.tip_phi))
         r_dot = combine(shape.x_dot, link.tip_phi)
-        E, tip_theta, bias = tip_rotation(link, delta, delta_dot, chain.rotation)
+        kind = "exp" if chain.free_base and not frames else chain.rotation
+        E, tip_theta, bias = tip_rotation(link, delta, delta_dot, kind)
         theta_dot = combine(delta_dot, tip_theta)
         a_tip = add(
             a, matvec(Phi, r), scale(2.0, cross(w, r_dot)), combine(shape.bias, link.tip_phi)
@@ -263,6 +265,7 @@ class Pose(NamedTuple):
     R: Matrix  # from the link's frame to the world
     tip: Vector  # [m]
     tip_velocity: Vector  # [m/s]
+    joint_velocity: Vector  # [m/s] in the link's own frame
 
 
 def poses(frames: Sequence[Frame]) -> list[Pose]:
@@ -271,12 +274,12 @@ def poses(frames: Sequence[Frame]) -> list[Pose]:
     tip, R, velocity, w_tip = ZERO, EYE, ZERO, ZERO
     for f in frames:
         joint = add(tip, matvec(R, f.offset))
-        velocity = add(tmatvec(f.R, add(velocity, cross(w_tip, f.offset))), f.slide)
+        at_joint = add(tmatvec(f.R, add(velocity, cross(w_tip, f.offset))), f.slide)
         R = matmul(R, f.R)
-        velocity = add(velocity, cross(f.w, f.r), f.r_dot)
+        velocity = add(at_joint, cross(f.w, f.r), f.r_dot)
         w_tip = f.w_tip
         tip = add(joint, matvec(R, f.r))
-        result.append(Pose(joint, R, tip, matvec(R, velocity)))
+        result.append(Pose(joint, R, tip, matvec(R, velocity), at_joint))
     return result
 
 
@@ -293,12 +296,12 @@ def energies(
     frames = outward(chain, q, v)
     for f, pose, (rate, _) in zip(frames, poses(frames), chain.split(v), strict=True):
         link = f.link
-        u = sub(tmatvec(pose.R, pose.tip_velocity), add(cross(f.w, f.r), f.r_dot))  # joint
+        u = pose.joint_velocity
+        u_end = add(u, cross(f.w, f.r), f.r_dot)
         x_dot = f.shape.x_dot
         eps_dot = combine(x_dot, link.epsilon)
         slip = plus(rate, dot(link.root_slope, f.delta_dot))
         twist = stretch(f)
-        w_end = tmatvec(f.E, f.w_tip)
         kinetic = plus(
             kinetic,
             mul(0.5 * link.mass, dot(u, u)),
@@ -307,8 +310,8 @@ def energies(
             dot(f.w, combine(x_dot, f.alpha)),
             mul(0.5, dot(x_dot, [dot(row, x_dot) for row in link.s])),
             mul(0.5 * link.rotor_inertia, mul(slip, slip)),
-            mul(0.5 * link.tip_mass, dot(pose.tip_velocity, pose.tip_velocity)),
-            mul(0.5, dot(w_end, matvec(link.tip_inertia, w_end))),
+            mul(0.5 * link.tip_mass, dot(u_end, u_end)),
+            mul(0.5, dot(f.w_tip, matvec(congruence(f.E, link.tip_inertia), f.w_tip))),
         )
         elastic = plus(elastic, mul(0.5, dot(f.delta, [dot(row, f.delta) for row in link.K])))
         elastic = plus(elastic, mul(0.5, mul(link.spring, mul(twist, twist))))

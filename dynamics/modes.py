@@ -76,7 +76,7 @@ class LinkConstants:
 
 def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
     """Constants of every link of an arm as bodies: any rotor on a spring, then its welded parts."""
-    payloads = [None] * (len(arm.links) - 1) + [arm.payload]
+    payloads = [*[None] * len(arm.links), arm.payload][1:]
     return [
         _with_rotor(
             link.joint,

@@ -25,7 +25,7 @@ def limits(model: Model, trajectory: "Trajectory") -> tuple[str, ...]:
 
 def _rates(model: Model, trajectory: "Trajectory") -> list[str]:
     joints = list(model.arm.joint_index)
-    if model.arm.foreshortening or model.n == model.n_joint:
+    if model.arm.foreshortening or model.n == model.n_joint + model.arm.base.n:
         return []
     first = float(model.frequencies(trajectory.q[0]).min())
     fastest = np.abs(trajectory.v[:, joints]).max(axis=0)
@@ -38,15 +38,12 @@ def _rates(model: Model, trajectory: "Trajectory") -> list[str]:
 
 
 def _bending(model: Model, trajectory: "Trajectory") -> list[str]:
-    parts = iter(zip(model.chain.links, model.chain.split(list(trajectory.q.T)), strict=True))
+    parts = list(zip(model.chain.links, model.chain.split(list(trajectory.q.T)), strict=True))
     result = []
-    for i, link in enumerate(model.arm.links, 1):
+    for i, (link, place) in enumerate(zip(model.arm.links, model.bodies, strict=True), 1):
         part = "link" if link.segments == 1 else "segment"
-        if link.joint.stiffness is not None:
-            next(parts)  # the rotor
         deflection = slope = 0.0
-        for _ in range(link.segments):
-            body, (_, delta) = next(parts)
+        for body, (_, delta) in parts[place]:
             m = len(body.K)
             if m == 0:
                 continue

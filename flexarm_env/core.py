@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import Arm, checks, load_arm
-from dynamics.free_parameters import FREE_PARAMETERS
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model, compile_arm
 from dynamics.validity import LARGEST_RATE
-from flexarm_env import kernels
+from flexarm_env import inputs, kernels
 from flexarm_env.certificates import find, fit, kept
 from flexarm_env.observations import observation_layout
 from flexarm_env.physics import (
@@ -100,14 +99,19 @@ class Core:
         described = load_arm(arm)
         checks.positive(control_dt, "control_dt", "s")
         checks.positive(deflection_limit, "deflection_limit", "-")
+        if described.base.n:
+            raise ValueError(
+                f"Base.type must be 'fixed' for an environment, got {described.base.type!r}; "
+                "step a free base with dynamics.Stepper."
+            )
         for name, value, least in (
             ("n_env", n_env, 1),
             ("max_episode_steps", max_steps, 0),
             ("threads", threads, 1),
         ):
-            _require_whole(name, value, least)
+            inputs.whole(name, value, least)
         self.n_env, self.threads, self.control_dt = int(n_env), int(threads), float(control_dt)
-        self.randomize = _ranges(randomize or {})
+        self.randomize = inputs.ranges(randomize or {})
         fitted = fit(described, self.control_dt, fidelity, tolerance)
         self.arm, self.physics = fitted.arm, physics(fitted.arm)
         given = physics(described)  # what a task asks does not depend on the model of the arm
@@ -155,7 +159,7 @@ class Core:
         if integrator is not None and integrator not in INTEGRATORS:
             raise ValueError(f"Unknown integrator {integrator!r}. Known: {sorted(INTEGRATORS)}.")
         if substeps is not None:
-            _require_whole("substeps", substeps, 1)
+            inputs.whole("substeps", substeps, 1)
         entry = kept(self.arm, self.control_dt) if integrator is None else None
         if entry is not None:
             best = entry["steps"][0]
@@ -316,12 +320,12 @@ class Core:
         if state is not None:
             if not isinstance(state, Mapping) or not set(state) <= {"q", "v"}:
                 raise ValueError(f"options['state'] must be a dict of 'q' and 'v', got {state!r}.")
-            q = _checked("options['state']['q']", state.get("q"), self.arm.n, rows.size)
-            v = _checked("options['state']['v']", state.get("v"), self.arm.n, rows.size)
+            q = inputs.per_row("options['state']['q']", state.get("q"), self.arm.n, rows.size)
+            v = inputs.per_row("options['state']['v']", state.get("v"), self.arm.n, rows.size)
             self.q[rows], self.v[rows] = q, v
         target = options.get("target")
         if target is not None:
-            angles = _checked("options['target']", target, self.arm.n_joint, rows.size)
+            angles = inputs.per_row("options['target']", target, self.arm.n_joint, rows.size)
             self.state[self.report.state.slices["centre"], :].T[rows] = angles
 
     # ---- reports -----------------------------------------------------------------------------
@@ -366,35 +370,3 @@ class Core:
         Core.__init__(self, **state["arguments"])
         self.state[...] = state["arrays"]["state"]
         self.streams[...] = state["arrays"]["streams"]
-
-
-def _ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Checked ranges of free parameters."""
-    unknown = sorted(set(map(str, given)) - set(FREE_PARAMETERS))
-    if unknown:
-        raise ValueError(f"Unknown randomize {unknown}. Known: {sorted(FREE_PARAMETERS)}.")
-    for name, pair in given.items():
-        low, high = _checked(f"randomize[{name!r}]", pair, 2, 1)
-        if not 0.0 <= low <= high:
-            raise ValueError(
-                f"randomize[{name!r}] must be (low, high) with 0 <= low <= high, got {pair!r}."
-            )
-    return {name: (float(low), float(high)) for name, (low, high) in given.items()}
-
-
-def _require_whole(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} must be a whole number, at least {least}, got {value!r}.")
-
-
-def _checked(name: str, values: Any, size: int, n_row: int) -> Array:
-    """Numbers for each of `n_row` environments, or a sentence; None means zeros."""
-    if values is None:
-        return np.zeros(size)
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be {size} numbers, got {values!r}.") from None
-    if array.shape not in ((size,), (n_row, size)) or not np.isfinite(array).all():
-        raise ValueError(f"{name} must be {size} finite numbers, got {values!r}.")
-    return array

@@ -82,7 +82,7 @@ def inertial_forces(arm: Arm, q: Array, v: Array, a: Array) -> Array:
 
 def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
     """(n,) elastic, damping and friction forces, from their definitions."""
-    forces: list[float] = []
+    forces: list[float] = [0.0] * arm.base.n
     for (link, welded, spring), (turn, delta), (rate, delta_dot) in zip(
         _parts(arm), _by_part(arm, q), _by_part(arm, v), strict=True
     ):
@@ -114,6 +114,20 @@ def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
         forces += [] if welded else [friction]
         forces += list(K @ delta + C @ delta_dot + root * friction)
     return np.array(forces)
+
+
+def momentum(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
+    """Linear momentum, and angular momentum about the world's origin, of all bodies."""
+    b, _ = _bodies(arm, np.array([q, v, 0.0 * v]))
+    p, moving = b.p[0, :, :, 0], b.mass[:, None] * b.p[1, :, :, 0]
+    w, _, J = b.spin()
+    return moving.sum(0), (np.cross(p, moving) + np.einsum("nij,nj->ni", J, w)).sum(0)
+
+
+def gravity_energy(arm: Arm, q: Array) -> float:
+    """Zero with all mass at the world's origin."""
+    b, _ = _bodies(arm, np.array([q, 0.0 * q, 0.0 * q]))
+    return float(-b.mass @ b.p[0, :, :, 0] @ np.array(arm.gravity))
 
 
 def tip(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
@@ -191,7 +205,7 @@ def _parts(arm: Arm) -> list[tuple[Link, bool, float]]:
 
 def _by_part(arm: Arm, x: Array) -> list[tuple[Array, Array]]:
     """(joint, modes) of every segment, along the last axis of x; no joint turns by zero."""
-    found, start = [], 0
+    found, start = [], arm.base.n
     for part, welded, _ in _parts(arm):
         joint = np.zeros(x.shape[:-1]) if welded else x[..., start]
         start += not welded
@@ -205,7 +219,9 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
     """All bodies of an arm in the world, and (inertia, slip) of the rotors; jet is (3, n)."""
     parts: list[tuple[Array, ...]] = []  # mass, inertia, p, R
     rotors: list[tuple[float, Array]] = []
-    p, R = _constant(0.0 * X), _constant(np.eye(3))
+    p, R = _base(jet) if arm.base.n else (_constant(0.0 * X), _constant(np.eye(3)))
+    com = p + _product(R, _constant(arm.base.com))
+    parts.append((np.array([arm.base.mass]), np.array(arm.base.inertia)[None], com, R))
     whole = _parts(arm)
     for i, ((link, _, _), (q, delta)) in enumerate(zip(whole, _by_part(arm, jet), strict=True)):
         p = p + _product(R, _constant(link.joint.offset))
@@ -239,6 +255,13 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
         np.concatenate(m), np.concatenate(J), np.concatenate(ps, 1), np.concatenate(Rs, 1)
     )
     return joined, rotors
+
+
+def _base(jet: Array) -> tuple[Array, Array]:
+    """Jets of a free base's origin and orientation, from its velocity and own angular velocity."""
+    _, w, w_dot = (np.cross(x, -np.eye(3)) for x in jet[:, 3:6])
+    R = _rotation(np.array([jet[0, 3:6], 0.0 * X, 0.0 * X])[:, None])[0]
+    return jet[:, None, :3, None], np.stack([R, R @ w, R @ (w @ w + w_dot)])
 
 
 def _shapes(link: Link) -> list[tuple[Mode, Shape]]:
