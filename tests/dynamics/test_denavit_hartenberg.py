@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from dynamics import ARMS, Arm, Body, Link, Model, load_arm, simulate
+from dynamics import ARMS, Arm, Base, Body, Link, Model, load_arm, simulate
 from dynamics.denavit_hartenberg import Row, arm, links
 from dynamics.newton_euler import inverse_dynamics, rigid_links
 from dynamics.nominal import Cycloidal, NominalTorque, stiffened
@@ -130,9 +130,11 @@ def _orientation(model: Model, q: Array) -> Array:
     return np.array(poses(outward(model.chain, floats(q), [0.0] * model.n))[-1].R)
 
 
-def test_newton_and_euler_refuse_what_bends() -> None:
+def test_newton_and_euler_refuse_what_bends_or_flies() -> None:
     with pytest.raises(ValueError, match=r"link 1 has 2 modes; use Model\.inverse"):
         rigid_links(ARMS["slim"])
+    with pytest.raises(ValueError, match=r"is for a fixed base, got Base.type 'free'"):
+        rigid_links(replace(ARMS["puma-600"], base=Base(type="free", mass=3.0, inertia=np.eye(3))))
 
 
 # ---- there and back ------------------------------------------------------------------------------
