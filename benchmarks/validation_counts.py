@@ -5,6 +5,7 @@ n joints, f flexible links (n_f in the papers), m modes each. Multiplications co
 
 import json
 from collections.abc import Callable
+from math import nan
 from pathlib import Path
 
 from benchmarks.validation_entries import INCOMPARABLE, LOST, Number, Table, as_printed
