@@ -107,6 +107,8 @@ class Core:
         described = load_arm(arm)
         actuators = load_actuators(actuator, described.n_joint)
         described = mounted(described, actuators)
+        if actuators:
+            refuse_beside_actuators(torque_limit=torque_limit, tolerance=tolerance)
         checks.positive(control_dt, "control_dt", "s")
         checks.positive(deflection_limit, "deflection_limit", "-")
         for name, value, least in (
@@ -122,7 +124,6 @@ class Core:
         given = physics(described)  # what a task asks does not depend on the model of the arm
         self.drives = Drives(actuators, self.arm, given.torque_limit) if actuators else None
         if self.drives:
-            refuse_beside_actuators(torque_limit=torque_limit, tolerance=tolerance)
             self.torque_limit = self.drives.torque_limit
         else:
             self.torque_limit = torque_limits(torque_limit, given.torque_limit)

@@ -1,16 +1,17 @@
 """Actuators inside the compiled control step.
 
 Actuator and arm take turns, once a substep: the arm moves under the torque that the actuator gives
-on average over the substep at the joint's present angle and rate; then the actuator's states move
-on at the mean rate. Linear parts are exact (zero-order hold), so that an electrical pole may be far
-faster than the substep; the whole is of order 2, or the integrator's if the actuator has no states.
+on average over the substep, at the joint's present angle and rate; then the actuator's states
+follow. Its linear part is exact for an action that holds and a rate that changes evenly, so that an
+electrical pole may be far faster than the substep; the whole is of order 2, or the integrator's if
+the actuator has no states.
 """
 
 import math
 import operator
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,9 +144,7 @@ class Drives:
 
     def torque(self, s: Symbols) -> Any:
         """[N m] at the joints now, of "action", "actuator", "actuators" (constants), "q", "v"."""
-        return self._each(s, lambda law, p, x, u, angle, rate: (
-            x[-1] if _slews(law) else _now(p, x, u, angle, rate)
-        ))  # fmt: skip
+        return self._each(s, _now)
 
     def functions(self, at: Mapping[str, int], constants: int) -> list[str]:
         """Text of `mark(w)`, `drive(w)` and `follow(w)`; `constants` is the slot of theirs."""
@@ -159,7 +158,7 @@ class Drives:
         outputs = {
             "mark": (ca.mtimes(ca.DM(self.slip), s["v"]), at["RATE_BEFORE"]),
             "drive": (self._each(s, _mean), at["TAU"]),
-            "follow": (self._each(s, _next, s["before"]), at["ACTUATOR"]),
+            "follow": (self._each(s, _next), at["ACTUATOR"]),
         }
         if not self.states:
             outputs["follow"] = (ca.SX(0, 1), at["ACTUATOR"])
@@ -170,11 +169,8 @@ class Drives:
             for name, (value, slot) in outputs.items()
         ]  # fmt: skip
 
-    def _each(self, s: Symbols, function: Any, before: Any = None) -> Any:
-        """`function(law, constants, states, action, angle, rate)` of all joints, stacked.
-
-        With rates `before` the substep they are another argument.
-        """
+    def _each(self, s: Symbols, function: Any) -> Any:
+        """`function(constants, joint)` of all joints, stacked; "before" may be missing."""
         import casadi as ca
 
         angles, rates = (ca.mtimes(ca.DM(self.slip), s[name]) for name in "qv")
@@ -185,12 +181,27 @@ class Drives:
                 places = at + np.arange(np.size(value)).reshape(np.shape(value))
                 p[name] = _entries(s["actuators"], places.tolist())
                 at += places.size
-            x = _entries(s["actuator"], list(range(first, first + size)))
+            joint = _Joint(
+                x=_entries(s["actuator"], list(range(first, first + size))),
+                u=s["action"][j],
+                angle=angles[j],
+                rate=rates[j],
+                before=s["before"][j] if "before" in s else None,
+            )
             first += size
-            earlier = () if before is None else (before[j],)
-            found = function(law, p, x, s["action"][j], angles[j], rates[j], *earlier)
+            found = function(p, joint)
             result += found if isinstance(found, list) else [found]
         return ca.vertcat(*result)
+
+
+class _Joint(NamedTuple):
+    """What a joint's actuator goes by: numbers, or symbols."""
+
+    x: list[Any]  # states; the last is the torque [N m] if its rate is limited
+    u: Any  # [-] action
+    angle: Any  # [rad]
+    rate: Any  # [rad/s]
+    before: Any  # [rad/s] rate at the start of the substep
 
 
 def _slews(law: Law) -> bool:
@@ -216,22 +227,26 @@ def _slip(arm: Arm) -> Array:
 
 
 def _discrete(law: Law, h: float) -> dict[str, Any]:
-    """A law over a substep of h [s], action and rate held: matrices, vectors and numbers by name.
+    """A law over a substep of h [s]: matrices, vectors and numbers by name.
 
-    x1 = step x + step_u u + step_w w, and the average of C x is mean x + mean_u u + mean_w w.
+    With the rate w changing evenly from w0 to w1,
+    x1 = step x + step_u u + step_w0 w0 + step_w1 w1, and the average of C x is
+    mean x + mean_u u + mean_w0 w0 + mean_w w for the average rate w = (w0 + w1) / 2.
     """
     from scipy.linalg import expm
 
     k = len(law.B)
     A, C = np.reshape(law.A, (k, k)), np.reshape(law.C, k)
-    held = np.column_stack([np.reshape(law.B, k), np.reshape(law.E, k)])
-    flow = np.zeros((2 * k + 2, 2 * k + 2))  # of x, u, w and the integral of x
-    flow[:k, :k], flow[:k, k : k + 2], flow[k + 2 :, :k] = A, held, np.eye(k)
+    flow = np.zeros((2 * k + 3, 2 * k + 3))  # of x, u, w, h dw/dt and the integral of x
+    flow[:k, :k], flow[k + 3 :, :k] = A, np.eye(k)
+    flow[:k, k], flow[:k, k + 1], flow[k + 1, k + 2] = law.B, law.E, 1.0 / h
     end = expm(h * flow)
-    mean = C @ end[k + 2 :, : k + 2] / h
+    step, mean = end[:k], C @ end[k + 3 :] / h
     values: dict[str, Any] = {
-        "step": end[:k, :k], "step_u": end[:k, k], "step_w": end[:k, k + 1],
-        "mean": mean[:k], "mean_u": mean[k], "mean_w": mean[k + 1],
+        "step": step[:, :k], "step_u": step[:, k], "step_w0": step[:, k + 1] - step[:, k + 2],
+        "step_w1": step[:, k + 2],
+        "mean": mean[:k], "mean_u": mean[k], "mean_w0": mean[k + 1] - 2.0 * mean[k + 2],
+        "mean_w": 2.0 * mean[k + 2],
         "C": C, "D": law.D, "damping": law.damping, "stiffness": law.stiffness,
         "limit": min(law.torque_limit, UNLIMITED),
     }  # fmt: skip
@@ -247,8 +262,7 @@ def _entries(vector: Any, places: Any) -> Any:
     return vector[places]
 
 
-# What happens at one joint, on any scalars: law, constants as of `_discrete`, states, action,
-# angle [rad], rate [rad/s]
+# What happens at one joint, for constants `p` as of `_discrete`
 
 
 def _dot(a: list[Any], x: list[Any]) -> Any:
@@ -261,34 +275,38 @@ def _clip(value: Any, limit: Any) -> Any:
     return ca.fmin(ca.fmax(value, -limit), limit)
 
 
-def _now(p: Symbols, x: list[Any], u: Any, angle: Any, rate: Any) -> Any:
-    """Torque, its rate of change not limited."""
-    held_back = p["damping"] * rate + p["stiffness"] * angle
-    return _clip(_dot(p["C"], x) + p["D"] * u - held_back, p["limit"])
+def _passed(p: Symbols, joint: _Joint, inner: Any) -> Any:
+    """Torque for C x = inner, its rate of change not limited."""
+    held_back = p["damping"] * joint.rate + p["stiffness"] * joint.angle
+    return _clip(inner + p["D"] * joint.u - held_back, p["limit"])
 
 
-def _mean(law: Law, p: Symbols, x: list[Any], u: Any, angle: Any, rate: Any) -> Any:
+def _now(p: Symbols, joint: _Joint) -> Any:
+    """Torque at this moment."""
+    return joint.x[-1] if "slew" in p else _passed(p, joint, _dot(p["C"], joint.x))
+
+
+def _mean(p: Symbols, joint: _Joint) -> Any:
     """Torque on average over a substep."""
     import casadi as ca
 
-    inner = _dot(p["mean"], x) + p["mean_u"] * u + p["mean_w"] * rate
-    held_back = p["damping"] * rate + p["stiffness"] * angle
-    value = _clip(inner + p["D"] * u - held_back, p["limit"])
-    if not _slews(law):
+    by_rate = p["mean_w0"] * joint.before + p["mean_w"] * joint.rate
+    value = _passed(p, joint, _dot(p["mean"], joint.x) + p["mean_u"] * joint.u + by_rate)
+    if "slew" not in p:
         return value
-    gap = _clip(value - x[-1], p["slew"])  # a ramp by this much, then level
-    return x[-1] + gap - gap * ca.fabs(gap) / (2.0 * p["slew"])
+    gap = _clip(value - joint.x[-1], p["slew"])  # a ramp by this much, then level
+    return joint.x[-1] + gap - gap * ca.fabs(gap) / (2.0 * p["slew"])
 
 
-def _next(
-    law: Law, p: Symbols, x: list[Any], u: Any, angle: Any, rate: Any, before: Any
-) -> list[Any]:
-    """States at the end of a substep; `before` is the rate at its start."""
-    mean_rate = 0.5 * (before + rate)
+def _next(p: Symbols, joint: _Joint) -> list[Any]:
+    """States at the end of a substep."""
     new = [
-        _dot(row, x) + by_u * u + by_w * mean_rate
-        for row, by_u, by_w in zip(p["step"], p["step_u"], p["step_w"], strict=True)
+        _dot(row, joint.x) + by_u * joint.u + w0 * joint.before + w1 * joint.rate
+        for row, by_u, w0, w1 in zip(
+            p["step"], p["step_u"], p["step_w0"], p["step_w1"], strict=True
+        )
     ]
-    if not _slews(law):
+    if "slew" not in p:
         return new
-    return [*new, x[-1] + _clip(_now(p, new, u, angle, rate) - x[-1], p["slew"])]
+    last = joint.x[-1]
+    return [*new, last + _clip(_passed(p, joint, _dot(p["C"], new)) - last, p["slew"])]
