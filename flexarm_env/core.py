@@ -14,10 +14,14 @@ from dynamics import Arm, checks, load_arm
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model, compile_arm
 from dynamics.validity import LARGEST_RATE
-from flexarm_env import inputs, kernels
+from flexarm_env import kernels
+from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
+from flexarm_env.arguments import checked, ranges, require_whole, torque_limits
 from flexarm_env.certificates import find, fit, kept
+from flexarm_env.drives import Drives
 from flexarm_env.observations import observation_layout
 from flexarm_env.physics import (
+    BY_RULE,
     DEFLECTION_LIMIT,
     MOVE,
     SLOPE_PER_DEFLECTION,
@@ -31,6 +35,7 @@ from flexarm_env.tasks import find_task
 
 Array = NDArray[np.float64]
 REWARD = 0  # row of info
+BLOCKS = ("reward_terms", "root_curvature", "torque", "command")  # further rows
 TERMINATED, TRUNCATED, SETTLED = range(3)  # rows of flags
 FASTEST = 1e12  # [rad/s] of a joint without a limit
 OPERATIONS_PER_SECOND = 3e10  # of one thread, roughly
@@ -54,6 +59,8 @@ class Core:
     integrator, substeps : None: the fastest that was measured to be accurate, see certify.py; for
         an arm that was not measured, by rule, see `physics.integration`.
     torque_limit : [N m] one number or one per joint; None: see `physics.Physics`.
+    actuator : between action and torque: a name in `actuators.PRESETS`, a dict, or a list of one
+        per joint; None: the torque is the action times its limit.
     deflection_limit : [-] deflection over length above which an episode ends as invalid.
     max_steps : control steps after which an episode is truncated; 0: never.
     threads : worker threads at most; a batch with too little work for them takes fewer.
@@ -67,7 +74,7 @@ class Core:
 
     Attributes
     ----------
-    blocks : where info has reward terms, root curvature and torque.
+    blocks : where info has reward terms, and what else has several numbers.
     certificate : measured errors of model and step, see `dynamics.certificate.Certificate`; None
         where this arm and step were never certified.
     q, v : (N, n) coordinates and rates, writable views.
@@ -93,10 +100,15 @@ class Core:
         randomize: Mapping[str, tuple[float, float]] | None = None,
         fidelity: str = "auto",
         tolerance: float | None = None,
+        actuator: Any = None,
     ) -> None:
         self.arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
         described = load_arm(arm)
+        actuators = load_actuators(actuator, described.n_joint)
+        described = mounted(described, actuators)
+        if actuators:
+            refuse_beside_actuators(torque_limit=torque_limit, tolerance=tolerance)
         checks.positive(control_dt, "control_dt", "s")
         checks.positive(deflection_limit, "deflection_limit", "-")
         if described.base.n:
@@ -109,63 +121,58 @@ class Core:
             ("max_episode_steps", max_steps, 0),
             ("threads", threads, 1),
         ):
-            inputs.whole(name, value, least)
+            require_whole(name, value, least)
         self.n_env, self.threads, self.control_dt = int(n_env), int(threads), float(control_dt)
-        self.randomize = inputs.ranges(randomize or {})
+        self.randomize = ranges(randomize or {})
         fitted = fit(described, self.control_dt, fidelity, tolerance)
         self.arm, self.physics = fitted.arm, physics(fitted.arm)
         given = physics(described)  # what a task asks does not depend on the model of the arm
-        self.torque_limit = self._torque_limit(torque_limit, given.torque_limit)
+        self.drives = Drives(actuators, self.arm, given.torque_limit) if actuators else None
+        if self.drives:
+            self.torque_limit = self.drives.torque_limit
+        else:
+            self.torque_limit = torque_limits(torque_limit, given.torque_limit)
         self.integrator, self.substeps = self._integration(
             fitted.integrator if integrator is None else integrator,
             fitted.substeps if substeps is None else substeps,
         )
-        self.certificate = fitted.certificate or find(
-            self.arm, self.control_dt, self.integrator, self.substeps
-        )
+        step = self.arm, self.control_dt, self.integrator, self.substeps
+        self.certificate = None if self.drives else fitted.certificate or find(*step)
         weights = resolve_weights(self.task.reward if reward is None else reward)
         inertia = np.array(given.inertia)
-        acceleration = float(np.min(self.torque_limit / inertia))  # [rad/s^2] at full torque
+        full = self.torque_limit  # of a strong motor, what the arm can stand
+        full = np.minimum(full, given.torque_limit) if self.drives else full
+        acceleration = float(np.min(full / inertia))  # [rad/s^2] at full torque
         self.rate_scale = math.sqrt(acceleration * MOVE)  # [rad/s] top speed of a typical move
         self.move_time = 2.0 * math.sqrt(MOVE / acceleration)  # [s] of a bang-bang move by MOVE
-        self.layout = observation_layout(self.arm, self.task, obs, self.physics, self.rate_scale)
+        sensed = tuple(self.torque_limit.tolist()) if self.drives else ()
+        self.layout = observation_layout(
+            self.arm, self.task, obs, self.physics, self.rate_scale, sensed
+        )
 
         self.model: Model = compile_arm(
             self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
         )
-        self.report = Report(self.model, self.task.moving, self.layout)
-        info = self.report.info.slices
-        self.blocks = tuple(info[name] for name in ("reward_terms", "root_curvature", "torque"))
+        self.report = Report(self.model, self.task.moving, self.layout, self.drives)
+        self.blocks = {k: v for k, v in self.report.info.slices.items() if k in BLOCKS}
         self._constants = self._fixed_numbers(weights, float(deflection_limit), int(max_steps))
         self._start = self._episode_ranges()
         self._allocate()
-
-    def _torque_limit(
-        self, given: float | Sequence[float] | None, default: tuple[float, ...]
-    ) -> Array:
-        if given is None:
-            return np.array(default)
-        limit = np.asarray(given, dtype=np.float64)
-        if limit.shape not in ((), (self.arm.n_joint,)):
-            raise ValueError(
-                f"torque_limit must be one number or {self.arm.n_joint} (one per joint), "
-                f"got {given!r}. Unit: [N m]."
-            )
-        if not (np.isfinite(limit).all() and (limit > 0.0).all()):
-            raise ValueError(f"torque_limit must be positive, got {given!r}. Unit: [N m].")
-        return np.full(self.arm.n_joint, limit) if limit.shape == () else limit.copy()
 
     def _integration(self, integrator: str | None, substeps: int | None) -> tuple[str, int]:
         if integrator is not None and integrator not in INTEGRATORS:
             raise ValueError(f"Unknown integrator {integrator!r}. Known: {sorted(INTEGRATORS)}.")
         if substeps is not None:
-            inputs.whole("substeps", substeps, 1)
+            require_whole("substeps", substeps, 1)
         entry = kept(self.arm, self.control_dt) if integrator is None else None
-        if entry is not None:
-            best = entry["steps"][0]
+        if entry is not None:  # restarted every substep, Numerov's method is not what was measured
+            steps = entry["steps"]
+            best = next(s for s in steps if not self.drives or s["integrator"] in BY_RULE)
             name, count = best["integrator"], best["substeps"]
         else:
             name, count = integration(self.arm, self.control_dt, integrator)
+        if self.drives:
+            count = max(count, self.drives.substeps(self.control_dt, name))
         return name, count if substeps is None else int(substeps)
 
     def _fixed_numbers(
@@ -185,6 +192,9 @@ class Core:
             "weights": [weights.get(name, 0.0) for name in TERMS],
             "factors": self.layout.factors,
         }
+        if self.drives:
+            values["command_limit"] = self.drives.command
+            values["actuators"] = self.drives.constants(values["step"])
         return np.concatenate([np.ravel(values[name]) for name in self.report.constants.sizes])
 
     def _rate_limit(self) -> float:
@@ -294,6 +304,9 @@ class Core:
         kernels.begin(rows, *self._start, self.state, self.streams)
         if options:
             self._place(rows, options)
+        if self.drives:
+            states = self.report.state.slices["actuator"]
+            self.state[states, rows] = self.drives.at_rest(self.q[rows])
         w = self._shares[0][-1]
         self._program.report_rows(rows, self.state, w, obs, info, flags)
 
@@ -320,12 +333,12 @@ class Core:
         if state is not None:
             if not isinstance(state, Mapping) or not set(state) <= {"q", "v"}:
                 raise ValueError(f"options['state'] must be a dict of 'q' and 'v', got {state!r}.")
-            q = inputs.per_row("options['state']['q']", state.get("q"), self.arm.n, rows.size)
-            v = inputs.per_row("options['state']['v']", state.get("v"), self.arm.n, rows.size)
+            q = checked("options['state']['q']", state.get("q"), self.arm.n, rows.size)
+            v = checked("options['state']['v']", state.get("v"), self.arm.n, rows.size)
             self.q[rows], self.v[rows] = q, v
         target = options.get("target")
         if target is not None:
-            angles = inputs.per_row("options['target']", target, self.arm.n_joint, rows.size)
+            angles = checked("options['target']", target, self.arm.n_joint, rows.size)
             self.state[self.report.state.slices["centre"], :].T[rows] = angles
 
     # ---- reports -----------------------------------------------------------------------------
@@ -351,12 +364,12 @@ class Core:
 
     def describe(self, info: Array, flags: NDArray[np.bool_]) -> dict[str, Any]:
         """Info arrays of all environments by name, views of `info` and `flags`."""
-        n, (terms, curvature, torque) = self.n_env, self.blocks
+        n, (terms, *wide) = self.n_env, self.blocks.values()
         info = info[:, :n]
         rows = list(info)
         described: dict[str, Any] = dict(zip(NUMBERS, rows[1 : terms.start], strict=True))
         described["reward_terms"] = dict(zip(TERMS, rows[terms], strict=True))
-        described["root_curvature"], described["torque"] = info[curvature].T, info[torque].T
+        described |= {name: info[at].T for name, at in zip(BLOCKS[1:], wide, strict=False)}
         described.update(zip(FLAGS[SETTLED:], flags[SETTLED:, :n], strict=True))
         return described
 

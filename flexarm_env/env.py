@@ -39,8 +39,9 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
         self._seeded = False
         self._renderer: Any = None
-        self._terms, *wide = self.core.blocks
-        self._curvature, self._torque = ((rows, 0) for rows in wide)
+        wide = dict(self.core.blocks)
+        self._terms = wide.pop("reward_terms")
+        self._wide = [(name, (rows, 0)) for name, rows in wide.items()]
 
     # ---- what agents ask ---------------------------------------------------------------------
 
@@ -107,8 +108,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             "deflection": values[4],
             "tip_deflection": values[5],
             "reward_terms": dict(zip(_TERMS, values[self._terms], strict=True)),
-            "root_curvature": info[self._curvature],
-            "torque": info[self._torque],
+            **{name: info[place] for name, place in self._wide},
             "settled": marks[2],
             "diverged": marks[3],
             "invalid": marks[4],
