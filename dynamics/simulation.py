@@ -41,6 +41,7 @@ class Trajectory:
     tip: Array  # (N, 3) [m]
     base_position: Array | None = None  # (N, 3) [m] in the world; None of a fixed base
     base_quaternion: Array | None = None  # (N, 4) w, x, y, z, without jumps of sign
+    integrator: str = ""  # that was used: what "auto" chose
 
 
 def simulate(
@@ -93,7 +94,8 @@ def simulate(
         if dt is not None:
             raise ValueError(f"dt ({dt!r} s) is for fixed-step methods; {integrator} takes rtol.")
         motion = _Motion(model, start, signal, jumps, grid, RTOL if rtol is None else rtol)
-        states = motion.solve(motion.cheapest() if integrator == "auto" else integrator)
+        integrator = motion.cheapest() if integrator == "auto" else integrator
+        states = motion.solve(integrator)
     else:
         if rtol is not None:
             raise ValueError(f"rtol ({rtol!r}) is for error control; {integrator} takes dt.")
@@ -106,7 +108,7 @@ def simulate(
     if base.n:
         pose = positions[:, :3].copy(), flight.quaternions(positions, base.quaternion)
     tip = measured[:, model.measurements["tip"]].copy()
-    trajectory = Trajectory(grid, positions, rates, tip, *pose)
+    trajectory = Trajectory(grid, positions, rates, tip, *pose, integrator=integrator)
     for sentence in limits(model, trajectory):
         warnings.warn(sentence, ValidityWarning, stacklevel=2)
     return trajectory
