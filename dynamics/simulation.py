@@ -104,11 +104,10 @@ def simulate(
     positions = states[:, : model.n]
     measured = np.empty((grid.size, model.n_measure))
     Stepper(model, 1, dt=1.0, substeps=1).measure(positions.copy(), rates.copy(), measured)
-    pose: tuple[Array, ...] = ()
-    if base.n:
-        pose = positions[:, :3].copy(), flight.quaternions(positions, base.quaternion)
+    place = positions[:, :3].copy() if base.n else None
+    attitude = flight.quaternions(positions, base.quaternion) if base.n else None
     tip = measured[:, model.measurements["tip"]].copy()
-    trajectory = Trajectory(grid, positions, rates, tip, *pose, integrator=integrator)
+    trajectory = Trajectory(grid, positions, rates, tip, place, attitude, integrator)
     for sentence in limits(model, trajectory):
         warnings.warn(sentence, ValidityWarning, stacklevel=2)
     return trajectory
