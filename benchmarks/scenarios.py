@@ -115,13 +115,16 @@ def _draw_bending(axes: Any, flexible: Run, rigid: Run) -> None:
 
 
 def _styles(flexible: Run, rigid: Run) -> list[tuple[Run, str]]:
-    return [(flexible, "-")] if flexible is rigid else [(rigid, "--"), (flexible, "-")]
+    return [(flexible, "-")] if flexible is rigid else [(flexible, "-"), (rigid, "--")]
 
 
 def _lines(axis: Any, t: Array, values: Array, style: str, labels: tuple[str, ...]) -> None:
+    """Flexible coloured, rigid black and thin on top of it."""
     for k, (column, label) in enumerate(zip(values.T, labels, strict=True)):
-        solid = {"label": label} if style == "-" else {}
-        axis.plot(t, column, style, color=f"C{k}", linewidth=1.0, **solid)
+        if style == "-":
+            axis.plot(t, column, style, color=f"C{k}", linewidth=1.4, label=label)
+        else:
+            axis.plot(t, column, style, color="k", linewidth=0.7)
 
 
 def page(results: dict[str, Any]) -> str:
