@@ -41,6 +41,7 @@ class Trajectory:
     tip: Array  # (N, 3) [m]
     base_position: Array | None = None  # (N, 3) [m] in the world; None of a fixed base
     base_quaternion: Array | None = None  # (N, 4) w, x, y, z, without jumps of sign
+    integrator: str = ""  # that was used: what "auto" chose
 
 
 def simulate(
@@ -93,7 +94,8 @@ def simulate(
         if dt is not None:
             raise ValueError(f"dt ({dt!r} s) is for fixed-step methods; {integrator} takes rtol.")
         motion = _Motion(model, start, signal, jumps, grid, RTOL if rtol is None else rtol)
-        states = motion.solve(motion.cheapest() if integrator == "auto" else integrator)
+        integrator = motion.cheapest() if integrator == "auto" else integrator
+        states = motion.solve(integrator)
     else:
         if rtol is not None:
             raise ValueError(f"rtol ({rtol!r}) is for error control; {integrator} takes dt.")
@@ -102,11 +104,10 @@ def simulate(
     positions = states[:, : model.n]
     measured = np.empty((grid.size, model.n_measure))
     Stepper(model, 1, dt=1.0, substeps=1).measure(positions.copy(), rates.copy(), measured)
-    pose: tuple[Array, ...] = ()
-    if base.n:
-        pose = positions[:, :3].copy(), flight.quaternions(positions, base.quaternion)
+    place = positions[:, :3].copy() if base.n else None
+    attitude = flight.quaternions(positions, base.quaternion) if base.n else None
     tip = measured[:, model.measurements["tip"]].copy()
-    trajectory = Trajectory(grid, positions, rates, tip, *pose)
+    trajectory = Trajectory(grid, positions, rates, tip, place, attitude, integrator)
     for sentence in limits(model, trajectory):
         warnings.warn(sentence, ValidityWarning, stacklevel=2)
     return trajectory
