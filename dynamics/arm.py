@@ -15,7 +15,8 @@ __all__ = ["Arm", "Base", "Body", "Joint", "Link", "Mode", "Payload"]
 
 NORMS = ("tip-unit", "mass", "raw")
 ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # word in a file -> meaning
-STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy"}  # direction of a mode -> what resists it
+# direction of a mode -> what resists it
+STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy", "axial": "EA"}
 MAX_INDEX = 50
 BASE_NAMES = ("base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz")
 
@@ -32,7 +33,7 @@ class Mode:
 
     kind: str
     index: int  # 1, 2, ... within its kind
-    direction: str  # "y", "z": bending displacement along that axis; "x": torsion
+    direction: str  # "y", "z": bending along that axis; "x": torsion; "axial": stretching
     norm: str = "tip-unit"  # s(l) = 1 | "mass": modal mass 1 | "raw": as in the formula
 
     def __post_init__(self) -> None:
@@ -78,6 +79,7 @@ class Link:
     EIz: float | None = None  # [N m^2] flexural rigidity for deflection along y
     EIy: float | None = None  # [N m^2] flexural rigidity for deflection along z
     GJ: float | None = None  # [N m^2] torsional rigidity
+    EA: float | None = None  # [N] axial rigidity
     rho_Ip: float = 0.0  # [kg m] polar rotary inertia per unit length
     tip_mass: float = 0.0  # [kg] point mass at the tip
     tip_inertia: Matrix = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
@@ -105,7 +107,8 @@ class Link:
         for name in STIFFNESS.values():
             value = getattr(self, name)
             if value is not None:
-                _clean(self, **{name: checks.nonnegative(value, f"Link.{name}", "N m^2")})
+                unit = "N" if name == "EA" else "N m^2"
+                _clean(self, **{name: checks.nonnegative(value, f"Link.{name}", unit)})
         if self.segments > 1 and any(mode.kind == "pinned-free" for mode in self.modes):
             raise ValueError(
                 f"Link.segments ({self.segments!r}) must be 1 with pinned-free modes: "
@@ -146,7 +149,7 @@ class Link:
                 raise ValueError(
                     f"Link.{STIFFNESS[mode.direction]} must be positive for the mode along "
                     f"{mode.direction!r} ({mode.kind} {mode.index}), got {stiffness!r}. "
-                    "Unit: [N m^2]."
+                    f"Unit: [{'N' if mode.direction == 'axial' else 'N m^2'}]."
                 )
         repeated = Counter((mode.kind, mode.index, mode.direction) for mode in self.modes)
         for (kind, index, direction), count in repeated.items():
@@ -179,7 +182,7 @@ class Link:
                 )
 
     def in_direction(self, direction: str) -> tuple[Mode, ...]:
-        """The link's modes along "x" (torsion), "y" or "z" (bending)."""
+        """The link's modes along "x" (torsion), "y" or "z" (bending), or "axial"."""
         return tuple(mode for mode in self.modes if mode.direction == direction)
 
 

@@ -8,6 +8,7 @@ r = [x, 0, 0] + sum_j delta_j r_j(x); the shape s_j of a mode acts along one dir
 | "y"       | (0, s, 0)        | (0, 0, s')       |
 | "z"       | (0, 0, s)        | (0, -s', 0)      |
 | "x"       | (0, 0, 0)        | (s, 0, 0)        |
+| "axial"   | (s, 0, 0)        | (0, 0, 0)        |
 """
 
 import math
@@ -27,9 +28,16 @@ __all__ = ["LinkConstants", "curvature", "deflection", "link_constants", "shape"
 _ROUND_OFF = 1e-12  # [-] integrals this small beside their natural size are exact zeros
 _ENTRY_ROUND_OFF = 1e-14  # [-] the same for the entries of a mounting rotation
 
-_DISPLACEMENT: dict[str, Vector] = {"x": (0, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}  # times s
-_TILT: dict[str, Vector] = {"x": (0, 0, 0), "y": (0, 0, 1), "z": (0, -1, 0)}  # times s'
-_TWIST: dict[str, Vector] = {"x": (1, 0, 0), "y": (0, 0, 0), "z": (0, 0, 0)}  # times s
+_BENDING = ("y", "z")  # strained by s''; the others by s'
+_DISPLACEMENT: dict[str, Vector] = {  # times s
+    "x": (0, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "axial": (1, 0, 0),
+}  # fmt: skip
+_TILT: dict[str, Vector] = {  # times s'
+    "x": (0, 0, 0), "y": (0, 0, 1), "z": (0, -1, 0), "axial": (0, 0, 0),
+}  # fmt: skip
+_TWIST: dict[str, Vector] = {  # times s
+    "x": (1, 0, 0), "y": (0, 0, 0), "z": (0, 0, 0), "axial": (0, 0, 0),
+}  # fmt: skip
 _E_X = np.array((1.0, 0.0, 0.0))
 _E_Z = np.array((0.0, 0.0, 1.0))
 
@@ -136,7 +144,7 @@ def link_constants(
     values = _table([s.value(x) for s in shapes], x.size)
     directions = [mode.direction for mode in link.modes]
     along = np.array([_DISPLACEMENT[d] for d in directions]).reshape(-1, 3)
-    twist = np.array([_TWIST[d][0] for d in directions])  # 1 for torsion, 0 for bending
+    twist = np.array([_TWIST[d][0] for d in directions])  # 1 for torsion, else 0
 
     m = len(shapes)
     pairs, shortening, shortening_tip = _shortening(link, shapes, x, weights, foreshortening)
@@ -264,16 +272,16 @@ def curvature(link: Link, x: float) -> Array:
     for mode in link.modes:
         s = shape(mode, link)
         about = _TWIST if mode.direction == "x" else _TILT
-        rate = s.slope(x) if mode.direction == "x" else s.curvature(x)
+        rate = s.curvature(x) if mode.direction in _BENDING else s.slope(x)
         rows.append(float(rate) * np.array(about[mode.direction]))
     return np.array(rows).reshape(-1, 3)
 
 
 def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Array:
-    """int GJ s_j' s_k' (torsion), int EI s_j'' s_k'' (bending), none between directions."""
+    """int GJ or EA s_j' s_k' (torsion, axial), int EI s_j'' s_k'' (bending); no cross terms."""
     bent = _table(
         [
-            s.slope(x) if mode.direction == "x" else s.curvature(x)
+            s.curvature(x) if mode.direction in _BENDING else s.slope(x)
             for s, mode in zip(shapes, link.modes, strict=True)
         ],
         x.size,
@@ -294,7 +302,7 @@ def _shortening(
         (j, k)
         for j in range(len(shapes))
         for k in range(j, len(shapes))
-        if wanted and directions[j] == directions[k] != "x"
+        if wanted and directions[j] == directions[k] in _BENDING
     )
     if not pairs:
         return (), _table([], x.size), []

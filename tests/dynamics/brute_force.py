@@ -97,8 +97,9 @@ def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
                 if other.direction != mode.direction:
                     continue
                 r = shape(other, link)
-                if mode.direction == "x":
-                    K[j, k] = link.GJ * weights @ (s.slope(x) * r.slope(x))
+                if mode.direction in ("x", "axial"):
+                    rigidity = link.GJ if mode.direction == "x" else link.EA
+                    K[j, k] = rigidity * weights @ (s.slope(x) * r.slope(x))
                 else:
                     EI = link.EIz if mode.direction == "y" else link.EIy
                     K[j, k] = EI * weights @ (s.curvature(x) * r.curvature(x))
@@ -277,6 +278,9 @@ def _deflection(link: Link, delta: Array, x: Array, shorten: bool) -> tuple[Arra
     for (mode, s), d in zip(_shapes(link), delta.T, strict=True):
         if mode.direction == "x":
             theta += np.multiply.outer(d, np.outer(s.value(x), X))
+            continue
+        if mode.direction == "axial":
+            r += np.multiply.outer(d, np.outer(s.value(x), X))
             continue
         along, about = (Y, Z) if mode.direction == "y" else (Z, -Y)
         r += np.multiply.outer(d, np.outer(s.value(x), along))

@@ -18,6 +18,7 @@ KINDS = {
     "y": ("clamped-free", "pinned-free", "clamped-tip-mass", "poly"),
     "z": ("clamped-free", "clamped-tip-mass", "poly"),
     "x": ("torsion-fixed-free", "torsion-poly"),
+    "axial": ("axial-fixed-free", "axial-poly"),
 }
 TURN = 0.1  # [rad] what one mode may turn the tip, or [-] move it over the length
 
@@ -124,6 +125,8 @@ def torque_matrix(arm: Arm) -> Array:
 
 def _link(rng: Generator, count: int, spatial: bool) -> Link:
     directions = rng.choice(["y", "z", "x"] if spatial else ["y"], count).tolist()
+    if spatial and directions.count("y") > 1:
+        directions[directions.index("y")] = "axial"
     modes = []
     for direction in sorted(set(directions)):
         kind = str(rng.choice(KINDS[direction]))
@@ -144,6 +147,7 @@ def _link(rng: Generator, count: int, spatial: bool) -> Link:
         EIz=rng.uniform(20.0, 300.0),
         EIy=rng.uniform(20.0, 300.0),
         GJ=rng.uniform(20.0, 300.0),
+        EA=rng.uniform(200.0, 3000.0),
         rho_Ip=rng.uniform(0.01, 0.04) * spatial,
         tip_mass=maybe(1.0),
         tip_inertia=_inertia(rng, spatial),
