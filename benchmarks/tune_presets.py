@@ -3,16 +3,20 @@
     python benchmarks/tune_presets.py
 
 Prints what stands in `dynamics/arms`, to five digits. A frequency grows with the root of EI, so
-that a few corrections settle it, also where two planes are coupled.
+that one correction settles it; where joint springs are tuned too, Newton's method does.
 """
 
 from dataclasses import replace
 from math import pi
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
 from dynamics import ARMS, Arm
 from dynamics.published import alone, hertz
 
-CORRECTIONS = 12
+SHUTTLE = (0.35, 0.46, 3.554, 4.228)  # [Hz] straight, held, unloaded
 
 
 def tuned_ruler() -> float:
@@ -35,24 +39,35 @@ def tuned_large_arm() -> float:
     return (arm.links[0].EIz or 0.0) * (6.37 / found) ** 2
 
 
-def tuned_booms() -> tuple[float, float]:
-    """[N m^2] EIz, EIy of both booms of the arm like the Shuttle's: 0.35 and 0.46 Hz, straight."""
+def tuned_shuttle() -> tuple[float, ...]:
+    """[N m^2] EI of both booms, [N m/rad] springs of yaw, pitch, elbow: the arm like the Shuttle's.
+
+    Four frequencies, straight, held and unloaded.
+    """
     arm = ARMS["srms-like"]
-    boom = arm.links[1]
-    EIz, EIy = boom.EIz or 0.0, boom.EIy or 0.0
-    for _ in range(CORRECTIONS):
-        GJ = (EIz + EIy) / 2.6
-        links = tuple(
-            replace(link, EIz=EIz, EIy=EIy, GJ=GJ) if link.modes else link for link in arm.links
-        )
-        pitch, yaw = hertz(replace(arm, links=links))[:2]
-        EIz, EIy = EIz * (0.35 / pitch) ** 2, EIy * (0.46 / yaw) ** 2
-    return EIz, EIy
+    EI = arm.links[1].EIz or 0.0
+    first = [EI, *(link.joint.stiffness or 0.0 for link in arm.links[:3])]
+
+    def error(logarithms: NDArray[np.float64]) -> NDArray[np.float64]:
+        found = hertz(_shuttle(arm, *np.exp(logarithms).tolist()))
+        return np.log(np.array(found[:4]) / SHUTTLE)
+
+    return tuple(np.exp(least_squares(error, np.log(first)).x).tolist())
+
+
+def _shuttle(arm: Arm, EI: float, *springs: float) -> Arm:
+    links = [
+        replace(link, EIz=EI, EIy=EI, GJ=EI / 1.3) if link.modes else link for link in arm.links
+    ]
+    for k, stiffness in enumerate(springs):
+        links[k] = replace(links[k], joint=replace(links[k].joint, stiffness=stiffness))
+    return replace(arm, links=tuple(links))
 
 
 if __name__ == "__main__":
     print(f"quanser-rotary-flexible-link  EI tuned {tuned_ruler():.5g} N m^2")
     print(f"sapienza-forearm              EI tuned {tuned_forearm():.5g} N m^2")
     print(f"ralf-like                     EI tuned {tuned_large_arm():.5g} N m^2")
-    EIz, EIy = tuned_booms()
-    print(f"srms-like                     EIz, EIy tuned {EIz:.5g}, {EIy:.5g} N m^2")
+    EI, *springs = tuned_shuttle()
+    print(f"srms-like                     EI tuned {EI:.5g} N m^2")
+    print(f"  springs of yaw, pitch, elbow {', '.join(f'{k:.5g}' for k in springs)} N m/rad")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from benchmarks.validation_entries import INCOMPARABLE, LOST, Number, Table, as_printed
 
+PUBLISHED = ("gibbs_appell", "book")  # formulations whose counts are in print
 COUNTED = Path(__file__).parents[1] / "docs" / "results" / "operations.json"
 CHAPTER = "Operation counts"
 NOTES = {CHAPTER: "The printed formulas evaluated; n joints, f flexible links of m modes each."}
@@ -200,25 +201,38 @@ def _cyril() -> list[Table]:
 
 
 def counted() -> list[Table]:
-    """Counts of our own code beside the printed ones, once benchmarks/operations.py has run.
-
-    The file holds {"validation": [{"quantity", "theirs", "ours", "remark"}]}.
-    """
+    """M and h in our own code beside the printed counts, as benchmarks/operations.py found them."""
     if not COUNTED.exists():
         return []
-    entries = json.loads(COUNTED.read_text())["validation"]
+    found = json.loads(COUNTED.read_text())
+    printed = {tuple(entry["size"]): entry for entry in found["published"]}
+    of_general_arms = [
+        (f"{case['formulation']}, {tuple(case['size'])}", tuple(case["size"]), case)
+        for case in found["cases"]
+        if case["arm"] == "general"
+        and case["rotation"] == "linear"
+        and case["formulation"] in PUBLISHED
+    ]
+    of_six_links = [
+        ("the preset six-link, folded", (6, 6, 2), entry)
+        for entry in found["presets"]
+        if entry["preset"] == "six-link" and entry["formulation"] == "gibbs_appell"
+    ]
+    entries = [
+        (f"{name}, {kind}", printed[size][case["formulation"]][kind], case["M and h"][kind])
+        for name, size, case in [*of_general_arms, *of_six_links]
+        for kind in ("multiplications", "additions")
+    ]
     return [
         Table(
-            chapter=CHAPTER, title="Our code, counted by running it",
+            chapter=CHAPTER, title="Our code, counted by running it: M and h",
             demand="shown: other algorithms, folded constants, shared products",
             rows=tuple(
-                Number(
-                    quantity=entry["quantity"], printed=str(entry["theirs"]), claim=INCOMPARABLE,
-                    remark=entry["remark"],
-                )
-                for entry in entries
+                Number(quantity=name, printed=str(theirs), claim=INCOMPARABLE,
+                       remark="n, n_f, m; see docs/formulations.md")
+                for name, theirs, _ in entries
             ),
-            ours=lambda: [nan if e["ours"] is None else float(e["ours"]) for e in entries],
+            ours=lambda: [float(ours) for _, _, ours in entries],
         )
     ]  # fmt: skip
 

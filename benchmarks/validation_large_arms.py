@@ -23,7 +23,8 @@ SHUTTLE = "The Shuttle's arm, Cyril's subject: public data, none of them his"
 NOTES = {
     RALF: "Tables are printed, their geometry is not: `ralf-like` is tuned to one number.",
     SHUTTLE: "Frequencies of a finite-element model (Smithsonian NASM.2014.0025-bx011-fd006, table "
-    "4), transcribed without the payload's label, beside `srms-like`, tuned to the first two.",
+    "4), transcribed without the payload's label, beside `srms-like`, tuned to the light load's "
+    "first four.",
 }
 INCH, POUND = 0.0254, 0.45359237  # [m], [kg]
 FORCE = 4.4482216152605  # [N] of a pound
@@ -126,7 +127,7 @@ def shuttle_tables() -> list[Table]:
         Table(
             chapter=SHUTTLE,
             title=f"Lowest frequencies, configuration S, {load} payload",
-            demand="shown only: EI tuned, payload and posture of the source unknown",
+            demand="shown only: EI and springs tuned, payload and posture of the source unknown",
             rows=tuple(
                 Number(
                     quantity=f"mode {k}", printed=digits, unit="Hz",
@@ -144,7 +145,9 @@ def shuttle_tables() -> list[Table]:
 def _load_remark(load: str, mode: int) -> str:
     if load == "heavy":
         return "ours: srms-like, tuned unloaded, point mass of 32 000 lb" * (mode == 1)
-    return "ours: srms-like, EI tuned to 0.35 and 0.46 Hz" if mode < 3 else "boom and joint in one"
+    return (
+        "srms-like is tuned to it, rounded" if mode < 3 else "srms-like is tuned to it" * (mode < 5)
+    )
 
 
 def tables() -> list[Table]:

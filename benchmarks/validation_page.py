@@ -37,7 +37,8 @@ HONESTY = (  # source, what it says or lacks, kind, what is done here
      "nothing here is called a number of the thesis"),
     ("Cyril, thesis", "two hanging links", "replaced", "Korayem's data: same figures, same start"),
     ("Cyril, thesis", "CANADARM data", "replaced",
-     "`srms-like`: public geometry and mass, EI tuned to 0.35 and 0.46 Hz"),
+     "`srms-like`: public geometry and mass; EI and joint springs tuned to 0.35, 0.46, 3.554 and "
+     "4.228 Hz"),
     ("Yuan 1993", "SLIM's density, tip mass, hub, gains", "lost in source",
      "6061-T6; 0.0408 kg from the first frequency; hub and gains chosen"),
     ("Yuan 1993", "SLIM's third frequency, 41.524 Hz", "error in print",

@@ -15,10 +15,10 @@ def tables() -> list[Table]:
     return [
         Table(
             chapter=CHAPTER, title=name,
-            demand="within " + ", ".join(sorted({f"{c.tolerance:.2%}" for c in checks})),
+            demand="within " + ", ".join(sorted({f"{100.0 * c.tolerance:.2g} %" for c in checks})),
             rows=tuple(
                 Number(
-                    quantity=check.quantity, printed=f"{check.expected:.6g}", unit=check.unit,
+                    quantity=check.quantity, printed=f"{check.expected:.10g}", unit=check.unit,
                     within=check.tolerance * abs(check.expected), remark=check.source,
                 )
                 for check in checks

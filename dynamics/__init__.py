@@ -8,7 +8,7 @@ a `Stepper` steps many at once. The physics knows nothing of environments or lea
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from dynamics.arm import Arm, Base, Joint, Link, Mode, Payload
+from dynamics.arm import Arm, Base, Body, Joint, Link, Mode, Payload
 from dynamics.arm_file import load_arm
 from dynamics.arms import ARMS
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from dynamics.validity import ValidityWarning, limits
 
 __all__ = [
-    "ARMS", "Arm", "Base", "Choice", "Diverged", "Joint", "JointMotion", "Link", "Mode", "Model",
-    "Payload", "Scene", "Stepper", "Trajectory", "ValidityWarning", "choose_model", "compile_arm",
-    "limits", "load_arm", "simulate",
+    "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "Joint", "JointMotion", "Link", "Mode",
+    "Model", "Payload", "Scene", "Stepper", "Trajectory", "ValidityWarning", "choose_model",
+    "compile_arm", "limits", "load_arm", "simulate",
 ]  # fmt: skip
 
 _LATE = {  # these import numba: only when asked for

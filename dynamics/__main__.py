@@ -116,14 +116,26 @@ def _follow(model: Any, motion: Motion) -> dict[str, Any]:
         path = simulate(model, *start, motion.torque, motion.times)
     for warning in caught:
         print(f"Warning: {warning.message}", file=sys.stderr)
-    energies = [model.energy(q, v) for q, v in zip(path.q, path.v, strict=True)]
-    return {
+    states = list(zip(path.q, path.v, strict=True))
+    energies = [model.energy(q, v) for q, v in states]
+    result = {
         "t": path.t.tolist(),
         "tip": path.tip.tolist(),
         "q": path.q.tolist(),
         "qd": path.v.tolist(),
         "T": [float(kinetic) for kinetic, _, _ in energies],
         "V": [float(elastic + gravity) for _, elastic, gravity in energies],
+    }
+    if path.base_quaternion is None:
+        return result
+    turned = path.q.copy()
+    turned[:, 3:6] = 0.0  # from the attitude that stands beside
+    momenta = [model.momentum(q, v) for q, v in states]
+    return result | {
+        "q": turned.tolist(),
+        "base_quaternion": path.base_quaternion.tolist(),
+        "linear_momentum": [linear.tolist() for linear, _ in momenta],
+        "angular_momentum_about_origin": [angular.tolist() for _, angular in momenta],
     }
 
 

@@ -64,6 +64,11 @@ def tanh(x: Scalar) -> Scalar:
     return math.tanh(x) if isinstance(x, float) else x.tanh()
 
 
+def sqrt(x: Scalar) -> Scalar:
+    """Square root."""
+    return math.sqrt(x) if isinstance(x, float) else x.sqrt()
+
+
 def add(*vectors: Vector) -> Vector:
     """Sum of vectors."""
     return tuple(plus(*xs) for xs in zip(*vectors, strict=True))
@@ -154,9 +159,10 @@ def skew(a: Vector) -> Matrix:
     )
 
 
-def congruence(R: Matrix, A: Matrix) -> Matrix:
-    """R A R' of a symmetric A and a rotation R; a multiple of unity does not turn."""
-    if all(isinstance(x, float) for row in A for x in row) and mscale(A[0][0], EYE) == A:
+def congruence(R: Matrix, A: Matrix, rotation: bool = True) -> Matrix:
+    """R A R' of a symmetric A; with a true rotation R a multiple of unity does not turn."""
+    constant = all(isinstance(x, float) for row in A for x in row)
+    if rotation and constant and mscale(A[0][0], EYE) == A:
         return A
     RA = matmul(R, A)
     return symmetric(lambda i, j: dot(RA[i], R[j]))

@@ -13,8 +13,10 @@ import importlib.util
 import os
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -173,14 +175,28 @@ def statements(graph: Any, slots: Sequence[int], expand: bool = True) -> tuple[C
     return code, outputs
 
 
-def operations(graph: Any) -> dict[str, int]:
-    """How many operations of each kind a graph takes; a change of sign is free."""
+def operations(graph: Any, offline: int = 0) -> dict[str, int]:
+    """How many operations of each kind a graph takes; a change of sign is free.
+
+    What follows from the first `offline` inputs alone is worked out beforehand and not counted.
+    Doubling, written out as an addition, is a multiplication.
+    """
     kinds = {
         "multiplications": ("*",), "additions": ("+", "-"), "divisions": ("/",),
         "sines and cosines": ("sin", "cos"),
     }  # fmt: skip
-    code, _ = statements(graph, [0] * graph.n_in(), expand=False)
-    return {kind: sum(op in group for op, _ in code.statements) for kind, group in kinds.items()}
+    starts = [0, *accumulate(graph.nnz_in(k) for k in range(graph.n_in()))]
+    code, _ = statements(graph, starts, expand=False)
+    online: list[bool] = []
+    done: Counter[str] = Counter()
+    for op, args in code.statements:
+        if op.startswith("load"):
+            online.append(int(op[5:]) >= starts[offline])
+        else:
+            online.append(offline == 0 or any(online[x] for x in args))
+        doubles = op == "+" and args[0] == args[1]
+        done["*" if doubles else op] += online[-1]
+    return {kind: sum(done[op] for op in group) for kind, group in kinds.items()}
 
 
 _TEXT = {
@@ -201,8 +217,13 @@ class Addition:
     entries: str  # text of the functions that Python calls
 
 
-def render_function(name: str, graph: Any, inputs: Sequence[int], output: int) -> str:
-    """Text of `name(w)`, which reads a graph's inputs and stores its output at these slots."""
+def render_function(
+    name: str, graph: Any, inputs: Sequence[int], output: int | Sequence[int]
+) -> str:
+    """Text of `name(w)`, which reads a graph's inputs and stores its output at these slots.
+
+    `output` is the first of adjoining slots, or the slot of every element.
+    """
     code, outputs = statements(graph, inputs)
     lines = []
     for v, (op, args) in enumerate(code.statements):
@@ -210,7 +231,8 @@ def render_function(name: str, graph: Any, inputs: Sequence[int], output: int) -
             lines.append(f"x{v} = w[{op[5:]}]")
         elif v not in code.names:
             lines.append(f"x{v} = {_TEXT[op].format(*(code.text(a) for a in args))}")
-    lines += [f"w[{output + i}] = {code.text(v)}" for i, v in enumerate(outputs)]
+    slots = [output + i for i in range(len(outputs))] if isinstance(output, int) else output
+    lines += [f"w[{slot}] = {code.text(v)}" for slot, v in zip(slots, outputs, strict=True)]
     return "\n".join(["@straight_line(LANES)", f"def {name}(w):", *(f"    {x}" for x in lines), ""])
 
 

@@ -87,4 +87,14 @@ def tip_spring(arm: Arm, link: int) -> float:
 
 def mass(arm: Arm) -> float:
     """[kg] of all links and bodies at their tips."""
-    return sum(link.rho_A * link.length + link.tip_mass for link in arm.links)
+    bodies = sum(link.body.mass for link in arm.links if link.body is not None)
+    return bodies + sum(link.rho_A * link.length + link.tip_mass for link in arm.links)
+
+
+def holding(arm: Arm, joint: int, posture: tuple[float, ...]) -> float:
+    """[N m or N] size of what a joint, numbered from 0, holds of a rigid arm's weight."""
+    from dynamics.newton_euler import inverse_dynamics, rigid_links
+
+    rest = [0.0] * arm.n
+    torques = inverse_dynamics(rigid_links(arm), posture, rest, rest, gravity=arm.gravity)
+    return abs(float(torques[joint]))

@@ -111,6 +111,11 @@ class Core:
             refuse_beside_actuators(torque_limit=torque_limit, tolerance=tolerance)
         checks.positive(control_dt, "control_dt", "s")
         checks.positive(deflection_limit, "deflection_limit", "-")
+        if described.base.n:
+            raise ValueError(
+                f"Base.type must be 'fixed' for an environment, got {described.base.type!r}; "
+                "step a free base with dynamics.Stepper."
+            )
         for name, value, least in (
             ("n_env", n_env, 1),
             ("max_episode_steps", max_steps, 0),

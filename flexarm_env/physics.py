@@ -57,6 +57,12 @@ def home_posture(n_joint: int) -> tuple[float, ...]:
 @lru_cache(maxsize=64)
 def physics(arm: Arm) -> Physics:
     """Everything that follows from an arm alone."""
+    for i, link in enumerate(arm.links, 1):
+        if link.joint.type != "revolute":
+            raise ValueError(
+                f"Environments take arms whose joints turn, but joint {i} is {link.joint.type}; "
+                "follow such an arm with dynamics.simulate."
+            )
     model = Model(arm)
     joints = list(arm.joint_index)
     modal = [i for i in range(arm.n) if i not in joints]
@@ -123,6 +129,9 @@ def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tu
     for i, (start, link) in enumerate(zip(arm.joint_index, chain_constants(arm), strict=True)):
         B[start, i] = 1.0
         stop = start + 1
+        if arm.links[i].joint.elastic:
+            stop, link = stop + 1, link[1:]  # the rotor has no modes
+            C[start + 1, start + 1] = link[0].viscous
         for k, part in enumerate(link):
             count = len(part.tip_theta)
             modes = slice(stop, stop + count)
@@ -132,7 +141,7 @@ def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tu
             shift = np.array(part.tip_phi)[:count].reshape(count, 3)
             shift = shift + np.cross(theta, (beyond, 0.0, 0.0))
             C[modes, modes] = np.array(part.damping).reshape(count, count)
-            B[modes, i] = part.root_slope
+            B[modes, i] = part.root_slope if link[0].driven else 0.0
             D[i, :, modes] = shift.T / arm.links[i].length / DEFLECTION_LIMIT
             S[i, :, modes] = theta.T / (SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT)
     outputs = np.concatenate([D, S])  # (2 m, 3, n): one at the limit of validity
@@ -148,7 +157,8 @@ def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tu
         x = step[: 2 * n, : 2 * n] @ x + sign * step[: 2 * n, 2 * n :]
         peak = np.maximum(peak, np.linalg.norm(outputs @ x[:n], axis=1))
         highest = np.maximum(highest, np.abs(x))
-    acceleration = float(1.0 / peak.sum(axis=1).max())
+    largest = float(peak.sum(axis=1).max())
+    acceleration = 1.0 / largest if largest else RIGID_ACCELERATION  # springs alone: any twist
     return acceleration, acceleration * highest.sum(axis=1)
 
 

@@ -186,7 +186,13 @@ def steady(t: float) -> np.ndarray:
     return np.array([1.0, -0.5])
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+SLOW_TO_COMPILE = {"rosenbrock": pytest.mark.slow}
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [pytest.param(name, marks=SLOW_TO_COMPILE.get(name, ())) for name in INTEGRATORS],
+)
 def test_traced_steps_are_the_compiled_steps(integrator: str) -> None:
     """`simulate` starts an implicit method anew at every step of a torque that varies."""
     method = INTEGRATORS[integrator]

@@ -234,6 +234,10 @@ CORRECTIONS = {  # what the paper lacks: the text that supplies it, and the text
         "cross(w, matvec(f.B9, w))",
         "scale(-1.0, cross(w, matvec(f.B9, w)))",
     ),
+    "4: joint-deflection block mirrored": (
+        "M[row][places[i][c]] = M[places[i][c]][row] = entry",
+        "M[row][places[i][c]] = entry",
+    ),
     "5a: J_l on tip rotation shapes": ("E, [J_l(u) for u in shapes]", "E, shapes"),
     "5b: J_l_dot theta_dot": ("[J_l(u) for u in shapes], bias", "[J_l(u) for u in shapes], ZERO"),
 }
@@ -255,7 +259,7 @@ def test_every_correction_to_the_paper_is_needed(correction: str) -> None:
     assert gibbs_residual(random_arm(4, 3, 3), recursion_without(correction)) > 1e-6
 
 
-@pytest.mark.parametrize("correction", CORRECTIONS)
+@pytest.mark.parametrize("correction", [c for c in CORRECTIONS if not c.startswith("4")])
 def test_a_planar_arm_needs_no_correction(correction: str) -> None:
     """Why the paper's planar example could not find these errors."""
     arm = random_arm(4, 3, 3, spatial=False)

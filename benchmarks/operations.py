@@ -1,0 +1,329 @@
+"""Operations of every formulation, counted by running it, beside the published formulas.
+
+    python benchmarks/operations.py [--out FILE]
+
+A general arm has a free symbol for every entry of every constant of a link, so that no zero and no
+one folds away; what depends on constants alone is done once per arm and not counted, as in the
+published formulas. A given arm is the six-link preset, or as many of its links, with gravity; what
+it lacks folds away. Equal operations count once; a change of sign, sines and cosines do not count.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
+from benchmarks.output import provenance
+from dynamics import ARMS, Arm, Mode, compile_arm
+from dynamics.formulations import FORMULATIONS
+from dynamics.kinematics import Chain
+from dynamics.lowering import operations
+from dynamics.modes import LinkConstants, chain_constants
+
+Counts = dict[str, int]
+RESULT = Path(__file__).resolve().parents[1] / "docs" / "results" / "operations.json"
+ROTATIONS = ("linear", "exp")
+DEFAULT_ARMS = ("slim", "korayem-two-link", "deluca-siciliano", "six-link")
+
+
+@dataclass(frozen=True)
+class Case:
+    """n links, the first of the flexible ones is number 2 where some are rigid, m modes each."""
+
+    n: int
+    n_flexible: int
+    m: int
+
+    @property
+    def flexible(self) -> range:
+        """Places of the flexible links, from 0."""
+        first = 0 if self.n_flexible == self.n else 1
+        return range(first, first + self.n_flexible)
+
+
+CASES = (Case(6, 6, 2), Case(3, 2, 2), Case(6, 2, 3), Case(6, 6, 3))
+
+# ---- published formulas --------------------------------------------------------------------------
+
+Formula = Callable[[float, float, float], float]
+
+
+@dataclass(frozen=True)
+class Published:
+    """Operations to form M and h by n links, f of them flexible with m modes each."""
+
+    multiplications: Formula
+    additions: Formula
+
+
+# Korayem & Shafei (2009), Table 2: their recursion, and Book's (1984)
+PUBLISHED = {
+    "gibbs_appell": Published(
+        lambda n, f, m: (
+            475.5 * n**2 - 790.5 * n + 300 - 15 * m + 6 * m * f + 18 * m**2
+            + 42 * m**2 * f**2 + 30 * m * f**2 - 60 * m**2 * f
+        ),
+        lambda n, f, m: (
+            351 * n**2 - 553 * n + 188 + 6 * m - 49.5 * m * f + 18 * m**2
+            + 53.5 * m**2 * f**2 + 52.5 * m * f**2 - 89.5 * m**2 * f
+        ),
+    ),
+    "book": Published(
+        lambda n, f, m: (
+            6 * m**2 * f**2 + 17.5 * m**2 * f + 118 * m * f**2 + 74 * n * f * m + 137.5 * m * f
+            + 84 * n**2 + 86 * n * f + 279 * n + 126 * f - 57
+        ),
+        lambda n, f, m: (
+            6.5 * m**2 * f**2 + 19 * m**2 * f + 115.5 * m * f**2 + 68 * n * f * m + 123 * m * f
+            + 85 * n**2 + 80 * n * f + 329 * n + 111 * f - 91
+        ),
+    ),
+}  # fmt: skip
+
+# Korayem & Shafei (2009), Table 1: steps 1 to 10 of their recursion. The sums of step 10 begin with
+# 9 n^2 - 9: so many its loops have, and only so the steps add up to Table 2.
+STEPS = (
+    Published(lambda n, f, m: 15 * n - 15, lambda n, f, m: 6 * n - 6),
+    Published(lambda n, f, m: 60 * n - 60, lambda n, f, m: 55 * n - 55),
+    Published(lambda n, f, m: 66 * n - 27, lambda n, f, m: 54 * n - 21),
+    Published(lambda n, f, m: 24 * n - 24, lambda n, f, m: 24 * n - 24),
+    Published(lambda n, f, m: 21 * f * m, lambda n, f, m: 17 * f * m),
+    Published(lambda n, f, m: 15 * m * f - 15 * m, lambda n, f, m: n - 12 * m + 13 * m * f),
+    Published(
+        lambda n, f, m: 13.5 * n**2 - 40.5 * n + 27, lambda n, f, m: 9 * n**2 - 27 * n + 18
+    ),
+    Published(
+        lambda n, f, m: 4.5 * n**2 - 13.5 * n + 9, lambda n, f, m: 4.5 * n**2 - 13.5 * n + 9
+    ),
+    Published(
+        lambda n, f, m: 457.5 * n**2 - 901.5 * n + 390,
+        lambda n, f, m: 328.5 * n**2 - 652.5 * n + 276,
+    ),
+    Published(
+        lambda n, f, m: (
+            30 * m * f**2 - 30 * m * f - 60 * m**2 * f + 18 * m**2 + 42 * m**2 * f**2
+        ),
+        lambda n, f, m: (
+            9 * n**2 - 9 + 52.5 * m * f**2 - 79.5 * m * f + 18 * m - 89.5 * m**2 * f + 18 * m**2
+            + 53.5 * m**2 * f**2
+        ),
+    ),
+)  # fmt: skip
+
+
+def published(name: str, case: Case) -> Counts:
+    """A published formula's operations of a case."""
+    formula, sizes = PUBLISHED[name], (case.n, case.n_flexible, case.m)
+    return {
+        "multiplications": round(formula.multiplications(*sizes)),
+        "additions": round(formula.additions(*sizes)),
+    }
+
+
+# ---- arms ----------------------------------------------------------------------------------------
+
+
+def given_arm(case: Case, rotation: str = "exp") -> Arm:
+    """The six-link preset or its first links, under gravity; torsion is the third mode."""
+    whole = ARMS["six-link"]
+    links = []
+    for i, link in enumerate(whole.links[: case.n]):
+        torsion = Mode(kind="torsion-fixed-free", index=1, direction="x")
+        modes = (*link.modes, torsion)[: case.m] if i in case.flexible else ()
+        links.append(replace(link, modes=modes, GJ=link.EIz, rho_Ip=1e-4 * link.rho_A))
+    return replace(whole, links=tuple(links), gravity=(0.0, 0.0, -9.81), rotation=rotation)
+
+
+class Symbols:
+    """Free symbols, remembered; tables of them with the symmetries that the integrals have."""
+
+    def __init__(self) -> None:
+        self.all: list[Any] = []
+
+    def one(self) -> Any:
+        """A new symbol."""
+        self.all.append(ca.SX.sym(f"c{len(self.all)}"))
+        return self.all[-1]
+
+    def vector(self) -> tuple[Any, ...]:
+        """(3,)."""
+        return tuple(self.one() for _ in range(3))
+
+    def matrix(self) -> tuple[Any, ...]:
+        """(3, 3)."""
+        return tuple(self.vector() for _ in range(3))
+
+    def symmetric(self, size: int) -> tuple[Any, ...]:
+        """(size, size), symmetric."""
+        table = [[0.0] * size for _ in range(size)]
+        for i in range(size):
+            for j in range(i + 1):
+                table[i][j] = table[j][i] = self.one()
+        return tuple(map(tuple, table))
+
+
+def general_link(link: LinkConstants, symbols: Symbols) -> LinkConstants:
+    """A link as the published formulas know it, every constant a symbol; no tip body, no joint."""
+    every = range(len(link.K))
+    zero = tuple(tuple(0.0 for _ in row) for row in link.K)
+    c_jk: dict[tuple[int, int], Any] = {}
+    D: dict[tuple[int, int], Any] = {}
+    for j in every:
+        c_jk[j, j] = (0.0, 0.0, 0.0)  # r_j x r_j
+        D[j, j] = symbols.symmetric(3)
+        for k in range(j):
+            c_jk[j, k], D[j, k] = symbols.vector(), symbols.matrix()
+            c_jk[k, j] = tuple(-x for x in c_jk[j, k])
+            D[k, j] = tuple(zip(*D[j, k], strict=True))
+    return replace(
+        link,
+        length=symbols.one(),
+        mass=symbols.one(),
+        first_moment=symbols.vector(),
+        epsilon=tuple(symbols.vector() for _ in every),
+        s=symbols.symmetric(len(every)),
+        c_jk=tuple(tuple(c_jk[j, k] for k in every) for j in every),
+        c=tuple(symbols.vector() for _ in every),
+        C=tuple(symbols.matrix() for _ in every),
+        D=tuple(tuple(D[j, k] for k in every) for j in every),
+        C0=symbols.symmetric(3),
+        tip_phi=tuple(symbols.vector() for _ in every),
+        tip_theta=tuple(symbols.vector() for _ in every),
+        K=symbols.symmetric(len(every)),
+        damping=zero,
+        tip_mass=0.0,
+        tip_inertia=((0.0,) * 3,) * 3,
+        rotation=symbols.matrix(),
+        offset=(0.0, 0.0, 0.0),
+        rotor_inertia=0.0,
+    )
+
+
+def general_chain(case: Case, rotation: str) -> tuple[Chain, list[Any]]:
+    """A chain of general links under any gravity, and all of its symbols."""
+    symbols = Symbols()
+    bodies = [body for parts in chain_constants(given_arm(case)) for body in parts]
+    links = tuple(general_link(body, symbols) for body in bodies)
+    return Chain(links, symbols.vector(), rotation), symbols.all
+
+
+# ---- counting ------------------------------------------------------------------------------------
+
+
+def count(name: str, chain: Chain, n: int, n_joint: int, constants: list[Any]) -> dict[str, Counts]:
+    """Operations of a formulation: M (one half) and h, and the accelerations."""
+    formulation = FORMULATIONS[name]
+    q, v, tau = (ca.SX.sym(x, size) for x, size in (("q", n), ("v", n), ("tau", n_joint)))
+    x, rates, torques = (ca.vertsplit(y) for y in (q, v, tau))
+    M = formulation.equations.mass_matrix(chain, x)
+    h = formulation.equations.bias(chain, x, rates)
+    half = [entry for i, row in enumerate(M) for entry in row[: i + 1]]
+    a = formulation.accelerations(chain, x, rates, torques)
+    known = ca.vertcat(*constants)
+    return {
+        question: operations(ca.Function("counted", [known, *state], [ca.vertcat(*values)]), 1)
+        for question, values, state in (
+            ("M and h", [*half, *h], [q, v]), ("accelerations", a, [q, v, tau]),
+        )
+    }  # fmt: skip
+
+
+def rows() -> Iterator[dict[str, Any]]:
+    """One row per arm, formulation and rotation."""
+    for case in CASES:
+        size = [case.n, case.n_flexible, case.m]
+        for rotation in ROTATIONS:
+            arm = given_arm(case, rotation)
+            general, symbols = general_chain(case, rotation)
+            given = compile_arm(arm).chain
+            for name in FORMULATIONS:
+                for kind, chain, constants in (
+                    ("general", general, symbols), ("given", given, []),
+                ):  # fmt: skip
+                    found = count(name, chain, arm.n, arm.n_joint, constants)
+                    yield {"size": size, "arm": kind, "formulation": name, "rotation": rotation} | {
+                        **found
+                    }
+
+
+def default_rows() -> Iterator[dict[str, Any]]:
+    """One row per preset and formulation, as they are shipped."""
+    for preset in DEFAULT_ARMS:
+        model = compile_arm(preset)
+        for name in FORMULATIONS:
+            found = count(name, model.chain, model.n, model.n_joint, [])
+            yield {"preset": preset, "coordinates": model.n, "formulation": name, **found}
+
+
+# ---- page ----------------------------------------------------------------------------------------
+
+
+def shown(counts: Counts) -> str:
+    """Multiplications + additions."""
+    return f"{counts['multiplications']:,} + {counts['additions']:,}".replace(",", " ")
+
+
+def page(result: dict[str, Any]) -> str:
+    """The tables as Markdown."""
+    heads = [f"({', '.join(map(str, case['size']))})" for case in result["published"]]
+    lines = [
+        "# Operations",
+        "",
+        f"Made by `{result['command']}`. Multiplications + additions by links, flexible links and "
+        "modes of each, (n, n_f, m). What each count holds: [formulations](../formulations.md).",
+    ]
+    for question in ("M and h", "accelerations"):
+        lines += ["", f"## {question}", "", f"| arm | formulation | E | {' | '.join(heads)} |"]
+        lines += ["|---|---|---|" + "---:|" * len(heads)]
+        if question == "M and h":
+            for name in PUBLISHED:
+                cells = [shown(case[name]) for case in result["published"]]
+                lines += [f"| published formula | `{name}` | linear | {' | '.join(cells)} |"]
+        groups: dict[tuple[str, str, str], list[str]] = {}
+        for row in result["cases"]:
+            key = (row["arm"], row["formulation"], row["rotation"])
+            groups.setdefault(key, []).append(shown(row[question]))
+        for (arm, name, rotation), cells in sorted(groups.items()):
+            lines += [f"| {arm} | `{name}` | {rotation} | {' | '.join(cells)} |"]
+    lines += [
+        "",
+        "## Presets",
+        "",
+        "| preset | coordinates | formulation | M and h | accelerations |",
+    ]
+    lines += ["|---|---:|---|---:|---:|"]
+    for row in result["presets"]:
+        lines += [
+            f"| {row['preset']} | {row['coordinates']} | `{row['formulation']}` | "
+            f"{shown(row['M and h'])} | {shown(row['accelerations'])} |"
+        ]
+    return "\n".join([*lines, ""])
+
+
+def main() -> None:
+    """Count, and write JSON and page side by side."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--out", type=Path, default=RESULT)
+    out = parser.parse_args().out
+    result = {
+        **provenance("casadi"),
+        "published": [
+            {"size": [c.n, c.n_flexible, c.m]} | {name: published(name, c) for name in PUBLISHED}
+            for c in CASES
+        ],
+        "cases": list(rows()),
+        "presets": list(default_rows()),
+    }
+    out.write_text(json.dumps(result, indent=1) + "\n")
+    out.with_suffix(".md").write_text(page(result))
+    print(page(result))
+
+
+if __name__ == "__main__":
+    main()
