@@ -93,11 +93,13 @@ def film(
         every = max(1, round(GIF_SECONDS_PER_FRAME / base.control_dt))
         frames: list[Array] = [np.asarray(env.render())]
         samples: dict[str, list[Any]] = {name: [info[name]] for name in SAMPLED}
+        actions = [np.zeros(base.action_space.shape, np.float32)]
         state, ended, failed, step = None, False, False, 0
         while not ended:
             action, state = controller.predict(observation, state)
             action = np.clip(np.asarray(action, np.float32), -1.0, 1.0)
             observation, _, terminated, truncated, info = env.step(action)
+            actions.append(action)
             ended, failed, step = terminated or truncated, terminated, step + 1
             for name, values in samples.items():
                 values.append(info[name])
@@ -108,7 +110,7 @@ def film(
             columns[name] = columns[name].reshape(step + 1, 1, -1)
         recording = Recording(
             time=base.control_dt * np.arange(step + 1),
-            action=columns["torque"] / np.asarray(base.torque_limit, float),
+            action=np.array(actions, float)[:, None],
             failed=np.array([failed]),
             reach=float(base.reach),
             **columns,

@@ -1,19 +1,20 @@
-"""Actuators behind the action: their own laws, the arm behind them, batches, refusals."""
+"""Actuators behind the action: their own laws, the arm behind them, refusals."""
 
 import math
-import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import gymnasium as gym
 import numpy as np
 import pytest
 from scipy import signal
 from scipy.linalg import expm
 
-import flexarm_env
-from dynamics import Arm, Joint, Link, load_arm
+import flexarm_env  # noqa: F401  (registers the ids)
+from dynamics import Arm, Joint, Link, Mode, load_arm
+from dynamics.model import Model
 from flexarm_env.actuators import ACTUATORS, PRESETS, load_actuators, mounted
 from flexarm_env.drives import Drives
 from flexarm_env.physics import physics
@@ -258,74 +259,38 @@ def test_torques_are_observed_in_units_of_the_limit() -> None:
     assert "command" not in ideal.reset(seed=0)[1]
 
 
-# ---- batches -------------------------------------------------------------------------------------
+@pytest.mark.parametrize("spring", [None, 100.0])
+def test_an_actuator_turns_with_what_its_torque_works_on(spring: float | None) -> None:
+    """Its angle is that of the hub, by the generalised forces of unit torques."""
+    modes = tuple(Mode(kind="pinned-free", index=index, direction="y") for index in (1, 2))
+    joint = Joint(rotor_inertia=0.01, stiffness=spring)
+    link = Link(length=1.0, rho_A=0.3, EIz=10.0, modes=modes, joint=joint)
+    arm = Arm(links=(replace(link, joint=Joint(rotor_inertia=0.01)), link))
+    model = Model(arm)
+    q, rest = 0.02 * np.arange(model.n), np.zeros(model.n)
+    idle = model.accelerations(q, rest, np.zeros(2))
+    forces = [model.mass_matrix(q) @ (model.accelerations(q, rest, u) - idle) for u in np.eye(2)]
+    found = Drives(load_actuators({"type": "limited"}, 2), arm, (1.0, 1.0))
+    np.testing.assert_allclose(found.slip, forces, atol=1e-10)
 
-FLEXIBLE: dict[str, Any] = {"actuator": {**PISTON, "rate_limit": 20.0}}  # four states
 
-
-def run(envs: Any, actions: np.ndarray) -> list[tuple[Any, ...]]:
-    observation, info = envs.reset(seed=0)
-    return [(observation, info), *(envs.step(action[: envs.num_envs]) for action in actions)]
-
-
-def random_actions(steps: int, n_env: int) -> np.ndarray:
-    return np.random.default_rng(0).uniform(-0.5, 0.5, (steps, n_env, 1)).astype(np.float32)
-
-
-def test_a_batch_behind_actuators_equals_single_environments() -> None:
-    """Over restarts of some environments; actuator states restart with them."""
-    batch = gym.make_vec(ENV, num_envs=3, max_episode_steps=9, **FLEXIBLE)
-    singles = gym.make_vec(
-        ENV, num_envs=3, vectorization_mode="sync", max_episode_steps=9, **FLEXIBLE
+def test_every_joint_may_have_its_own_actuator() -> None:
+    """Torques of a motor with a current and of a slewing piston, from one stack of numbers."""
+    arm = Arm(links=RIGID.links * 2)
+    actuators = [{**SERVO, "inductance": 0.026}, {**PISTON, "rate_limit": 5.0}]
+    drives = Drives(load_actuators(actuators, 2), arm, (1.0, 3.0))
+    assert drives.torque_limit == pytest.approx([STALL, 3.0])
+    assert drives.states == 1 + 4
+    sizes = {"action": 2, "actuator": 5, "q": 2, "v": 2, "actuators": drives.n_constant}
+    symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+    torque = ca.Function("torque", list(symbols.values()), [drives.torque(symbols)])
+    current, passed = 1.5, 0.8  # [A], [N m]
+    states = [current, 0.1, 0.2, 0.3, passed]
+    found = torque([1.0, 1.0], states, [0.2, 0.3], [0.4, 0.5], drives.constants(1e-3))
+    assert found.full().ravel() == pytest.approx([0.6 * 70.0 * 7.67e-3 * current, passed])
+    np.testing.assert_allclose(
+        drives.at_rest(np.array([[0.2, 0.3]])), [[0.0], [0.3], [0.0], [0.0], [0.0]]
     )
-    actions = random_actions(30, 3)
-    for ours, theirs in zip(run(batch, actions), run(singles, actions), strict=True):
-        np.testing.assert_allclose(ours[0], theirs[0], rtol=1e-6, atol=1e-6)
-        for name in ("torque", "command", "tip_error"):
-            np.testing.assert_allclose(ours[-1][name], theirs[-1][name], rtol=1e-8, atol=1e-9)
-
-
-def test_behind_actuators_neither_batch_size_nor_threads_nor_pickling_matter(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Bit for bit, over restarts."""
-    monkeypatch.setattr(flexarm_env.core, "WORTH_A_THREAD", 1e-9)
-    actions = random_actions(40, 40)
-    envs = [
-        gym.make_vec(ENV, num_envs=n, threads=threads, max_episode_steps=11, **FLEXIBLE)
-        for n, threads in ((5, 1), (40, 1), (40, 2))
-    ]
-    runs = [run(batch, actions) for batch in envs]
-    for steps in zip(*runs, strict=True):
-        for other in steps[1:]:
-            np.testing.assert_array_equal(steps[0][0], other[0][:5])
-            np.testing.assert_array_equal(steps[0][-1]["torque"], other[-1]["torque"][:5])
-    copy = pickle.loads(pickle.dumps(envs[1]))
-    for action in actions:
-        np.testing.assert_array_equal(copy.step(action)[0], envs[1].step(action)[0])
-
-
-def test_single_precision_and_sb3_know_actuators() -> None:
-    double = gym.make_vec(ENV, num_envs=40, **FLEXIBLE)
-    single = gym.make_vec(ENV, num_envs=40, dtype="float32", **FLEXIBLE)
-    actions = random_actions(30, 40)
-    for a, b in zip(run(double, actions), run(single, actions), strict=True):
-        np.testing.assert_allclose(a[0], b[0], atol=5e-4)
-    sb3 = flexarm_env.SB3VecEnv(ENV, 40, **FLEXIBLE)
-    sb3.seed(0)
-    np.testing.assert_array_equal(sb3.reset(), run(double, actions[:0])[0][0])
-
-
-def test_an_arm_that_is_lost_keeps_finite_actuators() -> None:
-    """What ends an episode as diverged restores the actuators' states, too."""
-    env = gym.make(ENV, **FLEXIBLE).unwrapped
-    env.reset(seed=0, options={"state": {"q": [0.0, 0.0, 0.0], "v": [0.0, 1e200, 0.0]}})
-    obs, _, terminated, _, info = env.step(np.zeros(1))
-    assert terminated
-    assert info["diverged"]
-    assert np.isfinite(obs).all()
-    assert np.isfinite(info["torque"]).all()
-    assert np.isfinite(env.core.state).all()
 
 
 # ---- refusals and the page -----------------------------------------------------------------------
