@@ -96,7 +96,7 @@ def test_a_scenario_changes_only_what_it_says() -> None:
     assert arm.payload.mass == 100.0
     assert arm.links[0] == replace(shoulder, damping_ratio=0.0, modes=arm.links[0].modes)
     assert arm.links[1] == replace(elbow, damping_ratio=0.0, modes=arm.links[1].modes)
-    assert arm.links[2] == replace(wrist, length=0.4572 + 1.4224)
+    assert arm.links[2] == replace(wrist, length=1.8796)  # wrist and hand
     assert {mode.direction for link in arm.links for mode in link.modes} == {"y"}
 
 
@@ -124,15 +124,16 @@ def test_the_rigid_link_turns_as_a_rigid_body_and_a_stiff_link_with_it() -> None
     """5 N m on a uniform rod and its hub: theta = tau t^2 / (2 J)."""
     scenario = replace(scenarios.load("one-link-step"), t_end=0.25, n_out=6)
     (link,) = scenario.arm.links
-    stiff = replace(scenario.arm, links=(replace(link, EIz=200e6),))
+    stiff = replace(scenario.arm, links=(replace(link, EIz=1e4 * 200.0),))
     expected = 5.0 * scenario.times**2 / 2.0 / (0.5 + 2.7 * 1.5**3 / 3.0)
 
     soft, rigid = scenario_runs.twins(scenario)
     hard = scenario_runs.follow(scenario, stiff)
 
     assert_allclose(rigid.joints[:, 0], expected, rtol=1e-9, atol=1e-12)
-    assert_allclose(hard.joints[:, 0], expected, rtol=0.0, atol=1e-7)
-    assert np.abs(soft.joints[:, 0] - expected).max() > 1e-3
+    away = [np.abs(run.joints[:, 0] - expected).max() for run in (soft, hard)]
+    assert away[0] > 1e-3
+    assert away[1] < 2e-4 * away[0]  # as one over the stiffness, give or take the phase
     assert scenario_runs.figures(scenario, soft, rigid)["joints apart [deg]"] > 0.06
 
 
@@ -192,7 +193,7 @@ def test_the_flying_body_turns_over_as_eulers_equations_say() -> None:
 
     assert body is same
     assert_allclose(body.path.v[:, 3:6], euler.y.T, rtol=0.0, atol=1e-5)
-    assert body.path.v[:, 4].min() < -1.9  # over
+    assert body.path.v[:, 5].min() < -1.9  # over
     found = scenario_runs.drifts(scenario, body)
     assert max(found.values()) < 1e-7
     assert set(found) == {"energy drift", "linear momentum drift", "angular momentum drift"}
