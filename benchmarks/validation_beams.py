@@ -134,7 +134,7 @@ def _peaks() -> Sequence[float]:
 def limits() -> list[float]:
     """Limit equations of Zohoor and Khorsandijou, as shares of the closed forms.
 
-    (35) torsion by its own shapes, (36) stretching by polynomials, (37) and (38) bending in both planes.
+    (35) torsion by its own shapes, (36) stretching by polynomials, (37), (38) bending in y and z.
     """
     torsion = tuple(Mode(kind="torsion-fixed-free", index=k, direction="x") for k in (1, 2, 3))
     axial = tuple(Mode(kind="axial-poly", index=k, direction="axial") for k in range(1, 7))
@@ -242,8 +242,9 @@ def _motions() -> list[Table]:
 
 def tables() -> list[Table]:
     """All of them."""
-    names = ("(35) torsion, mode 1", "mode 2", "mode 3", "(36) stretching, mode 1", "mode 2", "(37) bending in y, mode 1",
-             "(38) bending in z, mode 1", "in y, mode 2", "in z, mode 2")  # fmt: skip
+    names = ("(35) torsion, mode 1", "mode 2", "mode 3", "(36) stretching, mode 1",
+             "mode 2", "(37) bending in y, mode 1", "(38) bending in z, mode 1",
+             "in y, mode 2", "in z, mode 2")  # fmt: skip
     return [
         *_rotating(),
         *_static(),
