@@ -43,7 +43,13 @@ def chain(links: int, modes: int, *, spatial: bool = False, **changes: Any) -> A
         for direction in ("yz" if spatial else "y")
         for k in range(1, modes + 1)
     )
-    link = {"length": 0.5, "rho_A": 0.4, "EIz": 100.0, "EIy": 100.0, "tip_mass": 0.5}
+    link: dict[str, Any] = {
+        "length": 0.5,
+        "rho_A": 0.4,
+        "EIz": 100.0,
+        "EIy": 100.0,
+        "tip_mass": 0.5,
+    }
     inertia = ((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3))
     turned = (IDENTITY, ACROSS) if spatial else (IDENTITY, IDENTITY)
     return Arm(

@@ -21,23 +21,38 @@ from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import gymnasium as gym
 import numpy as np
 
-import flexarm_env  # noqa: F401  (registers the ids)
 from dynamics import ARMS, Stepper, compile_arm
 from dynamics.kernels import LANES
 from dynamics.lowering import cached_module
+from flexarm_env import FlexArmVectorEnv
 
 DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
-BATCHES = (1024, 8192)
+BATCHES = (1024, 16384)
 CHAINS, ROUNDS = 3, 200  # 3 chains of 16 lanes keep 12 of 16 vector registers in flight
 
 
-def median_seconds(call: Callable[[], Any], at_least: float = 0.3, runs: int = 7) -> float:
-    """Median time of one call over several runs of many calls."""
+class Timing(NamedTuple):
+    """Time of one call [s]: what to expect, and what the machine can do when left alone."""
+
+    median: float
+    best: float
+
+    def per(self, amount: float) -> dict[str, float]:
+        """Amounts per second."""
+        return {"median": amount / self.median, "best": amount / self.best}
+
+    def each(self, amount: float) -> dict[str, float]:
+        """Time per amount."""
+        return {"median": self.median / amount, "best": self.best / amount}
+
+
+def timed(call: Callable[[], Any], at_least: float = 1.0, runs: int = 20) -> Timing:
+    """Several runs of many calls."""
     call()
     begin = time.perf_counter()
     call()
@@ -48,10 +63,10 @@ def median_seconds(call: Callable[[], Any], at_least: float = 0.3, runs: int = 7
         for _ in range(calls):
             call()
         times.append((time.perf_counter() - begin) / calls)
-    return statistics.median(times)
+    return Timing(statistics.median(times), min(times))
 
 
-def multiply_add_peak() -> float:
+def multiply_add_peak() -> dict[str, float]:
     """[FLOP/s] of one core in float64: independent chains of fused multiply-adds."""
     chains = range(CHAINS)
     lines = ["a = w[0]", "b = w[1]", *(f"x{k} = w[{2 + k}]" for k in chains)]
@@ -71,22 +86,22 @@ def multiply_add_peak() -> float:
     module = cached_module(f"peak_{CHAINS}_{ROUNDS}_{LANES}", lambda: text)
     w = np.full((2 + CHAINS) * LANES, 0.5)
     times = 2000
-    seconds = median_seconds(lambda: module.often(w, times))
-    return 2.0 * CHAINS * ROUNDS * LANES * times / seconds
+    return timed(lambda: module.often(w, times)).per(2.0 * CHAINS * ROUNDS * LANES * times)
 
 
-def right_hand_side(arm: str, peak: float) -> dict[str, float]:
+def right_hand_side(arm: str, peak: dict[str, float]) -> dict[str, Any]:
     """ns per environment and share of the peak, one lane and many."""
     model = compile_arm(arm)
     count = model.operation_count()["accelerations"]
     flops = count["multiplications"] + count["additions"] + count["divisions"]
-    row: dict[str, float] = {"operations": flops}
+    row: dict[str, Any] = {"operations": flops}
     for name, lanes in (("one lane", 1), ("many lanes", LANES)):
         program = model.program(lanes, "rk4")
         w = model.workspace(program)
-        seconds = median_seconds(partial(program.evaluate_often, w, 1000)) / 1000 / lanes
-        row[f"rhs {name} [ns]"] = seconds * 1e9
-        row[f"share of peak, {name}"] = flops / seconds / peak
+        found = timed(partial(program.evaluate_often, w, 1000))
+        row[f"rhs {name} [ns]"] = found.each(1e-9 * 1000 * lanes)
+        rate = found.per(flops * 1000 * lanes)
+        row[f"share of peak, {name}"] = {key: rate[key] / peak[key] for key in peak}
     return row
 
 
@@ -108,14 +123,14 @@ def compile_seconds(arm: str) -> dict[str, float]:
     return {"cold [s]": runs[0], "warm [s]": statistics.median(runs[1:])}
 
 
-def env_steps(family: str) -> dict[str, float]:
+def env_steps(family: str) -> dict[str, Any]:
     """Environment steps per second: gym.make, the native batch, and the physics alone."""
     env_id = f"FlexArm/{family}-Reach-v0"
     env = gym.make(env_id)
     env.reset(seed=0)
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1.0, 1.0, (256, *env.action_space.shape)).astype(np.float32)  # type: ignore[misc]
-    row: dict[str, float] = {}
+    row: dict[str, Any] = {}
 
     def episode(env: gym.Env[Any, Any]) -> None:
         for action in actions:
@@ -123,20 +138,32 @@ def env_steps(family: str) -> dict[str, float]:
             if terminated or truncated:
                 env.reset()
 
-    row["single gym.make [steps/s]"] = len(actions) / median_seconds(lambda: episode(env))
+    row["single gym.make [steps/s]"] = timed(lambda: episode(env)).per(len(actions))
     bare = env.unwrapped
-    row["single unwrapped [steps/s]"] = len(actions) / median_seconds(lambda: episode(bare))
-    for size, threads in itertools.product(BATCHES, (1, 2)):
-        batch = gym.make_vec(env_id, num_envs=size, threads=threads)
+    row["single unwrapped [steps/s]"] = timed(lambda: episode(bare)).per(len(actions))
+    for size, threads, dtype in itertools.product(BATCHES, (1, 2), ("float64", "float32")):
+        batch = gym.make_vec(env_id, num_envs=size, threads=threads, dtype=dtype)
         batch.reset(seed=0)
         many = rng.uniform(-1.0, 1.0, (size, actions.shape[1])).astype(np.float32)
-        name = f"batch of {size}, {threads} thread{'s' * (threads > 1)} [steps/s]"
-        row[name] = size / median_seconds(partial(batch.step, many))
+        name = f"batch of {size}, {threads} thread{'s' * (threads > 1)}, {dtype} [steps/s]"
+        row[name] = timed(partial(batch.step, many)).per(size)
         batch.close()
+    row["vector interface [us/call]"] = interface_microseconds(env_id)
     return row
 
 
-def physics_steps(family: str) -> dict[str, float]:
+def interface_microseconds(env_id: str) -> dict[str, float]:
+    """What a call of a batch costs beside its compiled code: a batch of one block of lanes."""
+    batch = cast(FlexArmVectorEnv, gym.make_vec(env_id, num_envs=LANES))
+    batch.reset(seed=0)
+    actions = np.zeros((LANES, batch.n_joint), np.float32)
+    core = batch.core
+    whole = timed(partial(batch.step, actions)).each(1e-6)
+    inside = timed(partial(core.step_share, 0, actions, *core.outputs())).each(1e-6)
+    return {key: whole[key] - inside[key] for key in whole}
+
+
+def physics_steps(family: str) -> dict[str, Any]:
     """Control steps per second of the stepper alone, as the environment configures it."""
     bare: Any = gym.make(f"FlexArm/{family}-Reach-v0").unwrapped
     core = bare.core
@@ -146,9 +173,8 @@ def physics_steps(family: str) -> dict[str, float]:
             core.model, BATCHES[0], dt=core.control_dt / core.substeps, substeps=core.substeps,
             integrator=core.integrator, threads=threads,
         )  # fmt: skip
-        row[f"physics, {threads} thread{'s' * (threads > 1)} [steps/s]"] = BATCHES[
-            0
-        ] / median_seconds(stepper.advance)
+        name = f"physics, {threads} thread{'s' * (threads > 1)} [steps/s]"
+        row[name] = timed(stepper.advance).per(BATCHES[0])
     return row
 
 
@@ -161,7 +187,7 @@ def main() -> None:
     results: dict[str, Any] = {
         "machine": {"processor": platform.processor() or platform.machine(),
                     "cores": os.cpu_count(), "cores in fact": cores_in_fact(),
-                    "peak, one core [GFLOP/s]": peak / 1e9},
+                    "peak, one core [GFLOP/s]": {k: x / 1e9 for k, x in peak.items()}},
         "versions": {name: version(name) for name in ("numba", "numpy", "gymnasium", "casadi")},
     }  # fmt: skip
     for family, arm in DEFAULT_ARMS.items():
@@ -186,9 +212,10 @@ def table(results: dict[str, Any]) -> str:
     peak = machine["peak, one core [GFLOP/s]"]
     lines = [
         "# Speed\n",
-        "Made by `python benchmarks/speed.py`: medians, all in one run, on "
-        f"{machine['cores']} cores ({machine['processor']}) whose multiply-add peak in float64 was "
-        f"{peak:.0f} GFLOP/s each.\n",
+        "Made by `python benchmarks/speed.py`: medians of 20 runs, and in brackets the best of "
+        f"them, all on {machine['cores']} cores ({machine['processor']}) whose multiply-add peak "
+        f"in float64 was {peak['median']:.0f} ({peak['best']:.0f}) GFLOP/s each. Where median and "
+        "best differ much, the machine had other work.\n",
         f"Two busy processes side by side had {machine['cores in fact']:.2f} cores: where that is "
         "near one, the two-thread figures say nothing of threads.\n",
         "| | " + " | ".join(DEFAULT_ARMS) + " |",
@@ -196,9 +223,15 @@ def table(results: dict[str, Any]) -> str:
     ]
     for key in results["OneLink"]:
         cells = [results[family][key] for family in DEFAULT_ARMS]
-        texts = [f"{c:.4g}" if isinstance(c, float) else str(c) for c in cells]
+        texts = [_text(c) for c in cells]
         lines.append(f"| {key} | " + " | ".join(texts) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _text(cell: Any) -> str:
+    if isinstance(cell, dict):
+        return f"{cell['median']:.3g} ({cell['best']:.3g})"
+    return f"{cell:.3g}" if isinstance(cell, float) else str(cell)
 
 
 def spin(seconds: float) -> float:

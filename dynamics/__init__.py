@@ -8,7 +8,7 @@ a `Stepper` steps many at once. The physics knows nothing of environments or lea
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from dynamics.arm import Arm, Base, Joint, Link, Mode, Payload
+from dynamics.arm import Arm, Base, Body, Joint, Link, Mode, Payload
 from dynamics.arm_file import load_arm
 from dynamics.arms import ARMS
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from dynamics.scene import JointMotion, Scene
     from dynamics.simulation import Diverged, Trajectory, simulate
     from dynamics.stepper import Stepper
-    from dynamics.validity import limits
+    from dynamics.validity import ValidityWarning, limits
 
 __all__ = [
-    "ARMS", "Arm", "Base", "Choice", "Diverged", "Joint", "JointMotion", "Link", "Mode", "Model",
-    "Payload", "Scene", "Stepper", "Trajectory", "choose_model", "compile_arm", "limits",
-    "load_arm", "simulate",
+    "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "Joint", "JointMotion", "Link", "Mode",
+    "Model", "Payload", "Scene", "Stepper", "Trajectory", "ValidityWarning", "choose_model",
+    "compile_arm", "limits", "load_arm", "simulate",
 ]  # fmt: skip
 
 _LATE = {  # these import numba: only when asked for
     "Model": "model", "compile_arm": "model", "Stepper": "stepper",
     "Choice": "choice", "choose_model": "choice", "JointMotion": "scene", "Scene": "scene",
     "Diverged": "simulation", "Trajectory": "simulation", "simulate": "simulation",
-    "limits": "validity",
+    "ValidityWarning": "validity", "limits": "validity",
 }  # fmt: skip
 
 

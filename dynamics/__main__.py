@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +56,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 def listing() -> str:
     """The presets, one per line: name, links, coordinates, reach, description."""
+    width = max(len(name) for name in ARMS)
     rows = [
-        f"{arm.name:18} {arm.n_joint} links  {arm.n:2} coordinates  {arm.reach:.2f} m  "
+        f"{arm.name:{width}} {arm.n_joint} links  {arm.n:2} coordinates  {arm.reach:.2f} m  "
         f"{arm.description}"
         for arm in ARMS.values()
     ]
@@ -108,15 +110,32 @@ def write(path: Path, text: str) -> None:
 def _follow(model: Any, motion: Motion) -> dict[str, Any]:
     from dynamics.simulation import simulate
 
-    path = simulate(model, np.array(motion.q), np.array(motion.qd), motion.torque, motion.times)
-    energies = [model.energy(q, v) for q, v in zip(path.q, path.v, strict=True)]
-    return {
+    start = np.array(motion.q), np.array(motion.qd)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        path = simulate(model, *start, motion.torque, motion.times)
+    for warning in caught:
+        print(f"Warning: {warning.message}", file=sys.stderr)
+    states = list(zip(path.q, path.v, strict=True))
+    energies = [model.energy(q, v) for q, v in states]
+    result = {
         "t": path.t.tolist(),
         "tip": path.tip.tolist(),
         "q": path.q.tolist(),
         "qd": path.v.tolist(),
         "T": [float(kinetic) for kinetic, _, _ in energies],
         "V": [float(elastic + gravity) for _, elastic, gravity in energies],
+    }
+    if path.base_quaternion is None:
+        return result
+    turned = path.q.copy()
+    turned[:, 3:6] = 0.0  # from the attitude that stands beside
+    momenta = [model.momentum(q, v) for q, v in states]
+    return result | {
+        "q": turned.tolist(),
+        "base_quaternion": path.base_quaternion.tolist(),
+        "linear_momentum": [linear.tolist() for linear, _ in momenta],
+        "angular_momentum_about_origin": [angular.tolist() for _, angular in momenta],
     }
 
 

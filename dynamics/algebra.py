@@ -64,6 +64,11 @@ def tanh(x: Scalar) -> Scalar:
     return math.tanh(x) if isinstance(x, float) else x.tanh()
 
 
+def sqrt(x: Scalar) -> Scalar:
+    """Square root."""
+    return math.sqrt(x) if isinstance(x, float) else x.sqrt()
+
+
 def add(*vectors: Vector) -> Vector:
     """Sum of vectors."""
     return tuple(plus(*xs) for xs in zip(*vectors, strict=True))

@@ -6,13 +6,19 @@ from dataclasses import MISSING, dataclass, field, fields
 from typing import Any
 
 from dynamics import checks
-from dynamics.checks import IDENTITY, ZEROS, Matrix, Vector
+from dynamics.attitude import Quaternion, to_rotation_vector
+from dynamics.checks import ZEROS, Matrix, Vector
+from dynamics.joint import Joint
 from dynamics.shapes import KINDS, are_independent, shape
+
+__all__ = ["Arm", "Base", "Body", "Joint", "Link", "Mode", "Payload"]
 
 NORMS = ("tip-unit", "mass", "raw")
 ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # word in a file -> meaning
-STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy"}  # direction of a mode -> what resists it
+# direction of a mode -> what resists it
+STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy", "axial": "EA"}
 MAX_INDEX = 50
+BASE_NAMES = ("base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz")
 
 
 def _clean(self: object, **values: object) -> None:
@@ -27,7 +33,7 @@ class Mode:
 
     kind: str
     index: int  # 1, 2, ... within its kind
-    direction: str  # "y", "z": bending displacement along that axis; "x": torsion
+    direction: str  # "y", "z": bending along that axis; "x": torsion; "axial": stretching
     norm: str = "tip-unit"  # s(l) = 1 | "mass": modal mass 1 | "raw": as in the formula
 
     def __post_init__(self) -> None:
@@ -44,39 +50,36 @@ class Mode:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Joint:
-    """A revolute joint about its local z, at the root of its link."""
+class Body:
+    """The mass of a rigid link of any form, in the frame of the link."""
 
-    rotation: Matrix = IDENTITY  # (3, 3) [-] end frame of the link before -> joint frame at q = 0
-    offset: Vector = (0.0, 0.0, 0.0)  # [m] from that end to the joint, in that end frame
-    rotor_inertia: float = 0.0  # [kg m^2] turns with the joint rate (relative)
-    hub_inertia: float = 0.0  # [kg m^2] about z, turns with the link's root (absolute)
-    viscous: float = 0.0  # [N m s/rad] friction
-    coulomb: float = 0.0  # [N m] friction, times tanh(rate / coulomb_speed)
-    coulomb_speed: float = 0.05  # [rad/s]
+    mass: float  # [kg]
+    com: Vector = (0.0, 0.0, 0.0)  # [m] centre of mass
+    inertia: Matrix = ZEROS  # (3, 3) [kg m^2] about the centre of mass
 
     def __post_init__(self) -> None:
         _clean(
             self,
-            rotation=checks.rotation(self.rotation, "Joint.rotation"),
-            offset=checks.vector(self.offset, "Joint.offset", "m"),
-            rotor_inertia=checks.nonnegative(self.rotor_inertia, "Joint.rotor_inertia", "kg m^2"),
-            hub_inertia=checks.nonnegative(self.hub_inertia, "Joint.hub_inertia", "kg m^2"),
-            viscous=checks.nonnegative(self.viscous, "Joint.viscous", "N m s/rad"),
-            coulomb=checks.nonnegative(self.coulomb, "Joint.coulomb", "N m"),
-            coulomb_speed=checks.positive(self.coulomb_speed, "Joint.coulomb_speed", "rad/s"),
+            mass=checks.nonnegative(self.mass, "Body.mass", "kg"),
+            com=checks.vector(self.com, "Body.com", "m"),
+            inertia=checks.inertia(self.inertia, "Body.inertia"),
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """A slender link behind a revolute joint; flexible if it has modes, rigid if it has none."""
+    """A slender link behind a joint; flexible if it has modes, rigid if it has none.
+
+    A rigid link may have a `body` instead of a mass per unit length, or both, and with a body the
+    length may be zero.
+    """
 
     length: float  # [m] joint axis to tip
-    rho_A: float  # [kg/m] mass per unit length
+    rho_A: float = 0.0  # [kg/m] mass per unit length
     EIz: float | None = None  # [N m^2] flexural rigidity for deflection along y
     EIy: float | None = None  # [N m^2] flexural rigidity for deflection along z
     GJ: float | None = None  # [N m^2] torsional rigidity
+    EA: float | None = None  # [N] axial rigidity
     rho_Ip: float = 0.0  # [kg m] polar rotary inertia per unit length
     tip_mass: float = 0.0  # [kg] point mass at the tip
     tip_inertia: Matrix = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
@@ -85,12 +88,14 @@ class Link:
     damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
     segments: int = 1  # equal welded parts, each with all the modes: for large deflections
     joint: Joint = field(default_factory=Joint)
+    body: Body | None = None  # of a rigid link
 
     def __post_init__(self) -> None:
+        at_least = checks.positive if self.body is None else checks.nonnegative
         _clean(
             self,
-            length=checks.positive(self.length, "Link.length", "m"),
-            rho_A=checks.positive(self.rho_A, "Link.rho_A", "kg/m"),
+            length=at_least(self.length, "Link.length", "m"),
+            rho_A=at_least(self.rho_A, "Link.rho_A", "kg/m"),
             rho_Ip=checks.nonnegative(self.rho_Ip, "Link.rho_Ip", "kg m"),
             tip_mass=checks.nonnegative(self.tip_mass, "Link.tip_mass", "kg"),
             tip_inertia=checks.inertia(self.tip_inertia, "Link.tip_inertia"),
@@ -102,7 +107,8 @@ class Link:
         for name in STIFFNESS.values():
             value = getattr(self, name)
             if value is not None:
-                _clean(self, **{name: checks.nonnegative(value, f"Link.{name}", "N m^2")})
+                unit = "N" if name == "EA" else "N m^2"
+                _clean(self, **{name: checks.nonnegative(value, f"Link.{name}", unit)})
         if self.segments > 1 and any(mode.kind == "pinned-free" for mode in self.modes):
             raise ValueError(
                 f"Link.segments ({self.segments!r}) must be 1 with pinned-free modes: "
@@ -115,7 +121,24 @@ class Link:
             )
         if not isinstance(self.joint, Joint):
             raise ValueError(f"Link.joint must be a Joint, got {self.joint!r}.")
+        self._check_body()
         self._check_modes()
+
+    def _check_body(self) -> None:
+        if self.joint.type == "prismatic" and any(m.kind == "pinned-free" for m in self.modes):
+            raise ValueError(
+                "Link.modes must not hold pinned-free with a prismatic joint: it would not turn "
+                "their root."
+            )
+        if self.body is None:
+            return
+        if not isinstance(self.body, Body):
+            raise ValueError(f"Link.body must be a Body or None, got {self.body!r}.")
+        if self.modes or self.segments > 1:
+            raise ValueError(
+                f"Link.body is for a rigid link in one piece, got {len(self.modes)} modes and "
+                f"{self.segments} segments; use rho_A and tip_mass."
+            )
 
     def _check_modes(self) -> None:
         for mode in self.modes:
@@ -126,7 +149,7 @@ class Link:
                 raise ValueError(
                     f"Link.{STIFFNESS[mode.direction]} must be positive for the mode along "
                     f"{mode.direction!r} ({mode.kind} {mode.index}), got {stiffness!r}. "
-                    "Unit: [N m^2]."
+                    f"Unit: [{'N' if mode.direction == 'axial' else 'N m^2'}]."
                 )
         repeated = Counter((mode.kind, mode.index, mode.direction) for mode in self.modes)
         for (kind, index, direction), count in repeated.items():
@@ -159,7 +182,7 @@ class Link:
                 )
 
     def in_direction(self, direction: str) -> tuple[Mode, ...]:
-        """The link's modes along "x" (torsion), "y" or "z" (bending)."""
+        """The link's modes along "x" (torsion), "y" or "z" (bending), or "axial"."""
         return tuple(mode for mode in self.modes if mode.direction == direction)
 
 
@@ -183,14 +206,61 @@ class Payload:
 
 @dataclass(frozen=True, kw_only=True)
 class Base:
-    """What the first joint stands on."""
+    """What the first joint stands on: the ground, or a rigid body that flies freely.
 
-    type: str = "fixed"
+    A free base has its own frame: the first joint's offset and rotation, centre of mass and
+    inertia are given in it. Where it starts is part of the description.
+    """
+
+    type: str = "fixed"  # | "free"
+    mass: float = 0.0  # [kg]
+    com: Vector = (0.0, 0.0, 0.0)  # [m] centre of mass
+    inertia: Matrix = ZEROS  # (3, 3) [kg m^2] about the centre of mass
+    position: Vector = (0.0, 0.0, 0.0)  # [m] of the frame's origin in the world
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z: from the frame to the world
+    velocity: Vector = (0.0, 0.0, 0.0)  # [m/s] of the origin in the world
+    angular_velocity_body: Vector = (0.0, 0.0, 0.0)  # [rad/s] in the frame
 
     def __post_init__(self) -> None:
-        if self.type == "free":
-            raise ValueError("Base.type 'free' is not supported yet; use \"fixed\".")
-        checks.choice(self.type, "Base.type", ("fixed",))
+        kind = checks.choice(self.type, "Base.type", ("fixed", "free"))
+        values: dict[str, object] = {
+            "mass": checks.nonnegative(self.mass, "Base.mass", "kg"),
+            "com": checks.vector(self.com, "Base.com", "m"),
+            "inertia": checks.inertia(self.inertia, "Base.inertia"),
+            "position": checks.vector(self.position, "Base.position", "m"),
+            "quaternion": checks.quaternion(self.quaternion, "Base.quaternion"),
+            "velocity": checks.vector(self.velocity, "Base.velocity", "m/s"),
+            "angular_velocity_body": checks.vector(
+                self.angular_velocity_body, "Base.angular_velocity_body", "rad/s"
+            ),
+        }
+        _clean(self, **values)
+        if kind == "free":
+            checks.positive(self.mass, "Base.mass", "kg")
+            checks.solid(self.inertia, "Base.inertia")
+            return
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name != "type" and value != entry.default:
+                raise ValueError(
+                    f'Base.{entry.name} ({value!r}) is of a free base; give type "free", or '
+                    "leave it out."
+                )
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates: position and attitude."""
+        return len(BASE_NAMES) if self.type == "free" else 0
+
+    @property
+    def q(self) -> tuple[float, ...]:
+        """(n,) [m], [rad] position and rotation vector at the start."""
+        return (*self.position, *to_rotation_vector(self.quaternion))[: self.n]
+
+    @property
+    def v(self) -> tuple[float, ...]:
+        """(n,) [m/s], [rad/s] velocity in the world, angular velocity in the base's own frame."""
+        return (*self.velocity, *self.angular_velocity_body)[: self.n]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,8 +278,8 @@ class Arm:
 
     def __post_init__(self) -> None:
         links = tuple(checks.sequence(self.links, "Arm.links"))
-        if not links:
-            raise ValueError("Arm.links must hold at least one link, got [].")
+        if not links and not (isinstance(self.base, Base) and self.base.n):
+            raise ValueError("Arm.links must hold at least one link on a fixed base, got [].")
         for link in links:
             if not isinstance(link, Link):
                 raise ValueError(f"Arm.links must hold Link objects, got {link!r}.")
@@ -229,7 +299,16 @@ class Arm:
             gravity=checks.vector(self.gravity, "Arm.gravity", "m/s^2"),
             rotation=ROTATIONS[checks.choice(self.rotation, "Arm.rotation", ROTATIONS)],
         )
+        if not links:
+            if self.payload is not None:
+                raise ValueError(f"Arm.payload ({self.payload!r}) needs a link that holds it.")
+            return
         last = self.links[-1]
+        if not _moved(last, self.payload) > 0.0:
+            raise ValueError(
+                "The last link has no inertia that its joint could move (the mass matrix would be "
+                f"singular), got Link.body = {last.body!r}; give mass off the axis or inertia."
+            )
         polar = last.rho_Ip + last.tip_inertia[0][0]
         polar += self.payload.inertia[0][0] if self.payload else 0.0
         if last.in_direction("x") and polar == 0.0:
@@ -240,7 +319,7 @@ class Arm:
 
     @property
     def n(self) -> int:
-        """Number of coordinates: joint angles and modal amplitudes."""
+        """Number of coordinates: base, joint angles, twists of joint springs, modal amplitudes."""
         return len(self.names)
 
     @property
@@ -250,12 +329,16 @@ class Arm:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Coordinates link by link, segments inside out: "q1", "d1_1", "d1_2", ..., "q2", ..."""
-        return tuple(
+        """A free base's six, then link by link, inside out: "q1", "d1_1", "d1_2", ..., "q2", ...
+
+        q is the rotor of an elastic joint; the twist of its spring follows it: "q1", "s1", "d1_1".
+        """
+        return BASE_NAMES[: self.base.n] + tuple(
             name
             for i, link in enumerate(self.links, 1)
             for modes in [range(1, link.segments * len(link.modes) + 1)]
-            for name in (f"q{i}", *(f"d{i}_{j}" for j in modes))
+            for twist in [() if not link.joint.elastic else (f"s{i}",)]
+            for name in (f"q{i}", *twist, *(f"d{i}_{j}" for j in modes))
         )
 
     @property
@@ -271,6 +354,20 @@ class Arm:
     def to_dict(self) -> dict[str, Any]:
         """The arm as plain lists, numbers and text, defaults left out; `load_arm` reads it back."""
         return _plain(self)
+
+
+def _moved(link: Link, payload: Payload | None) -> float:
+    """Inertia about the joint axis, or mass, that a last link's joint moves [kg m^2 or kg]."""
+    tip_mass, tip_inertia = link.tip_mass, link.tip_inertia[2][2]
+    if payload is not None:
+        tip_mass, tip_inertia = tip_mass + payload.mass, tip_inertia + payload.inertia[2][2]
+    rotor = link.joint.rotor_inertia if link.joint.stiffness is None else 0.0
+    body = link.body or Body(mass=0.0)
+    if link.joint.type == "prismatic":
+        return rotor + link.rho_A * link.length + body.mass + tip_mass
+    turned = link.rho_A * link.length + tip_mass  # at a distance, if the link has a length
+    own = body.inertia[2][2] + body.mass * math.hypot(*body.com[:2]) + tip_inertia
+    return rotor + link.joint.hub_inertia + own + turned * link.length
 
 
 def _plain(value: Any) -> Any:

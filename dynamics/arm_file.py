@@ -9,11 +9,13 @@ from typing import Any
 
 import yaml
 
-from dynamics import checks
-from dynamics.arm import Arm, Base, Joint, Link, Mode, Payload
+from dynamics import checks, denavit_hartenberg
+from dynamics.arm import Arm, Base, Body, Joint, Link, Mode, Payload
 from dynamics.arms import ARMS
+from dynamics.attitude import from_euler
 
-ARM_KEYS = (*(entry.name for entry in fields(Arm)), "units")
+TABLE = "denavit_hartenberg"  # instead of links: rows of a table, see that module
+ARM_KEYS = (*(entry.name for entry in fields(Arm)), "units", TABLE)
 CASE_KEYS = (  # what an arm file may hold besides the arm: a motion and what is known of it
     "initial",
     "torque",
@@ -85,13 +87,18 @@ def arm_from_dict(data: Mapping[str, Any]) -> Arm:
     keys = checks.mapping(data, "the arm", (*ARM_KEYS, *CASE_KEYS))
     if keys.get("units", "SI") != "SI":
         raise ValueError(f'units must be "SI", got {keys["units"]!r}.')
-    values = {key: keys[key] for key in ARM_KEYS if key in keys and key != "units"}
+    values = {key: keys[key] for key in ARM_KEYS if key in keys and key not in ("units", TABLE)}
     if values.get("base") is not None:
         values["base"] = _base(values["base"])
     else:
         values.pop("base", None)
     if values.get("payload") is not None:
         values["payload"] = _build(Payload, values["payload"], "payload")
+    if TABLE in keys:
+        if "links" in keys:
+            raise ValueError(f"links and {TABLE} exclude each other; give one.")
+        values["links"] = denavit_hartenberg.links(denavit_hartenberg.rows(keys[TABLE]))
+        return Arm(**values)  # type: ignore[arg-type]
     links = checks.sequence(values.get("links", []), "links")
     values["links"] = [_link(entry, f"links[{i}]") for i, entry in enumerate(links)]
     return Arm(**values)  # type: ignore[arg-type]
@@ -101,6 +108,8 @@ def _link(data: object, where: str) -> Link:
     values = checks.mapping(data, where, [entry.name for entry in fields(Link)])
     if "joint" in values:
         values["joint"] = _build(Joint, values["joint"], f"{where}.joint")
+    if values.get("body") is not None:
+        values["body"] = _build(Body, values["body"], f"{where}.body")
     if "modes" in values:
         modes = checks.sequence(values["modes"], f"{where}.modes")
         values["modes"] = [_build(Mode, m, f"{where}.modes[{j}]") for j, m in enumerate(modes)]
@@ -109,10 +118,15 @@ def _link(data: object, where: str) -> Link:
 
 
 def _base(data: object) -> Base:
-    kind = data.get("type", "fixed") if isinstance(data, Mapping) else None
-    if kind == "free":  # it has further keys, which would be refused one by one
-        return Base(type="free")
-    base: Base = _build(Base, data, "base")
+    """A base; 3-2-1 Euler angles (theta about 3, phi about 2, psi about 1) may stand for it."""
+    names = [entry.name for entry in fields(Base)]
+    values = checks.mapping(data, "base", [*names, "euler"])
+    if "euler" in values:
+        if "quaternion" in values:
+            raise ValueError("base: euler and quaternion exclude each other; give one.")
+        angles = checks.vector(values.pop("euler"), "base.euler", "rad")
+        values["quaternion"] = from_euler(angles)
+    base: Base = _build(Base, values, "base")
     return base
 
 

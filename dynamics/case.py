@@ -3,6 +3,10 @@
 A case is an arm file with any of: `states` [{q, qd, tau}], `initial` {q, qd} with `t_end`, `n_out`
 and `torque`. Without `states`, those under `expected` serve, so that a reference case evaluates
 itself. Everything is checked here, before anything is computed.
+
+A free base's six may be left out of q and qd: it is where its description says. Given, its rotation
+in q is a rotation vector from the attitude `base_quaternion` that stands beside q, or from that of
+the description; in what is read here, from the world, as `Model` has it.
 """
 
 import math
@@ -18,6 +22,7 @@ from numpy.typing import NDArray
 from dynamics import checks
 from dynamics.arm import Arm
 from dynamics.arm_file import ARM_KEYS, CASE_KEYS, arm_from_dict, read_mapping
+from dynamics.attitude import from_rotation_vector, product, to_rotation_vector
 
 Array = NDArray[np.float64]
 Numbers = tuple[float, ...]
@@ -137,7 +142,7 @@ def _states(
 
 
 def _state(entry: object, name: str, arm: Arm, own: bool) -> State:
-    keys = ("q", "qd", "tau")
+    keys = (*_state_keys(arm), "tau")
     if not own and isinstance(entry, Mapping):  # an expected state also holds its results
         entry = {key: entry[key] for key in keys if key in entry}
     values = _required(entry, name, ("q", "qd"), keys)
@@ -152,7 +157,7 @@ def _motion(data: Mapping[str, object], arm: Arm) -> Motion | None:
             if data.get(key) is not None:
                 raise ValueError(f"{key} needs an initial state; give initial {{q, qd}}.")
         return None
-    initial = _required(data["initial"], "initial", ("q", "qd"), ("q", "qd"))
+    initial = _required(data["initial"], "initial", ("q", "qd"), _state_keys(arm))
     q, qd = _coordinates(initial, "initial", arm)
     if data.get("t_end") is None:
         raise ValueError("t_end is missing: an initial state needs an end time [s].")
@@ -205,11 +210,28 @@ def _signal(data: object, name: str) -> PiecewiseConstant | Sine | None:
     return PiecewiseConstant(times=times, values=torques)
 
 
+def _state_keys(arm: Arm) -> tuple[str, ...]:
+    return ("q", "qd", "base_quaternion") if arm.base.n else ("q", "qd")
+
+
 def _coordinates(values: Mapping[str, object], name: str, arm: Arm) -> tuple[Numbers, Numbers]:
-    return (
-        checks.numbers(values["q"], f"{name}.q", arm.n),
-        checks.numbers(values["qd"], f"{name}.qd", arm.n),
-    )
+    q = _completed(values["q"], arm.base.position + (0.0,) * 3, f"{name}.q", arm)
+    qd = _completed(values["qd"], arm.base.v, f"{name}.qd", arm)
+    if not arm.base.n:
+        return q, qd
+    attitude = arm.base.quaternion
+    if "base_quaternion" in values:
+        attitude = checks.quaternion(values["base_quaternion"], f"{name}.base_quaternion")
+    turned = product(attitude, from_rotation_vector(q[3:6]))
+    return (*q[:3], *to_rotation_vector(turned), *q[6:]), qd
+
+
+def _completed(data: object, base: Numbers, name: str, arm: Arm) -> Numbers:
+    """(n,) numbers; what is missing of a free base is put in front."""
+    entries = checks.sequence(data, name)
+    missing = len(entries) == arm.n - arm.base.n
+    numbers = checks.numbers(entries, name, len(entries) if missing else arm.n)
+    return base[: arm.base.n] * missing + numbers
 
 
 def _expected_angles(expected: Mapping[str, object], arm: Arm) -> Numbers:

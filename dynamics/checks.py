@@ -15,6 +15,8 @@ IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 _LARGEST = 1e30  # in any SI unit; beyond it, and for a length below its inverse, floats overflow
 _ORTHONORMAL = 1e-9  # [-] largest entry of R'R - 1 of a mounting rotation
+_ROUND_OFF = 1e-15  # [-] of a length that is one
+_UNIT = 1e-6  # [-] largest error of a quaternion's length
 _SYMMETRIC = 1e-9  # [-] largest asymmetry of an inertia, relative to its largest entry
 
 
@@ -115,6 +117,30 @@ def inertia(value: object, name: str) -> Matrix:
             f"{name} must have no negative principal moment, got {least:.6g} in {_short(value)}."
         )
     return result
+
+
+def solid(value: Matrix, name: str) -> None:
+    """Refuse an inertia (3, 3) that no body with extent has."""
+    least, middle, most = (float(x) for x in np.linalg.eigvalsh(np.array(value)))
+    if not least > _SYMMETRIC * most or most > (1.0 + _SYMMETRIC) * (least + middle):
+        raise ValueError(
+            f"{name} must be positive definite, no principal moment above the sum of the others, "
+            f"got the moments {least:.6g}, {middle:.6g}, {most:.6g}. Unit: [kg m^2]."
+        )
+
+
+def quaternion(value: object, name: str) -> tuple[float, float, float, float]:
+    """A unit quaternion [w, x, y, z]; rounding is taken back."""
+    w, x, y, z = numbers(value, name, 4)
+    size = math.hypot(w, x, y, z)
+    if abs(size - 1.0) > _UNIT:
+        raise ValueError(
+            f"{name} must have length 1 [w, x, y, z], got length {size:.6g} in {_short(value)}; "
+            "divide by it."
+        )
+    if abs(size - 1.0) < _ROUND_OFF:  # normalised before: leave it
+        return (w, x, y, z)
+    return (w / size, x / size, y / size, z / size)
 
 
 def rotation(value: object, name: str) -> Matrix:

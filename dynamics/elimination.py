@@ -67,7 +67,7 @@ def accelerations(
         f = frames[i]
         wrench, forces = load_of(f, rates[i][0], load)
         block = block_of(f, with_tip_body(f, outer))
-        torque = 0.0 if f.link.welded else next(torques)
+        torque = next(torques) if f.link.driven else 0.0
         drive = [*(mul(s, torque) for s in f.link.root_slope), torque]
         residual = [minus(t, h) for t, h in zip(drive, forces, strict=False)]
         if implicit:
@@ -78,6 +78,7 @@ def accelerations(
             held = f.link.rotor_inertia  # what resists the joint but does not load the link before
             if implicit:
                 held = plus(held, mul(implicit.damping, f.link.viscous))
+                held = plus(held, mul(implicit.stiffness, f.link.spring))
             inertia = _reduced(f.link, block, pivots, held)
             outer = inertia.turned(f.R).moved(f.offset)
             push = [mul(e, p) for e, p in zip(residual, pivots, strict=True)]
@@ -102,9 +103,10 @@ def take_implicitly(
     for j in range(len(D)):
         row: list[Scalar] = []
         for k in range(len(D)):
-            C, K = mul(link.viscous, slopes[j] * slopes[k]), 0.0
+            both = slopes[j] * slopes[k]
+            C, K = mul(link.viscous, both), mul(link.spring, both)
             if j < m and k < m:
-                C, K = plus(C, link.damping[j][k]), link.K[j][k]
+                C, K = plus(C, link.damping[j][k]), plus(K, link.K[j][k])
             row.append(plus(mul(implicit.damping, C), mul(implicit.stiffness, K)))
             D[j][k] = plus(D[j][k], row[k])
         residual[j] = plus(residual[j], dot(row, values))
@@ -143,9 +145,12 @@ def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar], held: Scal
         D = symmetric(lambda i, j, D=D, pN=pN, N=N: minus(D[i][j], mul(pN[i], N[j])))
     if link.welded or (any(link.root_slope) and not is_zero(held)):
         return Inertia(A, B, D)
-    # about the free axis only what holds the joint resists: exactly zero without it
+    # along the free axis only what holds the joint resists: exactly zero without it
     keep = mul(held, pivots[-1])
     z = Wrench(*(scale(keep, u) for u in block.columns[-1]))
+    if link.prismatic:
+        A = symmetric(lambda i, j, A=A: z.force[i] if j == 2 else A[i][j])
+        return Inertia(A, tuple((row[0], row[1], z.moment[i]) for i, row in enumerate(B)), D)
     B = (B[0], B[1], z.force)
     D = symmetric(lambda i, j, D=D: z.moment[i] if j == 2 else D[i][j])
     return Inertia(A, B, D)
@@ -168,7 +173,8 @@ def _outward_solution(
         result += joint_first(f.link, u)
         modal = u[: len(f.delta)]
         if not f.link.welded:
-            w_dot = add(w_dot, (0.0, 0.0, u[-1]))
+            along = (0.0, 0.0, u[-1])
+            a, w_dot = (add(a, along), w_dot) if f.link.prismatic else (a, add(w_dot, along))
         a = add(a, cross(w_dot, f.r), combine(modal, f.tip_phi))
         w_dot = add(w_dot, combine(modal, f.tip_theta))
     return result

@@ -52,7 +52,7 @@ FIXED_BASE_AND_HINGES = {
         "coulomb_speed",
     }),
     "Link": frozenset({
-        "length", "rho_A", "EIz", "EIy", "GJ", "rho_Ip", "tip_mass", "tip_inertia", "modes",
+        "length", "rho_A", "EIz", "EIy", "GJ", "EA", "rho_Ip", "tip_mass", "tip_inertia", "modes",
         "damping_ratio", "damping_beta", "segments", "joint",
     }),
 }  # fmt: skip

@@ -12,18 +12,28 @@ def _payload_mass(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
 
 
 def _stiffness(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
-    return [replace(link, K=_scaled(link.K, p)) for link in links]
+    return [
+        replace(link, K=_scaled(link.K, p), spring=p * link.spring if link.spring else 0.0)
+        for link in links
+    ]
 
 
 def _damping(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
-    return [replace(link, damping=_scaled(link.damping, p)) for link in links]
+    return [
+        replace(
+            link,
+            damping=_scaled(link.damping, p),
+            viscous=link.viscous if link.driven or not link.viscous else p * link.viscous,
+        )
+        for link in links
+    ]
 
 
 def _friction(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
     return [
         replace(
             link,
-            viscous=p * link.viscous if link.viscous else 0.0,
+            viscous=p * link.viscous if link.driven and link.viscous else link.viscous,
             coulomb=p * link.coulomb if link.coulomb else 0.0,
         )
         for link in links
@@ -44,7 +54,7 @@ class FreeParameter:
 
 FREE_PARAMETERS = {
     "payload_mass": FreeParameter(0.0, _payload_mass),  # [kg] added at the last tip
-    "stiffness": FreeParameter(1.0, _stiffness),  # [-] scales every K
-    "damping": FreeParameter(1.0, _damping),  # [-] scales all modal damping
+    "stiffness": FreeParameter(1.0, _stiffness),  # [-] scales every K and joint spring
+    "damping": FreeParameter(1.0, _damping),  # [-] scales all damping of modes and joint springs
     "friction": FreeParameter(1.0, _friction),  # [-] scales viscous and Coulomb friction
 }

@@ -40,7 +40,7 @@ from dynamics.algebra import (
     tmatvec,
     transpose,
 )
-from dynamics.kinematics import Chain, Frame, outward
+from dynamics.kinematics import Chain, Frame, outward, stretch
 from dynamics.modes import LinkConstants
 
 
@@ -131,6 +131,11 @@ class Wrench(NamedTuple):
         return Wrench(force, add(matvec(R, self.moment), cross(offset, force)))
 
 
+def axial(link: LinkConstants, wrench: Wrench) -> Scalar:
+    """What of a wrench at the joint acts along its coordinate."""
+    return wrench.force[2] if link.prismatic else wrench.moment[2]
+
+
 def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
     """Wrench at the joint and generalized forces (modes, then any joint) that the bias needs.
 
@@ -141,7 +146,7 @@ def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]
     body = _tip_body_bias(f)
     tip = Wrench(add(body[0], outer.force), add(body[1], outer.moment))
     slip = plus(rate, dot(link.root_slope, f.delta_dot))
-    friction = friction_torque(link, slip)
+    resistance = plus(friction_torque(link, slip), mul(link.spring, stretch(f)))
     for j, inertial in enumerate(modal):
         modal[j] = plus(
             inertial,
@@ -149,10 +154,10 @@ def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]
             dot(f.tip_theta[j], tip.moment),
             dot(link.K[j], f.delta),
             dot(link.damping[j], f.delta_dot),
-            mul(link.root_slope[j], friction),
+            mul(link.root_slope[j], resistance),
         )
     total = Wrench(add(force, tip.force), add(moment, tip.moment, cross(f.r, tip.force)))
-    return total, modal if link.welded else [*modal, plus(total.moment[2], friction)]
+    return total, modal if link.welded else [*modal, plus(axial(link, total), resistance)]
 
 
 def joint_first(link: LinkConstants, values: list[Scalar]) -> list[Scalar]:
@@ -160,10 +165,18 @@ def joint_first(link: LinkConstants, values: list[Scalar]) -> list[Scalar]:
     return values if link.welded else [values[-1], *values[:-1]]
 
 
-def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]:
-    """(n,) h of M qdd + h = B tau: inertial, gravity, elastic and dissipative forces."""
+NO_LOAD = Wrench(ZERO, ZERO)
+
+
+def bias(
+    chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar], load: Wrench = NO_LOAD
+) -> list[Scalar]:
+    """(n,) h of M qdd + h = B tau: inertial, gravity, elastic and dissipative forces.
+
+    `load` is what the last link exerts at its tip on its surroundings, in its own frame.
+    """
     frames = outward(chain, q, v)
-    outer = Wrench(ZERO, ZERO)
+    outer = load
     h: list[Scalar] = []
     for f, (rate, _) in zip(reversed(frames), reversed(chain.split(v)), strict=True):
         wrench, forces = load_of(f, rate, outer)
@@ -212,10 +225,15 @@ def block_of(f: Frame, outer: Inertia) -> Block:
                 link.rotor_inertia * link.root_slope[j] * link.root_slope[k],
             )
         if not link.welded:
-            couplings[j][m] = plus(columns[j].moment[2], link.rotor_inertia * link.root_slope[j])
+            turned = link.rotor_inertia * link.root_slope[j]
+            couplings[j][m] = plus(axial(link, columns[j]), turned)
     if not link.welded:
-        columns.append(Wrench(inertia.B[2], transpose(inertia.D)[2]))
-        couplings[m][m] = plus(inertia.D[2][2], link.rotor_inertia)
+        columns.append(
+            Wrench(inertia.A[2], transpose(inertia.B)[2])
+            if link.prismatic
+            else Wrench(inertia.B[2], transpose(inertia.D)[2])
+        )
+        couplings[m][m] = plus(axial(link, columns[m]), link.rotor_inertia)
     return Block(inertia, columns, couplings)
 
 
@@ -258,7 +276,8 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
                     plus(dot(phi, tip.force), dot(theta, tip.moment))
                     for phi, theta in zip(parent.tip_phi, parent.tip_theta, strict=True)
                 ]
-                for row, entry in zip(places[k], [*entries, wrench.moment[2]], strict=False):
+                entries.append(axial(parent.link, wrench))
+                for row, entry in zip(places[k], entries, strict=False):
                     M[row][places[i][c]] = M[places[i][c]][row] = entry
                 child = parent
         turn = Inertia.turned_composite if chain.rotation == "exp" else Inertia.turned

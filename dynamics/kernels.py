@@ -1,13 +1,13 @@
 """The compiled loops around an arm's own code, on the flat workspace that lowering.py describes.
 
 A generated module holds `accelerations(w)` and `measure(w)` of one arm for one number of lanes,
-imports the small loops from here and ends with `GLUE`, its entry points.
+imports the small loops from here and ends with its entry points, `glue`.
 """
 
 import numpy as np
 from numba import njit
 
-__all__ = ["GLUE", "LANES", "compiled", "count_finite", "gather", "outermost", "scatter"]
+__all__ = ["LANES", "compiled", "count_finite", "gather", "glue", "outermost", "scatter"]
 
 LANES = 16  # of a batch's blocks in float64; twice as many fit the same registers in float32
 
@@ -43,8 +43,9 @@ def count_finite(w, lanes, first, stop, check, good):  # type: ignore[no-untyped
         w[good + b] += w.dtype.type(1.0 if finite else 0.0)
 
 
-# What a generated module adds to its arm's functions `accelerations(w)` and `measure(w)`.
-GLUE = """
+# What a generated module adds to its arm's functions `accelerations(w)` and `measure(w)`; the marks
+# are for a free base, whose `renew(w)` comes with the arm: see free_base.py and chart.py.
+_GLUE = """
 start = compiled(METHOD.start)
 step = compiled(METHOD.step)
 
@@ -57,6 +58,7 @@ def advance_lanes(block, q, v, torque, parameters, dt, substeps, w, status, meas
     gather(v, first, count, LANES, w, V)
     gather(torque, first, count, LANES, w, TAU)
     gather(parameters, first, count, LANES, w, PARAMETERS)
+    #enter
     for b in range(LANES):
         w[CHECK + b] = 0.0
         w[GOOD + b] = 0.0
@@ -64,8 +66,10 @@ def advance_lanes(block, q, v, torque, parameters, dt, substeps, w, status, meas
     start(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
     for _ in range(substeps):
         step(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
-        count_finite(w, LANES, Q, V + N, CHECK, GOOD)
+        #renew
+        count_finite(w, LANES, #first, V + N, CHECK, GOOD)
     measure(w)
+    #leave
     for b in range(count):
         row = first + b
         good = np.int64(w[GOOD + b])
@@ -93,6 +97,7 @@ def measure_states(q, v, w, out):
         count = min(LANES, rows - first)
         gather(q, first, count, LANES, w, Q)
         gather(v, first, count, LANES, w, V)
+        #enter
         measure(w)
         for b in range(count):
             scatter(w, MEASURED, LANES, b, first + b, out)
@@ -111,7 +116,9 @@ def evaluate_states(q, v, torque, parameters, w, out):
         gather(v, first, count, LANES, w, V)
         gather(torque, first, count, LANES, w, TAU)
         gather(parameters, first, count, LANES, w, PARAMETERS)
+        #enter
         accelerations(w)
+        #result
         for b in range(count):
             scatter(w, ACC, LANES, b, first + b, out)
 
@@ -121,3 +128,24 @@ def evaluate_often(w, times):
     for _ in range(times):
         accelerations(w)
 """
+
+_MARKS = {
+    "#enter": "enter(w, LANES, Q, V, ATTITUDE)\nrenew(w)",
+    "#renew": "renew(w)",
+    "#leave": "leave(w, LANES, Q, V, ATTITUDE)",
+    "#result": "turn_out(w, LANES, ACC, ATTITUDE)",
+}
+
+
+def glue(free_base: bool) -> str:
+    """Text of a module's entry points."""
+    lines = []
+    for line in _GLUE.replace("#first", "ATTITUDE" if free_base else "Q").splitlines():
+        bare = line.lstrip()
+        if bare not in _MARKS:
+            lines.append(line)
+        elif free_base:
+            indent = line[: len(line) - len(bare)]
+            lines += [indent + own for own in _MARKS[bare].splitlines()]
+    head = "from dynamics.chart import enter, leave, turn_out\n" if free_base else ""
+    return head + "\n".join(lines) + "\n"

@@ -48,6 +48,7 @@ class Chain:
     links: tuple[LinkConstants, ...]
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2]
     rotation: str = "exp"  # the bent end's rotation: exp(theta~), or "linear": 1 + theta~
+    free_base: bool = False  # the first two bodies are a base that moves: see free_base.py
 
     def split(self, x: Sequence[Scalar]) -> list[tuple[Scalar, Sequence[Scalar]]]:
         """Coordinates body by body: (joint, modes); a welded body's joint is a structural zero."""
@@ -99,6 +100,8 @@ class Frame(NamedTuple):
     link: LinkConstants
     R: Matrix  # from this frame to the frame of the link before
     offset: Vector  # joint from the tip before, in the frame of the link before
+    joint: Scalar  # its coordinate
+    slide: Vector  # velocity of a prismatic joint
     delta: Sequence[Scalar]
     delta_dot: Sequence[Scalar]
     shape: Shape
@@ -123,7 +126,7 @@ class Frame(NamedTuple):
 _TERMS = 7  # series in |theta|^2: error below 1e-16 up to 0.6 rad, 5e-14 at 1 rad
 
 
-def _series(x: Scalar, first: int) -> tuple[Scalar, Scalar]:
+def series(x: Scalar, first: int) -> tuple[Scalar, Scalar]:
     """Sum of (-x)^k / (2k + first)! and its derivative, by Horner's rule."""
     c = [(-1.0) ** k / factorial(2 * k + first) for k in range(_TERMS)]
     value: Scalar = 0.0
@@ -153,8 +156,8 @@ def tip_rotation(
     if kind != "exp":
         return madd(EYE, T), shapes, ZERO
     x = dot(theta, theta)
-    c, dc = _series(x, 2)
-    d, dd = _series(x, 3)
+    c, dc = series(x, 2)
+    d, dd = series(x, 3)
     sinc = minus(1.0, mul(x, d))
     squares = symmetric(lambda i, j: mul(theta[i], theta[j]))
     TT = symmetric(lambda i, j: minus(squares[i][j], x) if i == j else squares[i][j])
@@ -180,6 +183,14 @@ def _turn(q: Scalar) -> Matrix:
     return ((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))
 
 
+def _mounting(link: LinkConstants, joint: Scalar) -> tuple[Matrix, Vector]:
+    """Rotation and position of a joint's moving side in the end frame of the link before."""
+    if link.prismatic:
+        axis = transpose(link.rotation)[2]
+        return link.rotation, add(link.offset, scale(joint, axis))
+    return matmul(link.rotation, _turn(joint)), link.offset
+
+
 def _phi(w: Vector, w_dot: Vector) -> Matrix:
     """w_dot~ + w~ w~: acceleration of a body-fixed point is a + Phi r."""
     p = symmetric(lambda i, j: mul(w[i], w[j]))
@@ -198,21 +209,26 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
     E: Matrix = EYE
     a_tip: Vector = scale(-1.0, chain.gravity)
     w_tip, w_dot_tip = ZERO, ZERO
-    for link, (angle, delta), (rate, delta_dot) in zip(
+    for link, (joint, delta), (rate, delta_dot) in zip(
         chain.links, chain.split(q), chain.split(v), strict=True
     ):
-        R = E if link.welded else matmul(E, matmul(link.rotation, _turn(angle)))
-        offset = matvec(E, link.offset)
+        mounting, place = _mounting(link, joint)
+        along = (0.0, 0.0, rate)
+        spin, slide = (ZERO, along) if link.prismatic else (along, ZERO)
+        R = E if link.welded else matmul(E, mounting)
+        offset = matvec(E, place)
         before = tmatvec(R, w_tip)
         a = tmatvec(R, add(a_tip, matvec(_phi(w_tip, w_dot_tip), offset)))
-        w = add(before, (0.0, 0.0, rate))
-        w_dot = add(tmatvec(R, w_dot_tip), cross(before, (0.0, 0.0, rate)))
+        a = add(a, scale(2.0, cross(before, slide)))
+        w = add(before, spin)
+        w_dot = add(tmatvec(R, w_dot_tip), cross(before, spin))
         Phi = _phi(w, w_dot)
 
         shape = amplitudes(link, delta, delta_dot)
         r = add((link.length, 0.0, 0.0), combine(shape.x, link.tip_phi))
         r_dot = combine(shape.x_dot, link.tip_phi)
-        E, tip_theta, bias = tip_rotation(link, delta, delta_dot, chain.rotation)
+        kind = "exp" if chain.free_base and not frames else chain.rotation
+        E, tip_theta, bias = tip_rotation(link, delta, delta_dot, kind)
         theta_dot = combine(delta_dot, tip_theta)
         a_tip = add(
             a, matvec(Phi, r), scale(2.0, cross(w, r_dot)), combine(shape.bias, link.tip_phi)
@@ -226,7 +242,8 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
         half = madd(mcombine(x, [transpose(C) for C in link.C]), mcombine(x, beta))
         frames.append(
             Frame(
-                link=link, R=R, offset=offset, delta=delta, delta_dot=delta_dot, shape=shape,
+                link=link, R=R, offset=offset, joint=joint, slide=slide,
+                delta=delta, delta_dot=delta_dot, shape=shape,
                 r=r, r_dot=r_dot, E=E, tip_phi=shape.project(link.tip_phi), tip_theta=tip_theta,
                 rho=add(link.first_moment, combine(x, link.epsilon)), alpha=alpha, beta=beta,
                 B9=symmetric(lambda i, j, C0=link.C0, half=half: plus(C0[i][j], half[i][j])),
@@ -234,6 +251,11 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
             )
         )  # fmt: skip
     return frames
+
+
+def stretch(f: Frame) -> Scalar:
+    """What a spring at the joint feels: its coordinate and the root's turn by the modes."""
+    return plus(f.joint, dot(f.link.root_slope, f.delta))
 
 
 class Pose(NamedTuple):
@@ -252,7 +274,7 @@ def poses(frames: Sequence[Frame]) -> list[Pose]:
     tip, R, velocity, w_tip = ZERO, EYE, ZERO, ZERO
     for f in frames:
         joint = add(tip, matvec(R, f.offset))
-        at_joint = tmatvec(f.R, add(velocity, cross(w_tip, f.offset)))
+        at_joint = add(tmatvec(f.R, add(velocity, cross(w_tip, f.offset))), f.slide)
         R = matmul(R, f.R)
         velocity = add(at_joint, cross(f.w, f.r), f.r_dot)
         w_tip = f.w_tip
@@ -279,6 +301,7 @@ def energies(
         x_dot = f.shape.x_dot
         eps_dot = combine(x_dot, link.epsilon)
         slip = plus(rate, dot(link.root_slope, f.delta_dot))
+        twist = stretch(f)
         kinetic = plus(
             kinetic,
             mul(0.5 * link.mass, dot(u, u)),
@@ -291,6 +314,7 @@ def energies(
             mul(0.5, dot(f.w_tip, matvec(congruence(f.E, link.tip_inertia), f.w_tip))),
         )
         elastic = plus(elastic, mul(0.5, dot(f.delta, [dot(row, f.delta) for row in link.K])))
+        elastic = plus(elastic, mul(0.5, mul(link.spring, mul(twist, twist))))
         moment = add(scale(link.mass, pose.joint), matvec(pose.R, f.rho))
         moment = add(moment, scale(link.tip_mass, pose.tip))
         gravity = minus(gravity, dot(chain.gravity, moment))

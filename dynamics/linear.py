@@ -20,8 +20,8 @@ def inertia(chain: Chain, q: Array) -> Array:
 
 
 def stiffness(chain: Chain) -> Array:
-    """(n, n) K, zero in the joints."""
-    return _assemble(chain, lambda link: link.K, lambda link: 0.0)
+    """(n, n) K of the modes and joint springs."""
+    return _assemble(chain, lambda link: link.K, lambda link: link.spring)
 
 
 def damping(chain: Chain) -> Array:

@@ -217,8 +217,13 @@ class Addition:
     entries: str  # text of the functions that Python calls
 
 
-def render_function(name: str, graph: Any, inputs: Sequence[int], output: int) -> str:
-    """Text of `name(w)`, which reads a graph's inputs and stores its output at these slots."""
+def render_function(
+    name: str, graph: Any, inputs: Sequence[int], output: int | Sequence[int]
+) -> str:
+    """Text of `name(w)`, which reads a graph's inputs and stores its output at these slots.
+
+    `output` is the first of adjoining slots, or the slot of every element.
+    """
     code, outputs = statements(graph, inputs)
     lines = []
     for v, (op, args) in enumerate(code.statements):
@@ -226,7 +231,8 @@ def render_function(name: str, graph: Any, inputs: Sequence[int], output: int) -
             lines.append(f"x{v} = w[{op[5:]}]")
         elif v not in code.names:
             lines.append(f"x{v} = {_TEXT[op].format(*(code.text(a) for a in args))}")
-    lines += [f"w[{output + i}] = {code.text(v)}" for i, v in enumerate(outputs)]
+    slots = [output + i for i in range(len(outputs))] if isinstance(output, int) else output
+    lines += [f"w[{slot}] = {code.text(v)}" for slot, v in zip(slots, outputs, strict=True)]
     return "\n".join(["@straight_line(LANES)", f"def {name}(w):", *(f"    {x}" for x in lines), ""])
 
 

@@ -2,24 +2,22 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from dynamics import linear
-from dynamics.algebra import add, combine, matvec
+from dynamics import free_base, gibbs_appell, graphs, linear
 from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
+from dynamics.attitude import from_rotation_vector, rotation_matrix
 from dynamics.christoffel import christoffel
-from dynamics.elimination import Implicit
 from dynamics.formulations import formulation_for
 from dynamics.free_parameters import FREE_PARAMETERS
 from dynamics.integrators import INTEGRATORS
-from dynamics.kernels import GLUE, LANES
-from dynamics.kinematics import Chain, outward, poses
+from dynamics.kernels import LANES, glue
+from dynamics.kinematics import Chain
 from dynamics.lowering import (
     Addition,
     cached_module,
@@ -69,7 +67,10 @@ class Model:
     """One arm, compiled; immutable, so one model serves every environment and thread.
 
     Coordinates run link by link, q_i [rad] then the link's modal amplitudes [m];
-    M qdd + h = B tau. Arguments `q`, `v` are (n,) arrays.
+    M qdd + h = B tau. Arguments `q`, `v` are (n,) arrays. A free base's six come first: position
+    [m] and rotation vector [rad] from the world; their rates are the velocity in the world and
+    the angular velocity in the base's own frame, their forces a force in the world and a moment
+    in that frame.
     """
 
     def __init__(
@@ -80,16 +81,22 @@ class Model:
         formulation: str = "gibbs_appell",
     ) -> None:
         self.arm, self.dtype, self.formulation = arm, dtype, formulation
-        self._formed = formulation_for(arm, formulation)
+        self.formed = formulation_for(arm, formulation)
         self.lanes = LANES_OF[dtype]  # environments that a batch steps side by side
         self.free_parameters = free_parameters
         self.names = list(arm.names)
         self.n, self.n_joint = arm.n, arm.n_joint
         bodies = chain_constants(arm)
-        self._last = np.cumsum([len(link) for link in bodies]).tolist()  # one behind each link's
-        links = tuple(body for link in bodies for body in link)
+        base = free_base.bodies(arm.base)
+        stops = np.cumsum([len(base), *(len(link) for link in bodies)]).tolist()
+        self.bodies = tuple(
+            slice(b - link.segments, b) for link, b in zip(arm.links, stops[1:], strict=True)
+        )  # parts of every link in the chain
+        links = (*base, *(body for link in bodies for body in link))
         rotation = "exp" if arm.rotation == "exp" else "linear"
-        self.chain = Chain(links, arm.gravity, rotation)
+        self.chain = Chain(links, arm.gravity, rotation, bool(base))
+        # of a free base, gravity is an input: its own frame turns
+        self.n_gravity = 3 if base and any(arm.gravity) else 0
         self.nominal_parameters = np.array([FREE_PARAMETERS[p].nominal for p in free_parameters])
         widths = {
             "tip": 3, "tip_velocity": 3, "rigid_tip": 3, "deflection": self.n_joint,
@@ -101,6 +108,7 @@ class Model:
             for (name, width), stop in zip(widths.items(), stops, strict=True)
         }
         self.n_measure = stops[-1]
+        self._programs: dict[tuple[int, str, str], ModuleType] = {}
 
     def __reduce__(self) -> Any:
         return Model, (self.arm, self.free_parameters, self.dtype, self.formulation)
@@ -109,14 +117,15 @@ class Model:
 
     def mass_matrix(self, q: Array) -> Array:
         """(n, n) M at q."""
-        return np.array(self._questions["mass_matrix"](self._q(q)))
+        return np.array(self._questions["mass_matrix"](*self._state(q, np.zeros(self.n))))
 
     def bias(self, q: Array, v: Array) -> Array:
         """(n,) h: inertial, gravity, elastic and dissipative forces."""
-        return np.array(self._questions["bias"](self._q(q), self._q(v, "v"))).ravel()
+        return np.array(self._questions["bias"](*self._state(q, v))).ravel()
 
     def christoffel(self, q: Array, v: Array) -> Array:
         """(n, n) H: H v are the velocity terms of h, dM/dt - 2 H is skew-symmetric."""
+        self._refuse_flight("christoffel")
         return np.array(self._christoffel(self._q(q), self._q(v, "v")))
 
     def accelerations(self, q: Array, v: Array, tau: Array) -> Array:
@@ -129,14 +138,30 @@ class Model:
         )  # fmt: skip
         return out[0]
 
-    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
-        """(n,) generalized forces M a + h; motion under joint torques alone needs B tau."""
-        return self.mass_matrix(q) @ self._q(a, "a") + self.bias(q, v)
+    def inverse_dynamics(self, q: Array, v: Array, a: Array, wrench: Array | None = None) -> Array:
+        """(n,) generalized forces M a + h; motion under joint torques alone needs B tau.
+
+        `wrench` (6,), force [N] then moment [N m], is what the last link exerts at its tip on its
+        surroundings, in that link's frame.
+        """
+        h = self.bias(q, v)
+        if wrench is not None:
+            self._refuse_flight("wrench")
+            x, rates = self._q(q).tolist(), self._q(v, "v").tolist()
+            f = _checked(wrench, 6, "wrench").tolist()
+            load = gibbs_appell.Wrench(f[:3], f[3:])
+            h = np.array(gibbs_appell.bias(self.chain, x, rates, load), dtype=np.float64)
+        return self.mass_matrix(q) @ self._q(a, "a") + h
 
     def energy(self, q: Array, v: Array) -> tuple[float, float, float]:
-        """(kinetic, elastic, gravity) [J]; gravity is zero with all mass at the base's origin."""
-        values = np.array(self._questions["energy"](self._q(q), self._q(v, "v"))).ravel()
+        """(kinetic, elastic, gravity) [J]; gravity is zero with all mass at the world's origin."""
+        values = np.array(self._questions["energy"](*self._state(q, v))).ravel()
         return float(values[0]), float(values[1]), float(values[2])
+
+    def momentum(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """(3,) [N s] linear and (3,) [N m s] angular momentum about the world's origin."""
+        values = np.array(self._questions["momentum"](*self._state(q, v))).ravel()
+        return values[:3], values[3:]
 
     def tip(self, q: Array) -> Array:
         """(3,) [m] tip of the last link in the world."""
@@ -158,47 +183,64 @@ class Model:
             raise ValueError(f"x must be within the link, 0 to {described.length} m, got {x!r}.")
         segment = parts(described)[0]
         k = min(int(x / segment.length), described.segments - 1)
-        _, delta = self.chain.split(self._q(q).tolist())[self._last[link] - described.segments + k]
+        _, delta = self.chain.split(self._q(q).tolist())[self.bodies[link].start + k]
         return np.asarray(delta) @ curvature(segment, x - k * segment.length)
 
     def frequencies(self, q: Array | None = None, joints: str = "locked") -> Array:
         """[rad/s] natural frequencies at the joint angles of q, undeflected, elastic forces only.
 
         joints="locked" holds the coordinates q_i; "free" leaves them free and omits the rigid
-        motions.
+        motions. A free base flies in both.
         """
         if joints not in ("locked", "free"):
             raise ValueError(f"joints must be 'locked' or 'free', got {joints!r}.")
         rigid = self.rigid(np.zeros(self.n) if q is None else self._q(q))
         M: Array = np.array(
-            self._formed.equations.mass_matrix(self.chain, [float(x) for x in rigid])
+            self.formed.equations.mass_matrix(self.chain, [float(x) for x in rigid])
         )
         K = self.stiffness
-        modal = np.setdiff1d(np.arange(self.n), self.arm.joint_index)
         if joints == "locked":
-            M, K = M[np.ix_(modal, modal)], K[np.ix_(modal, modal)]
+            moving = np.setdiff1d(np.arange(self.n), self.arm.joint_index)
+            M, K = M[np.ix_(moving, moving)], K[np.ix_(moving, moving)]
         from scipy.linalg import eigh
 
         squares = eigh(K, M, eigvals_only=True)
-        return np.sqrt(np.abs(squares[squares.size - modal.size :]))
+        elastic = self.n - self.n_joint - self.arm.base.n
+        return np.sqrt(np.abs(squares[squares.size - elastic :]))
 
     def linearize(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
-        """A (2n, 2n) and B (2n, n_joint) of d/dt (q, v) = A (q, v) + B tau about a state."""
-        da = self._questions["jacobian"](self._q(q), self._q(v, "v"), self._tau(tau))
-        dq, dv, dtau = (np.array(d) for d in da)
-        n = self.n
-        A = np.block([[np.zeros((n, n)), np.eye(n)], [dq, dv]])
+        """A (2n, 2n) and B (2n, n_joint) of d/dt (q, v) = A (q, v) + B tau about a state.
+
+        A free base's rotation is here a small one from the attitude of that state, seen in the
+        base's own frame.
+        """
+        state = self._state(q, v)
+        dq, dv, dtau = (np.array(d) for d in self._jacobian(*state, self._tau(tau)))
+        n, kinematic = self.n, np.zeros((self.n, self.n))
+        if self.arm.base.n:
+            kinematic[3:6, 3:6] = np.cross(np.eye(3), state[1][3:6]).T  # -omega~
+            turn = np.eye(n)
+            turn[:3, :3] = rotation_matrix(state[2])
+            dq, dv, dtau = turn @ dq @ turn.T, turn @ dv @ turn.T, turn @ dtau
+        A = np.block([[kinematic, np.eye(n)], [dq, dv]])
         return A, np.vstack([np.zeros((n, self.n_joint)), dtau])
 
     def operation_count(self) -> dict[str, dict[str, int]]:
         """Operations of the traced arm, by running through its graphs."""
-        graphs = {"accelerations": self.graph, "mass matrix and bias": self._M_h}
-        return {name: operations(graph) for name, graph in graphs.items()}
+        counted = {
+            "accelerations": self.graph,
+            "mass matrix and bias": graphs.mass_matrix_and_bias(self),
+        }
+        return {name: operations(graph) for name, graph in counted.items()}
 
     @cached_property
     def graph(self) -> Any:
-        """CasADi Function (q, v, tau, parameters) -> accelerations."""
-        return self._trace_accelerations(implicit=False)
+        """CasADi Function (q, v, tau, parameters, nothing) -> accelerations.
+
+        Of a free base in coordinates whose rates are derivatives: x and rotation vector in a frame
+        that does not move, in which gravity ends the parameters: see free_base.py.
+        """
+        return graphs.accelerations(self, implicit=False)
 
     @cached_property
     def stiffness(self) -> Array:
@@ -206,7 +248,7 @@ class Model:
         return linear.stiffness(self.chain)
 
     def rigid(self, q: Array) -> Array:
-        """A copy of q, (n,) or (N, n), with every link straight."""
+        """A copy of q, (n,) or (N, n), with every link straight, a free base at the origin."""
         straight = np.zeros_like(q)
         straight[..., list(self.arm.joint_index)] = q[..., list(self.arm.joint_index)]
         return straight
@@ -218,7 +260,12 @@ class Model:
 
         `addition` replaces the stepper's measurements and entry points by others.
         """
-        added = addition or self._stepping
+        kind = lanes, integrator, addition.key if addition else ""
+        if kind not in self._programs:
+            self._programs[kind] = self._program(lanes, integrator, addition or self._stepping)
+        return self._programs[kind]
+
+    def _program(self, lanes: int, integrator: str, added: Addition) -> ModuleType:
         arm, free = json.dumps(self.arm.to_dict(), sort_keys=True), ",".join(self.free_parameters)
         key = fingerprint(
             arm, free, str(lanes), integrator, self.dtype, self.formulation, added.key
@@ -231,18 +278,27 @@ class Model:
 
     def _generate(self, lanes: int, integrator: str, added: Addition) -> str:
         method = INTEGRATORS[integrator]
+        if self.arm.base.n and method.kept(self.n):
+            others = [name for name, other in INTEGRATORS.items() if not other.kept(self.n)]
+            raise ValueError(
+                f"integrator {integrator!r} remembers earlier steps, but a free base has new "
+                f"coordinates after every step; take one of {others}."
+            )
+        parameters = len(self.free_parameters) + self.n_gravity
         sizes = {
-            "Q": self.n, "V": self.n, "TAU": self.n_joint, "PARAMETERS": len(self.free_parameters),
+            **({"ATTITUDE": 4} if self.arm.base.n else {}),
+            "Q": self.n, "V": self.n, "TAU": self.n_joint, "PARAMETERS": parameters,
             "IMPLICIT": 2 + self.n, "ACC": self.n, "SCRATCH": method.scratch(self.n), **added.sizes,
         }  # fmt: skip
         starts = np.cumsum([0, *sizes.values()]).tolist()
         at, implicit = dict(zip(sizes, starts, strict=False)), method.implicit
         inputs = [at["Q"], at["V"], at["TAU"], at["PARAMETERS"], at["IMPLICIT"]]
-        graph = self._trace_accelerations(implicit) if implicit else self.graph
+        graph = graphs.accelerations(self, implicit) if implicit else self.graph
         functions = [
             render_function("accelerations", graph, inputs, at["ACC"]),
             *added.functions(at),
             *self._aid(method.aid, inputs, at["SCRATCH"]),
+            *self._renewal(at),
             f"METHOD = INTEGRATORS[{integrator!r}]",
         ]
         title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}, {self.dtype}"
@@ -255,11 +311,12 @@ class Model:
         """What the stepper needs: measurements, and a check for numbers that are not finite."""
 
         def functions(at: Mapping[str, int]) -> list[str]:
-            inputs = [at["Q"], at["V"]]
+            inputs = [at[name] for name in ("Q", "V", "ATTITUDE") if name in at]
             return [render_function("measure", self.measure_graph, inputs, at["MEASURED"])]
 
         sizes = {"CHECK": 1, "GOOD": 1, "MEASURED": self.n_measure}
-        return Addition(key="stepper", sizes=sizes, functions=functions, entries=GLUE)
+        entries = glue(free_base=self.arm.base.n > 0)
+        return Addition(key="stepper", sizes=sizes, functions=functions, entries=entries)
 
     def _aid(self, aid: str, inputs: Sequence[int], scratch: int) -> list[str]:
         """Source of what a method needs beside the accelerations: AID."""
@@ -270,105 +327,56 @@ class Model:
             return [render_function("AID", self.jacobian_graph, inputs, scratch)]
         return ["AID = None"]
 
+    def _renewal(self, at: Mapping[str, int]) -> list[str]:
+        """Source of what follows every step with a free base."""
+        if not self.arm.base.n:
+            return []
+        places = {**at, "GRAVITY": at["PARAMETERS"] + len(self.free_parameters)}
+        graph, sizes = graphs.renewal(self.arm.gravity)
+        inputs = [places[name] for name in list(sizes)[:3]]
+        outputs = [places[name] + i for name, size in sizes.items() for i in range(size)]
+        return [render_function("renew", graph, inputs, outputs)]
+
     # ---- tracing -------------------------------------------------------------------------------
-
-    def _symbols(self) -> tuple[Any, Any, Any, Any]:
-        import casadi as ca
-
-        sizes = {"q": self.n, "v": self.n, "tau": self.n_joint, "p": len(self.free_parameters)}
-        q, v, tau, p = (ca.SX.sym(name, size) for name, size in sizes.items())
-        return q, v, tau, p
-
-    def _traced_chain(self, p: Any) -> Chain:
-        links = list(self.chain.links)
-        for k, name in enumerate(self.free_parameters):
-            links = FREE_PARAMETERS[name].apply(links, p[k])
-        return replace(self.chain, links=tuple(links))
-
-    def _trace_accelerations(self, implicit: bool) -> Any:
-        import casadi as ca
-
-        q, v, tau, p = self._symbols()
-        extra = ca.SX.sym("implicit", 2 + self.n if implicit else 0)
-        x = ca.vertsplit(extra)
-        weights = Implicit(x[0], x[1], x[2:]) if implicit else None
-        a = self._formed.accelerations(
-            self._traced_chain(p), ca.vertsplit(q), ca.vertsplit(v), ca.vertsplit(tau), weights
-        )
-        return ca.Function("accelerations", [q, v, tau, p, extra], [ca.cse(ca.vertcat(*a))])
 
     @cached_property
     def jacobian_graph(self) -> Any:
         """CasADi Function (q, v, tau, parameters, nothing) -> da/dq, then da/dv, row by row."""
-        import casadi as ca
-
-        x = self.graph.sx_in()
-        a = self.graph(*x)
-        rows = [ca.vec(ca.densify(ca.jacobian(a, y)).T) for y in x[:2]]
-        return ca.Function("jacobian", x, [ca.cse(ca.vertcat(*rows))])
-
-    @cached_property
-    def _M_h(self) -> Any:
-        import casadi as ca
-
-        q, v, _, _ = self._symbols()
-        M = self._formed.equations.mass_matrix(self.chain, ca.vertsplit(q))
-        h = self._formed.equations.bias(self.chain, ca.vertsplit(q), ca.vertsplit(v))
-        lower = [x for i, row in enumerate(M) for x in row[: i + 1]]
-        return ca.Function("M_h", [q, v], [ca.cse(ca.vertcat(*lower, *h))])
+        return graphs.state_jacobian(self.graph)
 
     @cached_property
     def measure_graph(self) -> Any:
-        """CasADi Function (q, v) -> what `measurements` names."""
-        import casadi as ca
-
-        q, v, _, _ = self._symbols()
-        x = ca.vertsplit(q)
-        frames = outward(self.chain, x, ca.vertsplit(v))
-        end = poses(frames)[-1]
-        straight = [angle if i in self.arm.joint_index else 0.0 for i, angle in enumerate(x)]
-        rigid = poses(outward(self.chain, straight, [0.0] * self.n))[-1].tip
-        deflections, slopes, curvatures = [], [], []
-        for link, first, last in zip(self.arm.links, [0, *self._last], self._last, strict=False):
-            bodies = frames[first:last]
-            tip = bodies[-1].r
-            for outer, inner in zip(bodies[:0:-1], bodies[-2::-1], strict=True):
-                tip = add(inner.r, matvec(outer.R, tip))
-            theta = add(*(combine(f.delta, f.link.tip_theta) for f in bodies))
-            bend = combine(bodies[0].delta, curvature(parts(link)[0], 0.0).tolist())
-            shift = ca.vertcat(tip[0] - link.length, *tip[1:])
-            deflections.append(ca.norm_2(shift) / link.length)
-            slopes.append(ca.norm_2(ca.vertcat(*theta)))
-            curvatures += [bend[2], bend[1]]
-        velocity = self._formed.tip_velocity(self.chain, x, ca.vertsplit(v))
-        values = [*end.tip, *velocity, *rigid, *deflections, *slopes, *curvatures]
-        return ca.Function("measure", [q, v], [ca.cse(ca.vertcat(*values))])
+        """CasADi Function (q, v) -> what `measurements` names: see graphs.measure."""
+        return graphs.measure(self)
 
     @cached_property
     def _questions(self) -> dict[str, Any]:
-        """CasADi functions for the questions that nobody asks in a loop."""
-        import casadi as ca
+        return graphs.questions(self)
 
-        q, v, tau, _ = self._symbols()
-        x, rates = ca.vertsplit(q), ca.vertsplit(v)
-        formed = self._formed
-        M = formed.equations.mass_matrix(self.chain, x)
-        a = ca.vertcat(*formed.accelerations(self.chain, x, rates, ca.vertsplit(tau)))
-        derivatives = [ca.jacobian(a, x) for x in (q, v, tau)]
-        graphs = {
-            "mass_matrix": ([q], [ca.vertcat(*(ca.horzcat(*row) for row in M))]),
-            "bias": ([q, v], [ca.vertcat(*formed.equations.bias(self.chain, x, rates))]),
-            "energy": ([q, v], [ca.vertcat(*formed.energies(self.chain, x, rates))]),
-            "jacobian": ([q, v, tau], derivatives),
-        }
-        return {name: ca.Function(name, inputs, out) for name, (inputs, out) in graphs.items()}
+    @cached_property
+    def _jacobian(self) -> Any:
+        return graphs.jacobians(self)
 
     @cached_property
     def _christoffel(self) -> Any:
-        return christoffel(self._formed.equations, self.chain, self.n)
+        return christoffel(self.formed.equations, self.chain, self.n)
 
     def _measure(self, q: Array, v: Array) -> Array:
-        return np.array(self.measure_graph(self._q(q), self._q(v, "v"))).ravel()
+        return np.array(self.measure_graph(*self._state(q, v))).ravel()
+
+    def _state(self, q: Array, v: Array) -> tuple[Array, ...]:
+        """q and v; of a free base, in its own frame, and its attitude (4,)."""
+        q, v = self._q(q), self._q(v, "v")
+        if not self.arm.base.n:
+            return q, v
+        attitude = from_rotation_vector(q[3:6].tolist())
+        own = free_base.unturned(free_base.local(q.tolist(), attitude), attitude)
+        rates = free_base.local(v.tolist(), attitude)
+        return np.array(own), np.array(rates), np.array(attitude)
+
+    def _refuse_flight(self, what: str) -> None:
+        if self.arm.base.n:
+            raise ValueError(f"{what} is for an arm with a fixed base; this one flies.")
 
     def _q(self, x: Array, name: str = "q") -> Array:
         return _checked(x, self.n, name)

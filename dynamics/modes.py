@@ -8,6 +8,7 @@ r = [x, 0, 0] + sum_j delta_j r_j(x); the shape s_j of a mode acts along one dir
 | "y"       | (0, s, 0)        | (0, 0, s')       |
 | "z"       | (0, 0, s)        | (0, -s', 0)      |
 | "x"       | (0, 0, 0)        | (s, 0, 0)        |
+| "axial"   | (s, 0, 0)        | (0, 0, 0)        |
 """
 
 import math
@@ -18,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from dynamics.arm import STIFFNESS, Arm, Joint, Link, Payload
-from dynamics.checks import ZEROS, Matrix, Vector
+from dynamics.arm import STIFFNESS, Arm, Body, Joint, Link, Payload
+from dynamics.checks import IDENTITY, ZEROS, Matrix, Vector
 from dynamics.shapes import Array, Shape, quadrature, shape
 
 __all__ = ["LinkConstants", "curvature", "deflection", "link_constants", "shape"]
@@ -27,9 +28,16 @@ __all__ = ["LinkConstants", "curvature", "deflection", "link_constants", "shape"
 _ROUND_OFF = 1e-12  # [-] integrals this small beside their natural size are exact zeros
 _ENTRY_ROUND_OFF = 1e-14  # [-] the same for the entries of a mounting rotation
 
-_DISPLACEMENT: dict[str, Vector] = {"x": (0, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}  # times s
-_TILT: dict[str, Vector] = {"x": (0, 0, 0), "y": (0, 0, 1), "z": (0, -1, 0)}  # times s'
-_TWIST: dict[str, Vector] = {"x": (1, 0, 0), "y": (0, 0, 0), "z": (0, 0, 0)}  # times s
+_BENDING = ("y", "z")  # strained by s''; the others by s'
+_DISPLACEMENT: dict[str, Vector] = {  # times s
+    "x": (0, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "axial": (1, 0, 0),
+}  # fmt: skip
+_TILT: dict[str, Vector] = {  # times s'
+    "x": (0, 0, 0), "y": (0, 0, 1), "z": (0, -1, 0), "axial": (0, 0, 0),
+}  # fmt: skip
+_TWIST: dict[str, Vector] = {  # times s
+    "x": (1, 0, 0), "y": (0, 0, 0), "z": (0, 0, 0), "axial": (0, 0, 0),
+}  # fmt: skip
 _E_X = np.array((1.0, 0.0, 0.0))
 _E_Z = np.array((0.0, 0.0, 1.0))
 
@@ -46,16 +54,18 @@ class LinkConstants:
 
     length: float  # [m]
     welded: bool  # no joint: a part of the link before
+    prismatic: bool  # the joint slides along z instead of turning about it
+    driven: bool  # a torque acts on the joint: not on a weld or a spring's twist
     pairs: tuple[tuple[int, int], ...]  # (p) modes j <= k whose product foreshortens the link
-    mass: float  # [kg] of the beam
-    first_moment: Vector  # [kg m] int mu eta
+    mass: float  # [kg] of the beam and body
+    first_moment: Vector  # [kg m] int mu eta, and the body's
     epsilon: tuple[Vector, ...]  # (m) [kg] int mu r_j
     s: tuple[tuple[float, ...], ...]  # (m, m) [kg] int mu r_j . r_k
     c_jk: tuple[tuple[Vector, ...], ...]  # (m, m) [kg] int mu r_j x r_k
     c: tuple[Vector, ...]  # (m) [kg m] int mu eta x r_j
     C: tuple[Matrix, ...]  # (m) [kg m] int mu eta~' r_j~
     D: tuple[tuple[Matrix, ...], ...]  # (m, m) [kg] int mu r_j~' r_k~
-    C0: Matrix  # [kg m^2] int mu eta~' eta~
+    C0: Matrix  # [kg m^2] int mu eta~' eta~, and the body's
     tip_phi: tuple[Vector, ...]  # (m) [-] displacement at the tip
     tip_theta: tuple[Vector, ...]  # (m) [1/m] rotation at the tip
     root_slope: tuple[float, ...]  # (m) [1/m] rotation about z at the root
@@ -69,23 +79,40 @@ class LinkConstants:
     viscous: float  # [N m s/rad]
     coulomb: float  # [N m]
     coulomb_speed: float  # [rad/s]
+    spring: float  # [N m/rad] at the joint
 
 
 def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
-    """Constants of every link of an arm, each as its welded parts."""
-    payloads = [None] * (len(arm.links) - 1) + [arm.payload]
+    """Constants of every link of an arm as bodies: any rotor on a spring, then its welded parts."""
+    payloads = [*[None] * len(arm.links), arm.payload][1:]
     return [
-        tuple(
-            link_constants(
-                part,
-                payload if k == link.segments - 1 else None,
-                foreshortening=arm.foreshortening,
-                welded=k > 0,
-            )
-            for k, part in enumerate(parts(link))
+        _with_rotor(
+            link.joint,
+            *(
+                link_constants(
+                    part,
+                    payload if k == link.segments - 1 else None,
+                    foreshortening=arm.foreshortening,
+                    welded=k > 0,
+                )
+                for k, part in enumerate(parts(link))
+            ),
         )
         for link, payload in zip(arm.links, payloads, strict=True)
     ]
+
+
+def _with_rotor(joint: Joint, *bodies: LinkConstants) -> tuple[LinkConstants, ...]:
+    """A link's bodies; behind an elastic joint a spring turns them beside a massless rotor."""
+    if joint.stiffness is None:
+        return bodies
+    mounted = replace(joint, hub_inertia=0.0, stiffness=None, spring_damping=0.0)
+    rotor = link_constants(Link(length=0.0, body=Body(mass=0.0), joint=mounted))
+    sprung = replace(
+        bodies[0], driven=False, spring=joint.stiffness, viscous=joint.spring_damping,
+        rotation=IDENTITY, offset=(0.0, 0.0, 0.0), rotor_inertia=0.0, coulomb=0.0,
+    )  # fmt: skip
+    return (rotor, sprung, *bodies[1:])
 
 
 def parts(link: Link) -> list[Link]:
@@ -117,7 +144,7 @@ def link_constants(
     values = _table([s.value(x) for s in shapes], x.size)
     directions = [mode.direction for mode in link.modes]
     along = np.array([_DISPLACEMENT[d] for d in directions]).reshape(-1, 3)
-    twist = np.array([_TWIST[d][0] for d in directions])  # 1 for torsion, 0 for bending
+    twist = np.array([_TWIST[d][0] for d in directions])  # 1 for torsion, else 0
 
     m = len(shapes)
     pairs, shortening, shortening_tip = _shortening(link, shapes, x, weights, foreshortening)
@@ -126,7 +153,7 @@ def link_constants(
     twist = np.append(twist, np.zeros(len(pairs)))
 
     mass = link.rho_A * link.length
-    moment = mass * link.length / 2.0
+    moment = mass * link.length / 2.0 * _E_X
     square = (values * weights) @ values.T  # int s_j s_k
     size = np.sqrt(np.diag(square))
     square = _snap(square, np.outer(size, size))
@@ -157,6 +184,12 @@ def link_constants(
         c = c + rates[:, None] * axis
         C = [C_j - 0.5 * rate * _skew(axis) for C_j, rate in zip(C, rates, strict=True)]
 
+    if link.body is not None:
+        com = np.array(link.body.com)
+        moment = moment + link.body.mass * com
+        C0 = C0 + np.array(link.body.inertia) + link.body.mass * _skew(com).T @ _skew(com)
+        mass += link.body.mass
+
     K = _stiffness(link, shapes, x, weights)
     tip_value = np.array([*(float(s_j.value(link.length)) for s_j in shapes), *shortening_tip])
     tip_value = _snap(tip_value, size / math.sqrt(link.length))
@@ -179,9 +212,11 @@ def link_constants(
     return LinkConstants(
         length=link.length,
         welded=welded,
+        prismatic=link.joint.type == "prismatic",
+        driven=not welded,
         pairs=pairs,
         mass=mass,
-        first_moment=(moment, 0.0, 0.0),
+        first_moment=_tuples(moment),
         epsilon=_tuples(epsilon),
         s=_tuples(s),
         c_jk=_tuples(_pairs(second, np.cross, along)),
@@ -202,6 +237,7 @@ def link_constants(
         viscous=link.joint.viscous,
         coulomb=link.joint.coulomb,
         coulomb_speed=link.joint.coulomb_speed,
+        spring=0.0,
     )
 
 
@@ -236,16 +272,16 @@ def curvature(link: Link, x: float) -> Array:
     for mode in link.modes:
         s = shape(mode, link)
         about = _TWIST if mode.direction == "x" else _TILT
-        rate = s.slope(x) if mode.direction == "x" else s.curvature(x)
+        rate = s.curvature(x) if mode.direction in _BENDING else s.slope(x)
         rows.append(float(rate) * np.array(about[mode.direction]))
     return np.array(rows).reshape(-1, 3)
 
 
 def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Array:
-    """int GJ s_j' s_k' (torsion), int EI s_j'' s_k'' (bending), none between directions."""
+    """int GJ or EA s_j' s_k' (torsion, axial), int EI s_j'' s_k'' (bending); no cross terms."""
     bent = _table(
         [
-            s.slope(x) if mode.direction == "x" else s.curvature(x)
+            s.curvature(x) if mode.direction in _BENDING else s.slope(x)
             for s, mode in zip(shapes, link.modes, strict=True)
         ],
         x.size,
@@ -266,8 +302,10 @@ def _shortening(
         (j, k)
         for j in range(len(shapes))
         for k in range(j, len(shapes))
-        if wanted and directions[j] == directions[k] != "x"
+        if wanted and directions[j] == directions[k] in _BENDING
     )
+    if not pairs:
+        return (), _table([], x.size), []
     # integrate the Legendre interpolant through the nodes of the quadrature
     node = 2.0 * x / link.length - 1.0
     basis = legendre.legvander(node, x.size - 1)

@@ -65,7 +65,12 @@ class Scene:
         object.__setattr__(self, "name", checks.text(self.name, "Scene.name"))
 
     def check(self, arm: Arm) -> None:
-        """Refuse an arm with another number of joints."""
+        """Refuse an arm with another number of joints, or on a free base."""
+        if arm.base.n:
+            raise ValueError(
+                f"Base.type must be 'fixed' for a scene, got {arm.base.type!r}: joint motions do "
+                "not say how a base moves."
+            )
         for k, motion in enumerate(self.motions):
             shapes = {"joint_angles": (len(motion.joint_angles),)}
             if motion.torque is not None:

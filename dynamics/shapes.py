@@ -12,6 +12,8 @@ in cosh - sigma sinh.
 | poly               | none; enough for a clamped root     | (x/l)^(index + 1)               |
 | torsion-fixed-free | twist 0 at the root; tip free       | sin                             |
 | torsion-poly       | none; twist 0 at the root           | (x/l)^index                     |
+| axial-fixed-free   | held at the root; tip free          | sin                             |
+| axial-poly         | none; held at the root              | (x/l)^index                     |
 
 Raw arguments are b x/l. Of pinned-free only the elastic modes count: the joint turns the rigid one.
 The tip body of clamped-tip-mass is the link's tip mass and its tip inertia about the bending axis.
@@ -38,6 +40,8 @@ KINDS: dict[str, tuple[str, ...]] = {  # kind -> directions it may act in
     "poly": ("y", "z"),
     "torsion-fixed-free": ("x",),
     "torsion-poly": ("x",),
+    "axial-fixed-free": ("axial",),
+    "axial-poly": ("axial",),
 }
 _BRACKETS = {  # (tip mass, tip inertia) -> root k lies between (k + these) pi
     (0.0, 0.0): (-1.0, 0.0),  # free
@@ -183,9 +187,9 @@ def _raw(mode: "Mode", link: "Link") -> Shape:
     length, index = link.length, mode.index
     if mode.kind == "poly":
         return PowerShape(length=length, power=index + 1)
-    if mode.kind == "torsion-poly":
+    if mode.kind in ("torsion-poly", "axial-poly"):
         return PowerShape(length=length, power=index)
-    if mode.kind == "torsion-fixed-free":
+    if mode.kind in ("torsion-fixed-free", "axial-fixed-free"):
         return BeamShape(length=length, beta=(index - 0.5) * math.pi, sin=1.0)
     if mode.kind == "pinned-free":
         beta = clamped_root(index, math.inf, 0.0)  # tan = tanh, as for clamped-pinned
@@ -271,7 +275,7 @@ def _bisect(function: Callable[[float], float], low: float, high: float) -> floa
 def _modal_mass(raw: Shape, mode: "Mode", link: "Link") -> float:
     """What norm "mass" makes one: the inertia the shape was made with.
 
-    Bending: int rho_A s^2, for clamped-tip-mass with tip_mass s(l)^2 + tip inertia s'(l)^2;
+    Bending, axial: int rho_A s^2; for clamped-tip-mass with tip_mass s(l)^2 + tip inertia s'(l)^2;
     torsion: int rho_Ip s^2 + tip_inertia_xx s(l)^2.
     """
     x, weights = quadrature(link.length, (mode,))

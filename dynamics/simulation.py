@@ -1,5 +1,6 @@
 """Follow one arm through time, by SciPy's methods with error control or by fixed steps."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -8,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import BDF, DOP853, OdeSolver, Radau
 
-from dynamics import stability
+from dynamics import flight, stability
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
 from dynamics.stepper import Stepper
+from dynamics.validity import ValidityWarning, limits
 
 Array = NDArray[np.float64]
 TorqueSignal = Callable[[float], ArrayLike]
@@ -37,6 +39,9 @@ class Trajectory:
     q: Array  # (N, n) [rad, m]
     v: Array  # (N, n) [rad/s, m/s]
     tip: Array  # (N, 3) [m]
+    base_position: Array | None = None  # (N, 3) [m] in the world; None of a fixed base
+    base_quaternion: Array | None = None  # (N, 4) w, x, y, z, without jumps of sign
+    integrator: str = ""  # that was used: what "auto" chose
 
 
 def simulate(
@@ -55,7 +60,7 @@ def simulate(
     Parameters
     ----------
     model : the compiled arm.
-    q, v : (n,) initial state.
+    q, v : (n,) initial state; of a free base without its six, it starts where `Base` says.
     torque : (n_joint,) [N m] constant; a function of time, whose attribute `breakpoints`, if it
         has one, lists the times where it jumps; or None.
     times : (N,) [s] increasing output times.
@@ -66,12 +71,16 @@ def simulate(
     dt : [s] largest step of a fixed-step method; default 0.1 over the fastest frequency or decay.
     rtol : relative tolerance of error control; default 1e-10.
 
+    Warns with a `ValidityWarning` for each assumption of the model that the motion leaves at the
+    output times, see `dynamics.limits`.
+
     Raises
     ------
     Diverged : naming the time and the remedy.
     ValueError : for arguments of wrong size, or a step beyond the method's stability limit.
     """
-    start = (_state(model, q, "q"), _state(model, v, "v"))
+    base = model.arm.base
+    start = (_state(model, q, base.q, "q"), _state(model, v, base.v, "v"))
     grid = np.asarray(times, dtype=np.float64)
     if grid.ndim != 1 or grid.size < 1 or not np.all(np.isfinite(grid)):
         raise ValueError(f"times must be a list of finite numbers, got shape {grid.shape}.")
@@ -85,7 +94,8 @@ def simulate(
         if dt is not None:
             raise ValueError(f"dt ({dt!r} s) is for fixed-step methods; {integrator} takes rtol.")
         motion = _Motion(model, start, signal, jumps, grid, RTOL if rtol is None else rtol)
-        states = motion.solve(motion.cheapest() if integrator == "auto" else integrator)
+        integrator = motion.cheapest() if integrator == "auto" else integrator
+        states = motion.solve(integrator)
     else:
         if rtol is not None:
             raise ValueError(f"rtol ({rtol!r}) is for error control; {integrator} takes dt.")
@@ -94,11 +104,19 @@ def simulate(
     positions = states[:, : model.n]
     measured = np.empty((grid.size, model.n_measure))
     Stepper(model, 1, dt=1.0, substeps=1).measure(positions.copy(), rates.copy(), measured)
-    return Trajectory(grid, positions, rates, measured[:, model.measurements["tip"]].copy())
+    place = positions[:, :3].copy() if base.n else None
+    attitude = flight.quaternions(positions, base.quaternion) if base.n else None
+    tip = measured[:, model.measurements["tip"]].copy()
+    trajectory = Trajectory(grid, positions, rates, tip, place, attitude, integrator)
+    for sentence in limits(model, trajectory):
+        warnings.warn(sentence, ValidityWarning, stacklevel=2)
+    return trajectory
 
 
-def _state(model: Model, x: ArrayLike, name: str) -> Array:
+def _state(model: Model, x: ArrayLike, base: tuple[float, ...], name: str) -> Array:
     array = np.array(x, dtype=np.float64)
+    if array.shape == (model.n - len(base),):
+        array = np.concatenate([base, array])
     if array.shape != (model.n,) or not np.all(np.isfinite(array)):
         raise ValueError(f"{name} must be {model.n} finite numbers, got {x!r}.")
     return array
@@ -129,7 +147,7 @@ class _Motion:
         rtol: float,
     ) -> None:
         self.model, self.signal, self.times, self.rtol = model, signal, times, rtol
-        self.start = np.concatenate(start)
+        self.start = np.concatenate([self._opened(start[0]), start[1]])
         between = sorted(t for t in jumps if times[0] < t < times[-1])
         self.knots = [float(times[0]), *between, float(times[-1])]
         self._program = model.program(1, "rk4")
@@ -141,21 +159,25 @@ class _Motion:
             return self.signal
         return np.array(self.signal(min(max(t, begin), np.nextafter(end, begin))), dtype=float)
 
+    def _opened(self, q: Array) -> Array:
+        """Coordinates that solvers integrate: of a free base, the attitude as a quaternion."""
+        return flight.with_quaternion(q) if self.model.arm.base.n else q
+
     def solver(self, name: str, x: Array, begin: float, end: float) -> OdeSolver:
         """One of SciPy's, from state x, from jump to jump."""
         n, parameters = self.model.n, self.model.nominal_parameters[None]
+        flies = self.model.arm.base.n > 0
 
         def derivative(t: float, x: Array) -> Array:
             tau = self._torque(t, begin, end)[None]
-            self._program.evaluate_states(
-                x[None, :n], x[None, n:], tau, parameters, self._w, self._out
-            )
-            return np.concatenate([x[n:], self._out[0]])
+            q, v = (flight.with_rotation_vector(x[:-n]) if flies else x[:n]), x[-n:]
+            self._program.evaluate_states(q[None], v[None], tau, parameters, self._w, self._out)
+            return np.concatenate([flight.rates(x[:-n], v) if flies else v, self._out[0]])
 
         def jacobian(t: float, x: Array) -> Array:
             return self.model.linearize(x[:n], x[n:], self._torque(t, begin, end))[0]
 
-        options = {} if name == "dop853" else {"jac": jacobian}
+        options = {} if name == "dop853" or flies else {"jac": jacobian}  # else by differences
         return REFERENCES[name](
             derivative, begin, x, end, rtol=self.rtol, atol=1e-2 * self.rtol, **options
         )
@@ -163,6 +185,14 @@ class _Motion:
     @np.errstate(over="ignore", invalid="ignore")  # from what is not finite it steps back, or fails
     def solve(self, name: str) -> Array:
         """(N, 2 n) states at the times, from the method's dense output."""
+        rows, n = self._rows(name), self.model.n
+        if not self.model.arm.base.n:
+            return rows
+        positions = [flight.with_rotation_vector(x) for x in rows[:, :-n]]
+        return np.hstack([positions, rows[:, -n:]])
+
+    def _rows(self, name: str) -> Array:
+        """States as solvers integrate them, at the times."""
         rows = np.empty((self.times.size, self.start.size))
         rows[0] = x = self.start
         done = 1

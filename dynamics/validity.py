@@ -1,42 +1,49 @@
 """Where an assumed-modes model leaves what it assumes: small deflections, slow turning."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from dynamics.model import Model
-from dynamics.simulation import Trajectory
+
+if TYPE_CHECKING:
+    from dynamics.simulation import Trajectory
 
 LARGEST_DEFLECTION = 0.1  # [-] of the length of a link, or of a segment of it
 LARGEST_SLOPE = 0.15  # [rad] at its tip
 LARGEST_RATE = 0.5  # [-] joint rate over the first clamped frequency, without foreshortening
 
 
-def limits(model: Model, trajectory: Trajectory) -> tuple[str, ...]:
+class ValidityWarning(UserWarning):
+    """A motion left what its model assumes: expect errors."""
+
+
+def limits(model: Model, trajectory: "Trajectory") -> tuple[str, ...]:
     """One sentence for every assumption that a motion of the arm leaves; empty if it keeps all."""
     return (*_rates(model, trajectory), *_bending(model, trajectory))
 
 
-def _rates(model: Model, trajectory: Trajectory) -> list[str]:
+def _rates(model: Model, trajectory: "Trajectory") -> list[str]:
     joints = list(model.arm.joint_index)
-    if model.arm.foreshortening or model.n == model.n_joint:
+    if model.arm.foreshortening or model.n == model.n_joint + model.arm.base.n:
         return []
     first = float(model.frequencies(trajectory.q[0]).min())
     fastest = np.abs(trajectory.v[:, joints]).max(axis=0)
     return [
         f"Joint {i} turns at up to {rate:.3g} rad/s, more than half the first clamped frequency "
         f"({first:.3g} rad/s): linear modes lose stiffness; set Arm.foreshortening."
-        for i, rate in enumerate(fastest.tolist(), 1)
-        if rate > LARGEST_RATE * first
+        for i, (rate, link) in enumerate(zip(fastest.tolist(), model.arm.links, strict=True), 1)
+        if link.joint.type == "revolute" and rate > LARGEST_RATE * first
     ]
 
 
-def _bending(model: Model, trajectory: Trajectory) -> list[str]:
-    parts = iter(zip(model.chain.links, model.chain.split(list(trajectory.q.T)), strict=True))
+def _bending(model: Model, trajectory: "Trajectory") -> list[str]:
+    parts = list(zip(model.chain.links, model.chain.split(list(trajectory.q.T)), strict=True))
     result = []
-    for i, link in enumerate(model.arm.links, 1):
+    for i, (link, place) in enumerate(zip(model.arm.links, model.bodies, strict=True), 1):
         part = "link" if link.segments == 1 else "segment"
         deflection = slope = 0.0
-        for _ in range(link.segments):
-            body, (_, delta) = next(parts)
+        for body, (_, delta) in parts[place]:
             m = len(body.K)
             if m == 0:
                 continue

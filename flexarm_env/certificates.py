@@ -69,14 +69,26 @@ def stored() -> dict[str, dict[str, Any]]:
     return result
 
 
+def kept(arm: Arm, control_dt: float) -> dict[str, Any] | None:
+    """What is kept of an arm at a control step: the measured `steps`, best first, a `certificate`.
+
+    A step holds integrator, substeps, its error over episodes [of the reach] and CPU time [s].
+    """
+    for name, entry in stored().items():
+        if entry["control_dt"] == control_dt and load_arm(name) == arm:
+            origin = {"reproduce": f"python -m flexarm_env.certify {name}"}
+            return {**entry, "certificate": entry["certificate"] | origin}
+    return None
+
+
 def find(arm: Arm, control_dt: float, integrator: str, substeps: int) -> dict[str, Any] | None:
     """The kept certificate of just this arm and step, or None."""
-    for name, entry in stored().items():
-        kept = entry["certificate"]
-        same = entry["control_dt"] == control_dt and kept["integrator"] == integrator
-        if same and kept["dt"] == control_dt / substeps and load_arm(name) == arm:
-            return {**kept, "reproduce": f"python -m flexarm_env.certify {name}"}
-    return None
+    entry = kept(arm, control_dt)
+    if entry is None:
+        return None
+    certificate: dict[str, Any] = entry["certificate"]
+    same = certificate["integrator"] == integrator and certificate["dt"] == control_dt / substeps
+    return certificate if same else None
 
 
 @dataclass(frozen=True)

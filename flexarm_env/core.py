@@ -10,14 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics import Arm, load_arm
-from dynamics.free_parameters import FREE_PARAMETERS
+from dynamics import Arm, checks, load_arm
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model, compile_arm
+from dynamics.validity import LARGEST_RATE
 from flexarm_env import kernels
-from flexarm_env.certificates import find, fit
+from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
+from flexarm_env.arguments import checked, ranges, require_whole, torque_limits
+from flexarm_env.certificates import find, fit, kept
+from flexarm_env.drives import Drives
 from flexarm_env.observations import observation_layout
 from flexarm_env.physics import (
+    BY_RULE,
     DEFLECTION_LIMIT,
     MOVE,
     SLOPE_PER_DEFLECTION,
@@ -25,13 +29,15 @@ from flexarm_env.physics import (
     integration,
     physics,
 )
-from flexarm_env.report import FLAGS, Report
+from flexarm_env.report import FLAGS, NUMBERS, Report
 from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.tasks import find_task
 
 Array = NDArray[np.float64]
 REWARD = 0  # row of info
+BLOCKS = ("reward_terms", "root_curvature", "torque", "command")  # further rows
 TERMINATED, TRUNCATED, SETTLED = range(3)  # rows of flags
+FASTEST = 1e12  # [rad/s] of a joint without a limit
 OPERATIONS_PER_SECOND = 3e10  # of one thread, roughly
 WORTH_A_THREAD = 1e-4  # [s] of work; waking a thread takes half as long
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm
@@ -50,8 +56,11 @@ class Core:
     obs : "state" or "sensors".
     reward : name in `rewards.REWARDS` or weights of `rewards.TERMS`; None: the task's own.
     control_dt : [s] time between actions.
-    integrator, substeps : None: chosen for the arm, see `physics.integration`.
+    integrator, substeps : None: the fastest that was measured to be accurate, see certify.py; for
+        an arm that was not measured, by rule, see `physics.integration`.
     torque_limit : [N m] one number or one per joint; None: see `physics.Physics`.
+    actuator : between action and torque: a name in `actuators.PRESETS`, a dict, or a list of one
+        per joint; None: the torque is the action times its limit.
     deflection_limit : [-] deflection over length above which an episode ends as invalid.
     max_steps : control steps after which an episode is truncated; 0: never.
     threads : worker threads at most; a batch with too little work for them takes fewer.
@@ -65,6 +74,7 @@ class Core:
 
     Attributes
     ----------
+    blocks : where info has reward terms, and what else has several numbers.
     certificate : measured errors of model and step, see `dynamics.certificate.Certificate`; None
         where this arm and step were never certified.
     q, v : (N, n) coordinates and rates, writable views.
@@ -90,67 +100,79 @@ class Core:
         randomize: Mapping[str, tuple[float, float]] | None = None,
         fidelity: str = "auto",
         tolerance: float | None = None,
+        actuator: Any = None,
     ) -> None:
         self.arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
         described = load_arm(arm)
-        _require_positive("control_dt", control_dt, "s")
-        _require_positive("deflection_limit", deflection_limit, "-")
+        actuators = load_actuators(actuator, described.n_joint)
+        described = mounted(described, actuators)
+        if actuators:
+            refuse_beside_actuators(torque_limit=torque_limit, tolerance=tolerance)
+        checks.positive(control_dt, "control_dt", "s")
+        checks.positive(deflection_limit, "deflection_limit", "-")
+        if described.base.n:
+            raise ValueError(
+                f"Base.type must be 'fixed' for an environment, got {described.base.type!r}; "
+                "step a free base with dynamics.Stepper."
+            )
         for name, value, least in (
             ("n_env", n_env, 1),
             ("max_episode_steps", max_steps, 0),
             ("threads", threads, 1),
         ):
-            _require_whole(name, value, least)
+            require_whole(name, value, least)
         self.n_env, self.threads, self.control_dt = int(n_env), int(threads), float(control_dt)
-        self.randomize = _ranges(randomize or {})
+        self.randomize = ranges(randomize or {})
         fitted = fit(described, self.control_dt, fidelity, tolerance)
         self.arm, self.physics = fitted.arm, physics(fitted.arm)
         given = physics(described)  # what a task asks does not depend on the model of the arm
-        self.torque_limit = self._torque_limit(torque_limit, given.torque_limit)
+        self.drives = Drives(actuators, self.arm, given.torque_limit) if actuators else None
+        if self.drives:
+            self.torque_limit = self.drives.torque_limit
+        else:
+            self.torque_limit = torque_limits(torque_limit, given.torque_limit)
         self.integrator, self.substeps = self._integration(
             fitted.integrator if integrator is None else integrator,
             fitted.substeps if substeps is None else substeps,
         )
-        self.certificate = fitted.certificate or find(
-            self.arm, self.control_dt, self.integrator, self.substeps
-        )
+        step = self.arm, self.control_dt, self.integrator, self.substeps
+        self.certificate = None if self.drives else fitted.certificate or find(*step)
         weights = resolve_weights(self.task.reward if reward is None else reward)
         inertia = np.array(given.inertia)
-        acceleration = float(np.min(self.torque_limit / inertia))  # [rad/s^2] at full torque
+        full = self.torque_limit  # of a strong motor, what the arm can stand
+        full = np.minimum(full, given.torque_limit) if self.drives else full
+        acceleration = float(np.min(full / inertia))  # [rad/s^2] at full torque
         self.rate_scale = math.sqrt(acceleration * MOVE)  # [rad/s] top speed of a typical move
         self.move_time = 2.0 * math.sqrt(MOVE / acceleration)  # [s] of a bang-bang move by MOVE
-        self.layout = observation_layout(self.arm, self.task, obs, self.physics, self.rate_scale)
+        sensed = tuple(self.torque_limit.tolist()) if self.drives else ()
+        self.layout = observation_layout(
+            self.arm, self.task, obs, self.physics, self.rate_scale, sensed
+        )
 
         self.model: Model = compile_arm(
             self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
         )
-        self.report = Report(self.model, self.task.moving, self.layout)
+        self.report = Report(self.model, self.task.moving, self.layout, self.drives)
+        self.blocks = {k: v for k, v in self.report.info.slices.items() if k in BLOCKS}
         self._constants = self._fixed_numbers(weights, float(deflection_limit), int(max_steps))
         self._start = self._episode_ranges()
         self._allocate()
-
-    def _torque_limit(
-        self, given: float | Sequence[float] | None, default: tuple[float, ...]
-    ) -> Array:
-        if given is None:
-            return np.array(default)
-        limit = np.asarray(given, dtype=np.float64)
-        if limit.shape not in ((), (self.arm.n_joint,)):
-            raise ValueError(
-                f"torque_limit must be one number or {self.arm.n_joint} (one per joint), "
-                f"got {given!r}. Unit: [N m]."
-            )
-        if not (np.isfinite(limit).all() and (limit > 0.0).all()):
-            raise ValueError(f"torque_limit must be positive, got {given!r}. Unit: [N m].")
-        return np.full(self.arm.n_joint, limit) if limit.shape == () else limit.copy()
 
     def _integration(self, integrator: str | None, substeps: int | None) -> tuple[str, int]:
         if integrator is not None and integrator not in INTEGRATORS:
             raise ValueError(f"Unknown integrator {integrator!r}. Known: {sorted(INTEGRATORS)}.")
         if substeps is not None:
-            _require_whole("substeps", substeps, 1)
-        name, count = integration(self.arm, self.control_dt, integrator)
+            require_whole("substeps", substeps, 1)
+        entry = kept(self.arm, self.control_dt) if integrator is None else None
+        if entry is not None:  # restarted every substep, Numerov's method is not what was measured
+            steps = entry["steps"]
+            best = next(s for s in steps if not self.drives or s["integrator"] in BY_RULE)
+            name, count = best["integrator"], best["substeps"]
+        else:
+            name, count = integration(self.arm, self.control_dt, integrator)
+        if self.drives:
+            count = max(count, self.drives.substeps(self.control_dt, name))
         return name, count if substeps is None else int(substeps)
 
     def _fixed_numbers(
@@ -164,12 +186,22 @@ class Core:
             "max_steps": max_steps,
             "deflection_limit": deflection_limit,
             "slope_limit": SLOPE_PER_DEFLECTION * deflection_limit,
+            "rate_limit": self._rate_limit(),
             "per_rate": 1.0 / self.rate_scale,
             "move_time": self.move_time,
             "weights": [weights.get(name, 0.0) for name in TERMS],
             "factors": self.layout.factors,
         }
+        if self.drives:
+            values["command_limit"] = self.drives.command
+            values["actuators"] = self.drives.constants(values["step"])
         return np.concatenate([np.ravel(values[name]) for name in self.report.constants.sizes])
+
+    def _rate_limit(self) -> float:
+        """[rad/s] joint rate beyond which linear modes lose much of their stiffness."""
+        if self.arm.foreshortening or not self.physics.held:
+            return FASTEST
+        return LARGEST_RATE * min(self.physics.held)
 
     def _episode_ranges(self) -> tuple[Any, ...]:
         """What `kernels.begin` draws from, and where it writes."""
@@ -194,6 +226,10 @@ class Core:
         self._program = self.model.program(lanes, self.integrator, self.report.addition)
         blocks = -(-n_env // lanes)
         self._width = lanes * (blocks | 1)  # an odd number of blocks spreads rows over the cache
+        self._shapes = (
+            (n_env, self.layout.size), (self.report.info.total, self._width),
+            (len(FLAGS), self._width),
+        )  # fmt: skip
         self.state = np.zeros((self.report.state.total, self._width))
         self.state[rows["free"]] = self.model.nominal_parameters[:, None]
         self.streams = np.zeros(n_env, dtype=np.int64)
@@ -214,11 +250,10 @@ class Core:
         w[first : first + lanes * self._constants.size] = np.repeat(self._constants, lanes)
         return w
 
-    def _outputs(self) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
+    def outputs(self) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
         """New arrays: observations, and info and flags with a row per name, a column per env."""
-        obs = np.empty((self.n_env, self.layout.size), np.float32)
-        info = np.empty((self.report.info.total, self._width))
-        return obs, info, np.empty((len(FLAGS), self._width), np.bool_)
+        obs, info, flags = self._shapes
+        return np.empty(obs, np.float32), np.empty(info), np.empty(flags, np.bool_)
 
     # ---- stepping ----------------------------------------------------------------------------
 
@@ -226,14 +261,12 @@ class Core:
         self, actions: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], int]:
         """One control step of all: observations, info, flags (new arrays), how many ended."""
-        obs, info, flags = self._outputs()
-        step, substeps, state = self._program.step, self.substeps, self.state
-        (first, stop, w), *others = self._shares
+        obs, info, flags = self.outputs()
         waiting = [
-            self._pool.submit(step, actions, a, b, substeps, state, own, obs, info, flags)
-            for a, b, own in others
+            self._pool.submit(self.step_share, k, actions, obs, info, flags)
+            for k in range(1, len(self._shares))
         ]
-        ended = step(actions, first, stop, substeps, state, w, obs, info, flags)
+        ended = self.step_share(0, actions, obs, info, flags)
         if waiting:
             ended += sum(job.result() for job in waiting)
         if ended < 0:
@@ -243,6 +276,21 @@ class Core:
                 f"environment {bad}."
             )
         return obs, info, flags, ended
+
+    def step_share(
+        self,
+        k: int,
+        actions: NDArray[np.float32],
+        obs: NDArray[np.float32],
+        info: Array,
+        flags: NDArray[np.bool_],
+    ) -> int:
+        """The compiled call: step the environments of thread k, say how many ended."""
+        first, stop, w = self._shares[k]
+        ended: int = self._program.step(
+            actions, first, stop, self.substeps, self.state, w, obs, info, flags
+        )
+        return ended
 
     def restart(
         self,
@@ -256,6 +304,9 @@ class Core:
         kernels.begin(rows, *self._start, self.state, self.streams)
         if options:
             self._place(rows, options)
+        if self.drives:
+            states = self.report.state.slices["actuator"]
+            self.state[states, rows] = self.drives.at_rest(self.q[rows])
         w = self._shares[0][-1]
         self._program.report_rows(rows, self.state, w, obs, info, flags)
 
@@ -263,7 +314,7 @@ class Core:
         self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
         """Start new episodes in `rows` and report on them; the other rows are zero."""
-        obs, info, flags = self._outputs()
+        obs, info, flags = self.outputs()
         for array in (obs, info, flags):
             array[...] = 0
         self.restart(rows, obs, info, flags, options)
@@ -282,12 +333,12 @@ class Core:
         if state is not None:
             if not isinstance(state, Mapping) or not set(state) <= {"q", "v"}:
                 raise ValueError(f"options['state'] must be a dict of 'q' and 'v', got {state!r}.")
-            q = _checked("options['state']['q']", state.get("q"), self.arm.n, rows.size)
-            v = _checked("options['state']['v']", state.get("v"), self.arm.n, rows.size)
+            q = checked("options['state']['q']", state.get("q"), self.arm.n, rows.size)
+            v = checked("options['state']['v']", state.get("v"), self.arm.n, rows.size)
             self.q[rows], self.v[rows] = q, v
         target = options.get("target")
         if target is not None:
-            angles = _checked("options['target']", target, self.arm.n_joint, rows.size)
+            angles = checked("options['target']", target, self.arm.n_joint, rows.size)
             self.state[self.report.state.slices["centre"], :].T[rows] = angles
 
     # ---- reports -----------------------------------------------------------------------------
@@ -313,15 +364,13 @@ class Core:
 
     def describe(self, info: Array, flags: NDArray[np.bool_]) -> dict[str, Any]:
         """Info arrays of all environments by name, views of `info` and `flags`."""
-        rows, n = self.report.info.slices, self.n_env
-        described: dict[str, Any] = {
-            name: info[rows[name].start, :n]
-            for name in ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")
-        }
-        described["reward_terms"] = dict(zip(TERMS, info[rows["reward_terms"], :n], strict=True))
-        described["root_curvature"] = info[rows["root_curvature"], :n].T
-        described["torque"] = info[rows["torque"], :n].T
-        described |= zip(FLAGS[SETTLED:], flags[SETTLED:, :n], strict=True)
+        n, (terms, *wide) = self.n_env, self.blocks.values()
+        info = info[:, :n]
+        rows = list(info)
+        described: dict[str, Any] = dict(zip(NUMBERS, rows[1 : terms.start], strict=True))
+        described["reward_terms"] = dict(zip(TERMS, rows[terms], strict=True))
+        described |= {name: info[at].T for name, at in zip(BLOCKS[1:], wide, strict=False)}
+        described.update(zip(FLAGS[SETTLED:], flags[SETTLED:, :n], strict=True))
         return described
 
     # ---- copies ------------------------------------------------------------------------------
@@ -334,41 +383,3 @@ class Core:
         Core.__init__(self, **state["arguments"])
         self.state[...] = state["arrays"]["state"]
         self.streams[...] = state["arrays"]["streams"]
-
-
-def _ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Checked ranges of free parameters."""
-    unknown = sorted(set(map(str, given)) - set(FREE_PARAMETERS))
-    if unknown:
-        raise ValueError(f"Unknown randomize {unknown}. Known: {sorted(FREE_PARAMETERS)}.")
-    for name, pair in given.items():
-        low, high = _checked(f"randomize[{name!r}]", pair, 2, 1)
-        if not 0.0 <= low <= high:
-            raise ValueError(
-                f"randomize[{name!r}] must be (low, high) with 0 <= low <= high, got {pair!r}."
-            )
-    return {name: (float(low), float(high)) for name, (low, high) in given.items()}
-
-
-def _require_positive(name: str, value: Any, unit: str) -> None:
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not number or not (math.isfinite(value) and value > 0.0):
-        raise ValueError(f"{name} must be positive, got {value!r}. Unit: [{unit}].")
-
-
-def _require_whole(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} must be a whole number, at least {least}, got {value!r}.")
-
-
-def _checked(name: str, values: Any, size: int, n_row: int) -> Array:
-    """Numbers for each of `n_row` environments, or a sentence; None means zeros."""
-    if values is None:
-        return np.zeros(size)
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be {size} numbers, got {values!r}.") from None
-    if array.shape not in ((size,), (n_row, size)) or not np.isfinite(array).all():
-        raise ValueError(f"{name} must be {size} finite numbers, got {values!r}.")
-    return array

@@ -39,7 +39,9 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
         self._seeded = False
         self._renderer: Any = None
-        self._rows = self.core.report.info.slices
+        wide = dict(self.core.blocks)
+        self._terms = wide.pop("reward_terms")
+        self._wide = [(name, (rows, 0)) for name, rows in wide.items()]
 
     # ---- what agents ask ---------------------------------------------------------------------
 
@@ -99,19 +101,18 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         return obs[0], values[0], marks[0], marks[1], self._describe(info, values, marks)
 
     def _describe(self, info: Array, values: list[float], marks: list[bool]) -> dict[str, Any]:
-        rows = self._rows
         return {
             "time": values[1],
             "tip_error": values[2],
             "tip_speed": values[3],
             "deflection": values[4],
             "tip_deflection": values[5],
-            "reward_terms": dict(zip(_TERMS, values[rows["reward_terms"]], strict=True)),
-            "root_curvature": info[rows["root_curvature"], 0],
-            "torque": info[rows["torque"], 0],
+            "reward_terms": dict(zip(_TERMS, values[self._terms], strict=True)),
+            **{name: info[place] for name, place in self._wide},
             "settled": marks[2],
             "diverged": marks[3],
             "invalid": marks[4],
+            "overspeed": marks[5],
         }
 
     def render(self) -> NDArray[np.uint8] | None:

@@ -16,12 +16,24 @@ fast = njit(cache=True, nogil=True, error_model="numpy")
 U = np.uint64
 WAVES = 2  # sines in the path of a joint
 
-# What a generated module adds to its arm's `accelerations(w)` and its task's `check(w)` and
-# `report(w)`.
-ENTRIES = """
-TORQUE_LIMIT = CONSTANTS + LANES
+# How a control step advances an arm behind ideal torque sources; drives.py knows actuators.
+ADVANCE = """
 start = compiled(METHOD.start)
 march = compiled(METHOD.step)
+
+
+@compiled
+def advance(substeps, w):
+    h = w[CONSTANTS]
+    start(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+    for _ in range(substeps):
+        march(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+"""
+
+# What a generated module adds to its arm's `accelerations(w)`, its task's `check(w)` and
+# `report(w)`, and one of the ADVANCE.
+ENTRIES = """
+TORQUE_LIMIT = CONSTANTS + LANES
 take, put = lane_moves(int(LANES))
 
 
@@ -54,6 +66,8 @@ def restore_lost(state, column, w):
                 w[LOST + b] = 1.0
                 for k in range(np.uint64(2) * N_COORDINATE):
                     w[Q + k * LANES + b] = state[k, column + b]
+                for k in range(N_ACTUATOR):
+                    w[ACTUATOR + k * LANES + b] = state[FIRST_ACTUATOR + k, column + b]
 
 
 @compiled
@@ -67,17 +81,14 @@ def step_lanes(actions, column, substeps, state, w):
     for k in range(N_FREE):
         take(w, PARAMETERS + k * LANES, state, (N_STATE + k) * width + column)
     command(actions, column, w)
-    h = w[CONSTANTS]
-    start(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
-    for _ in range(substeps):
-        march(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+    advance(substeps, w)
     restore_lost(state, column, w)
     report(w)
     for k in range(N_JOINT):
         put(w, TARGET_NOW + k * LANES, w, TARGET + k * LANES)
     for k in range(n):
         put(w, Q + k * LANES, state, k * width + column)
-    for k in range(N_JOINT + np.uint64(1) + N_JOINT):
+    for k in range(N_KEPT):
         put(w, ACTION + k * LANES, state, (n + k) * width + column)
 
 

@@ -83,8 +83,13 @@ def is_planar(arm: Arm) -> bool:
     return parallel and flat and bending
 
 
-def observation_layout(arm: Arm, task: Task, kind: str, physics: Physics, rate: float) -> Layout:
-    """The observation of an arm at a task; `rate` [rad/s] is the joint rate of a typical move."""
+def observation_layout(
+    arm: Arm, task: Task, kind: str, physics: Physics, rate: float, torques: tuple[float, ...] = ()
+) -> Layout:
+    """The observation of an arm at a task; `rate` [rad/s] is the joint rate of a typical move.
+
+    `torques` [N m] scale the torques at the joints; none: they are not observed.
+    """
     if kind not in MODES:
         raise ValueError(f"obs must be one of {list(MODES)}, got {kind!r}.")
     joints, columns = range(arm.n_joint), curvature_columns(arm)
@@ -115,6 +120,8 @@ def observation_layout(arm: Arm, task: Task, kind: str, physics: Physics, rate: 
             _part("target_near", ahead.format("half a"), "rad", joints, MOVE),
             _part("target_far", ahead.format("a"), "rad", joints, MOVE),
         ]
+    sensed = joints if torques else ()
+    every.append(_part("joint_torque", "torque at the joint", "N m", sensed, torques))
     every.append(_part("last_action", "the action before", "-", joints, 1.0, 1.0))
     return Layout(tuple(part for part in every if part.entries))
 

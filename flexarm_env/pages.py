@@ -7,7 +7,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from dynamics.validity import LARGEST_RATE
 from flexarm_env import IDS, REWARDS, TASKS, TERMS
+from flexarm_env.certificates import kept
+from flexarm_env.certify import EPISODES, TIP_ERROR
 from flexarm_env.core import Core
 from flexarm_env.env import FlexArmEnv
 from flexarm_env.observations import Layout
@@ -113,7 +116,29 @@ def _accuracy(core: Core) -> str:
         f"by `{c['reproduce']}` and kept as `env.unwrapped.certificate`:\n\n"
         + _table(("part", "meaning", "tip error", "of the reach"), rows)
         + f"\n\nModel: {c['model']}. Reference: {c['reference']}. Gentler motions err less; "
-        "`tolerance=` chooses another model."
+        "`tolerance=` chooses another model.\n\n" + _steps(core)
+    )
+
+
+def _steps(core: Core) -> str:
+    """How the step was chosen, as a table."""
+    entry = kept(core.arm, core.control_dt)
+    assert entry is not None
+    rows = [
+        (
+            step["integrator"],
+            str(step["substeps"]),
+            f"{step['error']:.1e}",
+            f"{1e9 * step['seconds']:.3g} ns",
+        )
+        for step in entry["steps"]
+    ]
+    head = ("integrator", "steps per control step", "tip error, of the reach", "time")
+    return (
+        f"The step is the first of these: of each method the fewest that keep the tip within "
+        f"{TIP_ERROR:g} of the reach through {EPISODES} episodes of random torques; the time is "
+        "that of one environment in a batch, per control step, on the machine that measured.\n\n"
+        + _table(head, rows)
     )
 
 
@@ -186,6 +211,12 @@ def _info() -> str:
         ("reward_terms", "-", "every term by name"),
         ("settled", "-", f"tip error below {SETTLED_BAND:.0%} of the reach"),
         ("diverged, invalid", "-", "see above"),
+        (
+            "overspeed",
+            "-",
+            f"a joint turns faster than {LARGEST_RATE:g} of the first frequency of the held arm: "
+            "linear modes lose stiffness there; never set with foreshortening",
+        ),
     ]
     return _table(("key", "unit", "meaning"), [(f"`{key}`", *rest) for key, *rest in rows])
 

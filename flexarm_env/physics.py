@@ -29,7 +29,8 @@ RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexib
 SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequency
 SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # by order: dt omega of the first joint-free mode, which moves
 # excite and a step must follow to 1e-3 of the reach
-WORK = {"rk4": (4, 0), "midpoint": (1, 1)}  # evaluations per step, per call; what may be chosen
+WORK = {"rk4": (4, 0), "midpoint": (1, 1), "numerov": (1, 2)}  # evaluations per step, per call
+BY_RULE = ("rk4", "midpoint")  # SMOOTH is not enough for Numerov's method: it has to be measured
 _UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not reach
 _SAMPLES = 200  # per period of the first joint-free mode
 
@@ -56,6 +57,12 @@ def home_posture(n_joint: int) -> tuple[float, ...]:
 @lru_cache(maxsize=64)
 def physics(arm: Arm) -> Physics:
     """Everything that follows from an arm alone."""
+    for i, link in enumerate(arm.links, 1):
+        if link.joint.type != "revolute":
+            raise ValueError(
+                f"Environments take arms whose joints turn, but joint {i} is {link.joint.type}; "
+                "follow such an arm with dynamics.simulate."
+            )
     model = Model(arm)
     joints = list(arm.joint_index)
     modal = [i for i in range(arm.n) if i not in joints]
@@ -122,6 +129,9 @@ def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tu
     for i, (start, link) in enumerate(zip(arm.joint_index, chain_constants(arm), strict=True)):
         B[start, i] = 1.0
         stop = start + 1
+        if arm.links[i].joint.elastic:
+            stop, link = stop + 1, link[1:]  # the rotor has no modes
+            C[start + 1, start + 1] = link[0].viscous
         for k, part in enumerate(link):
             count = len(part.tip_theta)
             modes = slice(stop, stop + count)
@@ -131,7 +141,7 @@ def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tu
             shift = np.array(part.tip_phi)[:count].reshape(count, 3)
             shift = shift + np.cross(theta, (beyond, 0.0, 0.0))
             C[modes, modes] = np.array(part.damping).reshape(count, count)
-            B[modes, i] = part.root_slope
+            B[modes, i] = part.root_slope if link[0].driven else 0.0
             D[i, :, modes] = shift.T / arm.links[i].length / DEFLECTION_LIMIT
             S[i, :, modes] = theta.T / (SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT)
     outputs = np.concatenate([D, S])  # (2 m, 3, n): one at the limit of validity
@@ -147,14 +157,16 @@ def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tu
         x = step[: 2 * n, : 2 * n] @ x + sign * step[: 2 * n, 2 * n :]
         peak = np.maximum(peak, np.linalg.norm(outputs @ x[:n], axis=1))
         highest = np.maximum(highest, np.abs(x))
-    acceleration = float(1.0 / peak.sum(axis=1).max())
+    largest = float(peak.sum(axis=1).max())
+    acceleration = 1.0 / largest if largest else RIGID_ACCELERATION  # springs alone: any twist
     return acceleration, acceleration * highest.sum(axis=1)
 
 
 def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> tuple[str, int]:
     """Integrator and substeps per control step that keep the tip within 1e-3 of the reach.
 
-    The cheapest of WORK by evaluations of the accelerations, or the one that is asked for.
+    A rule for arms whose steps were never measured (see certify.py): the cheapest of BY_RULE by
+    evaluations of the accelerations, or the one that is asked for.
     """
     found = physics(arm)
     first = min(found.free, default=RIGID_RATE)
@@ -168,5 +180,5 @@ def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> t
         per_step, per_call = WORK[name]
         return per_step * steps(name) + per_call
 
-    chosen = min(WORK, key=cost) if integrator is None else integrator
+    chosen = min(BY_RULE, key=cost) if integrator is None else integrator
     return chosen, steps(chosen)

@@ -81,11 +81,13 @@ class Renderer:
         at = 0
         for link, constants in zip(core.arm.links, self.constants, strict=True):
             end = end + R @ E @ np.array(link.joint.offset)
-            c, s = math.cos(q[at]), math.sin(q[at])
+            joints = 1 + link.joint.elastic  # the rotor, and the twist of its spring
+            angle = sum(q[at : at + joints].tolist())
+            c, s = math.cos(angle), math.sin(angle)
             E = E @ np.array(link.joint.rotation) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-            at += 1
+            at += joints
             line = []
-            for part, known in zip(parts(link), constants, strict=True):
+            for part, known in zip(parts(link), constants[joints - 1 :], strict=True):
                 delta = factor * q[at : at + len(part.modes)]
                 at += len(part.modes)
                 x = np.linspace(0.0, part.length, POINTS)

@@ -13,15 +13,18 @@ from typing import Any
 
 from dynamics.lowering import Addition, hash_of_files, render_function
 from dynamics.model import Model
-from flexarm_env.kernels import ENTRIES, WAVES
+from flexarm_env.drives import ADVANCE as ADVANCE_DRIVEN
+from flexarm_env.drives import Drives
+from flexarm_env.kernels import ADVANCE, ENTRIES, WAVES
 from flexarm_env.observations import Layout, curvature_columns
 from flexarm_env.rewards import TERMS, Measured
 
-FLAGS = ("terminated", "truncated", "settled", "diverged", "invalid")
+FLAGS = ("terminated", "truncated", "settled", "diverged", "invalid", "overspeed")
+NUMBERS = ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")  # one row of info each
 SETTLED_BAND = 0.02  # [-] tip error over reach
 LOST = 3.0  # [-] times the deflection limit: finite, but no longer a motion of this arm
 # the sources of what is compiled, besides those of dynamics; what they say when imported
-_TRACED = ("kernels", "report", "rewards")
+_TRACED = ("kernels", "report", "rewards", "drives")
 _SOURCES = hash_of_files(Path(__file__).with_name(f"{name}.py") for name in _TRACED)
 
 Symbols = Mapping[str, Any]
@@ -58,23 +61,27 @@ class Report:
     constants : rows of what holds for all environments.
     """
 
-    def __init__(self, model: Model, moving: bool, layout: Layout) -> None:
+    def __init__(
+        self, model: Model, moving: bool, layout: Layout, drives: Drives | None = None
+    ) -> None:
         n, m = model.n, model.n_joint
-        self.model, self.moving, self.layout = model, moving, layout
+        self.model, self.moving, self.layout, self.drives = model, moving, layout, drives
         self.gauges = curvature_columns(model.arm)
         waves = WAVES * m * moving
-        self.memory = {"action": m, "elapsed": 1, "target": m, "centre": m, "amplitude": waves,
-                       "frequency": waves, "phase": waves}  # fmt: skip
+        self.memory = {
+            "action": m, "elapsed": 1, "target": m, "actuator": drives.states if drives else 0,
+            "centre": m, "amplitude": waves, "frequency": waves, "phase": waves,
+        }  # fmt: skip
         self.state = Rows({"q": n, "v": n, **self.memory, "free": len(model.free_parameters)})
         self.info = Rows({
-            "reward": 1, "time": 1, "tip_error": 1, "tip_speed": 1, "deflection": 1,
-            "tip_deflection": 1, "reward_terms": len(TERMS), "root_curvature": len(self.gauges),
-            "torque": m,
+            "reward": 1, **dict.fromkeys(NUMBERS, 1), "reward_terms": len(TERMS),
+            "root_curvature": len(self.gauges), "torque": m, **({"command": m} if drives else {}),
         })  # fmt: skip
         self.constants = Rows({
             "step": 1, "torque_limit": m, "control_dt": 1, "max_steps": 1, "deflection_limit": 1,
-            "slope_limit": 1, "per_rate": 1, "move_time": 1, "weights": len(TERMS),
-            "factors": layout.size,
+            "slope_limit": 1, "rate_limit": 1, "per_rate": 1, "move_time": 1,
+            "weights": len(TERMS), "factors": layout.size,
+            **({"command_limit": m, "actuators": drives.n_constant} if drives else {}),
         })  # fmt: skip
 
     @property
@@ -84,12 +91,14 @@ class Report:
         sizes = {name.upper(): size for name, size in self.memory.items()}
         sizes |= {"BEFORE": m, "LOST": 1, "CHECK": 1, "CONSTANTS": self.constants.total}
         sizes |= {"TARGET_NOW": m, "FLAGS": len(FLAGS), "INFO": self.info.total}
-        sizes |= {"OBSERVATION": self.layout.size}
+        sizes |= {"OBSERVATION": self.layout.size, "RATE_BEFORE": m if self.drives else 0}
         counts = {
             "N_STATE": 2 * self.model.n + sum(self.memory.values()), "N_JOINT": m,
             "N_COORDINATE": self.model.n, "N_MEMORY": sum(self.memory.values()),
             "N_FREE": len(self.model.free_parameters), "N_FLAG": len(FLAGS),
             "N_INFO": self.info.total, "N_OBSERVATION": self.layout.size,
+            "N_ACTUATOR": self.memory["actuator"], "N_KEPT": 2 * m + 1 + self.memory["actuator"],
+            "FIRST_ACTUATOR": self.state.slices["actuator"].start,
         }  # fmt: skip
         lines = [f"{name} = np.uint64({count})" for name, count in counts.items()]
         parts = [(part.name, part.entries, part.bound) for part in self.layout.parts]
@@ -97,14 +106,21 @@ class Report:
         def functions(at: Mapping[str, int]) -> list[str]:
             inputs = [at["Q"], at["V"], at["ACTION"], at["BEFORE"], at["LOST"], at["CONSTANTS"]]
             report = render_function("report", self.graph, inputs, at["TARGET_NOW"])
-            return [self._check(at), report]
+            return [self._check(at), report, *self._driving(at)]
 
+        advance = ADVANCE_DRIVEN if self.drives else ADVANCE
         return Addition(
-            key=f"environment {_SOURCES} {self.moving} {parts}",
+            key=f"environment {_SOURCES} {self.moving} {parts} {self.drives and self.drives.key}",
             sizes=sizes,
             functions=functions,
-            entries="\n".join([*lines, ENTRIES]),
+            entries="\n".join([*lines, advance, ENTRIES]),
         )
+
+    def _driving(self, at: Mapping[str, int]) -> list[str]:
+        """Text of what actuators compute within a control step."""
+        if self.drives is None:
+            return []
+        return self.drives.functions(at, at["CONSTANTS"] + self.constants.slices["actuators"].start)
 
     def _check(self, at: Mapping[str, int]) -> str:
         """Text of `check(w)`: zero where q and v are finite and their eighth powers, too.
@@ -190,7 +206,8 @@ class Report:
         diverged = ca.fmax(s["lost"], LOST * s["deflection_limit"] < deflection)
         failed = live * ca.fmax(invalid, diverged)
         late = live * (s["max_steps"] > 0.0) * (s["max_steps"] <= s["elapsed"])
-        rates = s["v"][list(arm.joint_index)] * s["per_rate"]
+        joint_rates = s["v"][list(arm.joint_index)]
+        rates = joint_rates * s["per_rate"]
         measured = Measured(
             error=error / arm.reach,
             speed=speed * s["per_rate"] / arm.reach,
@@ -204,11 +221,18 @@ class Report:
         return {
             "terminated": failed, "truncated": late, "settled": error < SETTLED_BAND * arm.reach,
             "diverged": diverged, "invalid": invalid,
+            "overspeed": s["rate_limit"] ** 2 < reduce(ca.fmax, ca.vertsplit(joint_rates**2)),
             "reward": live * ca.dot(s["weights"], terms), "time": s["time"], "tip_error": error,
             "tip_speed": speed, "deflection": deflection, "tip_deflection": bent,
             "reward_terms": terms, "root_curvature": here["curvature"][list(self.gauges)],
-            "torque": s["action"] * s["torque_limit"], "gap": gap, "curvature": here["curvature"],
+            **self._torques(s), "gap": gap, "curvature": here["curvature"],
         }  # fmt: skip
+
+    def _torques(self, s: Symbols) -> dict[str, Any]:
+        """Torques at the joints [N m], and the command behind them if it is another."""
+        if self.drives is None:
+            return {"torque": s["action"] * s["torque_limit"]}
+        return {"torque": self.drives.torque(s), "command": s["action"] * s["command_limit"]}
 
     def _observation(self, s: Symbols, values: Symbols) -> Any:
         """Scaled and clipped."""
@@ -234,6 +258,7 @@ class Report:
             "tip_error": self._in_first_link(values["gap"], joints[0]),
             "root_curvature": values["curvature"],
             "last_action": s["action"],
+            "joint_torque": values["torque"],
             "target_rate": s["target_rate"],
         }
         for name, share in (("target_near", 0.5), ("target_far", 1.0)):

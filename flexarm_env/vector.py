@@ -16,7 +16,6 @@ from flexarm_env.report import FLAGS
 from flexarm_env.rewards import TERMS
 
 Flags = NDArray[np.bool_]
-_TERM_MASKS = [f"_{name}" for name in TERMS]
 _AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
 
 
@@ -64,8 +63,10 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._all = np.arange(num_envs)
         self._everyone = np.ones(num_envs, np.bool_)
         self._everyone.flags.writeable = False  # shared by all steps' infos
-        self._masks = [f"_{name}" for name in (*self.core.report.info.sizes, *FLAGS[SETTLED:])]
-        self._masks.remove("_reward")
+        names = (*self.core.report.info.sizes, *FLAGS[SETTLED:])
+        masks = [f"_{name}" for name in names if name != "reward"]
+        self._masks = dict.fromkeys(masks, self._everyone)
+        self._term_masks = dict.fromkeys((f"_{name}" for name in TERMS), self._everyone)
         self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
         self._seeded = False
 
@@ -176,9 +177,11 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     def _with_masks(self, described: dict[str, Any], mask: Flags | None = None) -> dict[str, Any]:
         """Gymnasium's `_name` beside each `name`: which environments have it."""
-        mask = self._everyone if mask is None else mask
-        described["reward_terms"] |= dict.fromkeys(_TERM_MASKS, mask)
-        described |= dict.fromkeys(self._masks, mask)
+        masks, terms = self._masks, self._term_masks
+        if mask is not None:
+            masks, terms = dict.fromkeys(masks, mask), dict.fromkeys(terms, mask)
+        described["reward_terms"].update(terms)
+        described.update(masks)
         return described
 
     def _after_step(self) -> None:

@@ -8,11 +8,19 @@ The four joint-free frequencies of the stretched arm are within 0.01 % of those 
 link.
 """
 
+from collections.abc import Callable
+
 from dynamics.arm import Arm, Joint, Link, Mode
+from dynamics.checks import Matrix
+from dynamics.published import Check, alone, hertz, mode_of_link
 
 _MODES = tuple(Mode(kind="clamped-tip-mass", index=index, direction="y") for index in (1, 2))
-_PAYLOAD_INERTIA = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 5e-4))  # [kg m^2] published
 _HUB = Joint(hub_inertia=0.1)  # [kg m^2] published, both hubs
+
+
+def _about_z(inertia: float) -> Matrix:
+    return ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, inertia))
+
 
 ARM = Arm(
     name="deluca-siciliano",
@@ -35,10 +43,38 @@ ARM = Arm(
             rho_A=0.2,  # published
             EIz=1.0,  # published
             tip_mass=0.1,  # published: the payload
-            tip_inertia=_PAYLOAD_INERTIA,
+            tip_inertia=_about_z(5e-4),  # published
             modes=_MODES,
             damping_ratio=0.005,  # chosen
             joint=_HUB,
         ),
     ),
 )
+
+_SOURCE = "De Luca and Siciliano 1991, printed to two decimals"
+
+
+def _first(mode: int) -> Callable[[Arm], float]:
+    """[Hz] of link 1 alone, with everything beyond it as one body."""
+    beyond = _about_z(0.1338)  # [kg m^2] of 1.2 kg: published data, link 2 stretched
+    return lambda arm: hertz(alone(arm, 0, 6, tip_mass=1.2, tip_inertia=beyond))[mode - 1]
+
+
+CHECKS = (
+    *(
+        Check(
+            quantity=f"link 1 clamped, with all beyond it, mode {k}", unit="Hz",
+            expected=printed, tolerance=0.0051 / printed, source=_SOURCE,
+            measure=_first(k),
+        )
+        for k, printed in enumerate((0.48, 1.80), 1)
+    ),
+    *(
+        Check(
+            quantity=f"link 2 clamped, with the payload, mode {k}", unit="Hz", expected=printed,
+            tolerance=0.0051 / printed, source=_SOURCE,
+            measure=mode_of_link(1, k),
+        )
+        for k, printed in enumerate((2.18, 15.91), 1)
+    ),
+)  # fmt: skip

@@ -6,6 +6,7 @@ of the paper's one: a single one puts the joint-free bending at 36.2 and 63.3 Hz
 """
 
 from dynamics.arm import Arm, Link, Mode
+from dynamics.published import Check, mode_of_link
 
 _LINK = Link(
     length=1.0,  # printed
@@ -23,3 +24,12 @@ ARM = Arm(
     gravity=(0.0, -9.81, 0.0),  # printed as 1 g; value chosen
     links=(_LINK, _LINK),
 )
+
+CHECKS = tuple(
+    Check(
+        quantity=f"one link clamped, mode {k}", unit="Hz", expected=expected, tolerance=1e-4,
+        source="beam theory with the printed EI and mass per length",
+        measure=mode_of_link(0, k, 6, "clamped-free"),
+    )
+    for k, expected in enumerate((7.914, 49.595, 138.868, 272.125), 1)
+)  # fmt: skip

@@ -10,6 +10,7 @@ from math import pi
 
 from dynamics.arm import Arm, Joint, Link, Mode
 from dynamics.checks import IDENTITY, Matrix
+from dynamics.published import Check, mode_of_link
 
 _YOUNG = 69e9  # [N/m^2] aluminium
 _DENSITY = 2700.0  # [kg/m^3] aluminium
@@ -60,3 +61,12 @@ ARM = Arm(
         _tube(0.20, 0.012, 0.0010, 0.5, 0.030, 0.03, _PITCH_TO_YAW),
     ),
 )
+
+CHECKS = tuple(
+    Check(
+        quantity=f"first tube clamped, with the motor at its tip, mode {k}", unit="Hz",
+        expected=expected, tolerance=1e-3, source="60 finite beam elements",
+        measure=mode_of_link(0, k),
+    )
+    for k, expected in enumerate((29.997, 329.40), 1)
+)  # fmt: skip

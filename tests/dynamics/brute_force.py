@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics import Arm, Joint, Link, Mode
+from dynamics import Arm, Body, Joint, Link, Mode
 from dynamics.checks import ZEROS
 from dynamics.shapes import Shape, shape
 
@@ -82,8 +82,8 @@ def inertial_forces(arm: Arm, q: Array, v: Array, a: Array) -> Array:
 
 def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
     """(n,) elastic, damping and friction forces, from their definitions."""
-    forces: list[float] = []
-    for (link, welded), (_, delta), (rate, delta_dot) in zip(
+    forces: list[float] = [0.0] * arm.base.n
+    for (link, welded, spring), (turn, delta), (rate, delta_dot) in zip(
         _parts(arm), _by_part(arm, q), _by_part(arm, v), strict=True
     ):
         K = np.zeros((len(delta), len(delta)))
@@ -97,8 +97,9 @@ def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
                 if other.direction != mode.direction:
                     continue
                 r = shape(other, link)
-                if mode.direction == "x":
-                    K[j, k] = link.GJ * weights @ (s.slope(x) * r.slope(x))
+                if mode.direction in ("x", "axial"):
+                    rigidity = link.GJ if mode.direction == "x" else link.EA
+                    K[j, k] = rigidity * weights @ (s.slope(x) * r.slope(x))
                 else:
                     EI = link.EIz if mode.direction == "y" else link.EIy
                     K[j, k] = EI * weights @ (s.curvature(x) * r.curvature(x))
@@ -110,9 +111,24 @@ def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
         slip = rate + root @ delta_dot
         joint = link.joint
         friction = joint.viscous * slip + joint.coulomb * np.tanh(slip / joint.coulomb_speed)
+        friction += spring * (turn + root @ delta)
         forces += [] if welded else [friction]
         forces += list(K @ delta + C @ delta_dot + root * friction)
     return np.array(forces)
+
+
+def momentum(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
+    """Linear momentum, and angular momentum about the world's origin, of all bodies."""
+    b, _ = _bodies(arm, np.array([q, v, 0.0 * v]))
+    p, moving = b.p[0, :, :, 0], b.mass[:, None] * b.p[1, :, :, 0]
+    w, _, J = b.spin()
+    return moving.sum(0), (np.cross(p, moving) + np.einsum("nij,nj->ni", J, w)).sum(0)
+
+
+def gravity_energy(arm: Arm, q: Array) -> float:
+    """Zero with all mass at the world's origin."""
+    b, _ = _bodies(arm, np.array([q, 0.0 * q, 0.0 * q]))
+    return float(-b.mass @ b.p[0, :, :, 0] @ np.array(arm.gravity))
 
 
 def tip(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
@@ -165,22 +181,33 @@ def _constant(x: object) -> Array:
     return np.stack([value, 0.0 * value, 0.0 * value])[:, None]
 
 
-def _parts(arm: Arm) -> list[tuple[Link, bool]]:
-    """All segments of all links, and whether they are welded to the one before."""
+def _parts(arm: Arm) -> list[tuple[Link, bool, float]]:
+    """All segments of all links, whether they are welded to the one before, springs at joints.
+
+    A joint with a spring is two: a rotor without a link, and a free joint beside the spring.
+    """
     parts = []
     for link in arm.links:
+        joint, spring = link.joint, link.joint.stiffness or 0.0
+        if spring:
+            mounted = replace(joint, hub_inertia=0.0, stiffness=None, spring_damping=0.0)
+            parts.append((Link(length=0.0, body=Body(mass=0.0), joint=mounted), False, 0.0))
+            joint = Joint(
+                type=joint.type, hub_inertia=joint.hub_inertia, viscous=joint.spring_damping
+            )
         for k in range(link.segments):
             part = replace(link, length=link.length / link.segments, segments=1)
             if k < link.segments - 1:
                 part = replace(part, tip_mass=0.0, tip_inertia=ZEROS)
-            parts.append((replace(part, joint=Joint()) if k else part, k > 0))
+            part = replace(part, joint=Joint() if k else joint)
+            parts.append((part, k > 0, 0.0 if k else spring))
     return parts
 
 
 def _by_part(arm: Arm, x: Array) -> list[tuple[Array, Array]]:
     """(joint, modes) of every segment, along the last axis of x; no joint turns by zero."""
-    found, start = [], 0
-    for part, welded in _parts(arm):
+    found, start = [], arm.base.n
+    for part, welded, _ in _parts(arm):
         joint = np.zeros(x.shape[:-1]) if welded else x[..., start]
         start += not welded
         found.append((joint, x[..., start : start + len(part.modes)]))
@@ -193,12 +220,20 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
     """All bodies of an arm in the world, and (inertia, slip) of the rotors; jet is (3, n)."""
     parts: list[tuple[Array, ...]] = []  # mass, inertia, p, R
     rotors: list[tuple[float, Array]] = []
-    p, R = _constant(0.0 * X), _constant(np.eye(3))
+    p, R = _base(jet) if arm.base.n else (_constant(0.0 * X), _constant(np.eye(3)))
+    com = p + _product(R, _constant(arm.base.com))
+    parts.append((np.array([arm.base.mass]), np.array(arm.base.inertia)[None], com, R))
     whole = _parts(arm)
-    for i, ((link, _), (q, delta)) in enumerate(zip(whole, _by_part(arm, jet), strict=True)):
+    for i, ((link, _, _), (q, delta)) in enumerate(zip(whole, _by_part(arm, jet), strict=True)):
         p = p + _product(R, _constant(link.joint.offset))
         R = _product(R, _constant(link.joint.rotation))
-        R = _product(R, _rotation(q[:, None, None] * Z))
+        if link.joint.type == "prismatic":
+            p = p + _product(R, np.multiply.outer(q, Z)[:, None, :, None])
+        else:
+            R = _product(R, _rotation(q[:, None, None] * Z))
+        if link.body:
+            mass, at = np.array([link.body.mass]), p + _product(R, _constant(link.body.com))
+            parts.append((mass, np.array([link.body.inertia]), at, R))
         root = delta @ [s.slope(0.0) * (m.direction == "y") for m, s in _shapes(link)]
         hub = _product(R, _rotation(root[:, None, None] * Z))
         parts.append((np.zeros(1), link.joint.hub_inertia * np.outer(Z, Z)[None], p, hub))
@@ -223,6 +258,13 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
     return joined, rotors
 
 
+def _base(jet: Array) -> tuple[Array, Array]:
+    """Jets of a free base's origin and orientation, from its velocity and own angular velocity."""
+    _, w, w_dot = (np.cross(x, -np.eye(3)) for x in jet[:, 3:6])
+    R = _rotation(np.array([jet[0, 3:6], 0.0 * X, 0.0 * X])[:, None])[0]
+    return jet[:, None, :3, None], np.stack([R, R @ w, R @ (w @ w + w_dot)])
+
+
 def _shapes(link: Link) -> list[tuple[Mode, Shape]]:
     return [(mode, shape(mode, link)) for mode in link.modes]
 
@@ -236,6 +278,9 @@ def _deflection(link: Link, delta: Array, x: Array, shorten: bool) -> tuple[Arra
     for (mode, s), d in zip(_shapes(link), delta.T, strict=True):
         if mode.direction == "x":
             theta += np.multiply.outer(d, np.outer(s.value(x), X))
+            continue
+        if mode.direction == "axial":
+            r += np.multiply.outer(d, np.outer(s.value(x), X))
             continue
         along, about = (Y, Z) if mode.direction == "y" else (Z, -Y)
         r += np.multiply.outer(d, np.outer(s.value(x), along))

@@ -8,7 +8,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from dynamics import Arm, Joint, Link, Mode, Model, Payload, compile_arm
+from dynamics import Arm, Base, Joint, Link, Mode, Model, Payload, compile_arm
 from dynamics.shapes import shape
 
 Array = NDArray[np.float64]
@@ -18,6 +18,7 @@ KINDS = {
     "y": ("clamped-free", "pinned-free", "clamped-tip-mass", "poly"),
     "z": ("clamped-free", "clamped-tip-mass", "poly"),
     "x": ("torsion-fixed-free", "torsion-poly"),
+    "axial": ("axial-fixed-free", "axial-poly"),
 }
 TURN = 0.1  # [rad] what one mode may turn the tip, or [-] move it over the length
 
@@ -40,14 +41,37 @@ def random_arm(seed: int, n_link: int, n_mode: int, *, spatial: bool = True) -> 
     )
 
 
+def flying(arm: Arm, seed: int = 0) -> Arm:
+    """The arm on a free base as light as itself, its centre of mass aside."""
+    rng = np.random.default_rng([seed, 11])
+    root = rng.normal(0.0, 0.5, (3, 3))
+    spread = root @ root.T + 0.05 * np.eye(3)
+    base = Base(
+        type="free",
+        mass=rng.uniform(1.0, 5.0),
+        com=tuple(rng.normal(0.0, 0.2, 3)),
+        inertia=tuple(map(tuple, np.trace(spread) * np.eye(3) - spread)),
+        position=tuple(rng.normal(0.0, 1.0, 3)),
+        quaternion=tuple(np.roll(Rotation.random(random_state=rng).as_quat(), 1)),
+        velocity=tuple(rng.normal(0.0, 1.0, 3)),
+        angular_velocity_body=tuple(rng.normal(0.0, 2.0, 3)),
+    )
+    return replace(arm, base=base)
+
+
 def random_state(arm: Arm, seed: int = 0) -> tuple[Array, Array]:
     """Coordinates and rates: any joint angles, moderate deflections."""
     rng = np.random.default_rng([seed, arm.n])
-    sizes = np.array([x for link in arm.links for x in (0.0, *_amplitudes(link))])
+    sizes = np.array(
+        [x for k in arm.links for x in (0.0, *[TURN] * k.joint.elastic, *_amplitudes(k))]
+    )
+    sizes = np.concatenate([np.zeros(arm.base.n), sizes])
     q, v = rng.uniform(-1.0, 1.0, (2, arm.n)) * (sizes, 20.0 * sizes)
     joints = list(arm.joint_index)
     q[joints] = rng.uniform(-np.pi, np.pi, arm.n_joint)
     v[joints] = rng.normal(0.0, 2.0, arm.n_joint)
+    six = slice(0, arm.base.n)
+    q[six], v[six] = rng.normal(0.0, 1.0, (2, arm.base.n))
     return q, v
 
 
@@ -89,18 +113,20 @@ def floats(x: Array) -> list[float]:
 def torque_matrix(arm: Arm) -> Array:
     """(n, n_joint) B: a joint torque also turns the root of shapes that are not clamped."""
     B = np.zeros((arm.n, arm.n_joint))
-    row = 0
+    row = arm.base.n
     for i, link in enumerate(arm.links):
         B[row, i] = 1.0
         for j, mode in enumerate(link.modes, 1):
-            if mode.direction == "y":
+            if mode.direction == "y" and not link.joint.elastic:
                 B[row + j, i] = shape(mode, link).slope(0.0)
-        row += 1 + link.segments * len(link.modes)
+        row += 1 + link.joint.elastic + link.segments * len(link.modes)
     return B
 
 
 def _link(rng: Generator, count: int, spatial: bool) -> Link:
     directions = rng.choice(["y", "z", "x"] if spatial else ["y"], count).tolist()
+    if spatial and directions.count("y") > 1:
+        directions[directions.index("y")] = "axial"
     modes = []
     for direction in sorted(set(directions)):
         kind = str(rng.choice(KINDS[direction]))
@@ -121,6 +147,7 @@ def _link(rng: Generator, count: int, spatial: bool) -> Link:
         EIz=rng.uniform(20.0, 300.0),
         EIy=rng.uniform(20.0, 300.0),
         GJ=rng.uniform(20.0, 300.0),
+        EA=rng.uniform(200.0, 3000.0),
         rho_Ip=rng.uniform(0.01, 0.04) * spatial,
         tip_mass=maybe(1.0),
         tip_inertia=_inertia(rng, spatial),

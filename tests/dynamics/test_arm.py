@@ -18,6 +18,8 @@ BEND = Mode(kind="clamped-free", index=1, direction="y")
 TWIST = Mode(kind="torsion-fixed-free", index=1, direction="x")
 PLAIN: dict[str, Any] = {"length": 1.0, "rho_A": 0.5, "EIz": 20.0, "modes": (BEND,)}
 
+FREE: dict[str, Any] = {"type": "free", "mass": 2.0, "inertia": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+
 
 def described(**changes: Any) -> dict[str, Any]:
     """A one-link arm as a file would hold it."""
@@ -179,6 +181,21 @@ REFUSED_LINKS = {
     "must be a rotation .*determinant -1": {
         "joint": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}
     },
+    "Joint.type must be one of .*got 'screw'": {"joint": {"type": "screw"}},
+    "Joint.stiffness must be positive, got 0.0": {"joint": {"stiffness": 0.0}},
+    "rotor_inertia must be positive with Joint.stiffness .5.0.": {"joint": {"stiffness": 5.0}},
+    "spring_damping .0.2. needs a spring": {"joint": {"spring_damping": 0.2}},
+    "pinned-free with a prismatic joint": {
+        "joint": {"type": "prismatic"},
+        "modes": [{"kind": "pinned-free", "index": 1, "direction": "y"}],
+    },
+    "Body.mass is missing": {"modes": [], "body": {}},
+    "Body.mass must not be negative, got -2.0": {"modes": [], "body": {"mass": -2.0}},
+    "Body.inertia must be symmetric": {
+        "modes": [],
+        "body": {"mass": 1.0, "inertia": [[1, 1, 0], [0, 1, 0], [0, 0, 1]]},
+    },
+    "body is for a rigid link in one piece, got 1 modes": {"body": {"mass": 1.0}},
     "must be a rotation": {"joint": {"rotation": [[1, 1e-6, 0], [0, 1, 0], [0, 0, 1]]}},
 }
 
@@ -196,7 +213,24 @@ REFUSED_ARMS = {
     r"links\[0\] must be a mapping": {"links": [3]},
     "rotation must be one of .*got 'euler'": {"rotation": "euler"},
     "foreshortening must be true or false, got 1": {"foreshortening": 1},
-    "'free' is not supported yet": {"base": {"type": "free", "mass": 2.0}},
+    "Base.mass must be positive, got 0.0": {"base": {"type": "free"}},
+    "Base.inertia must be positive definite": {"base": {"type": "free", "mass": 2.0}},
+    "no principal moment above the sum .* 1, 1, 2.1": {
+        "base": {**FREE, "inertia": [[1, 0, 0], [0, 2.1, 0], [0, 0, 1]]}
+    },
+    "Base.quaternion must have length 1 .*got length 2": {
+        "base": {**FREE, "quaternion": [2.0, 0.0, 0.0, 0.0]}
+    },
+    "Base.quaternion must have 4 numbers, got 3": {"base": {**FREE, "quaternion": [1, 0, 0]}},
+    r"Base.velocity\[1\] .*finite number, got nan": {
+        "base": {**FREE, "velocity": [0.0, float("nan"), 0.0]}
+    },
+    "euler and quaternion exclude each other": {
+        "base": {**FREE, "euler": [0, 0, 0], "quaternion": [1, 0, 0, 0]}
+    },
+    "'speed' in base; nearest known": {"base": {**FREE, "speed": 1.0}},
+    "Base.mass .2.0. is of a free base": {"base": {"mass": 2.0}},
+    "Arm.payload .* needs a link": {"base": FREE, "links": [], "payload": {"mass": 1.0}},
     "Base.type must be one of .*got 'sea'": {"base": {"type": "sea"}},
     "units must be .SI., got 'mm'": {"units": "mm"},
     "name must be text, got 3": {"name": 3},
@@ -206,6 +240,9 @@ REFUSED_ARMS = {
     "Payload.mass must not be negative, got -1.0": {"payload": {"mass": -1.0}},
     "Payload.inertia must be symmetric": {
         "payload": {"mass": 1.0, "inertia": [[1, 1, 0], [0, 1, 0], [0, 0, 1]]}
+    },
+    "last link has no inertia that its joint could move": {
+        "links": [{"length": 0.0, "body": {"mass": 1.0}}]
     },
     "'gravty' in the arm; nearest known: 'gravity'": {"gravty": [0, 0, 0]},
 }
@@ -217,6 +254,25 @@ def test_a_bad_arm_is_refused_with_a_sentence(sentence: str) -> None:
         load_arm({**described(), **REFUSED_ARMS[sentence]})
 
 
+def test_a_free_base_survives_the_round_trip() -> None:
+    base = {**FREE, "com": [0.1, 0.0, 0.0], "quaternion": [0.1, 0.5, -0.7, 0.5]}
+    arm = load_arm({**described(), "base": base})
+
+    assert load_arm(json.loads(json.dumps(arm.to_dict()))) == arm
+    assert arm.names[:7] == (
+        "base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz", "q1"
+    )  # fmt: skip
+    assert (arm.n, arm.n_joint, arm.joint_index) == (8, 1, (6,))
+    assert pickle.loads(pickle.dumps(arm)) == arm
+
+
+def test_euler_angles_stand_for_a_quaternion() -> None:
+    arm = load_arm({**described(), "base": {**FREE, "euler": [np.pi / 2, 0.0, 0.0]}})
+
+    half = np.sqrt(0.5)
+    assert arm.base.quaternion == pytest.approx((half, 0.0, 0.0, half), abs=1e-15)
+
+
 def test_descriptions_that_are_not_descriptions_are_refused() -> None:
     link = Link(**PLAIN)
     for build in (
@@ -225,7 +281,7 @@ def test_descriptions_that_are_not_descriptions_are_refused() -> None:
         lambda: Arm(links=(link,), payload=1.0),  # type: ignore[arg-type]
         lambda: replace(link, modes=("poly",)),  # type: ignore[arg-type]
         lambda: replace(link, joint=None),  # type: ignore[arg-type]
-        lambda: Base(type="free"),
+        lambda: Base(type="free", mass=1.0),
         lambda: load_arm(3),  # type: ignore[arg-type]
     ):
         with pytest.raises(ValueError):

@@ -13,9 +13,11 @@ from dynamics.case import Torque, case_from_dict, load_case
 
 REFERENCE = Path(__file__).parent.parent / "reference"
 NEGATIVE = json.loads((REFERENCE / "negative.json").read_text())["cases"]
-UNSUPPORTED = {
-    "free_flying_coast.json": "Base.type 'free' is not supported yet",
-}
+FREE = {
+    "type": "free", "mass": 2.0, "inertia": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "position": [1.0, 2.0, 3.0], "quaternion": [0.0, 1.0, 0.0, 0.0],
+    "velocity": [0.1, 0.2, 0.3], "angular_velocity_body": [0.4, 0.5, 0.6],
+}  # fmt: skip
 STATE = {"q": [0.1, 0.01], "qd": [0.0, 0.0]}
 
 
@@ -65,12 +67,6 @@ def test_the_shell_refuses_with_status_2_and_one_sentence(
     assert len(err) < 300
 
 
-@pytest.mark.parametrize("name", UNSUPPORTED)
-def test_what_is_not_modelled_yet_is_refused_not_ignored(name: str) -> None:
-    with pytest.raises(ValueError, match=UNSUPPORTED[name]):
-        load_case(REFERENCE / name)
-
-
 STEP = {"type": "piecewise-constant", "t": [0.0, 0.5], "v": [1.0, 2.0]}
 SINE = {"type": "sine", "amplitude": 2.0, "omega": 3.0, "phase": 0.5}
 REFUSED = {
@@ -107,7 +103,13 @@ REFUSED = {
     "expected must be a mapping": {"expected": []},
     r"expected.states\[0\].q must have 2": {"expected": {"states": [{"q": [], "qd": []}]}},
     "'tend' in the case; nearest known: 't_end'": {"tend": 1.0},
-    "'free' is not supported yet": {"base": {"type": "free"}},
+    "Base.mass must be positive, got 0.0": {"base": {"type": "free"}},
+    "'base_quaternion' in initial": {"initial": {**STATE, "base_quaternion": [1, 0, 0, 0]}},
+    "initial.q must have 8 numbers, got 3": {"base": FREE, "initial": {"q": [0] * 3, "qd": [0]}},
+    "initial.base_quaternion must have length 1": {
+        "base": FREE,
+        "initial": {**STATE, "base_quaternion": [1, 1, 0, 0]},
+    },
 }
 
 
@@ -123,6 +125,23 @@ def test_states_come_from_the_case_or_else_from_what_is_expected() -> None:
     assert [state.tau for state in own.states] == [(0.0,), (0.0,)]
     other = case_from_dict(a_case(expected=expected))
     assert [state.tau for state in other.states] == [(3.0,)]
+
+
+def test_a_free_base_is_where_its_description_or_the_state_says() -> None:
+    described = case_from_dict(a_case(base=FREE)).motion
+    turn = 0.5 * np.pi
+    said = {
+        "q": [4.0, 5.0, 6.0, 0.0, 0.0, turn, *STATE["q"]], "qd": [0.0] * 8,
+        "base_quaternion": [np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)],
+    }  # fmt: skip
+    own = case_from_dict(a_case(base=FREE, initial=said)).motion
+
+    assert described is not None
+    assert own is not None
+    assert described.q == pytest.approx((1.0, 2.0, 3.0, np.pi, 0.0, 0.0, *STATE["q"]))
+    assert described.qd == (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.0, 0.0)
+    assert np.abs(own.q) == pytest.approx((4.0, 5.0, 6.0, 0.0, 0.0, np.pi, *STATE["q"]))
+    assert own.qd == (0.0,) * 8
 
 
 def test_frequencies_are_wanted_where_the_motion_starts() -> None:

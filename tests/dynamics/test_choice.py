@@ -30,6 +30,7 @@ from dynamics import (
     Mode,
     Scene,
     Trajectory,
+    ValidityWarning,
     choose_model,
     limits,
     load_arm,
@@ -185,7 +186,13 @@ def steady(t: float) -> np.ndarray:
     return np.array([1.0, -0.5])
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+SLOW_TO_COMPILE = {"rosenbrock": pytest.mark.slow}
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [pytest.param(name, marks=SLOW_TO_COMPILE.get(name, ())) for name in INTEGRATORS],
+)
 def test_traced_steps_are_the_compiled_steps(integrator: str) -> None:
     """`simulate` starts an implicit method anew at every step of a torque that varies."""
     method = INTEGRATORS[integrator]
@@ -261,3 +268,5 @@ def test_limits_name_every_assumption_that_a_motion_leaves() -> None:
     assert "tip by up to 0.21 rad" in limits(model, moved(0.0, 0.15 * length))[1]
     stiffening = compiled(replace(model.arm, foreshortening=True))
     assert limits(stiffening, moved(2.0 * first, 0.0)) == ()
+    with pytest.warns(ValidityWarning, match="Joint 1 turns"):
+        simulate(model, [0.0, 0.0], [0.51 * first, 0.0], None, [0.0, 1e-3])

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.linalg import eigh
 
 from dynamics import ARMS, Joint, Link, Mode, Payload, load_arm
 from dynamics.modes import curvature, deflection, link_constants
@@ -35,6 +36,7 @@ def a_link(*modes: Mode, **changes: object) -> Link:
         "EIz": 12.0,
         "EIy": 31.0,
         "GJ": 8.0,
+        "EA": 500.0,
         "rho_Ip": 0.02,
         "tip_mass": 0.4,
         "tip_inertia": ((0.01, 0.0, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, 0.03)),
@@ -86,7 +88,7 @@ def test_shapes_meet_their_conditions_at_both_ends(mode: Mode) -> None:
     if mode.kind == "pinned-free":
         assert abs(float(s.curvature(0.0))) * l**2 <= 1e-12 * bent
         assert abs(float(s.slope(0.0))) > 1.0
-    if mode.kind == "torsion-fixed-free":
+    if mode.kind in ("torsion-fixed-free", "axial-fixed-free"):
         assert abs(float(s.slope(l))) <= 1e-13 * pi * mode.index / l
 
 
@@ -100,7 +102,7 @@ def test_slope_and_curvature_are_the_derivatives(mode: Mode) -> None:
     grown = float(s.value(link.length)) - float(s.value(0.0))
     turned = float(s.slope(link.length)) - float(s.slope(0.0))
     assert weights @ s.slope(x) == pytest.approx(grown, rel=1e-12)
-    if mode.direction != "x":
+    if mode.direction in ("y", "z"):
         largest = float(np.abs(s.slope(x)).max())
         assert weights @ s.curvature(x) == pytest.approx(turned, abs=1e-12 * largest)
 
@@ -356,3 +358,21 @@ def test_the_slim_arm_has_its_measured_clamped_frequencies() -> None:
     beta = np.array([shape(mode, link).beta for mode in link.modes])
     frequency = beta**2 / (2.0 * pi) * np.sqrt(link.EIz / (link.rho_A * link.length**4))
     assert_allclose(frequency, (2.08, 13.92), rtol=0.01)
+
+
+def test_a_bar_stretches_at_its_textbook_frequencies() -> None:
+    """(2 k - 1) pi / (2 l) sqrt(EA / rho A): the limit (36) of Zohoor and Khorsandijou, held."""
+    bar = a_link(
+        *modes("axial-fixed-free", 4, "axial"), tip_mass=0.0, tip_inertia=((0.0,) * 3,) * 3
+    )
+    constants = link_constants(bar)
+    expected = (np.arange(1, 5) - 0.5) * pi / bar.length * np.sqrt(bar.EA / bar.rho_A)
+    K, M = np.array(constants.K), np.array(constants.s)
+    assert_allclose(np.sqrt(np.diag(K) / np.diag(M)), expected, rtol=1e-13)
+    assert_allclose(K - np.diag(np.diag(K)), 0.0, atol=1e-9)
+
+    polynomials = link_constants(
+        a_link(*modes("axial-poly", 8, "axial"), tip_mass=0.0, tip_inertia=((0.0,) * 3,) * 3)
+    )
+    squares = eigh(np.array(polynomials.K), np.array(polynomials.s), eigvals_only=True)
+    assert_allclose(np.sqrt(squares[:2]), expected[:2], rtol=1e-6)

@@ -130,11 +130,13 @@ def test_free_parameters_are_drawn_at_every_reset_and_move_the_arm() -> None:
     assert (envs.unwrapped.core.parameters != first).all()
 
     twice = {"stiffness": (2.0, 2.0), "damping": (2.0**0.5, 2.0**0.5)}  # at the same ratio
-    fixed = gym.make_vec(env_id, num_envs=2, substeps=4, randomize=twice)
+    step: Any = {"integrator": "rk4", "substeps": 4}
+    fixed = gym.make_vec(env_id, num_envs=2, **step, randomize=twice)
     arm = load_arm("slim")
     stiff = replace(arm, links=(replace(arm.links[0], EIz=2.0 * arm.links[0].EIz),))
     limit = fixed.unwrapped.torque_limit
-    other = gym.make_vec(env_id, num_envs=2, substeps=4, arm=stiff, torque_limit=limit)
+    keywords: Any = {**step, "arm": stiff, "torque_limit": limit}
+    other = gym.make_vec(env_id, num_envs=2, **keywords)
     start = {"state": {"q": [0.0, 0.01, 0.0]}, "target": [0.3]}
     for batch in (fixed, other):
         batch.reset(seed=0, options=start)

@@ -142,6 +142,15 @@ def test_too_much_bending_is_invalid_not_diverged() -> None:
     assert lenient.step(np.zeros(1))[2] is False
 
 
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_turning_too_fast_for_linear_modes_is_said(share: float) -> None:
+    env: Any = gym.make("FlexArm/OneLink-Reach-v0").unwrapped
+    limit = 0.5 * env.core.model.frequencies()[0]
+    env.reset(seed=0, options={"state": {"q": [0.0] * 3, "v": [-share * limit, 0.0, 0.0]}})
+    _, _, terminated, _, info = env.step(np.zeros(1, np.float32))
+    assert (terminated, info["overspeed"]) == (False, share > 1.0)
+
+
 @pytest.mark.parametrize("scene", SCENES)
 def test_default_integration_keeps_the_tip_within_a_thousandth_of_the_reach(scene: str) -> None:
     """Against four times as many Runge-Kutta steps, over an episode of random torques."""

@@ -16,6 +16,10 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import flexarm_env
 from dynamics import ARMS
 
+FLYING = {
+    "links": [{"length": 1.0, "rho_A": 1.0}],
+    "base": {"type": "free", "mass": 2.0, "inertia": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]},
+}
 ALL_IDS = list(flexarm_env.IDS)
 ONE_PER_TASK = [env_id for env_id in ALL_IDS if "OneLink" in env_id]
 
@@ -145,6 +149,7 @@ def test_any_arm_can_be_given(tmp_path: Any) -> None:
         ({"deflection_limit": -0.1}, r"deflection_limit must be positive"),
         ({"render_mode": "ascii"}, r"render_mode must be one of"),
         ({"arm": "slimmer"}, r"Unknown arm 'slimmer'"),
+        ({"arm": FLYING}, r"Base\.type must be 'fixed' for an environment, got 'free'"),
         ({"task": "Juggle"}, r"Unknown task 'Juggle'"),
         ({"n_env": 2}, r"n_env is for a batch"),
     ],

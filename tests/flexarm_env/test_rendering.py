@@ -15,6 +15,7 @@ from flexarm_env.core import Core
 from flexarm_env.pages import file_name, index, page
 from flexarm_env.rendering import SIZE, STEEL, Renderer
 
+TURNING = [n for n, arm in ARMS.items() if all(k.joint.type == "revolute" for k in arm.links)]
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "envs"
 
 
@@ -32,7 +33,7 @@ def test_pictures_show_the_arm_and_change_as_it_moves(scene: str) -> None:
     assert not np.array_equal(before, after)
 
 
-@pytest.mark.parametrize("arm", sorted(ARMS))
+@pytest.mark.parametrize("arm", TURNING)
 def test_the_drawn_tip_is_the_measured_tip(arm: str) -> None:
     """Two ways through the kinematics: the picture's own, and the compiled arm's."""
     core = Core(task="Reach", arm=arm)

@@ -1,0 +1,158 @@
+"""Rigid arms: operations of inverse dynamics, and motions returned from their own torques.
+
+    python benchmarks/rigid_arms.py [--quick] [--out FILE]
+
+Newton and Euler's torques of a cycloidal motion, as a function of time, drive the forward dynamics;
+the error is the largest distance of a joint from the motion that was planned. Where the planned
+motion is unstable the error grows as fast as the linearised arm says, whatever the integrator does.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
+from benchmarks.output import provenance, save_figure
+from dynamics import ARMS, Arm, compile_arm, denavit_hartenberg, simulate
+from dynamics.denavit_hartenberg import Row
+from dynamics.lowering import operations
+from dynamics.newton_euler import inverse_dynamics, rigid_links
+from dynamics.nominal import Cycloidal, NominalTorque
+
+SIXTY = np.pi / 3.0
+DURATION = 10.0  # [s] printed, both arms
+MOTIONS = {  # the Stanford arm's is printed (2.14); the PUMA's is lost, this one chosen
+    "puma-600": Cycloidal(start=(0.0,) * 6, goal=(SIXTY,) * 6, duration=DURATION),
+    "stanford": Cycloidal(
+        start=(0.0, np.pi / 2.0, 0.0, 0.0, 0.0, 0.0),
+        goal=(SIXTY, SIXTY, 0.1, SIXTY, SIXTY, SIXTY),
+        duration=DURATION,
+    ),
+}
+FOLLOWED = {"puma-600": 10.0, "stanford": 4.0}  # [s] until which the motion is followed
+RTOL = 1e-12
+Rows = list[dict[str, Any]]
+
+
+def general(n_joint: int) -> Arm:
+    """Revolute joints and rows without a zero, so that nothing folds but the first joint's rest."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for _ in range(n_joint):
+        a, d, alpha, mass = rng.uniform(0.1, 1.0, 4).tolist()
+        root = rng.normal(size=(3, 3))
+        body: dict[str, Any] = {"com": tuple(rng.normal(size=3)), "inertia": root @ root.T}
+        rows.append(Row(a=a, d=d, alpha=alpha, mass=mass, **body))
+    return denavit_hartenberg.arm(rows, gravity=(1.3, 2.7, -9.81))
+
+
+def counted(arm: Arm) -> dict[str, int]:
+    """Operations of inverse dynamics with a wrench at the tip, of one traced arm."""
+    n = arm.n_joint
+    q, v, a, w = (ca.SX.sym(name, size) for name, size in (("q", n), ("v", n), ("a", n), ("w", 6)))
+    x, rates, rises, load = (ca.vertsplit(symbol) for symbol in (q, v, a, w))
+    torques = inverse_dynamics(
+        rigid_links(arm), x, rates, rises, gravity=arm.gravity, wrench=(load[:3], load[3:])
+    )
+    return operations(ca.Function("torques", [q, v, a, w], [ca.cse(ca.vertcat(*torques))]))
+
+
+def counts() -> Rows:
+    """Of a general arm beside the thesis's formulas, and of the presets."""
+    rows: Rows = []
+    for n in range(2, 8):
+        found = counted(general(n))
+        rows.append({
+            "arm": f"general, N = {n}", "M": found["multiplications"], "A": found["additions"],
+            "thesis M": 100 * n - 107, "thesis A": 88 * n - 96,
+        })  # fmt: skip
+    for name in MOTIONS:
+        found = counted(ARMS[name])
+        rows.append({"arm": name, "M": found["multiplications"], "A": found["additions"]})
+    return rows
+
+
+def round_trip(name: str, samples: int) -> dict[str, Any]:
+    """Torques, errors and growth of one arm along its motion."""
+    arm, motion = ARMS[name], MOTIONS[name]
+    model, torque = compile_arm(arm), NominalTorque(arm, motion)
+    times = np.linspace(0.0, FOLLOWED[name], samples)
+    planned = np.array([motion(t)[:2] for t in times])
+    path = simulate(
+        model, planned[0, 0], planned[0, 1], torque, times, integrator="dop853", rtol=RTOL
+    )
+    whole = np.linspace(0.0, DURATION, samples)
+    growth = [
+        np.linalg.eigvals(model.linearize(*motion(t)[:2], torque(t))[0]).real.max()
+        for t in np.linspace(0.0, DURATION, 11)
+    ]
+    return {
+        "t": times.tolist(),
+        "error": np.abs(path.q - planned[:, 0]).max(axis=1).tolist(),
+        "fastest growth [1/s]": float(max(growth)),
+        "torque t": whole.tolist(),
+        "torque": [torque(t).tolist() for t in whole],
+    }
+
+
+def page(table: Rows, trips: dict[str, dict[str, Any]]) -> str:
+    """The tables as Markdown."""
+    lines = [
+        "# Rigid arms", "", "Made by `python benchmarks/rigid_arms.py`.", "",
+        "| inverse dynamics of | multiplications | additions | thesis |", "|---|---|---|---|",
+    ]  # fmt: skip
+    for row in table:
+        thesis = f"{row['thesis M']}, {row['thesis A']}" if "thesis M" in row else ""
+        lines.append(f"| {row['arm']} | {row['M']} | {row['A']} | {thesis} |")
+    lines += ["", "| round trip | followed | largest error | fastest growth |", "|---|---|---|---|"]
+    for name, trip in trips.items():
+        lines.append(
+            f"| {name} | {trip['t'][-1]:g} s | {max(trip['error']):.1e} rad or m "
+            f"| {trip['fastest growth [1/s]']:.2f} /s |"
+        )
+    return "\n".join([*lines, "", "![round trips](rigid_arms.png)", ""])
+
+
+def draw(trips: dict[str, dict[str, Any]], path: Path) -> None:
+    """Nominal torques of both arms, and the errors of their return."""
+    figure, axes = plt.subplots(1, 3, figsize=(13.0, 3.8), layout="constrained")
+    for axis, (name, trip) in zip(axes, trips.items(), strict=False):
+        for k, torque in enumerate(np.transpose(trip["torque"])):
+            slides = ARMS[name].links[k].joint.type == "prismatic"
+            axis.plot(trip["torque t"], torque, label=f"f{k + 1} [N]" if slides else f"τ{k + 1}")
+        axis.set(title=f"{name}: nominal torques", xlabel="t [s]", ylabel="[N m]")
+        axis.legend(fontsize="small", ncols=2)
+    for name, trip in trips.items():
+        axes[2].semilogy(trip["t"], np.maximum(trip["error"], 1e-17), label=name)
+    axes[2].axhline(1e-9, color="0.6", linewidth=0.8, linestyle="--")
+    axes[2].set(title="error of the return", xlabel="t [s]", ylabel="largest joint error [rad, m]")
+    axes[2].legend(fontsize="small")
+    save_figure(figure, path)
+
+
+def main() -> None:
+    """Write JSON, page and picture."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="fewer points in the picture")
+    parser.add_argument("--out", type=Path, default=Path("docs/results/rigid_arms.json"))
+    options = parser.parse_args()
+    table = counts()
+    trips = {name: round_trip(name, 21 if options.quick else 201) for name in MOTIONS}
+    data = {**provenance("numpy", "scipy", "casadi", "numba"), "counts": table, "trips": trips}
+    options.out.write_text(json.dumps(data) + "\n", encoding="utf-8")
+    options.out.with_suffix(".md").write_text(page(table, trips), encoding="utf-8")
+    draw(trips, options.out)
+    print(page(table, trips))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,215 @@
+"""Scenarios: an arm, a start, joint torques and a duration in one YAML file, checked as a whole.
+
+    title: Two links hanging, one mode
+    about: What is shown, what is chosen.
+    arm: korayem-two-link        # a preset, or an arm file's mapping
+    keep: [1, 2]                 # links of the arm, in order; default all
+    flexible: {modes: [...]}     # what every link with modes has instead
+    links: {2: {length: 1.5}}    # what single links have instead, numbered after `keep`
+    payload: {mass: 1.0}         # instead of the arm's
+    initial: {q: {q1: -1.57}, qd: {}}   # by coordinate; what is not named is zero
+    torque: {type: step, values: {q1: 5.0}}
+    t_end: 2.0
+    n_out: 401
+
+Torques are "step" (constant `values`), "ramp" (`rates` times t) or "nominal": the rigid arm's
+inverse dynamics along a cycloid from the initial joint angles to `goal` within `duration`. SI units
+and radians.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import Arm, checks, load_arm
+from dynamics.arm_file import read_mapping
+from dynamics.newton_euler import inverse_dynamics
+from dynamics.nominal import Cycloidal, NominalTorque
+
+Array = NDArray[np.float64]
+KEYS = (
+    "title", "about", "arm", "keep", "flexible", "links", "payload", "initial", "torque", "t_end",
+    "n_out",
+)  # fmt: skip
+TORQUES = {  # type -> its keys
+    "step": ("values",),
+    "ramp": ("rates",),
+    "nominal": ("goal", "duration"),
+}
+N_OUT = 401  # if the file does not say
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """What a file describes."""
+
+    title: str
+    about: str
+    arm: Arm
+    q: dict[str, float]  # by coordinate [rad, m]; zero where it is not named
+    qd: dict[str, float]  # [rad/s, m/s]
+    torque: Callable[[float], Array] | None  # (n_joint,) [N m]
+    t_end: float  # [s]
+    n_out: int
+
+    @property
+    def times(self) -> Array:
+        """(n_out,) [s] equally spaced from zero."""
+        return np.linspace(0.0, self.t_end, self.n_out)
+
+    def start(self, arm: Arm) -> tuple[Array, Array]:
+        """Where the arm or its rigid twin starts; a free base where its description says."""
+        names = arm.names[arm.base.n :]
+        q, qd = (np.array([x.get(name, 0.0) for name in names]) for x in (self.q, self.qd))
+        return q, qd
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """Torques that grow from zero."""
+
+    rates: Array  # (n_joint,) [N m/s]
+
+    def __call__(self, t: float) -> Array:
+        return self.rates * t
+
+
+@dataclass(frozen=True)
+class Step:
+    """Torques that are there from the start on."""
+
+    values: Array  # (n_joint,) [N m]
+
+    def __call__(self, t: float) -> Array:
+        return self.values
+
+
+class Nominal:
+    """`NominalTorque` traced once: more than ten times quicker to ask."""
+
+    def __init__(self, nominal: NominalTorque) -> None:
+        self.motion, self.breakpoints = nominal.motion, nominal.breakpoints
+        x = ca.SX.sym("x", 3 * len(nominal.links))
+        torques = inverse_dynamics(
+            nominal.links, *(ca.vertsplit(y) for y in ca.vertsplit(x, len(nominal.links))),
+            gravity=nominal.gravity,
+        )  # fmt: skip
+        self._torques = ca.Function("torques", [x], [ca.cse(ca.vertcat(*torques))])
+
+    def __call__(self, t: float) -> Array:
+        return np.array(self._torques(np.concatenate(self.motion(t)))).ravel()
+
+
+def load_scenario(path: Path) -> Scenario:
+    """The scenario in a YAML file."""
+    try:
+        return scenario_from_dict(read_mapping(path))
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+
+
+def scenario_from_dict(data: Mapping[str, object]) -> Scenario:
+    """A scenario from plain lists, numbers and text; every unknown key is refused."""
+    values = checks.mapping(data, "the scenario", KEYS)
+    for key in ("title", "about", "arm", "t_end"):
+        if key not in values:
+            raise ValueError(f"{key} is missing.")
+    arm = _arm(values)
+    initial = checks.mapping(values.get("initial", {}), "initial", ("q", "qd"))
+    coordinates = arm.names[arm.base.n :]
+    q, qd = (_named(initial.get(key, {}), f"initial.{key}", coordinates) for key in ("q", "qd"))
+    return Scenario(
+        title=checks.text(values["title"], "title"),
+        about=checks.text(values["about"], "about"),
+        arm=arm,
+        q=q,
+        qd=qd,
+        torque=None if values.get("torque") is None else _torque(values["torque"], arm, q, qd),
+        t_end=checks.positive(values["t_end"], "t_end", "s"),
+        n_out=checks.integer(values.get("n_out", N_OUT), "n_out", 2, 100_001),
+    )
+
+
+def _arm(values: Mapping[str, object]) -> Arm:
+    """The named or described arm, changed as the file says."""
+    source = values["arm"]
+    if not isinstance(source, str | Mapping):
+        raise ValueError(f"arm must be a preset's name or an arm file's mapping, got {source!r}.")
+    data = load_arm(source).to_dict()
+    links = data.get("links", [])
+    kept = checks.sequence(values.get("keep", list(range(1, len(links) + 1))), "keep")
+    links = [links[checks.integer(k, "keep", 1, len(links)) - 1] for k in kept]
+    flexible = _mapping(values.get("flexible", {}), "flexible")
+    links = [merged(link, flexible) if link.get("modes") else link for link in links]
+    for number, change in _mapping(values.get("links", {}), "links").items():
+        k = checks.integer(number, "a key of links", 1, len(links)) - 1
+        links[k] = merged(links[k], _mapping(change, f"links.{number}"))
+    if "payload" in values:
+        data["payload"] = values["payload"]
+    return load_arm(data | {"links": links})
+
+
+def merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """`old` with the entries of `new`; a mapping within is merged in turn."""
+    result = dict(old)
+    for key, value in new.items():
+        both = isinstance(value, Mapping) and isinstance(old.get(key), Mapping)
+        result[key] = merged(old[key], value) if both else value
+    return result
+
+
+def _mapping(value: object, name: str) -> Mapping[Any, Any]:
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be a mapping of keys to values, got {value!r}.")
+    return value
+
+
+def _named(data: object, name: str, known: tuple[str, ...]) -> dict[str, float]:
+    """Numbers by coordinate."""
+    values = _mapping(data, name)
+    if not known and values:
+        raise ValueError(f"{name} must be empty for an arm without joints, got {dict(values)!r}.")
+    named = checks.mapping(values, name, known) if known else {}
+    return {key: checks.number(value, f"{name}.{key}") for key, value in named.items()}
+
+
+def _torque(
+    data: object, arm: Arm, q: Mapping[str, float], qd: Mapping[str, float]
+) -> Callable[[float], Array]:
+    """The torque signal of one of TORQUES."""
+    kind = checks.choice(_mapping(data, "torque").get("type"), "torque.type", TORQUES)
+    values = checks.mapping(data, "torque", ("type", *TORQUES[kind]))
+    for key in TORQUES[kind]:
+        if key not in values:
+            raise ValueError(f"torque.{key} is missing.")
+    joints = tuple(arm.names[k] for k in arm.joint_index)
+    if kind == "nominal":
+        return _nominal(values, arm, joints, q, qd)
+    (key,) = TORQUES[kind]
+    named = _named(values[key], f"torque.{key}", joints)
+    entries = np.array([named.get(joint, 0.0) for joint in joints])
+    return Step(entries) if kind == "step" else Ramp(entries)
+
+
+def _nominal(
+    values: Mapping[str, object],
+    arm: Arm,
+    joints: tuple[str, ...],
+    q: Mapping[str, float],
+    qd: Mapping[str, float],
+) -> Nominal:
+    if arm.base.n or any(qd.values()):
+        raise ValueError(
+            "torque.type 'nominal' moves from rest on a fixed base, got "
+            f"base {arm.base.type!r} and initial.qd {dict(qd)!r}; take step or ramp."
+        )
+    goal = _named(values["goal"], "torque.goal", joints)
+    start = tuple(q.get(joint, 0.0) for joint in joints)
+    end = tuple(goal.get(joint, begin) for joint, begin in zip(joints, start, strict=True))
+    duration = checks.positive(values["duration"], "torque.duration", "s")
+    return Nominal(NominalTorque(arm, Cycloidal(start=start, goal=end, duration=duration)))

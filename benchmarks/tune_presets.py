@@ -1,0 +1,73 @@
+"""Rigidities of the presets whose EI no source gives, tuned to a frequency that one does.
+
+    python benchmarks/tune_presets.py
+
+Prints what stands in `dynamics/arms`, to five digits. A frequency grows with the root of EI, so
+that one correction settles it; where joint springs are tuned too, Newton's method does.
+"""
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from dynamics import ARMS, Arm
+from dynamics.published import alone, hertz
+
+SHUTTLE = (0.35, 0.46, 3.554, 4.228)  # [Hz] straight, held, unloaded
+
+
+def tuned_ruler() -> float:
+    """[N m^2] EI of the rotary flexible link: 3.0 Hz clamped."""
+    (link,) = ARMS["quanser-rotary-flexible-link"].links
+    return (link.EIz or 0.0) * (3.0 / hertz(alone(Arm(links=(link,)), 0, 6))[0]) ** 2
+
+
+def tuned_forearm() -> float:
+    """[N m^2] EI of the flexible forearm: 4.716 Hz on its free joint."""
+    arm = ARMS["sapienza-forearm"]
+    found = hertz(alone(arm, 1, 8, "pinned-free"), "free")[0]
+    return (arm.links[1].EIz or 0.0) * (4.716 / found) ** 2
+
+
+def tuned_large_arm() -> float:
+    """[N m^2] EI of both links of the arm like RALF: 6.37 Hz held, elbow at 90 degrees."""
+    arm = ARMS["ralf-like"]
+    found = hertz(arm, angles=(0.0, 0.5 * pi))[0]
+    return (arm.links[0].EIz or 0.0) * (6.37 / found) ** 2
+
+
+def tuned_shuttle() -> tuple[float, ...]:
+    """[N m^2] EI of both booms, [N m/rad] springs of yaw, pitch, elbow: the arm like the Shuttle's.
+
+    Four frequencies, straight, held and unloaded.
+    """
+    arm = ARMS["srms-like"]
+    EI = arm.links[1].EIz or 0.0
+    first = [EI, *(link.joint.stiffness or 0.0 for link in arm.links[:3])]
+
+    def error(logarithms: NDArray[np.float64]) -> NDArray[np.float64]:
+        found = hertz(_shuttle(arm, *np.exp(logarithms).tolist()))
+        return np.log(np.array(found[:4]) / SHUTTLE)
+
+    return tuple(np.exp(least_squares(error, np.log(first)).x).tolist())
+
+
+def _shuttle(arm: Arm, EI: float, *springs: float) -> Arm:
+    links = [
+        replace(link, EIz=EI, EIy=EI, GJ=EI / 1.3) if link.modes else link for link in arm.links
+    ]
+    for k, stiffness in enumerate(springs):
+        links[k] = replace(links[k], joint=replace(links[k].joint, stiffness=stiffness))
+    return replace(arm, links=tuple(links))
+
+
+if __name__ == "__main__":
+    print(f"quanser-rotary-flexible-link  EI tuned {tuned_ruler():.5g} N m^2")
+    print(f"sapienza-forearm              EI tuned {tuned_forearm():.5g} N m^2")
+    print(f"ralf-like                     EI tuned {tuned_large_arm():.5g} N m^2")
+    EI, *springs = tuned_shuttle()
+    print(f"srms-like                     EI tuned {EI:.5g} N m^2")
+    print(f"  springs of yaw, pitch, elbow {', '.join(f'{k:.5g}' for k in springs)} N m/rad")

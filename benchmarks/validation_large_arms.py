@@ -1,0 +1,155 @@
+"""The large arms: RALF of Yuan, Book and Huggins (1993), and the Shuttle's, Cyril's subject.
+
+Neither source has what a model needs; the presets beside them are tuned and say so.
+"""
+
+from dataclasses import replace
+from math import nan, pi, sqrt
+
+from benchmarks.validation_entries import (
+    INCOMPARABLE,
+    LOST,
+    REPLACED,
+    Number,
+    Table,
+    as_printed,
+    relatively,
+)
+from dynamics import ARMS, Mode, Payload
+from dynamics.published import hertz
+
+RALF = "Yuan, Book and Huggins 1993: RALF"
+SHUTTLE = "The Shuttle's arm, Cyril's subject: public data, none of them his"
+NOTES = {
+    RALF: "Tables are printed, their geometry is not: `ralf-like` is tuned to one number.",
+    SHUTTLE: "Frequencies of a finite-element model (Smithsonian NASM.2014.0025-bx011-fd006, table "
+    "4), transcribed without the payload's label, beside `srms-like`, tuned to the light load's "
+    "first four.",
+}
+INCH, POUND = 0.0254, 0.45359237  # [m], [kg]
+FORCE = 4.4482216152605  # [N] of a pound
+ELBOW = (0.0, 0.5 * pi)  # [rad] the posture that the preset is tuned at
+
+RALF_TABLES: dict[str, tuple[tuple[str | None, str | None], ...]] = {  # experiment, model [Hz]
+    "7.1, without actuators, experiment and finite elements": (
+        ("6.37", "5.95"), ("12.00", "12.78"), ("37.87", "30.19"), ("57.37", "60.60"),
+        ("94.?", "95.05"),
+    ),
+    "7.2, with actuators, experiment and finite elements": (
+        ("5.70", "6.08"), ("9.12", "9.12"), ("30.00", "29.70"), ("49.50", None),
+    ),
+    "7.3, with actuators, experiment and simplified model": (
+        ("5.70", "5.82"), ("9.12", "9.18"), ("30.00", None), ("55.70", None),
+    ),
+}  # fmt: skip
+
+
+def ralf_tables() -> list[Table]:
+    """The large arm: arithmetic of the printed actuators, and tables whose geometry is lost."""
+    like = ARMS["ralf-like"]
+    ours = hertz(like, angles=ELBOW)
+    more = tuple(
+        replace(link, modes=tuple(Mode(kind="poly", index=k, direction="y") for k in range(1, 6)))
+        for link in like.links
+    )
+    finer = hertz(replace(like, links=more), angles=ELBOW)
+    result = [
+        Table(
+            chapter=RALF, title="Printed data", demand="within rounding of the print",
+            rows=(
+                *as_printed(("length of a link, 10 ft",), "3.048", "m"),
+                *as_printed(("structure, 70 lb",), "31.75", "kg"),
+                *relatively(("hydraulic spring 1, 1.54e3 lb/in",), "2.697e5", "N/m", 5e-4),
+                *relatively(("hydraulic spring 2, 6.03e3 lb/in",), "1.056e6", "N/m", 5e-4),
+                *as_printed(("hydraulic frequency 1 of (7.1a)",), "43.6", "Hz", 1.01),
+                *as_printed(("hydraulic frequency 2 of (7.1b)",), "50.0", "Hz"),
+                *as_printed(("damping ratio of (7.1b)",), "0.770", "", 1.01),
+                Number(
+                    quantity="damping ratio of (7.1a)", printed="", claim=LOST,
+                    remark="3.8?6e2: the unreadable digit is 3 or 8, ζ = 0.700 or 0.709",
+                ),
+            ),
+            ours=lambda: [
+                120 * INCH, 70 * POUND, 1.54e3 * FORCE / INCH, 6.03e3 * FORCE / INCH,
+                sqrt(7.509e4) / (2 * pi), sqrt(9.869e4) / (2 * pi), 4.838e2 / (2 * sqrt(9.869e4)),
+                nan,
+            ],
+        )
+    ]  # fmt: skip
+    for title, pairs in RALF_TABLES.items():
+        rows: list[Number] = []
+        values: list[float] = []
+        for k, pair in enumerate(pairs):
+            for column, digits in zip(("experiment", "model"), pair, strict=True):
+                if digits is None:
+                    continue
+                shown = title.startswith("7.1") and column == "experiment"
+                tuned = shown and k == 0
+                rows.append(
+                    Number(
+                        quantity=f"mode {k + 1}, {column}", unit="Hz",
+                        printed="" if "?" in digits else digits,
+                        claim=REPLACED if tuned else LOST,
+                        remark=_remark(digits, shown, tuned),
+                    )
+                )  # fmt: skip
+                values.append((ours if k == 0 else finer)[k] if shown else nan)
+        result.append(
+            Table(
+                chapter=RALF, title=f"Table {title}", rows=tuple(rows),
+                demand="shown only: section, joints and lever arms are not printed",
+                ours=lambda v=values: v,  # type: ignore[misc]
+            )
+        )  # fmt: skip
+    return result
+
+
+def _remark(digits: str, shown: bool, tuned: bool) -> str:
+    if tuned:
+        return "ours: ralf-like, EI tuned to this"
+    if "?" in digits:
+        return f"{digits}: a digit is unreadable"
+    return "ours: ralf-like, five shapes per link" if shown else "needs the printed arm's geometry"
+
+
+CONFIGURATION_S = {  # configuration S, presumably straight: printed [Hz], light and heavy payload
+    "light": ("0.346", "0.461", "3.554", "4.228", "14.98", "15.14"),
+    "heavy": ("0.0274", "0.0329", "0.0578", "0.140", "0.438", "2.976"),
+}
+
+
+def shuttle_tables() -> list[Table]:
+    """The Shuttle's arm: public frequencies of another model, beside the tuned preset."""
+    like = ARMS["srms-like"]
+    loaded = replace(like, payload=Payload(mass=32_000 * POUND))
+    own = {"light": hertz(like), "heavy": hertz(loaded)}
+    return [
+        Table(
+            chapter=SHUTTLE,
+            title=f"Lowest frequencies, configuration S, {load} payload",
+            demand="shown only: EI and springs tuned, payload and posture of the source unknown",
+            rows=tuple(
+                Number(
+                    quantity=f"mode {k}", printed=digits, unit="Hz",
+                    claim=REPLACED if load == "light" and k < 3 else INCOMPARABLE,
+                    remark=_load_remark(load, k),
+                )
+                for k, digits in enumerate(printed, 1)
+            ),
+            ours=lambda f=own[load]: f[:6],  # type: ignore[misc]
+        )
+        for load, printed in CONFIGURATION_S.items()
+    ]  # fmt: skip
+
+
+def _load_remark(load: str, mode: int) -> str:
+    if load == "heavy":
+        return "ours: srms-like, tuned unloaded, point mass of 32 000 lb" * (mode == 1)
+    return (
+        "srms-like is tuned to it, rounded" if mode < 3 else "srms-like is tuned to it" * (mode < 5)
+    )
+
+
+def tables() -> list[Table]:
+    """RALF and the Shuttle's arm."""
+    return [*ralf_tables(), *shuttle_tables()]

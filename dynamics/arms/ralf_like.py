@@ -1,0 +1,47 @@
+"""An arm like RALF, the large two-link arm of Yuan, Book and Huggins (1993), as far as they say.
+
+Printed are two hollow cylindrical links of 10 ft and about 70 lb in all. Their section is lost, so
+the mass is spread evenly and EI is tuned: at the chosen posture, elbow at 90 degrees and joints
+held, the first frequency is the measured 6.37 Hz. The second is then 17.4 Hz, not the measured
+12.0 Hz. Not here: the parallel drive of the second joint, the hydraulic springs and their lag.
+"""
+
+from math import pi
+
+from dynamics.arm import Arm, Joint, Link, Mode
+from dynamics.published import Check, mass, mode_of_arm
+
+_SOURCE = "Yuan, Book and Huggins, 'Dynamics of flexible manipulator arms', 1993"
+_LENGTH = 3.048  # [m] 10 ft, printed
+_MASS = 31.75  # [kg] printed: about 70 lb
+_ELBOW = 0.5 * pi  # [rad] chosen posture
+_LINK = Link(
+    length=_LENGTH,
+    rho_A=_MASS / (2.0 * _LENGTH),
+    EIz=5.2403e5,  # tuned to 6.37 Hz: benchmarks/tune_presets.py
+    modes=tuple(Mode(kind="poly", index=index, direction="y") for index in (1, 2)),
+    damping_ratio=0.02,  # printed as about 0.2 or 0.02, illegible; motions of 2 s need 0.02
+    joint=Joint(),
+)
+
+ARM = Arm(
+    name="ralf-like",
+    description=(
+        "Two 10 ft links with the mass of RALF, the arm of Yuan, Book and Huggins, 1993; EI tuned "
+        "to its first frequency; without its parallel drive, hydraulic springs and lag."
+    ),
+    gravity=(0.0, -9.81, 0.0),
+    links=(_LINK, _LINK),
+)
+
+CHECKS = (
+    Check(
+        quantity="first frequency, elbow at 90 degrees, joints held (EI tuned to it)", unit="Hz",
+        expected=6.37, tolerance=1e-3, source=_SOURCE + ", table 7.1, measured without actuators",
+        measure=mode_of_arm(1, angles=(0.0, _ELBOW)),
+    ),
+    Check(
+        quantity="mass of the structure", unit="kg", expected=31.75, tolerance=1e-3,
+        source=_SOURCE, measure=mass,
+    ),
+)  # fmt: skip

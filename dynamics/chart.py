@@ -1,0 +1,68 @@
+"""Compiled conversions of a free base's state: from what callers hold to what steps run on.
+
+See free_base.py. Lane by lane on the flat workspace; once per call, so in plain scalars.
+"""
+
+from numba.extending import register_jitable
+
+from dynamics.attitude import from_rotation_vector, rotation_matrix, to_rotation_vector
+from dynamics.kernels import compiled
+
+quaternion = register_jitable(from_rotation_vector)
+matrix = register_jitable(rotation_matrix)
+rotation_vector = register_jitable(to_rotation_vector)
+
+
+@compiled
+def enter(w, lanes, q, v, attitude):  # type: ignore[no-untyped-def]
+    """From position and rotation vector to the frame turned to the present attitude."""
+    three, number = 3 * lanes, w.dtype.type
+    for b in range(lanes):
+        at = q + three + b
+        turn = quaternion((w[at], w[at + lanes], w[at + lanes + lanes]))
+        for i in range(4):
+            w[attitude + i * lanes + b] = number(turn[i])
+        for i in range(3):
+            w[at + i * lanes] = number(0.0)
+    turn_in(w, lanes, q, attitude)
+    turn_in(w, lanes, v, attitude)
+
+
+@compiled
+def leave(w, lanes, q, v, attitude):  # type: ignore[no-untyped-def]
+    """Inverse of `enter`."""
+    turn_out(w, lanes, q, attitude)
+    turn_out(w, lanes, v, attitude)
+    for b in range(lanes):
+        at = attitude + b
+        vector = rotation_vector(
+            (w[at], w[at + lanes], w[at + lanes + lanes], w[at + lanes + lanes + lanes])
+        )
+        for i in range(3):
+            w[q + (3 + i) * lanes + b] = w.dtype.type(vector[i])
+
+
+@compiled
+def turn_in(w, lanes, x, attitude):  # type: ignore[no-untyped-def]
+    """A vector of the world as the base's own frame sees it."""
+    two = lanes + lanes
+    for b in range(lanes):
+        at = attitude + b
+        R = matrix((w[at], w[at + lanes], w[at + two], w[at + two + lanes]))
+        first, second, third = w[x + b], w[x + lanes + b], w[x + two + b]
+        for i in range(3):
+            own = R[0][i] * first + R[1][i] * second + R[2][i] * third
+            w[x + i * lanes + b] = w.dtype.type(own)
+
+
+@compiled
+def turn_out(w, lanes, x, attitude):  # type: ignore[no-untyped-def]
+    """Inverse of `turn_in`."""
+    two = lanes + lanes
+    for b in range(lanes):
+        at = attitude + b
+        R = matrix((w[at], w[at + lanes], w[at + two], w[at + two + lanes]))
+        first, second, third = w[x + b], w[x + lanes + b], w[x + two + b]
+        for i in range(3):
+            world = R[i][0] * first + R[i][1] * second + R[i][2] * third
+            w[x + i * lanes + b] = w.dtype.type(world)

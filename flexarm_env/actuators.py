@@ -1,0 +1,270 @@
+"""Actuators between an action and the torque at a joint: a table of them, and presets.
+
+An actuator is linear, then limited. With u the action in [-1, 1], w and q the joint's rate and
+angle,
+
+    x' = A x + B u + E w,    torque = C x + D u - damping w - stiffness q,
+
+clipped to a torque limit, then to a rate of change. `drives.py` compiles them into the control
+step. What a motor adds to its joint, rotor inertia and friction, joins the arm's own.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import Any, ClassVar, Protocol
+
+from dynamics import Arm, checks
+
+Vector = tuple[float, ...]
+_INCH, _POUND = 0.0254, 4.4482216  # [m], [N]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law:
+    """One joint's actuator in the terms of this module's head; k states."""
+
+    unit: str  # of the command
+    command: float  # at action 1
+    A: tuple[Vector, ...] = ()  # (k, k)
+    B: Vector = ()  # (k,)
+    E: Vector = ()  # (k,)
+    C: Vector = ()  # (k,)
+    D: float = 0.0  # [N m]
+    damping: float = 0.0  # [N m s/rad]
+    stiffness: float = 0.0  # [N m/rad]
+    torque_limit: float = math.inf  # [N m]
+    rate_limit: float = math.inf  # [N m/s]
+    rest: Vector = ()  # (k,) states without torque, per radian of the joint
+    stall: float | None = None  # [N m] torque at action 1 and rest; None: it grows with time
+
+
+class Actuator(Protocol):
+    """What an entry of ACTUATORS describes."""
+
+    def law(self, usual: float) -> Law:
+        """Its equations; `usual` [N m] is what an ideal torque source would give this joint."""
+
+
+def _clean(actuator: Any, **units: str) -> None:
+    """Store checked positive numbers; what is None stays it."""
+    for name, unit in units.items():
+        value = getattr(actuator, name)
+        if value is not None:
+            what = f"actuator {actuator.type}.{name}"
+            object.__setattr__(actuator, name, checks.positive(value, what, unit))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limited:
+    """A torque source with a limit on how fast its torque may change."""
+
+    type: ClassVar = "limited"
+    torque_limit: float | None = None  # [N m] at action 1; None: the environment's usual one
+    rate_limit: float | None = None  # [N m/s]
+
+    def __post_init__(self) -> None:
+        _clean(self, torque_limit="N m", rate_limit="N m/s")
+
+    def law(self, usual: float) -> Law:
+        """torque = D u."""
+        most = self.torque_limit or usual
+        return Law(
+            unit="N m", command=most, D=most, stall=most, rate_limit=self.rate_limit or math.inf
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DCMotor:
+    """A voltage-driven motor with permanent magnets behind a gear.
+
+    L i' = V - R i - k_e N w,   torque = efficiency N k_t i; without L, L i' is left out. The
+    efficiency is the same when the load drives the motor.
+    """
+
+    type: ClassVar = "dc-motor"
+    resistance: float  # [ohm]
+    torque_constant: float  # [N m/A]
+    back_emf: float  # [V s/rad]
+    voltage_limit: float  # [V] at action 1
+    inductance: float | None = None  # [H]
+    gear: float = 1.0  # [-] turns of the motor per turn of the joint
+    efficiency: float = 1.0  # [-]
+    rotor_inertia: float = 0.0  # [kg m^2] on the motor's shaft; the joint feels it times gear^2
+    viscous: float = 0.0  # [N m s/rad] friction at the joint, gear included
+    coulomb: float = 0.0  # [N m] friction at the joint, gear included
+    torque_limit: float | None = None  # [N m] at the joint, of what the motor gives
+    rate_limit: float | None = None  # [N m/s] at the joint
+
+    def __post_init__(self) -> None:
+        _clean(
+            self, resistance="ohm", torque_constant="N m/A", back_emf="V s/rad",
+            voltage_limit="V", inductance="H", gear="-", efficiency="-", torque_limit="N m",
+            rate_limit="N m/s",
+        )  # fmt: skip
+        for name, unit in (
+            ("rotor_inertia", "kg m^2"), ("viscous", "N m s/rad"), ("coulomb", "N m"),
+        ):  # fmt: skip
+            value = checks.nonnegative(getattr(self, name), f"actuator {self.type}.{name}", unit)
+            object.__setattr__(self, name, value)
+        if self.efficiency > 1.0:
+            raise ValueError(
+                f"actuator dc-motor.efficiency must be at most 1, got {self.efficiency!r}."
+            )
+
+    @property
+    def no_load_speed(self) -> float:
+        """[rad/s] of the joint at full voltage, without load and friction."""
+        return self.voltage_limit / (self.back_emf * self.gear)
+
+    def law(self, usual: float) -> Law:
+        """The current is the state, or follows at once."""
+        per_ampere = self.efficiency * self.gear * self.torque_constant  # [N m/A] at the joint
+        free = per_ampere * self.voltage_limit / self.resistance  # [N m] at rest, not yet limited
+        most = self.torque_limit or math.inf
+        result = Law(
+            unit="V",
+            command=self.voltage_limit,
+            torque_limit=most,
+            rate_limit=self.rate_limit or math.inf,
+            stall=min(free, most),
+        )
+        if self.inductance is None:
+            return replace(result, D=free, damping=free / self.no_load_speed)
+        L = self.inductance
+        return replace(
+            result,
+            A=((-self.resistance / L,),),
+            B=(self.voltage_limit / L,),
+            E=(-self.back_emf * self.gear / L,),
+            C=(per_ampere,),
+            rest=(0.0,),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hydraulic:
+    """A piston behind a valve that turns the joint through the spring of its oil.
+
+    Valve voltage to piston position as in Yuan, Book and Huggins (1993), (7.1):
+    x_p / V = velocity_gain w^2 / [s (s^2 + 2 z w s + w^2)], not held up by its load. The joint
+    feels torque = r k (x_p - r q): r the lever arm, k the stiffness of oil and mounting.
+    """
+
+    type: ClassVar = "hydraulic"
+    natural_frequency: float  # [rad/s] w
+    damping: float  # [-] z
+    velocity_gain: float  # [m/s per V] of the piston at a steady voltage
+    voltage_limit: float  # [V] at action 1
+    stiffness: float  # [N/m] k
+    lever_arm: float  # [m] r
+    torque_limit: float | None = None  # [N m] by relief valves
+    rate_limit: float | None = None  # [N m/s]
+
+    def __post_init__(self) -> None:
+        _clean(
+            self, natural_frequency="rad/s", damping="-", velocity_gain="m/s/V", voltage_limit="V",
+            stiffness="N/m", lever_arm="m", torque_limit="N m", rate_limit="N m/s",
+        )  # fmt: skip
+
+    def law(self, usual: float) -> Law:
+        """States: the piston's position over the lever arm [rad], its rate and acceleration."""
+        w = self.natural_frequency
+        spring = self.stiffness * self.lever_arm**2
+        return Law(
+            unit="V",
+            command=self.voltage_limit,
+            A=((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, -w * w, -2.0 * self.damping * w)),
+            B=(0.0, 0.0, w * w * self.velocity_gain * self.voltage_limit / self.lever_arm),
+            E=(0.0, 0.0, 0.0),
+            C=(spring, 0.0, 0.0),
+            stiffness=spring,
+            torque_limit=self.torque_limit or math.inf,
+            rate_limit=self.rate_limit or math.inf,
+            rest=(1.0, 0.0, 0.0),
+        )
+
+
+ACTUATORS: dict[str, Any] = {entry.type: entry for entry in (Limited, DCMotor, Hydraulic)}
+
+_LEVER = 0.5  # [m]
+PRESETS: dict[str, Actuator] = {
+    # Quanser set-up script config_servo_exp: SRV02 in high gear, +-10 V, amplifier's 5 A. Its
+    # inertia and friction are those of the arm quanser-rotary-flexible-link already.
+    "quanser-servo": DCMotor(
+        resistance=2.6, torque_constant=7.67e-3, back_emf=7.67e-3, gear=70.0,
+        efficiency=0.90 * 0.69, voltage_limit=10.0, torque_limit=0.90 * 0.69 * 70.0 * 7.67e-3 * 5.0,
+    ),
+    # (7.1a), (7.1b) and hydraulic springs of Yuan, Book and Huggins (1993). In print a digit of
+    # the first damping is illegible (0.700 or 0.709) and gains have no unit: here inches, as the
+    # springs. Lost: lever arms and voltages.
+    "ralf-1": Hydraulic(
+        natural_frequency=math.sqrt(7.509e4), damping=0.700, velocity_gain=0.0695 * _INCH,
+        voltage_limit=10.0, stiffness=1.54e3 * _POUND / _INCH, lever_arm=_LEVER,
+    ),
+    "ralf-2": Hydraulic(
+        natural_frequency=math.sqrt(9.869e4), damping=0.770, velocity_gain=0.0342 * _INCH,
+        voltage_limit=10.0, stiffness=6.03e3 * _POUND / _INCH, lever_arm=_LEVER,
+    ),
+}  # fmt: skip
+
+
+def load_actuators(source: object, n_joint: int) -> tuple[Actuator, ...]:
+    """One actuator per joint from a preset's name, a dict, or a list of them; () for None."""
+    if source is None:
+        return ()
+    if isinstance(source, str | Mapping):
+        return (_load(source),) * n_joint
+    if not isinstance(source, Sequence) or len(source) != n_joint:
+        raise ValueError(
+            f"actuator must be a name, a dict, or a list of {n_joint} (one per joint), "
+            f"got {source!r}."
+        )
+    return tuple(_load(entry) for entry in source)
+
+
+def _load(source: object) -> Actuator:
+    if isinstance(source, str):
+        if source not in PRESETS:
+            raise ValueError(
+                f"Unknown actuator {source!r}. Known: {sorted(PRESETS)}; or give a dict with a "
+                f'"type" of {sorted(ACTUATORS)}.'
+            )
+        return PRESETS[source]
+    if not isinstance(source, Mapping):
+        raise ValueError(f"An actuator must be a name or a dict, got {source!r}.")
+    kind = checks.choice(source.get("type"), 'actuator["type"]', ACTUATORS)
+    known = fields(ACTUATORS[kind])
+    data = checks.mapping(source, f"actuator {kind}", ["type", *(f.name for f in known)])
+    missing = [f.name for f in known if f.default is MISSING and f.name not in data]
+    if missing:
+        raise ValueError(f"actuator {kind} needs {missing}; got {sorted(data)}.")
+    del data["type"]
+    actuator: Actuator = ACTUATORS[kind](**data)
+    return actuator
+
+
+def mounted(arm: Arm, actuators: tuple[Actuator, ...]) -> Arm:
+    """The arm with what its motors add to the joints: rotor inertia and friction."""
+    links = list(arm.links)
+    for i, motor in enumerate(actuators):
+        if isinstance(motor, DCMotor):
+            joint = links[i].joint
+            joint = replace(
+                joint,
+                rotor_inertia=joint.rotor_inertia + motor.gear**2 * motor.rotor_inertia,
+                viscous=joint.viscous + motor.viscous,
+                coulomb=joint.coulomb + motor.coulomb,
+            )
+            links[i] = replace(links[i], joint=joint)
+    return replace(arm, links=tuple(links))
+
+
+def refuse_beside_actuators(**keywords: Any) -> None:
+    """Keywords that speak of ideal torque sources only."""
+    for name, value in keywords.items():
+        if value is not None:
+            raise ValueError(
+                f"{name} ({value!r}) is for ideal torque sources; leave it out beside actuator, "
+                "whose own data say what it gives."
+            )

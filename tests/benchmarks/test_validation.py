@@ -1,0 +1,142 @@
+"""The validation page: its verdicts hold, and nothing but a comparison can give them."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from benchmarks import validation, validation_counts, validation_pd, validation_slim
+from benchmarks.validation_entries import Number, Table, as_printed
+from benchmarks.validation_page import HONESTY, page
+from benchmarks.validation_pd import STEPS, Step
+from dynamics import compile_arm
+from dynamics.published import alone
+
+
+@pytest.fixture(scope="module")
+def stored() -> dict[str, Any]:
+    return json.loads(validation.data_of(validation.PAGE).read_text(encoding="utf-8"))
+
+
+def test_every_verdict_of_the_short_form_is_the_stored_one(stored: dict[str, Any]) -> None:
+    """If one has changed for good reason: python benchmarks/validation.py"""
+    known = validation.verdicts(stored["tables"], quick=True)
+    assert len(known) > 300
+    assert validation.changed(validation.verdicts(validation.run(quick=True)), known) == []
+
+
+def test_the_committed_page_is_that_of_the_data(stored: dict[str, Any]) -> None:
+    text = validation.PAGE.read_text(encoding="utf-8")
+    assert text == page(stored) + "\n"
+    for link in ("results/validation.json", "validation_slim_step.png"):
+        assert link in text
+    for picture in validation.PAGE.parent.joinpath("results").glob("validation_*.png"):
+        assert picture.name in text
+
+
+def test_no_number_is_missed(stored: dict[str, Any]) -> None:
+    found = validation.verdicts(stored["tables"])
+    assert "not reproduced" not in found.values()
+    assert {kind for _, _, kind, _ in HONESTY} <= set(found.values())
+
+
+def test_a_number_is_judged_by_its_distance() -> None:
+    (row,) = as_printed(("f",), "2.096", "Hz")
+    assert row.verdict(2.0964) == "reproduced"
+    assert row.verdict(2.0966) == "not reproduced"
+    assert row.verdict(float("nan")) == "not reproduced"
+
+
+def test_an_error_in_print_must_miss_the_print_and_meet_the_correction() -> None:
+    row = Number(quantity="f", printed="41.524", within=0.05, correct=40.524)
+    assert row.verdict(40.52) == "error in print"
+    assert row.verdict(41.52) == "not reproduced"
+    assert row.verdict(39.52) == "not reproduced"
+    assert replace(row, within=2.0).verdict(40.52) == "not reproduced"  # tells nothing
+
+
+def test_a_table_refuses_results_that_do_not_fit_its_numbers() -> None:
+    table = Table(
+        chapter="c", title="t", rows=as_printed(("a", "b"), "1 2"), ours=lambda: [1.0], demand="d"
+    )
+    with pytest.raises(ValueError, match="t: 2 numbers but 1 results"):
+        table.results()
+
+
+def test_a_changed_verdict_is_named() -> None:
+    assert validation.changed({"a": "x", "b": "y"}, {"a": "x", "b": "z", "c": "y"}) == [
+        "b: z -> y",
+        "c: y -> gone",
+    ]
+
+
+def test_counts_of_our_code_join_once_they_exist(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "operations.json"
+    monkeypatch.setattr(validation_counts, "COUNTED", file)
+    assert validation_counts.counted() == []
+    entry = {"quantity": "M and h, multiplications", "theirs": 19557, "ours": 10, "remark": "r"}
+    file.write_text(json.dumps({"validation": [entry]}))
+    (table,) = validation_counts.counted()
+    (row,) = table.results()
+    assert (row["ours"], row["theirs"], row["verdict"]) == (10.0, "19557", "not comparable")
+
+
+# ---- joint PD control ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_V_falls_by_the_work_of_the_joint_damping(name: str) -> None:
+    """From M and K on one side, from the motion's joint rates on the other."""
+    fault, rise = validation_pd.balance(STEPS[name])
+    assert fault < 1e-8
+    assert rise < 1e-10
+    response = validation_pd.respond(STEPS[name])
+    assert response.V[-1] < 0.05 * response.V[0]
+
+
+def test_V_stays_without_joint_damping_and_falls_faster_with_damped_links() -> None:
+    """What the theorem leaves out shows: the balance is no tautology."""
+    step = STEPS["slim"]
+    free = validation_pd.respond(replace(step, K_D=(0.0,)), 0.3)
+    assert_allclose(free.V, free.V[0], rtol=1e-9)
+    links = tuple(replace(link, damping_ratio=0.05) for link in step.arm.links)
+    damped = validation_pd.respond(replace(step, arm=replace(step.arm, links=links)), 0.3)
+    assert np.min(damped.V + damped.spent) < 0.999 * damped.V[0]
+
+
+def test_under_gravity_V_without_gravity_may_rise() -> None:
+    """The proof needs g = 0: the same arm hung from its joint sags past its target."""
+    step = STEPS["slim"]
+    hung = Step(
+        title="hung", arm=replace(step.arm, gravity=(0.0, -9.81, 0.0)), target=(0.0,),
+        K_P=step.K_P, K_D=step.K_D,
+    )  # fmt: skip
+    response = validation_pd.respond(hung, 0.3)
+    model = compile_arm(hung.arm)
+    gravity = [model.energy(q, v)[2] for q, v in zip(response.q, response.v, strict=True)]
+    without = response.V - np.array(gravity)
+    assert np.diff(without).max() > 1e-4
+    assert np.abs(response.V + response.spent - response.V[0]).max() < 1e-9  # with it, a balance
+
+
+def test_gauges_under_a_static_tip_load_read_in_proportion_to_the_lever() -> None:
+    """Half the strain at mid-length."""
+    model = compile_arm(alone(validation_slim.SLIM, 0, 2, "poly"))
+    delta = np.linalg.solve(model.stiffness[1:, 1:], np.ones(2))
+    base, middle = validation_pd.strains(model, np.array([[0.0, *delta]]))[0]
+    assert middle == pytest.approx(0.5 * base, rel=1e-10)
+    assert base > 0.0
+
+
+def test_a_gain_takes_the_joint_from_free_to_held() -> None:
+    """Both frequencies rise with it, between 0 and 2.096, 7.446 and 13.989 Hz."""
+    found = validation_pd.stiffened(np.geomspace(1e-6, 1e6, 9).tolist())
+    assert np.all(np.diff(found, axis=0) > 0.0)
+    assert found[-1] == pytest.approx([2.096, 13.989], rel=1e-3)
+    assert found[0, 1] == pytest.approx(validation_slim.on_hub(0.01, 2)[0], rel=1e-6)

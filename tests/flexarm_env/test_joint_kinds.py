@@ -1,0 +1,64 @@
+"""Joints with springs in environments; joints that slide are refused."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import flexarm_env  # noqa: F401
+from dynamics import ARMS, Arm, Link
+from flexarm_env.core import Core
+from flexarm_env.rendering import Renderer
+
+ID = "FlexArm/OneLink-Reach-v0"
+
+
+def sprung(link: Link, stiffness: float = 50.0) -> Arm:
+    joint = replace(link.joint, stiffness=stiffness, spring_damping=0.01, rotor_inertia=0.02)
+    return Arm(links=(replace(link, joint=joint),))
+
+
+(SLIM,) = ARMS["slim"].links
+RIGID = replace(SLIM, modes=(), damping_ratio=0.0)
+
+
+@pytest.mark.parametrize("link", [SLIM, RIGID], ids=["flexible link", "rigid link"])
+def test_encoders_read_the_rotor_of_a_sprung_joint(link: Link) -> None:
+    """The spring twists under torque; what is observed of the joint is the rotor alone."""
+    env = gym.make(ID, arm=sprung(link), render_mode="rgb_array")
+    env.reset(seed=0)
+    for _ in range(10):
+        env.step(env.action_space.high)
+    core = env.unwrapped.core  # type: ignore[attr-defined]
+
+    angles, rates = core.joint_state()
+
+    assert core.model.names[:2] == ["q1", "s1"]
+    assert abs(core.q[0, 1]) > 1e-4
+    assert np.array_equal(angles[0], core.q[0, :1])
+    assert np.array_equal(rates[0], core.v[0, :1])
+    assert env.render().std() > 0.0
+
+
+def test_a_sprung_joint_is_drawn_where_it_is() -> None:
+    """The picture's own kinematics turns the link by rotor and twist."""
+    core = Core(task="Reach", arm=sprung(SLIM))
+    q = np.array([0.7, -0.4, 0.03, 0.001])
+    drawn = Renderer(core).shapes(core, q, 1.0)[-1][-1]
+    np.testing.assert_allclose(drawn, core.model.tip(q), atol=1e-12)
+
+
+def test_torque_limits_of_a_sprung_rigid_arm_are_those_of_the_rigid_arm() -> None:
+    """A spring may twist as far as it will: no deflection bounds the torque."""
+    rigid = replace(RIGID, joint=replace(RIGID.joint, rotor_inertia=0.02))
+    found, expected = (
+        gym.make(ID, arm=arm).unwrapped.core.torque_limit  # type: ignore[attr-defined]
+        for arm in (sprung(RIGID), Arm(links=(rigid,)))
+    )
+    assert np.array_equal(found, expected)
+
+
+def test_an_arm_that_slides_is_refused_with_a_sentence() -> None:
+    with pytest.raises(ValueError, match="joint 3 is prismatic"):
+        gym.make(ID, arm="stanford")
