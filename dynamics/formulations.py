@@ -53,7 +53,7 @@ FIXED_BASE_AND_HINGES = {
     }),
     "Link": frozenset({
         "length", "rho_A", "EIz", "EIy", "GJ", "EA", "rho_Ip", "tip_mass", "tip_inertia", "modes",
-        "damping_ratio", "damping_beta", "segments", "joint",
+        "damping_ratio", "damping_beta", "segments", "joint", "body",
     }),
 }  # fmt: skip
 
@@ -73,14 +73,22 @@ def formulation_for(arm: Arm, name: str) -> Formulation:
     """The formulation of that name; refuses what is unknown or does not know all of the arm."""
     if name not in FORMULATIONS:
         raise ValueError(f"Unknown formulation {name!r}. Known: {sorted(FORMULATIONS)}.")
-    formulation = FORMULATIONS[name]
+    refusal = why_not(arm, name)
+    if refusal:
+        raise ValueError(refusal)
+    return FORMULATIONS[name]
+
+
+def why_not(arm: Arm, name: str) -> str | None:
+    """One sentence on what a formulation does not know of an arm, if anything."""
+    knows = FORMULATIONS[name].knows
     for owner, field, value in _described(arm):
-        if formulation.knows is not None and field not in formulation.knows[owner]:
-            raise ValueError(
+        if knows is not None and field not in knows[owner]:
+            return (
                 f"Formulation {name!r} does not know {owner}.{field}, got {value!r}; "
                 'leave it at its default or use "gibbs_appell".'
             )
-    return formulation
+    return None
 
 
 def _described(arm: Arm) -> Iterator[tuple[str, str, object]]:
