@@ -48,11 +48,11 @@ def follow(scenario: Scenario, arm: Arm) -> Run:
         warnings.simplefilter("always")
         path = simulate(model, q, v, scenario.torque, scenario.times, rtol=RTOL)
     said = tuple(dict.fromkeys(str(warning.message) for warning in caught))
-    joints, rates = (_across(arm, x) for x in (path.q, path.v))
+    joints, rates = (across(arm, x) for x in (path.q, path.v))
     return Run(model, path, joints, rates, *deflections(model, path.q, path.v), said)
 
 
-def _across(arm: Arm, x: Array) -> Array:
+def across(arm: Arm, x: Array) -> Array:
     """(N, n_joint) coordinates (N, n) of the joints with the twists of their springs."""
     columns = [
         x[:, k] + (x[:, k + 1] if link.joint.elastic else 0.0)

@@ -100,6 +100,23 @@ def test_a_scenario_changes_only_what_it_says() -> None:
     assert {mode.direction for link in arm.links for mode in link.modes} == {"y"}
 
 
+def test_the_ramp_ends_at_the_step() -> None:
+    ramp, step = (scenarios.load(f"one-link-{kind}").torque for kind in ("ramp", "step"))
+    assert ramp is not None
+    assert step is not None
+
+    assert_allclose([ramp(0.0), ramp(1.0), ramp(2.0)], [[0.0], [2.5], [5.0]])
+    assert_allclose([step(0.0), step(2.0)], [[5.0], [5.0]])
+
+
+def test_a_sprung_joint_counts_with_its_twist() -> None:
+    arm = scenarios.load("planar-arm").arm
+    values = {"q1": 1.0, "s1": 0.1, "q2": 2.0, "s2": 0.2, "q3": 3.0}
+    row = np.array([[values.get(name, 9.0) for name in arm.names]])
+
+    assert_allclose(scenario_runs.across(arm, row), [[1.1, 2.2, 3.0]])
+
+
 def test_the_damping_of_the_loaded_arm_is_half_a_per_cent() -> None:
     """Of its lowest mode, from the decay of the linearised arm held at its joints."""
     arm = scenarios.load("spatial-arm-500kg-damped").arm
