@@ -77,14 +77,22 @@ def test_a_changed_verdict_is_named() -> None:
 def test_counts_of_our_code_join_once_they_exist(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = tmp_path / "operations.json"
-    monkeypatch.setattr(validation_counts, "COUNTED", file)
-    assert validation_counts.counted() == []
-    entry = {"quantity": "M and h, multiplications", "theirs": 19557, "ours": 10, "remark": "r"}
-    file.write_text(json.dumps({"validation": [entry]}))
+    found = json.loads(validation_counts.COUNTED.read_text())
+    (six,) = [
+        case["M and h"]
+        for case in found["cases"]
+        if (case["size"], case["arm"]) == ([6, 6, 2], "general")
+        and (case["formulation"], case["rotation"]) == ("gibbs_appell", "linear")
+    ]
     (table,) = validation_counts.counted()
-    (row,) = table.results()
-    assert (row["ours"], row["theirs"], row["verdict"]) == (10.0, "19557", "not comparable")
+    rows = {row["quantity"]: row for row in table.results()}
+    row = rows["gibbs_appell, (6, 6, 2), additions"]
+    assert (row["theirs"], row["verdict"]) == ("18332", "not comparable")
+    assert row["ours"] == six["additions"]
+    assert "the preset six-link, folded, multiplications" in rows
+
+    monkeypatch.setattr(validation_counts, "COUNTED", tmp_path / "operations.json")
+    assert validation_counts.counted() == []
 
 
 # ---- joint PD control ----------------------------------------------------------------------------
