@@ -8,7 +8,6 @@ number of a line: the first link or segment is cheaper, for its root rests.
 """
 
 import argparse
-import json
 import sys
 from functools import partial
 from pathlib import Path
@@ -22,11 +21,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.model_choice import ACROSS
-from benchmarks.output import provenance, save_figure
-from benchmarks.timing import cpu_seconds
+from benchmarks.output import provenance, save_figure, save_results
 from dynamics import Arm, Joint, Link, Mode, Stepper, compile_arm
 from dynamics.checks import IDENTITY
 from dynamics.lowering import operations
+from flexarm_env.timing import cpu_seconds
 
 DEFAULT_ARMS = ("slim", "deluca-siciliano", "six-link")
 EVALUATIONS = 4  # of the accelerations per Runge-Kutta step
@@ -220,11 +219,9 @@ def main() -> None:
     options = parser.parse_args()
     sizes = [1, 16, 1024] if options.quick else [4**k for k in range(7)] + [8192]
     results = measure(4 if options.quick else 8, sizes)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     options.images.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(results, indent=1) + "\n")
     text = table(results)
-    options.out.with_suffix(".md").write_text(text)
+    save_results(results, text, options.out)
     print(text)
     draw(results, options.images / "cost")
 

@@ -7,7 +7,6 @@ size, both in the norm of kinetic energy: sqrt(a' M a).
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.operations import Case, given_arm
-from benchmarks.output import provenance
+from benchmarks.output import provenance, save_results
 from dynamics import ARMS, Arm, compile_arm, simulate
 from dynamics.formulations import FORMULATIONS, why_not
 from dynamics.kinematics import Chain
@@ -227,8 +226,7 @@ def main() -> None:
         "conventions": list(conventions()),
         "motion": list(motions()),
     }
-    out.write_text(json.dumps(result, indent=1) + "\n")
-    out.with_suffix(".md").write_text(page(result))
+    save_results(result, page(result), out)
     print(page(result))
 
 

@@ -9,7 +9,6 @@ it lacks folds away. Equal operations count once; a change of sign, sines and co
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -19,7 +18,7 @@ from typing import Any
 import casadi as ca
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
-from benchmarks.output import provenance
+from benchmarks.output import provenance, save_results
 from dynamics import ARMS, Arm, Mode, compile_arm
 from dynamics.formulations import FORMULATIONS
 from dynamics.kinematics import Chain
@@ -320,8 +319,7 @@ def main() -> None:
         "cases": list(rows()),
         "presets": list(default_rows()),
     }
-    out.write_text(json.dumps(result, indent=1) + "\n")
-    out.with_suffix(".md").write_text(page(result))
+    save_results(result, page(result), out)
     print(page(result))
 
 

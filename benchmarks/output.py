@@ -1,5 +1,6 @@
 """What every benchmark writes beside its numbers: where they come from, and pictures."""
 
+import json
 import os
 import platform
 import sys
@@ -21,6 +22,13 @@ def provenance(*packages: str) -> dict[str, Any]:
         "commit": revision(),
         "command": " ".join(["python", "benchmarks/" + Path(sys.argv[0]).name, *sys.argv[1:]]),
     }
+
+
+def save_results(results: dict[str, Any], text: str, path: Path) -> None:
+    """JSON, and the same as a page beside it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    path.with_suffix(".md").write_text(text, encoding="utf-8")
 
 
 def save_figure(figure: Any, path: Path) -> None:

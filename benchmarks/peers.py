@@ -7,7 +7,6 @@ make its line. `--quick` takes fewer of them; `--truth` makes the third scene's 
 """
 
 import argparse
-import json
 import math
 import sys
 import time
@@ -22,7 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks import peer_engines as peers
-from benchmarks.output import provenance
+from benchmarks.output import provenance, save_results
 from benchmarks.peer_lines import (
     BATCH,
     BATCHED,
@@ -289,10 +288,8 @@ def main() -> None:
     }
     text = table(results)
     print(text)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     options.images.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(results, indent=1) + "\n")
-    options.out.with_suffix(".md").write_text(text)
+    save_results(results, text, options.out)
     draw(everything, options.images / "peers")
 
 

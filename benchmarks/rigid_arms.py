@@ -8,7 +8,6 @@ motion is unstable the error grows as fast as the linearised arm says, whatever 
 """
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
-from benchmarks.output import provenance, save_figure
+from benchmarks.output import provenance, save_figure, save_results
 from dynamics import ARMS, Arm, compile_arm, denavit_hartenberg, simulate
 from dynamics.denavit_hartenberg import Row
 from dynamics.lowering import operations
@@ -148,8 +147,7 @@ def main() -> None:
     table = counts()
     trips = {name: round_trip(name, 21 if options.quick else 201) for name in MOTIONS}
     data = {**provenance("numpy", "scipy", "casadi", "numba"), "counts": table, "trips": trips}
-    options.out.write_text(json.dumps(data) + "\n", encoding="utf-8")
-    options.out.with_suffix(".md").write_text(page(table, trips), encoding="utf-8")
+    save_results(data, page(table, trips), options.out)
     draw(trips, options.out)
     print(page(table, trips))
 

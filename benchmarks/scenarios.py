@@ -198,7 +198,6 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     rows = {name: stored[name] for name in names() if name in stored}
     results = {**provenance("numpy", "scipy", "casadi", "numba"), "scenarios": rows}
-    results["command"] = "python benchmarks/scenarios.py"
     target.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     options.out.write_text(page(results), encoding="utf-8")
     return 0

@@ -9,7 +9,6 @@ of the steps is taken at 20 times the torque limit, where arms leave their valid
 """
 
 import argparse
-import json
 import sys
 import time
 from pathlib import Path
@@ -24,7 +23,7 @@ import flexarm_env
 from flexarm_env import FlexArmVectorEnv
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
-from benchmarks.output import provenance
+from benchmarks.output import provenance, save_results
 
 BATCH = 4096
 OVERDRIVEN, TOO_MUCH = 0.1, 20.0  # share of the steps, times the torque limit
@@ -129,8 +128,7 @@ def main() -> int:
                "counts": counts}  # fmt: skip
     text = table(results)
     print(text)
-    options.out.write_text(json.dumps(results, indent=2) + "\n")
-    options.out.with_suffix(".md").write_text(text)
+    save_results(results, text, options.out)
     return int(any(row[name] for row in counts.values() for name in WRONG))
 
 

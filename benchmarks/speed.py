@@ -8,10 +8,8 @@ it runs.
 
 import argparse
 import itertools
-import json
 import multiprocessing
 import os
-import platform
 import statistics
 import subprocess
 import sys
@@ -19,7 +17,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -30,6 +27,9 @@ from dynamics import ARMS, Stepper, compile_arm
 from dynamics.kernels import LANES
 from dynamics.lowering import cached_module
 from flexarm_env import FlexArmVectorEnv
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
+from benchmarks.output import provenance, save_results
 
 DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
 BATCHES = (1024, 16384)
@@ -184,12 +184,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/results/speed.json"))
     options = parser.parse_args()
     peak = multiply_add_peak()
-    results: dict[str, Any] = {
-        "machine": {"processor": platform.processor() or platform.machine(),
-                    "cores": os.cpu_count(), "cores in fact": cores_in_fact(),
-                    "peak, one core [GFLOP/s]": {k: x / 1e9 for k, x in peak.items()}},
-        "versions": {name: version(name) for name in ("numba", "numpy", "gymnasium", "casadi")},
-    }  # fmt: skip
+    results = provenance("numba", "numpy", "gymnasium", "casadi")
+    results["machine"] |= {
+        "cores in fact": cores_in_fact(),
+        "peak, one core [GFLOP/s]": {k: x / 1e9 for k, x in peak.items()},
+    }
     for family, arm in DEFAULT_ARMS.items():
         results[family] = {
             "arm": arm,
@@ -201,9 +200,7 @@ def main() -> None:
         }
     text = table(results)
     print(text)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(results, indent=2) + "\n")
-    options.out.with_suffix(".md").write_text(text)
+    save_results(results, text, options.out)
 
 
 def table(results: dict[str, Any]) -> str:

@@ -31,12 +31,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the
 from benchmarks import precision_charts
 from benchmarks.output import provenance
 from benchmarks.precision_scenes import GOOD, SETTINGS, Array, Level, Setting
-from benchmarks.timing import cpu_seconds
 from dynamics import Arm, Diverged, Model, Stepper, compile_arm, simulate
 from dynamics.integrators import INTEGRATORS
 from dynamics.lowering import operations
 from flexarm_env.certificates import stored
 from flexarm_env.core import Core
+from flexarm_env.timing import cpu_seconds
 
 BATCH = 1024  # environments per timed call
 LONG = 17  # substeps of the longer of two timed calls

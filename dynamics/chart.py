@@ -24,15 +24,15 @@ def enter(w, lanes, q, v, attitude):  # type: ignore[no-untyped-def]
             w[attitude + i * lanes + b] = number(turn[i])
         for i in range(3):
             w[at + i * lanes] = number(0.0)
-    turn_in(w, lanes, q, attitude)
-    turn_in(w, lanes, v, attitude)
+    turn(w, lanes, q, attitude, -1.0)
+    turn(w, lanes, v, attitude, -1.0)
 
 
 @compiled
 def leave(w, lanes, q, v, attitude):  # type: ignore[no-untyped-def]
     """Inverse of `enter`."""
-    turn_out(w, lanes, q, attitude)
-    turn_out(w, lanes, v, attitude)
+    turn(w, lanes, q, attitude, 1.0)
+    turn(w, lanes, v, attitude, 1.0)
     for b in range(lanes):
         at = attitude + b
         vector = rotation_vector(
@@ -43,26 +43,14 @@ def leave(w, lanes, q, v, attitude):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def turn_in(w, lanes, x, attitude):  # type: ignore[no-untyped-def]
-    """A vector of the world as the base's own frame sees it."""
+def turn(w, lanes, x, attitude, sense):  # type: ignore[no-untyped-def]
+    """A vector of the base's own frame as the world sees it; with `sense` -1 the inverse."""
     two = lanes + lanes
     for b in range(lanes):
         at = attitude + b
-        R = matrix((w[at], w[at + lanes], w[at + two], w[at + two + lanes]))
+        a, c, d = sense * w[at + lanes], sense * w[at + two], sense * w[at + two + lanes]
+        R = matrix((w[at], a, c, d))
         first, second, third = w[x + b], w[x + lanes + b], w[x + two + b]
         for i in range(3):
-            own = R[0][i] * first + R[1][i] * second + R[2][i] * third
-            w[x + i * lanes + b] = w.dtype.type(own)
-
-
-@compiled
-def turn_out(w, lanes, x, attitude):  # type: ignore[no-untyped-def]
-    """Inverse of `turn_in`."""
-    two = lanes + lanes
-    for b in range(lanes):
-        at = attitude + b
-        R = matrix((w[at], w[at + lanes], w[at + two], w[at + two + lanes]))
-        first, second, third = w[x + b], w[x + lanes + b], w[x + two + b]
-        for i in range(3):
-            world = R[i][0] * first + R[i][1] * second + R[i][2] * third
-            w[x + i * lanes + b] = w.dtype.type(world)
+            turned = R[i][0] * first + R[i][1] * second + R[i][2] * third
+            w[x + i * lanes + b] = w.dtype.type(turned)

@@ -133,7 +133,7 @@ _MARKS = {
     "#enter": "enter(w, LANES, Q, V, ATTITUDE)\nrenew(w)",
     "#renew": "renew(w)",
     "#leave": "leave(w, LANES, Q, V, ATTITUDE)",
-    "#result": "turn_out(w, LANES, ACC, ATTITUDE)",
+    "#result": "turn(w, LANES, ACC, ATTITUDE, 1.0)",
 }
 
 
@@ -147,5 +147,5 @@ def glue(free_base: bool) -> str:
         elif free_base:
             indent = line[: len(line) - len(bare)]
             lines += [indent + own for own in _MARKS[bare].splitlines()]
-    head = "from dynamics.chart import enter, leave, turn_out\n" if free_base else ""
+    head = "from dynamics.chart import enter, leave, turn\n" if free_base else ""
     return head + "\n".join(lines) + "\n"

@@ -10,7 +10,7 @@ alone while it runs.
 
 import argparse
 import json
-import time
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from flexarm_env import SCENES
 from flexarm_env.certificates import RANDOM_SHARE, STORE, scene, stored
 from flexarm_env.core import Core
 from flexarm_env.physics import SAFE, integration, physics
+from flexarm_env.timing import cpu_seconds
 
 ACCURACY, LONG_ACCURACY = 1e-4, 1e-3  # of the reach; for more than two links, to end in minutes
 METHODS = ("rk4", "numerov", "midpoint")
@@ -29,7 +30,7 @@ TIP_ERROR = 1e-3  # of the reach, at any time of an episode, by the step alone
 EPISODES = 32
 FINER = 4  # times the Runge-Kutta steps of an arm: the truth for steps
 MOST_STEPS = 16  # per control step; more than that is never the cheapest
-BATCH, ROUNDS, CALLS = 1024, 40, 4  # environments, rounds and calls that are timed
+BATCH = 1024  # environments that are timed together
 ALIKE = 1.2  # times the least time: about as fast
 
 Step = dict[str, Any]  # integrator, substeps, error in parts of the reach, seconds
@@ -71,27 +72,15 @@ def fewest_steps(arm: str, control_dt: float, length: int, integrator: str) -> S
 
 
 def timed(arm: str, control_dt: float, steps: list[Step]) -> list[Step]:
-    """The steps with `seconds`: CPU time of one environment in a batch, the least of ROUNDS.
-
-    The rounds go through all steps in turn, so that a disturbance hits no step alone.
-    """
-    cores = [
-        Core(task="Reach", arm=arm, control_dt=control_dt, n_env=BATCH,
-             integrator=step["integrator"], substeps=step["substeps"])
-        for step in steps
-    ]  # fmt: skip
-    actions = np.zeros((BATCH, cores[0].arm.n_joint), np.float32)
-    least = [float("inf")] * len(cores)
-    for core in cores:
+    """The steps with `seconds`: CPU time of one environment in a batch."""
+    calls = {}
+    for k, step in enumerate(steps):
+        core = Core(task="Reach", arm=arm, control_dt=control_dt, n_env=BATCH,
+                    integrator=step["integrator"], substeps=step["substeps"])  # fmt: skip
         core.reset(np.arange(BATCH))
-        core.step(actions)
-    for _ in range(ROUNDS):
-        for k, core in enumerate(cores):
-            begin = time.process_time()
-            for _ in range(CALLS):
-                core.step(actions)
-            least[k] = min(least[k], (time.process_time() - begin) / CALLS / BATCH)
-    return [{**step, "seconds": seconds} for step, seconds in zip(steps, least, strict=True)]
+        calls[k] = partial(core.step, np.zeros((BATCH, core.arm.n_joint), np.float32))
+    seconds = cpu_seconds(calls)
+    return [{**step, "seconds": seconds[k] / BATCH} for k, step in enumerate(steps)]
 
 
 def best_first(steps: list[Step]) -> list[Step]:

@@ -129,7 +129,7 @@ def _steps(core: Core) -> str:
             step["integrator"],
             str(step["substeps"]),
             f"{step['error']:.1e}",
-            f"{1e9 * step['seconds']:.3g} ns",
+            f"{1e6 * step['seconds']:.2g} us",
         )
         for step in entry["steps"]
     ]

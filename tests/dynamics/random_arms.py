@@ -99,6 +99,18 @@ def two_link_spatial(**changes: object) -> Arm:
     return Arm(**{**values, **changes})
 
 
+def undamped(arm: Arm) -> Arm:
+    """Without friction and damping."""
+    links = tuple(
+        replace(
+            link, damping_beta=0.0, damping_ratio=0.0,
+            joint=replace(link.joint, viscous=0.0, coulomb=0.0),
+        )
+        for link in arm.links
+    )  # fmt: skip
+    return replace(arm, links=links)
+
+
 @cache
 def compiled(arm: Arm, *free_parameters: str) -> Model:
     """One model per arm and session."""

@@ -25,6 +25,7 @@ from tests.dynamics.random_arms import (
     random_torque,
     torque_matrix,
     two_link_spatial,
+    undamped,
 )
 
 CASES = [
@@ -62,18 +63,6 @@ class Formed:
 
     def energies(self, q: Sequence[Any], v: Sequence[Any]) -> tuple[Any, Any, Any]:
         return FORMULATIONS[self.name].energies(self.chain, q, v)
-
-
-def undamped(arm: Arm) -> Arm:
-    """Without friction and damping."""
-    links = tuple(
-        replace(
-            link, damping_beta=0.0, damping_ratio=0.0,
-            joint=replace(link.joint, viscous=0.0, coulomb=0.0),
-        )
-        for link in arm.links
-    )  # fmt: skip
-    return replace(arm, links=links)
 
 
 def scaled(arm: Arm, factor: float, seed: int = 0) -> tuple[Array, Array]:

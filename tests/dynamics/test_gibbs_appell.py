@@ -25,6 +25,7 @@ from tests.dynamics.random_arms import (
     random_torque,
     torque_matrix,
     two_link_spatial,
+    undamped,
 )
 
 ANY = [(seed, 1 + seed % 6, seed % 4) for seed in range(24)]  # seed, links, most modes per link
@@ -63,18 +64,6 @@ def moving(t: Any, *derivatives: Array) -> list[Any]:
         sum(p * float(d) for p, d in zip(powers, ds, strict=False))
         for ds in zip(*derivatives, strict=True)
     ]
-
-
-def undamped(arm: Arm) -> Arm:
-    """Without friction and damping."""
-    links = tuple(
-        replace(
-            link, damping_beta=0.0, damping_ratio=0.0,
-            joint=replace(link.joint, viscous=0.0, coulomb=0.0),
-        )
-        for link in arm.links
-    )  # fmt: skip
-    return replace(arm, links=links)
 
 
 def test_random_arms_have_everything() -> None:

@@ -10,7 +10,7 @@ import flexarm_env
 from dynamics import compile_arm, load_arm, simulate
 from dynamics.case import Torque
 from flexarm_env.certificates import RANDOM_STEPS, fit, scene, stored
-from flexarm_env.certify import measure
+from flexarm_env.certify import ALIKE, TIP_ERROR, best_first, measure, strayed
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 MEASURED = ("error", "integration", "truncation", "nonlinear", "residual")
@@ -39,6 +39,26 @@ def test_a_kept_certificate_is_measured_again(name: str) -> None:
     for key, value in kept["certificate"].items():
         close = key in MEASURED
         assert again[key] == (pytest.approx(value, rel=1e-3) if close else value), key
+
+
+@pytest.mark.parametrize(
+    "name", ["slim", *(pytest.param(k, marks=pytest.mark.slow) for k in stored() if k != "slim")]
+)
+def test_a_kept_step_is_accurate_and_one_less_is_not(name: str) -> None:
+    entry = stored()[name]
+    (length,) = [steps for arm, _, steps in flexarm_env.SCENES.values() if arm == name]
+    best = entry["steps"][0]
+    setting = name, entry["control_dt"], length, best["integrator"]
+    assert strayed(*setting, best["substeps"]) == pytest.approx(best["error"], rel=1e-6)
+    assert best["error"] < TIP_ERROR < strayed(*setting, best["substeps"] - 1)
+
+
+def test_about_equally_fast_steps_go_by_their_error() -> None:
+    fast = {"seconds": 1.0, "error": 9e-4}
+    true = {"seconds": 0.99 * ALIKE, "error": 1e-5}
+    truest = {"seconds": 1.01 * ALIKE, "error": 1e-6}
+    assert best_first([truest, fast, true]) == [true, fast, truest]
+    assert best_first([fast, truest]) == [fast, truest]
 
 
 def random_torque_tips(**keywords: Any) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""How CPU time is measured."""
+"""How CPU time is measured where the machine has other work."""
 
 import time
 from collections.abc import Callable, Mapping

@@ -1,0 +1,49 @@
+"""The soak counts what it must not find: every kind, once put there."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import soak
+
+ENV_ID = "FlexArm/OneLink-Reach-v0"
+
+
+def test_a_short_soak_finds_episodes_of_every_end_and_nothing_wrong() -> None:
+    counts = soak.soak(ENV_ID, 200 * soak.BATCH)
+    assert counts["steps"] >= 200 * soak.BATCH
+    assert min(counts[name] for name in ("time out", "invalid", "diverged")) > 0
+    assert {name: counts[name] for name in soak.WRONG} == dict.fromkeys(soak.WRONG, 0)
+
+
+def spoil(wrong: str, obs: Any, terminated: Any, info: dict[str, Any], before: Any) -> None:
+    """Make one environment's step wrong."""
+    if wrong == "not finite":
+        info["tip_speed"][3] = np.nan
+    elif wrong == "out of bounds":
+        obs[3, 0] = 1e3
+    elif wrong == "clock wrong":
+        info["time"][3] = 0.0
+    elif wrong == "divergence not said":
+        info["diverged"][3] = True
+        terminated[3] = False
+    else:
+        obs[3] = before[3]
+
+
+@pytest.mark.parametrize("wrong", soak.WRONG)
+def test_what_is_wrong_is_counted(wrong: str) -> None:
+    watched = soak.Soak(ENV_ID, torque=0.1)
+    watched.step()
+    real = watched.envs.step
+
+    def step(actions: Any) -> Any:
+        obs, reward, terminated, truncated, info = real(actions)
+        spoil(wrong, obs, terminated, info, watched.before)
+        return obs, reward, terminated, truncated, info
+
+    watched.envs.step = step  # type: ignore[method-assign]
+    watched.step()
+    assert {name for name in soak.WRONG if watched.counts[name]} == {wrong}
+    assert watched.counts[wrong] == 1
