@@ -19,9 +19,9 @@ def enter(w, lanes, q, v, attitude):  # type: ignore[no-untyped-def]
     three, number = 3 * lanes, w.dtype.type
     for b in range(lanes):
         at = q + three + b
-        turn = quaternion((w[at], w[at + lanes], w[at + lanes + lanes]))
+        unit = quaternion((w[at], w[at + lanes], w[at + lanes + lanes]))
         for i in range(4):
-            w[attitude + i * lanes + b] = number(turn[i])
+            w[attitude + i * lanes + b] = number(unit[i])
         for i in range(3):
             w[at + i * lanes] = number(0.0)
     turn(w, lanes, q, attitude, -1.0)
@@ -48,8 +48,8 @@ def turn(w, lanes, x, attitude, sense):  # type: ignore[no-untyped-def]
     two = lanes + lanes
     for b in range(lanes):
         at = attitude + b
-        a, c, d = sense * w[at + lanes], sense * w[at + two], sense * w[at + two + lanes]
-        R = matrix((w[at], a, c, d))
+        x1, x2, x3 = w[at + lanes], w[at + two], w[at + two + lanes]
+        R = matrix((w[at], sense * x1, sense * x2, sense * x3))
         first, second, third = w[x + b], w[x + lanes + b], w[x + two + b]
         for i in range(3):
             turned = R[i][0] * first + R[i][1] * second + R[i][2] * third
