@@ -159,7 +159,7 @@ def interface_microseconds(env_id: str) -> dict[str, float]:
     actions = np.zeros((LANES, batch.n_joint), np.float32)
     core = batch.core
     whole = timed(partial(batch.step, actions)).each(1e-6)
-    inside = timed(partial(core.step_share, 0, actions, *core.outputs())).each(1e-6)
+    inside = timed(partial(core.step_share, 0, actions, core.outputs())).each(1e-6)
     return {key: whole[key] - inside[key] for key in whole}
 
 

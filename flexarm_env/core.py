@@ -20,6 +20,7 @@ from flexarm_env.arguments import checked, ranges, require_whole, torque_limits
 from flexarm_env.certificates import find, fit, kept
 from flexarm_env.drives import Drives
 from flexarm_env.observations import observation_layout
+from flexarm_env.outputs import SPARE, Outputs
 from flexarm_env.physics import (
     BY_RULE,
     DEFLECTION_LIMIT,
@@ -29,14 +30,11 @@ from flexarm_env.physics import (
     integration,
     physics,
 )
-from flexarm_env.report import FLAGS, NUMBERS, Report
+from flexarm_env.report import Report
 from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.tasks import find_task
 
 Array = NDArray[np.float64]
-REWARD = 0  # row of info
-BLOCKS = ("reward_terms", "root_curvature", "torque", "command")  # further rows
-TERMINATED, TRUNCATED, SETTLED = range(3)  # rows of flags
 FASTEST = 1e12  # [rad/s] of a joint without a limit
 OPERATIONS_PER_SECOND = 3e10  # of one thread, roughly
 WORTH_A_THREAD = 1e-4  # [s] of work; waking a thread takes half as long
@@ -74,7 +72,6 @@ class Core:
 
     Attributes
     ----------
-    blocks : where info has reward terms, and what else has several numbers.
     certificate : measured errors of model and step, see `dynamics.certificate.Certificate`; None
         where this arm and step were never certified.
     q, v : (N, n) coordinates and rates, writable views.
@@ -154,7 +151,6 @@ class Core:
             self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
         )
         self.report = Report(self.model, self.task.moving, self.layout, self.drives)
-        self.blocks = {k: v for k, v in self.report.info.slices.items() if k in BLOCKS}
         self._constants = self._fixed_numbers(weights, float(deflection_limit), int(max_steps))
         self._start = self._episode_ranges()
         self._allocate()
@@ -226,11 +222,8 @@ class Core:
         self._program = self.model.program(lanes, self.integrator, self.report.addition)
         blocks = -(-n_env // lanes)
         self._width = lanes * (blocks | 1)  # an odd number of blocks spreads rows over the cache
-        self._shapes = (
-            (n_env, self.layout.size), (self.report.info.total, self._width),
-            (len(FLAGS), self._width),
-        )  # fmt: skip
-        self.state = np.zeros((self.report.state.total, self._width))
+        self._kept: list[Outputs] = []  # in the order of their last use
+        self.state = np.zeros((self.report.state.total, self._width), self.model.dtype)
         self.state[rows["free"]] = self.model.nominal_parameters[:, None]
         self.streams = np.zeros(n_env, dtype=np.int64)
         self.q, self.v = self.state[rows["q"], :n_env].T, self.state[rows["v"], :n_env].T
@@ -250,23 +243,26 @@ class Core:
         w[first : first + lanes * self._constants.size] = np.repeat(self._constants, lanes)
         return w
 
-    def outputs(self) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
-        """New arrays: observations, and info and flags with a row per name, a column per env."""
-        obs, info, flags = self._shapes
-        return np.empty(obs, np.float32), np.empty(info), np.empty(flags, np.bool_)
+    def outputs(self) -> Outputs:
+        """Arrays to fill that nobody else holds."""
+        for k, known in enumerate(self._kept):
+            if known.unused:
+                self._kept.append(self._kept.pop(k))
+                return known
+        info = self.report.info
+        new = Outputs(self.n_env, self.layout.size, self._width, self.model.dtype, info)
+        self._kept = [*self._kept[-SPARE + 1 :], new]
+        return new
 
     # ---- stepping ----------------------------------------------------------------------------
 
-    def step(
-        self, actions: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], int]:
-        """One control step of all: observations, info, flags (new arrays), how many ended."""
-        obs, info, flags = self.outputs()
+    def step(self, actions: NDArray[np.float32]) -> tuple[Outputs, int]:
+        """One control step of all: what it says, and how many ended."""
+        out = self.outputs()
         waiting = [
-            self._pool.submit(self.step_share, k, actions, obs, info, flags)
-            for k in range(1, len(self._shares))
+            self._pool.submit(self.step_share, k, actions, out) for k in range(1, len(self._shares))
         ]
-        ended = self.step_share(0, actions, obs, info, flags)
+        ended = self.step_share(0, actions, out)
         if waiting:
             ended += sum(job.result() for job in waiting)
         if ended < 0:
@@ -275,32 +271,20 @@ class Core:
                 f"Actions must be numbers in [-1, 1], got {actions[bad].tolist()} for "
                 f"environment {bad}."
             )
-        return obs, info, flags, ended
+        return out, ended
 
-    def step_share(
-        self,
-        k: int,
-        actions: NDArray[np.float32],
-        obs: NDArray[np.float32],
-        info: Array,
-        flags: NDArray[np.bool_],
-    ) -> int:
+    def step_share(self, k: int, actions: NDArray[np.float32], out: Outputs) -> int:
         """The compiled call: step the environments of thread k, say how many ended."""
         first, stop, w = self._shares[k]
         ended: int = self._program.step(
-            actions, first, stop, self.substeps, self.state, w, obs, info, flags
+            actions, first, stop, self.substeps, self.state, w, out.obs, out.info, out.flags
         )
         return ended
 
     def restart(
-        self,
-        rows: NDArray[np.int64],
-        obs: NDArray[np.float32],
-        info: Array,
-        flags: NDArray[np.bool_],
-        options: Mapping[str, Any] | None = None,
+        self, rows: NDArray[np.int64], out: Outputs, options: Mapping[str, Any] | None = None
     ) -> None:
-        """Start new episodes in the environments `rows`; their entries of obs, info, flags."""
+        """Start new episodes in the environments `rows`; their entries of the outputs."""
         kernels.begin(rows, *self._start, self.state, self.streams)
         if options:
             self._place(rows, options)
@@ -308,17 +292,15 @@ class Core:
             states = self.report.state.slices["actuator"]
             self.state[states, rows] = self.drives.at_rest(self.q[rows])
         w = self._shares[0][-1]
-        self._program.report_rows(rows, self.state, w, obs, info, flags)
+        self._program.report_rows(rows, self.state, w, out.obs, out.info, out.flags)
 
-    def reset(
-        self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
+    def reset(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> Outputs:
         """Start new episodes in `rows` and report on them; the other rows are zero."""
-        obs, info, flags = self.outputs()
-        for array in (obs, info, flags):
+        out = self.outputs()
+        for array in (out.obs, out.info, out.flags):
             array[...] = 0
-        self.restart(rows, obs, info, flags, options)
-        return obs, info, flags
+        self.restart(rows, out, options)
+        return out
 
     def seed(self, row: int, generator: np.random.Generator) -> None:
         """Start environment `row`'s own stream of random numbers from one number of a generator."""
@@ -361,17 +343,6 @@ class Core:
     def elapsed(self, row: int) -> int:
         """Control steps since the start of environment `row`'s episode."""
         return int(self.state[self.report.state.slices["elapsed"].start, row])
-
-    def describe(self, info: Array, flags: NDArray[np.bool_]) -> dict[str, Any]:
-        """Info arrays of all environments by name, views of `info` and `flags`."""
-        n, (terms, *wide) = self.n_env, self.blocks.values()
-        info = info[:, :n]
-        rows = list(info)
-        described: dict[str, Any] = dict(zip(NUMBERS, rows[1 : terms.start], strict=True))
-        described["reward_terms"] = dict(zip(TERMS, rows[terms], strict=True))
-        described |= {name: info[at].T for name, at in zip(BLOCKS[1:], wide, strict=False)}
-        described.update(zip(FLAGS[SETTLED:], flags[SETTLED:, :n], strict=True))
-        return described
 
     # ---- copies ------------------------------------------------------------------------------
 

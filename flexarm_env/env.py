@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from flexarm_env.core import Array, Core
 from flexarm_env.observations import Layout
+from flexarm_env.outputs import BLOCKS, Outputs
 from flexarm_env.rewards import TERMS
 
 RENDER_MODES = ("human", "rgb_array")
@@ -39,9 +40,9 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
         self._seeded = False
         self._renderer: Any = None
-        wide = dict(self.core.blocks)
-        self._terms = wide.pop("reward_terms")
-        self._wide = [(name, (rows, 0)) for name, rows in wide.items()]
+        rows = self.core.report.info.slices
+        self._terms = rows[BLOCKS[0]]
+        self._wide = [(name, (rows[name], 0)) for name in BLOCKS[1:] if name in rows]
 
     # ---- what agents ask ---------------------------------------------------------------------
 
@@ -75,12 +76,12 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         if seed is not None or not self._seeded:
             self.core.seed(0, self.np_random)
             self._seeded = True
-        obs, info, flags = self.core.reset(_ONE, options)
+        out = self.core.reset(_ONE, options)
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return obs[0], self._describe(info, info[:, 0].tolist(), flags[:, 0].tolist())
+        return out.obs[0], self._info(out, out.info[:, 0].tolist(), out.flags[:, 0].tolist())
 
     def step(
         self, action: NDArray[np.float32]
@@ -92,15 +93,15 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             raise ValueError(
                 f"An action is {self._action.size} numbers in [-1, 1], got {action!r}."
             ) from None
-        obs, info, flags, _ = self.core.step(self._action)
-        values, marks = info[:, 0].tolist(), flags[:, 0].tolist()
+        out, _ = self.core.step(self._action)
+        values, marks = out.info[:, 0].tolist(), out.flags[:, 0].tolist()
         if self._renderer is not None:
             self._renderer.follow(self.core)
         if self.render_mode == "human":
             self.render()
-        return obs[0], values[0], marks[0], marks[1], self._describe(info, values, marks)
+        return out.obs[0], values[0], marks[0], marks[1], self._info(out, values, marks)
 
-    def _describe(self, info: Array, values: list[float], marks: list[bool]) -> dict[str, Any]:
+    def _info(self, out: Outputs, values: list[float], marks: list[bool]) -> dict[str, Any]:
         return {
             "time": values[1],
             "tip_error": values[2],
@@ -108,7 +109,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             "deflection": values[4],
             "tip_deflection": values[5],
             "reward_terms": dict(zip(_TERMS, values[self._terms], strict=True)),
-            **{name: info[place] for name, place in self._wide},
+            **{name: out.info[place] for name, place in self._wide},
             "settled": marks[2],
             "diverged": marks[3],
             "invalid": marks[4],

@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from flexarm_env.outputs import Outputs
 from flexarm_env.vector import FlexArmVectorEnv
 
 
@@ -36,14 +37,14 @@ class SB3VecEnv(VecEnv):
         seeds = [None if seed is None else int(seed) for seed in self._seeds]
         given = any(seed is not None for seed in seeds)
         self.envs.seed_streams(seeds if given else None)
-        obs, info, flags = self.core.reset(np.arange(self.num_envs))
+        out = self.core.reset(np.arange(self.num_envs))
         for i, options in enumerate(self._options):
             if options:
-                self.core.restart(np.array([i]), obs, info, flags, options)
+                self.core.restart(np.array([i]), out, options)
         self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
-        return obs
+        return out.obs
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Keep the actions for `step_wait`."""
@@ -51,24 +52,25 @@ class SB3VecEnv(VecEnv):
 
     def step_wait(self) -> Any:
         """One control step of all."""
-        obs, info, flags, ended = self.core.step(self._actions)
-        reward, terminated, truncated = self.envs._outcome(info, flags)
-        self._returns += reward
+        out, ended = self.core.step(self._actions)
+        reward = out.reward.astype(np.float32)
+        self._returns += out.reward
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        dones = terminated | truncated
+        dones = out.terminated | out.truncated
         if ended:
             rows = np.flatnonzero(dones)
-            self._report(rows, obs, info, flags, infos)
+            self._report(rows, out, infos)
             for i in rows.tolist():
-                infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
-            self.core.restart(rows, obs, info, flags)
+                late = out.truncated[i] and not out.terminated[i]
+                infos[i]["TimeLimit.truncated"] = bool(late)
+            self.core.restart(rows, out)
             self._returns[rows], self._lengths[rows] = 0.0, 0
-        return obs, reward.astype(np.float32), dones, infos
+        return out.obs, reward, dones, infos
 
-    def _report(self, rows: Any, obs: Any, info: Any, flags: Any, infos: list[Any]) -> None:
+    def _report(self, rows: Any, out: Outputs, infos: list[Any]) -> None:
         """Infos of the environments whose episode ended."""
-        described = self.core.describe(info, flags)
+        described = out.described()
         terms = described.pop("reward_terms")
         elapsed = round(time.time() - self._started, 6)
         for i in rows.tolist():
@@ -77,7 +79,7 @@ class SB3VecEnv(VecEnv):
                 for name, values in described.items()
             }
             entry["reward_terms"] = {name: float(values[i]) for name, values in terms.items()}
-            entry["terminal_observation"] = obs[i].copy()
+            entry["terminal_observation"] = out.obs[i].copy()
             entry["is_success"] = entry["settled"]
             entry["episode"] = {
                 "r": round(float(self._returns[i]), 6),

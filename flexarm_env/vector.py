@@ -10,10 +10,9 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from flexarm_env.core import REWARD, SETTLED, TERMINATED, TRUNCATED, Array, Core
+from flexarm_env.core import Array, Core
 from flexarm_env.env import RENDER_MODES, check_render_mode, observation_space
-from flexarm_env.report import FLAGS
-from flexarm_env.rewards import TERMS
+from flexarm_env.outputs import Outputs
 
 Flags = NDArray[np.bool_]
 _AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
@@ -63,10 +62,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._all = np.arange(num_envs)
         self._everyone = np.ones(num_envs, np.bool_)
         self._everyone.flags.writeable = False  # shared by all steps' infos
-        names = (*self.core.report.info.sizes, *FLAGS[SETTLED:])
-        masks = [f"_{name}" for name in names if name != "reward"]
-        self._masks = dict.fromkeys(masks, self._everyone)
-        self._term_masks = dict.fromkeys((f"_{name}" for name in TERMS), self._everyone)
+        self._masks, self._term_masks = self._masked(self._everyone)
         self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
         self._seeded = False
 
@@ -118,32 +114,29 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """New episodes; env i gets `seed + i`, or `seed[i]`. Options as of `FlexArmEnv.reset`."""
         self.seed_streams(seed)
-        obs, info, flags = self.core.reset(self._all, options)
+        out = self.core.reset(self._all, options)
         self._pending = self._pending[:0]
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return obs, self._with_masks(self.core.describe(info, flags))
+        return out.obs, self._info(out)
 
     def step(self, actions: Any) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
-        """One control step of all; ended episodes restart as `autoreset_mode` says."""
-        obs, info, flags, ended = self.core.step(self._actions(actions))
-        if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            return self._restart_now(obs, info, flags, ended)
-        if self._pending.size:
-            self.core.restart(self._pending, obs, info, flags)
-            ended = True
-        reward, terminated, truncated = self._outcome(info, flags)
-        self._pending = np.flatnonzero(terminated | truncated) if ended else self._pending
-        self._after_step()
-        described = self._with_masks(self.core.describe(info, flags))
-        return obs, reward, terminated, truncated, described
+        """One control step of all; ended episodes restart as `autoreset_mode` says.
 
-    def _outcome(self, info: Array, flags: Flags) -> tuple[Array, Flags, Flags]:
-        """Copies of reward, terminated, truncated."""
-        n = self.num_envs
-        return info[REWARD, :n].copy(), flags[TERMINATED, :n].copy(), flags[TRUNCATED, :n].copy()
+        What it returns stays as it is: arrays are filled again when nobody holds them any more.
+        """
+        out, ended = self.core.step(self._actions(actions))
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            return self._restart_now(out, ended)
+        if self._pending.size:
+            self.core.restart(self._pending, out)
+            ended = True
+        if ended:
+            self._pending = np.flatnonzero(out.terminated | out.truncated)
+        self._after_step()
+        return out.obs, out.reward, out.terminated, out.truncated, self._info(out)
 
     def _actions(self, actions: Any) -> NDArray[np.float32]:
         array = np.ascontiguousarray(actions, dtype=np.float32)
@@ -152,37 +145,50 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         return array
 
     def _restart_now(
-        self, obs: NDArray[np.float32], info: Array, flags: Flags, ended: int
+        self, out: Outputs, ended: int
     ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """SAME_STEP: the observation is the new episode's first, the last is in final_obs."""
-        reward, terminated, truncated = self._outcome(info, flags)
+        outcome = out.reward, out.terminated, out.truncated
         final: dict[str, Any] = {}
         if ended:
-            done = terminated | truncated
+            outcome = out.reward.copy(), out.terminated.copy(), out.truncated.copy()
+            done = out.terminated | out.truncated
             rows = np.flatnonzero(done)
             last = np.full(self.num_envs, None, dtype=object)
             for i in rows:
-                last[i] = obs[i].copy()
-            before = self.core.describe(info.copy(), flags.copy())
+                last[i] = out.obs[i].copy()
             final = {
                 "final_obs": last,
                 "_final_obs": done,
-                "final_info": self._with_masks(before, done),
+                "final_info": self._final_info(out, done),
                 "_final_info": done.copy(),
             }
-            self.core.restart(rows, obs, info, flags)
+            self.core.restart(rows, out)
         self._after_step()
-        described = self._with_masks(self.core.describe(info, flags))
-        return obs, reward, terminated, truncated, described | final
+        return out.obs, *outcome, self._info(out) | final
 
-    def _with_masks(self, described: dict[str, Any], mask: Flags | None = None) -> dict[str, Any]:
-        """Gymnasium's `_name` beside each `name`: which environments have it."""
-        masks, terms = self._masks, self._term_masks
-        if mask is not None:
-            masks, terms = dict.fromkeys(masks, mask), dict.fromkeys(terms, mask)
-        described["reward_terms"].update(terms)
-        described.update(masks)
+    def _masked(self, mask: Flags) -> tuple[dict[str, Flags], dict[str, Flags]]:
+        """Gymnasium's `_name` beside each `name` of info and of reward terms."""
+        names = self.core.outputs().described()
+        terms = names["reward_terms"]
+        return {f"_{name}": mask for name in names}, {f"_{name}": mask for name in terms}
+
+    def _info(self, out: Outputs) -> dict[str, Any]:
+        """Info by name; all environments have it."""
+        described = out.described()
+        described["reward_terms"].update(self._term_masks)
+        described.update(self._masks)
         return described
+
+    def _final_info(self, out: Outputs, done: Flags) -> dict[str, Any]:
+        """Copies of the last info of the environments that are `done`."""
+        described = out.described()
+        terms = described.pop("reward_terms")
+        masks, term_masks = self._masked(done)
+        copies: dict[str, Any] = {name: values.copy() for name, values in described.items()}
+        copies["reward_terms"] = {name: values.copy() for name, values in terms.items()}
+        copies["reward_terms"] |= term_masks
+        return copies | masks
 
     def _after_step(self) -> None:
         if self._renderer is not None:

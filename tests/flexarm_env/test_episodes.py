@@ -100,8 +100,7 @@ def test_bang_bang_bends_hard_but_stays_valid(scene: str) -> None:
     peak = 0.0
     for step in range(24):
         direction = 1.0 if step < 8 else -1.0 if step < 16 else 0.0
-        _, info, flags, _ = core.step((direction * signs).astype(np.float32))
-        described = core.describe(info, flags)
+        described = core.step((direction * signs).astype(np.float32))[0].described()
         assert not described["invalid"].any()
         peak = max(peak, described["deflection"].max())
     assert 0.5 * DEFLECTION_LIMIT < peak < DEFLECTION_LIMIT

@@ -1,0 +1,52 @@
+"""What a batch says after a step: one set of arrays, and views of them by name."""
+
+from sys import getrefcount
+from typing import Any
+
+import numpy as np
+
+from flexarm_env.report import FLAGS, NUMBERS, Rows
+from flexarm_env.rewards import TERMS
+
+BLOCKS = ("reward_terms", "root_curvature", "torque", "command")  # rows of info behind NUMBERS
+SETTLED = 2  # first row of flags that info tells
+SPARE = 3  # sets kept: with the caller, being filled, and one that the caller copied late
+
+
+class Outputs:
+    """Arrays that a step fills; a new step may fill them again once nobody else holds any.
+
+    Attributes
+    ----------
+    obs : (N, size) observations.
+    info : (rows, width) numbers, a row per name, a column per environment.
+    flags : (len(FLAGS), width) marks likewise.
+    reward, terminated, truncated : (N,) rows of these.
+    """
+
+    def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
+        self.obs = np.empty((n_env, size), np.float32)
+        self.info = np.empty((names.total, width), dtype)
+        self.flags = np.empty((len(FLAGS), width), np.bool_)
+        values, marks = list(self.info[:, :n_env]), list(self.flags[:, :n_env])
+        self.reward, self.terminated, self.truncated = values[0], marks[0], marks[1]
+        named = {name: names.slices[name] for name in BLOCKS if name in names.slices}
+        terms = named.pop("reward_terms")
+        self._terms = dict(zip(TERMS, values[terms], strict=True))
+        self._named: dict[str, Any] = dict(zip(NUMBERS, values[1 : terms.start], strict=True))
+        self._named |= {name: self.info[at, :n_env].T for name, at in named.items()}
+        self._named |= dict(zip(FLAGS[SETTLED:], marks[SETTLED:], strict=True))
+        self._arrays = [self.obs, self.info, self.flags]
+        self._arrays += [self.reward, self.terminated, self.truncated]
+        self._arrays += [*self._terms.values(), *self._named.values()]
+        del values, marks  # they would count
+        self._alone = list(map(getrefcount, self._arrays))
+
+    @property
+    def unused(self) -> bool:
+        """Whether nobody else holds any of the arrays: a part of one holds the whole."""
+        return list(map(getrefcount, self._arrays)) == self._alone
+
+    def described(self) -> dict[str, Any]:
+        """Info by name, reward terms in a dict of their own: new dicts of the same arrays."""
+        return {**self._named, "reward_terms": dict(self._terms)}
