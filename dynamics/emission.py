@@ -14,13 +14,19 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
+from numba.core.cgutils import for_range
 from numba.extending import intrinsic
 
 _FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive to be seen
 
 
-def straight_line(lanes: int) -> Callable[[Callable[..., None]], Any]:
-    """Decorator: compile a generated function of `w` for this many lanes, as njit would."""
+def straight_line(lanes: int, rounds: int = 1) -> Callable[[Callable[..., None]], Any]:
+    """Decorator: compile a generated function of `w` for this many lanes, as njit would.
+
+    In several rounds, each for its share of the lanes, fewer numbers are on the way at a time: good
+    for a function that has few operations on each.
+    """
+    width = -(-lanes // rounds)
 
     def decorate(function: Callable[..., None]) -> Any:
         @intrinsic
@@ -29,7 +35,10 @@ def straight_line(lanes: int) -> Callable[[Callable[..., None]], Any]:
                 builder.function.attributes.add("noinline")  # called often: one copy is enough
                 array = context.make_array(signature.args[0])(context, builder, args[0])
                 number = context.get_value_type(w.dtype)
-                _emit(builder, array.data, inspect.getsource(function), number, lanes)
+                with for_range(builder, ir.IntType(64)(lanes // width)) as loop:
+                    first = builder.mul(loop.index, ir.IntType(64)(width))
+                    data = builder.gep(array.data, [first])
+                    _emit(builder, data, inspect.getsource(function), number, (lanes, width))
                 return context.get_dummy_value()
 
             return types.void(w), codegen
@@ -91,20 +100,24 @@ def lane_moves(lanes: int) -> tuple[Any, Any]:
     return move(inwards=True), move(inwards=False)
 
 
-def _emit(builder: ir.IRBuilder, data: ir.Value, source: str, number: ir.Type, lanes: int) -> None:
-    """The function's statements, on numbers or on vectors of all lanes."""
+def _emit(
+    builder: ir.IRBuilder, data: ir.Value, source: str, number: ir.Type, lanes: tuple[int, int]
+) -> None:
+    """The function's statements, on numbers or on vectors: (lanes of a slot, of a vector)."""
     tree = ast.parse(source).body[0]
     assert isinstance(tree, ast.FunctionDef)
-    _Block(builder, data, number, lanes).emit(tree.body)
+    _Block(builder, data, number, *lanes).emit(tree.body)
 
 
 class _Block:
     """Emits statements on values of one type: a number, or a vector of lanes."""
 
-    def __init__(self, builder: ir.IRBuilder, data: ir.Value, number: ir.Type, lanes: int) -> None:
-        self.builder, self.data, self.lanes = builder, data, lanes
+    def __init__(
+        self, builder: ir.IRBuilder, data: ir.Value, number: ir.Type, lanes: int, width: int
+    ) -> None:
+        self.builder, self.data, self.lanes, self.width = builder, data, lanes, width
         self.single = isinstance(number, ir.FloatType)
-        self.kind = number if lanes == 1 else ir.VectorType(number, lanes)
+        self.kind = number if width == 1 else ir.VectorType(number, width)
         self.align = 4 if self.single else 8
         self.values: dict[str, ir.Value] = {}
 
@@ -151,7 +164,7 @@ class _Block:
     def _constant(self, value: float) -> ir.Value:
         value = float(np.float32(value)) if self.single else value
         if isinstance(self.kind, ir.VectorType):
-            return ir.Constant(self.kind, [value] * self.lanes)
+            return ir.Constant(self.kind, [value] * self.width)
         return ir.Constant(self.kind, value)
 
     def _call(self, name: str, args: list[ir.Value]) -> ir.Value:
@@ -162,7 +175,7 @@ class _Block:
         if name in ("less", "at_most"):
             holds = b.fcmp_ordered("<" if name == "less" else "<=", args[0], args[1])
             return b.select(holds, self._constant(1.0), self._constant(0.0))
-        suffix = ("" if self.lanes == 1 else f"v{self.lanes}") + ("f32" if self.single else "f64")
+        suffix = ("" if self.width == 1 else f"v{self.width}") + ("f32" if self.single else "f64")
         intrinsic_name = {"floor": "floor", "sqrt": "sqrt", "abs": "fabs"}[name]
         module = b.module
         full = f"llvm.{intrinsic_name}.{suffix}"

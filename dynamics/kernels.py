@@ -43,13 +43,10 @@ def count_finite(w, lanes, first, stop, check, good):  # type: ignore[no-untyped
         w[good + b] += w.dtype.type(1.0 if finite else 0.0)
 
 
-# What a generated module adds to its arm's functions `accelerations(w)` and `measure(w)`; the marks
-# are for a free base, whose `renew(w)` comes with the arm: see free_base.py and chart.py.
+# What a generated module adds to its arm's `accelerations(w)`, `measure(w)` and its method's
+# `start(w, evaluate)` and `step(w, evaluate)`; the marks are for a free base, whose `renew(w)`
+# comes with the arm: see free_base.py and chart.py.
 _GLUE = """
-start = compiled(METHOD.start)
-step = compiled(METHOD.step)
-
-
 @compiled
 def advance_lanes(block, q, v, torque, parameters, dt, substeps, w, status, measured):
     first = block * LANES
@@ -62,10 +59,10 @@ def advance_lanes(block, q, v, torque, parameters, dt, substeps, w, status, meas
     for b in range(LANES):
         w[CHECK + b] = 0.0
         w[GOOD + b] = 0.0
-    h = w.dtype.type(dt)
-    start(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+        w[H + b] = dt
+    start(w, accelerations)
     for _ in range(substeps):
-        step(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+        step(w, accelerations)
         #renew
         count_finite(w, LANES, #first, V + N, CHECK, GOOD)
     measure(w)

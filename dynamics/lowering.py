@@ -218,22 +218,39 @@ class Addition:
 
 
 def render_function(
-    name: str, graph: Any, inputs: Sequence[int], output: int | Sequence[int]
+    name: str, graph: Any, inputs: Sequence[int], output: int | Sequence[int], rounds: int = 1
 ) -> str:
     """Text of `name(w)`, which reads a graph's inputs and stores its output at these slots.
 
-    `output` is the first of adjoining slots, or the slot of every element.
+    `output` is the first of adjoining slots, or the slot of every element; `rounds` as
+    `emission.straight_line` takes it.
     """
     code, outputs = statements(graph, inputs)
+    slots = [output + i for i in range(len(outputs))] if isinstance(output, int) else output
+    stores = _earliest_stores(code, outputs, slots)
     lines = []
     for v, (op, args) in enumerate(code.statements):
         if op.startswith("load"):
             lines.append(f"x{v} = w[{op[5:]}]")
         elif v not in code.names:
             lines.append(f"x{v} = {_TEXT[op].format(*(code.text(a) for a in args))}")
-    slots = [output + i for i in range(len(outputs))] if isinstance(output, int) else output
-    lines += [f"w[{slot}] = {code.text(v)}" for slot, v in zip(slots, outputs, strict=True)]
-    return "\n".join(["@straight_line(LANES)", f"def {name}(w):", *(f"    {x}" for x in lines), ""])
+        lines += [f"w[{slot}] = {code.text(value)}" for slot, value in stores.get(v, ())]
+    head = [f"@straight_line(LANES, {rounds})", f"def {name}(w):"]
+    return "\n".join([*head, *(f"    {x}" for x in lines), ""])
+
+
+def _earliest_stores(
+    code: Code, outputs: Sequence[int], slots: Sequence[int]
+) -> dict[int, list[tuple[int, int]]]:
+    """(slot, value) by the statement they follow: the value's own, or the last that needs the slot.
+
+    A value that waits for the end of a long function would be spilled until then.
+    """
+    loads = {int(op[5:]): v for v, (op, _) in enumerate(code.statements) if op.startswith("load")}
+    stores: dict[int, list[tuple[int, int]]] = {}
+    for slot, value in zip(slots, outputs, strict=True):
+        stores.setdefault(max(value, loads.get(slot, 0)), []).append((slot, value))
+    return stores
 
 
 def render_module(

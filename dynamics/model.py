@@ -27,6 +27,7 @@ from dynamics.lowering import (
     render_module,
 )
 from dynamics.modes import chain_constants, curvature, parts
+from dynamics.stepping import method_functions
 
 Array = np.ndarray
 
@@ -288,7 +289,8 @@ class Model:
         sizes = {
             **({"ATTITUDE": 4} if self.arm.base.n else {}),
             "Q": self.n, "V": self.n, "TAU": self.n_joint, "PARAMETERS": parameters,
-            "IMPLICIT": 2 + self.n, "ACC": self.n, "SCRATCH": method.scratch(self.n), **added.sizes,
+            "IMPLICIT": 2 + self.n, "ACC": self.n, "H": 1, "SCRATCH": method.scratch(self.n),
+            **added.sizes,
         }  # fmt: skip
         starts = np.cumsum([0, *sizes.values()]).tolist()
         at, implicit = dict(zip(sizes, starts, strict=False)), method.implicit
@@ -299,7 +301,7 @@ class Model:
             *added.functions(at),
             *self._aid(method.aid, inputs, at["SCRATCH"]),
             *self._renewal(at),
-            f"METHOD = INTEGRATORS[{integrator!r}]",
+            *method_functions(integrator, self.n, at),
         ]
         title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}, {self.dtype}"
         constants = at | {"N": self.n}

@@ -155,6 +155,11 @@ class Core:
         self._start = self._episode_ranges()
         self._allocate()
 
+    @property
+    def dt(self) -> float:
+        """[s] integration step."""
+        return self.control_dt / self.substeps
+
     def _integration(self, integrator: str | None, substeps: int | None) -> tuple[str, int]:
         if integrator is not None and integrator not in INTEGRATORS:
             raise ValueError(f"Unknown integrator {integrator!r}. Known: {sorted(INTEGRATORS)}.")
@@ -176,7 +181,6 @@ class Core:
     ) -> Array:
         """What holds for all environments, as `report.Report.constants` names it."""
         values: dict[str, Any] = {
-            "step": self.control_dt / self.substeps,
             "torque_limit": self.torque_limit,
             "control_dt": self.control_dt,
             "max_steps": max_steps,
@@ -190,7 +194,7 @@ class Core:
         }
         if self.drives:
             values["command_limit"] = self.drives.command
-            values["actuators"] = self.drives.constants(values["step"])
+            values["actuators"] = self.drives.constants(self.dt)
         return np.concatenate([np.ravel(values[name]) for name in self.report.constants.sizes])
 
     def _rate_limit(self) -> float:
@@ -241,6 +245,7 @@ class Core:
         lanes = int(self._program.LANES)
         first = int(self._program.CONSTANTS)
         w[first : first + lanes * self._constants.size] = np.repeat(self._constants, lanes)
+        w[int(self._program.H) : int(self._program.H) + lanes] = self.dt
         return w
 
     def outputs(self) -> Outputs:
@@ -276,7 +281,7 @@ class Core:
     def step_share(self, k: int, actions: NDArray[np.float32], out: Outputs) -> int:
         """The compiled call: step the environments of thread k, say how many ended."""
         first, stop, w = self._shares[k]
-        ended: int = self._program.step(
+        ended: int = self._program.control_step(
             actions, first, stop, self.substeps, self.state, w, out.obs, out.info, out.flags
         )
         return ended

@@ -34,10 +34,6 @@ EXPLICIT_PART = 1.0  # omega h of actuators whose arm is stepped by a method wit
 
 # How a control step advances an arm behind actuators; see kernels.ADVANCE.
 ADVANCE = """
-start = compiled(METHOD.start)
-march = compiled(METHOD.step)
-
-
 @compiled
 def driven(w):
     drive(w)
@@ -46,11 +42,10 @@ def driven(w):
 
 @compiled
 def advance(substeps, w):
-    h = w[CONSTANTS]
     for _ in range(substeps):
         mark(w)
-        start(w, h, driven, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
-        march(w, h, driven, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+        start(w, driven)
+        step(w, driven)
         follow(w)
 """
 

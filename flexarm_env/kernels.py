@@ -18,22 +18,17 @@ WAVES = 2  # sines in the path of a joint
 
 # How a control step advances an arm behind ideal torque sources; drives.py knows actuators.
 ADVANCE = """
-start = compiled(METHOD.start)
-march = compiled(METHOD.step)
-
-
 @compiled
 def advance(substeps, w):
-    h = w[CONSTANTS]
-    start(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+    start(w, accelerations)
     for _ in range(substeps):
-        march(w, h, accelerations, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+        step(w, accelerations)
 """
 
 # What a generated module adds to its arm's `accelerations(w)`, its task's `check(w)` and
 # `report(w)`, and one of the ADVANCE.
 ENTRIES = """
-TORQUE_LIMIT = CONSTANTS + LANES
+TORQUE_LIMIT = CONSTANTS
 take, put = lane_moves(int(LANES))
 
 
@@ -102,7 +97,7 @@ def not_numbers(actions):
 
 
 @outermost
-def step(actions, first, stop, substeps, state, w, obs, info, flags):
+def control_step(actions, first, stop, substeps, state, w, obs, info, flags):
     if not_numbers(actions) > 0:
         return np.int64(-1)
     first, stop = np.uint64(first), np.uint64(stop)

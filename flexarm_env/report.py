@@ -78,7 +78,7 @@ class Report:
             "root_curvature": len(self.gauges), "torque": m, **({"command": m} if drives else {}),
         })  # fmt: skip
         self.constants = Rows({
-            "step": 1, "torque_limit": m, "control_dt": 1, "max_steps": 1, "deflection_limit": 1,
+            "torque_limit": m, "control_dt": 1, "max_steps": 1, "deflection_limit": 1,
             "slope_limit": 1, "rate_limit": 1, "per_rate": 1, "move_time": 1,
             "weights": len(TERMS), "factors": layout.size,
             **({"command_limit": m, "actuators": drives.n_constant} if drives else {}),

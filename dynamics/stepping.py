@@ -1,0 +1,101 @@
+"""Source of a method's `start(w, evaluate)` and `step(w, evaluate)` in a generated module.
+
+Most methods run once on a workspace of symbols: what they do between two evaluations becomes one
+straight-line function, as the arm's own code is, which compiles several times faster than their
+loops. A method with an aid is compiled as it stands, because it has more to do than an evaluation.
+"""
+
+from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+from dynamics.integrators import INTEGRATORS
+from dynamics.lowering import render_function
+
+ROUNDS = 4  # a vector register per number: a coordinate's operations hang together, loosely
+_LOOPS = """
+METHOD = INTEGRATORS[{0!r}]
+start_method, step_method = compiled(METHOD.start), compiled(METHOD.step)
+
+
+@compiled
+def start(w, evaluate):
+    start_method(w, w[H], evaluate, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+
+
+@compiled
+def step(w, evaluate):
+    step_method(w, w[H], evaluate, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+"""
+
+
+def method_functions(integrator: str, n: int, at: Mapping[str, int]) -> list[str]:
+    """Text of the functions, for n coordinates and the slots `at`; H holds the step's length."""
+    method = INTEGRATORS[integrator]
+    if method.aid != "none":
+        return [_LOOPS.format(integrator)]
+    return [
+        text
+        for name, function in (("start", method.start), ("step", method.step))
+        for text in _recorded(name, function, n, at)
+    ]
+
+
+def _recorded(name: str, function: Callable[..., None], n: int, at: Mapping[str, int]) -> list[str]:
+    """One straight-line function per stretch between evaluations, and one that calls them all."""
+    record = _Record(name, at["H"])
+
+    def evaluate(w: _Record) -> None:
+        w.end_stretch()
+        w.calls.append("evaluate(w)")
+
+    places = (at[x] for x in ("Q", "V", "ACC", "IMPLICIT", "SCRATCH"))
+    function(record, record[at["H"]], evaluate, 1, n, *places, None)
+    record.end_stretch()
+    lines = [
+        "@compiled",
+        f"def {name}(w, evaluate):",
+        *(f"    {x}" for x in record.calls or ["pass"]),
+    ]
+    return [*record.functions, "\n".join([*lines, ""])]
+
+
+class _Record:
+    """A workspace of one lane whose numbers are symbols; the slot H is never written."""
+
+    dtype = SimpleNamespace(type=float)
+
+    def __init__(self, name: str, h: int) -> None:
+        import casadi as ca
+
+        self.name, self.h = name, {h: ca.SX.sym("h")}
+        self.functions: list[str] = []
+        self.calls: list[str] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        self.read: dict[int, Any] = dict(self.h)
+        self.written: dict[int, Any] = {}
+
+    def __getitem__(self, slot: int) -> Any:
+        import casadi as ca
+
+        if slot in self.written:
+            return self.written[slot]
+        return self.read.setdefault(slot, ca.SX.sym(f"w{slot}"))
+
+    def __setitem__(self, slot: int, value: Any) -> None:
+        self.written[slot] = value
+
+    def end_stretch(self) -> None:
+        """Make a function of what has been written since the last evaluation."""
+        import casadi as ca
+
+        if self.written:
+            name = f"{self.name}_{len(self.functions)}"
+            outputs = [ca.cse(ca.vertcat(*self.written.values()))]
+            graph = ca.Function(name, list(self.read.values()), outputs)
+            text = render_function(name, graph, list(self.read), list(self.written), ROUNDS)
+            self.functions.append(text)
+            self.calls.append(f"{name}(w)")
+        self._begin()
