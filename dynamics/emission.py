@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core.cgutils import for_range
 from numba.extending import intrinsic
 
@@ -30,27 +30,40 @@ def straight_line(lanes: int, rounds: int = 1) -> Callable[[Callable[..., None]]
 
     def decorate(function: Callable[..., None]) -> Any:
         @intrinsic
-        def body(typingctx, w):  # type: ignore[no-untyped-def]
+        def call(typingctx, w):  # type: ignore[no-untyped-def]
             def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-                builder.function.attributes.add("noinline")  # called often: one copy is enough
-                array = context.make_array(signature.args[0])(context, builder, args[0])
+                data = context.make_array(signature.args[0])(context, builder, args[0]).data
                 number = context.get_value_type(w.dtype)
-                with for_range(builder, ir.IntType(64)(lanes // width)) as loop:
-                    first = builder.mul(loop.index, ir.IntType(64)(width))
-                    data = builder.gep(array.data, [first])
-                    _emit(builder, data, inspect.getsource(function), number, (lanes, width))
+                builder.call(_defined(builder.module, function, number, lanes, width), [data])
                 return context.get_dummy_value()
 
             return types.void(w), codegen
 
-        def run(w):  # type: ignore[no-untyped-def]
-            body(w)
-
-        # the linker's name for it: two arms loaded from the cache must not share one
-        run.__module__, run.__qualname__ = function.__module__, function.__name__
-        return njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(run)
+        return call
 
     return decorate
+
+
+def _defined(
+    module: ir.Module, function: Callable[..., None], number: ir.Type, lanes: int, width: int
+) -> ir.Function:
+    """The function in the module of its caller, which optimizes and keeps it once, for itself."""
+    known = module.globals.get(function.__name__)
+    if known is not None:
+        return known
+    kind = ir.FunctionType(ir.VoidType(), [number.as_pointer()])
+    defined = ir.Function(module, kind, function.__name__)
+    defined.linkage = "internal"
+    defined.attributes.add("noinline")  # called often: one copy is enough
+    defined.attributes.add("nounwind")
+    builder = ir.IRBuilder(defined.append_basic_block())
+    tree = ast.parse(inspect.getsource(function)).body[0]
+    assert isinstance(tree, ast.FunctionDef)
+    with for_range(builder, ir.IntType(64)(lanes // width)) as loop:
+        data = builder.gep(defined.args[0], [builder.mul(loop.index, loop.index.type(width))])
+        _Block(builder, data, number, lanes, width).emit(tree.body)
+    builder.ret_void()
+    return defined
 
 
 def lane_moves(lanes: int) -> tuple[Any, Any]:
@@ -98,15 +111,6 @@ def lane_moves(lanes: int) -> tuple[Any, Any]:
         return lanes_moved
 
     return move(inwards=True), move(inwards=False)
-
-
-def _emit(
-    builder: ir.IRBuilder, data: ir.Value, source: str, number: ir.Type, lanes: tuple[int, int]
-) -> None:
-    """The function's statements, on numbers or on vectors: (lanes of a slot, of a vector)."""
-    tree = ast.parse(source).body[0]
-    assert isinstance(tree, ast.FunctionDef)
-    _Block(builder, data, number, *lanes).emit(tree.body)
 
 
 class _Block:

@@ -1,0 +1,62 @@
+"""What is compiled of a method does what the method does."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from dynamics.integrators import INTEGRATORS
+from dynamics.stepping import method_functions
+
+N = 3
+AT = {"Q": 0, "V": N, "IMPLICIT": 2 * N, "ACC": 3 * N + 2, "H": 4 * N + 2, "SCRATCH": 4 * N + 3}
+RECORDED = sorted(name for name, method in INTEGRATORS.items() if method.aid == "none")
+
+
+def evaluate(w: Any) -> None:
+    """Some accelerations, different for everything that they may depend on."""
+    for i in range(N):
+        implicit = w[AT["IMPLICIT"]] * w[AT["IMPLICIT"] + 2 + i] + 3.0 * w[AT["IMPLICIT"] + 1]
+        w[AT["ACC"] + i] = np.sin(w[i] + w[(i + 1) % N]) - w[N + i] ** 2 + implicit
+
+
+def generated(integrator: str) -> dict[str, Callable[..., None]]:
+    """The generated functions, run as the Python they are written in, on one lane."""
+    names: dict[str, Any] = {
+        "straight_line": lambda lanes, rounds: lambda function: function,
+        "compiled": lambda function: function,
+        "LANES": 1,
+    }
+    for text in method_functions(integrator, N, AT):
+        exec(text, names)
+    return {name: names[name] for name in ("start", "step")}
+
+
+@pytest.mark.parametrize("integrator", RECORDED)
+def test_straight_line_steps_are_the_methods(integrator: str) -> None:
+    """Start and three steps on a workspace full of numbers: the same in every slot."""
+    method, code = INTEGRATORS[integrator], generated(integrator)
+    size = AT["SCRATCH"] + method.scratch(N)
+    mine = np.random.default_rng(0).uniform(-1.0, 1.0, size)
+    mine[AT["H"]] = 0.1
+    theirs = mine.copy()
+    places = [AT[name] for name in ("Q", "V", "ACC", "IMPLICIT", "SCRATCH")]
+    for name in ("start", "step", "step", "step"):
+        code[name](mine, evaluate)
+        getattr(method, name)(theirs, 0.1, evaluate, 1, N, *places, None)
+        assert_allclose(mine, theirs, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("integrator", RECORDED)
+def test_a_stretch_needs_no_slot_that_it_has_overwritten(integrator: str) -> None:
+    """Every slot is read before it is written, once at most."""
+    for text in method_functions(integrator, N, AT):
+        written: set[str] = set()
+        for line in text.splitlines():
+            target, _, value = (part.strip() for part in line.partition("="))
+            assert value not in written
+            if target.startswith("w["):
+                assert target not in written
+                written.add(target)
