@@ -31,7 +31,8 @@ NOTES = {
     RALF: "Tables are printed, their geometry is not. `ralf-like` has the parallel drive and mass "
     "spread evenly; elbow at 90 degrees, joints held, its EI is tuned to 6.37 Hz. With actuators "
     "their printed springs, times a lever arm squared, hold its joints; the arm is lost too: 0.5 m "
-    "chosen beside table 7.2, tuned to 5.70 Hz beside table 7.3. All else of ours is predicted.",
+    "chosen beside table 7.2, tuned to 5.70 Hz beside table 7.3. At a right elbow actuator 1 "
+    "alone moves the first frequency, actuator 2 the second. All else of ours is predicted.",
     SHUTTLE: "Frequencies of a finite-element model (Smithsonian NASM.2014.0025-bx011-fd006, table "
     "4), transcribed without the payload's label, beside `srms-like`, tuned to the light load's "
     "first four.",

@@ -16,7 +16,8 @@ NOTES = {
     CHAPTER: "Printed are the data and three columns of frequencies. The other numbers, among them "
     "which shapes suit which hub (mapped in [stability](stability.md)), are those of the "
     "frequency equation, solved independently, for a beam with the handbook's density and a point "
-    "mass fitted to mode 1. The preset has density and tip body fitted to modes 1, 2, 4, 5."
+    "mass fitted to mode 1. Three numbers of the preset, density, tip mass and tip "
+    "inertia, are fitted to the four analytical modes 1, 2, 4, 5."
 }
 SLIM = ARMS["slim"]
 BEAM = SLIM.links[0]
