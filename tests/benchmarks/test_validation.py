@@ -101,7 +101,7 @@ def test_counts_of_our_code_join_once_they_exist(
     assert validation_counts.counted() == []
 
 
-# ---- the arm like RALF on its actuators' springs --------------------------------------------------
+# ---- the arm like RALF on its actuators' springs -------------------------------------------------
 
 
 def test_stiff_springs_hold_the_joints_and_soft_ones_carry_rigid_links() -> None:
