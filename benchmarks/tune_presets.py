@@ -1,9 +1,9 @@
-"""Rigidities of the presets whose EI no source gives, tuned to a frequency that one does.
+"""Numbers of the presets that no source gives, tuned to frequencies that one does.
 
     python benchmarks/tune_presets.py
 
-Prints what stands in `dynamics/arms`, to five digits. A frequency grows with the root of EI, so
-that one correction settles it; where joint springs are tuned too, Newton's method does.
+Prints what stands in `dynamics/arms`, to its digits. A frequency grows with the root of EI, so
+that one correction settles it; where more is tuned, least squares do.
 """
 
 from dataclasses import replace
@@ -16,7 +16,25 @@ from scipy.optimize import least_squares
 from dynamics import ARMS, Arm
 from dynamics.published import alone, hertz
 
+SLIM = {1: 2.096, 2: 13.989, 4: 81.225, 5: 136.352}  # [Hz] held, printed
 SHUTTLE = (0.35, 0.46, 3.554, 4.228)  # [Hz] straight, held, unloaded
+
+
+def tuned_slim() -> tuple[float, float, float]:
+    """[kg/m] rho_A, [kg] tip mass, [kg m^2] tip inertia of SLIM: four printed frequencies, held."""
+    (link,) = ARMS["slim"].links
+    first = np.array([link.rho_A, link.tip_mass, link.tip_inertia[2][2]])
+
+    def error(factors: NDArray[np.float64]) -> NDArray[np.float64]:
+        rho_A, mass, inertia = (first * factors).tolist()
+        turned = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, inertia))
+        body = {"tip_mass": mass, "tip_inertia": turned}
+        found = hertz(alone(ARMS["slim"], 0, 7, rho_A=rho_A, **body))
+        return np.array([1e6 * (found[k - 1] / printed - 1.0) for k, printed in SLIM.items()])
+
+    found = least_squares(error, np.ones(3), diff_step=1e-5).x
+    rho_A, mass, inertia = (first * found).tolist()
+    return rho_A, mass, inertia
 
 
 def tuned_ruler() -> float:
@@ -65,6 +83,9 @@ def _shuttle(arm: Arm, EI: float, *springs: float) -> Arm:
 
 
 if __name__ == "__main__":
+    rho_A, mass, inertia = tuned_slim()
+    print(f"slim                          rho_A {rho_A:.5f} kg/m, tip {mass:.5f} kg, "
+          f"{inertia:.3g} kg m^2")  # fmt: skip
     print(f"quanser-rotary-flexible-link  EI tuned {tuned_ruler():.5g} N m^2")
     print(f"sapienza-forearm              EI tuned {tuned_forearm():.5g} N m^2")
     print(f"ralf-like                     EI tuned {tuned_large_arm():.5g} N m^2")

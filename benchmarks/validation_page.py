@@ -40,13 +40,14 @@ HONESTY = (  # source, what it says or lacks, kind, what is done here
      "`srms-like`: public geometry and mass; EI and joint springs tuned to 0.35, 0.46, 3.554 and "
      "4.228 Hz"),
     ("Yuan 1993", "SLIM's density, tip mass, hub, gains", "lost in source",
-     "6061-T6; 0.0408 kg from the first frequency; hub and gains chosen"),
+     "density and tip body fitted to the printed modes 1, 2, 4, 5; hub and gains chosen"),
     ("Yuan 1993", "SLIM's third frequency, 41.524 Hz", "error in print",
      "40.52 Hz follows from the data that give the other four"),
     ("Yuan 1993", "EI in lbf in⁴, K_D = diag[K_P], EG for GJ", "error in print",
      "lbf in², diag[K_D], GJ"),
     ("Yuan 1993", "RALF's sections, joints, lever arms; a damping ratio of 0.2 or 0.02; a digit "
-     "of (7.1a)", "lost in source", "`ralf-like`: printed length and mass, EI tuned; tables shown"),
+     "of (7.1a)", "lost in source", "`ralf-like`: printed length, mass, parallel drive; "
+     "EI tuned; tables shown"),
     ("Zohoor 2009", "numbers of any kind", "lost in source", "limit equations as frequencies"),
     ("Zohoor 2009", "a strain that changes under rigid rotation: first bending of Korayem's link "
      "at 485 Hz instead of 7.9", "replaced",

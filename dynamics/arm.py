@@ -5,7 +5,7 @@ from collections import Counter
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Any
 
-from dynamics import checks
+from dynamics import checks, parallel
 from dynamics.attitude import Quaternion, to_rotation_vector
 from dynamics.checks import ZEROS, Matrix, Vector
 from dynamics.joint import Joint
@@ -299,6 +299,7 @@ class Arm:
             gravity=checks.vector(self.gravity, "Arm.gravity", "m/s^2"),
             rotation=ROTATIONS[checks.choice(self.rotation, "Arm.rotation", ROTATIONS)],
         )
+        parallel.check(self.links)
         if not links:
             if self.payload is not None:
                 raise ValueError(f"Arm.payload ({self.payload!r}) needs a link that holds it.")

@@ -32,7 +32,6 @@ from dynamics.gibbs_appell import (
     block_of,
     joint_first,
     load_of,
-    with_tip_body,
 )
 from dynamics.kinematics import Chain, Frame, outward
 from dynamics.modes import LinkConstants
@@ -66,7 +65,7 @@ def accelerations(
     for i in reversed(range(len(frames))):
         f = frames[i]
         wrench, forces = load_of(f, rates[i][0], load)
-        block = block_of(f, with_tip_body(f, outer))
+        block = block_of(f, outer)
         torque = next(torques) if f.link.driven else 0.0
         drive = [*(mul(s, torque) for s in f.link.root_slope), torque]
         residual = [minus(t, h) for t, h in zip(drive, forces, strict=False)]
@@ -143,7 +142,8 @@ def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar], held: Scal
         A = symmetric(lambda i, j, A=A, pF=pF, F=F: minus(A[i][j], mul(pF[i], F[j])))
         B = msub(B, tuple(tuple(mul(pN[i], F[j]) for j in range(3)) for i in range(3)))
         D = symmetric(lambda i, j, D=D, pN=pN, N=N: minus(D[i][j], mul(pN[i], N[j])))
-    if link.welded or (any(link.root_slope) and not is_zero(held)):
+    loose = any(link.root_slope) and not is_zero(held)
+    if link.welded or link.bypassed or loose:
         return Inertia(A, B, D)
     # along the free axis only what holds the joint resists: exactly zero without it
     keep = mul(held, pivots[-1])
@@ -172,9 +172,11 @@ def _outward_solution(
             u[c] = minus(mul(driven, pivots[c]), dot(block.D[c][c + 1 :], u[c + 1 :]))
         result += joint_first(f.link, u)
         modal = u[: len(f.delta)]
+        turning = w_dot
         if not f.link.welded:
             along = (0.0, 0.0, u[-1])
-            a, w_dot = (add(a, along), w_dot) if f.link.prismatic else (a, add(w_dot, along))
-        a = add(a, cross(w_dot, f.r), combine(modal, f.tip_phi))
-        w_dot = add(w_dot, combine(modal, f.tip_theta))
+            a, turning = (add(a, along), w_dot) if f.link.prismatic else (a, add(w_dot, along))
+        a = add(a, cross(turning, f.r), combine(modal, f.tip_phi))
+        if not f.link.bypassed:
+            w_dot = add(turning, combine(modal, f.tip_theta))
     return result

@@ -46,7 +46,7 @@ Scalars = Sequence[Scalar]
 
 _O: checks.Vector = (0.0, 0.0, 0.0)
 _BODY = LinkConstants(
-    length=0.0, welded=True, prismatic=False, driven=False, spring=0.0, pairs=(),
+    length=0.0, welded=True, prismatic=False, driven=False, bypassed=False, spring=0.0, pairs=(),
     mass=0.0, first_moment=_O, epsilon=(), s=(), c_jk=(), c=(),
     C=(), D=(), C0=checks.ZEROS, tip_phi=(), tip_theta=(), root_slope=(), K=(), damping=(),
     tip_mass=0.0, tip_inertia=checks.ZEROS, rotation=checks.IDENTITY, offset=_O,

@@ -131,6 +131,16 @@ class Wrench(NamedTuple):
         return Wrench(force, add(matvec(R, self.moment), cross(offset, force)))
 
 
+def felt(link: LinkConstants, tip: Wrench) -> Wrench:
+    """What a link's own coordinates feel of the next one: a parallel drive's couple passes by."""
+    return Wrench(tip.force, ZERO) if link.bypassed else tip
+
+
+def passed(link: LinkConstants, tip: Wrench) -> Vector:
+    """The couple of the next link that only what the joint stands on feels."""
+    return tip.moment if link.bypassed else ZERO
+
+
 def axial(link: LinkConstants, wrench: Wrench) -> Scalar:
     """What of a wrench at the joint acts along its coordinate."""
     return wrench.force[2] if link.prismatic else wrench.moment[2]
@@ -143,8 +153,8 @@ def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]
     """
     link = f.link
     force, moment, modal = _own_bias(f)
-    body = _tip_body_bias(f)
-    tip = Wrench(add(body[0], outer.force), add(body[1], outer.moment))
+    body, load = _tip_body_bias(f), felt(link, outer)
+    tip = Wrench(add(body[0], load.force), add(body[1], load.moment))
     slip = plus(rate, dot(link.root_slope, f.delta_dot))
     resistance = plus(friction_torque(link, slip), mul(link.spring, stretch(f)))
     for j, inertial in enumerate(modal):
@@ -157,7 +167,8 @@ def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]
             mul(link.root_slope[j], resistance),
         )
     total = Wrench(add(force, tip.force), add(moment, tip.moment, cross(f.r, tip.force)))
-    return total, modal if link.welded else [*modal, plus(axial(link, total), resistance)]
+    forces = modal if link.welded else [*modal, plus(axial(link, total), resistance)]
+    return Wrench(total.force, add(total.moment, passed(link, outer))), forces
 
 
 def joint_first(link: LinkConstants, values: list[Scalar]) -> list[Scalar]:
@@ -194,7 +205,24 @@ class Block(NamedTuple):
 
 
 def block_of(f: Frame, outer: Inertia) -> Block:
-    """Blocks of the mass matrix of one link carrying `outer` at its tip: (75), (81), (85)."""
+    """Blocks of the mass matrix of one link, all beyond it seen as `outer` at its tip."""
+    if not f.link.bypassed:
+        return _block(f, with_tip_body(f, outer))
+    # its own coordinates push what a parallel drive keeps from turning; all turns with its stand
+    block = _block(f, with_tip_body(f, Inertia(outer.A, ZEROS, ZEROS)))
+    couples = Inertia(ZEROS, outer.B, outer.D).moved(f.r)
+    A, B, D = block.inertia
+    inertia = Inertia(A, madd(B, couples.B), symmetric(lambda i, j: plus(D[i][j], couples.D[i][j])))
+    shifts = (*f.tip_phi, cross((0.0, 0.0, 1.0), f.r))
+    columns = [
+        Wrench(column.force, add(column.moment, matvec(outer.B, shift)))
+        for column, shift in zip(block.columns, shifts, strict=True)
+    ]
+    return Block(inertia, columns, block.D)
+
+
+def _block(f: Frame, outer: Inertia) -> Block:
+    """The same of a link that turns and bends with `outer` fixed to its tip: (75), (81), (85)."""
     link, m = f.link, len(f.delta)
     size = m if link.welded else m + 1
     A, B, D = outer
@@ -262,7 +290,7 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
     outer = NOTHING
     for i in reversed(range(len(frames))):
         f = frames[i]
-        block = block_of(f, with_tip_body(f, outer))
+        block = block_of(f, outer)
         for c, column in enumerate(block.columns):
             for d in range(c, len(block.columns)):
                 row, col = places[i][c], places[i][d]
@@ -270,13 +298,15 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
             wrench, child = column, f
             for k in reversed(range(i)):
                 parent = frames[k]
-                tip = wrench.from_next(child.R, child.offset)
+                outside = wrench.from_next(child.R, child.offset)
+                tip = felt(parent.link, outside)
                 wrench = Wrench(tip.force, add(tip.moment, cross(parent.r, tip.force)))
                 entries = [
                     plus(dot(phi, tip.force), dot(theta, tip.moment))
                     for phi, theta in zip(parent.tip_phi, parent.tip_theta, strict=True)
                 ]
                 entries.append(axial(parent.link, wrench))
+                wrench = Wrench(tip.force, add(wrench.moment, passed(parent.link, outside)))
                 for row, entry in zip(places[k], entries, strict=False):
                     M[row][places[i][c]] = M[places[i][c]][row] = entry
                 child = parent

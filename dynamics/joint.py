@@ -14,6 +14,10 @@ class Joint:
 
     Units are those of a revolute joint. Of a prismatic one q is a length [m] and the rotor inertia
     a mass [kg]; the rest follows: [N s/m], [N], [m/s], [N/m].
+
+    A parallel drive is a massless parallelogram along the link before: it grounds this joint's
+    drive on what the joint before stands on. q is then the angle from there, whatever the joint
+    before turns and the link before bends, and the torque reacts there; see parallel.py.
     """
 
     rotation: Matrix = IDENTITY  # (3, 3) [-] end frame of the link before -> joint frame at q = 0
@@ -26,6 +30,7 @@ class Joint:
     type: str = "revolute"  # | "prismatic"
     stiffness: float | None = None  # [N m/rad] of a spring between rotor and link; None: no spring
     spring_damping: float = 0.0  # [N m s/rad] beside that spring
+    parallel: bool = False  # driven in parallel to the link before
 
     def __post_init__(self) -> None:
         positive, nonnegative = checks.positive, checks.nonnegative
@@ -44,6 +49,8 @@ class Joint:
             cleaned["stiffness"] = positive(self.stiffness, "Joint.stiffness", "N m/rad")
         for name, value in cleaned.items():
             object.__setattr__(self, name, value)
+        if not isinstance(self.parallel, bool):
+            raise ValueError(f"Joint.parallel must be true or false, got {self.parallel!r}.")
         self._check_spring()
 
     def _check_spring(self) -> None:

@@ -206,22 +206,21 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
     Gravity enters as an acceleration of the base: a_0 = -g.
     """
     frames: list[Frame] = []
-    E: Matrix = EYE
     a_tip: Vector = scale(-1.0, chain.gravity)
-    w_tip, w_dot_tip = ZERO, ZERO
+    stand, w_stand, w_dot_stand = EYE, ZERO, ZERO  # what a joint stands on, in the link before
     for link, (joint, delta), (rate, delta_dot) in zip(
         chain.links, chain.split(q), chain.split(v), strict=True
     ):
         mounting, place = _mounting(link, joint)
         along = (0.0, 0.0, rate)
         spin, slide = (ZERO, along) if link.prismatic else (along, ZERO)
-        R = E if link.welded else matmul(E, mounting)
-        offset = matvec(E, place)
-        before = tmatvec(R, w_tip)
-        a = tmatvec(R, add(a_tip, matvec(_phi(w_tip, w_dot_tip), offset)))
+        R = stand if link.welded else matmul(stand, mounting)
+        offset = matvec(stand, place)
+        before, before_dot = tmatvec(R, w_stand), tmatvec(R, w_dot_stand)
+        a = tmatvec(R, add(a_tip, matvec(_phi(w_stand, w_dot_stand), offset)))
         a = add(a, scale(2.0, cross(before, slide)))
         w = add(before, spin)
-        w_dot = add(tmatvec(R, w_dot_tip), cross(before, spin))
+        w_dot = add(before_dot, cross(before, spin))
         Phi = _phi(w, w_dot)
 
         shape = amplitudes(link, delta, delta_dot)
@@ -235,6 +234,9 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
         )
         w_tip = add(w, theta_dot)
         w_dot_tip = add(w_dot, bias, cross(w, theta_dot))
+        stand, w_stand, w_dot_stand = E, w_tip, w_dot_tip
+        if link.bypassed:
+            stand, w_stand, w_dot_stand = transpose(_turn(joint)), before, before_dot
 
         x, every = shape.x, range(len(shape.x))
         beta = [madd(link.C[j], mcombine(x, [link.D[k][j] for k in every])) for j in every]

@@ -56,6 +56,7 @@ class LinkConstants:
     welded: bool  # no joint: a part of the link before
     prismatic: bool  # the joint slides along z instead of turning about it
     driven: bool  # a torque acts on the joint: not on a weld or a spring's twist
+    bypassed: bool  # the next joint's parallel drive stands on what this joint stands on
     pairs: tuple[tuple[int, int], ...]  # (p) modes j <= k whose product foreshortens the link
     mass: float  # [kg] of the beam and body
     first_moment: Vector  # [kg m] int mu eta, and the body's
@@ -85,7 +86,7 @@ class LinkConstants:
 def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
     """Constants of every link of an arm as bodies: any rotor on a spring, then its welded parts."""
     payloads = [*[None] * len(arm.links), arm.payload][1:]
-    return [
+    result = [
         _with_rotor(
             link.joint,
             *(
@@ -100,6 +101,10 @@ def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
         )
         for link, payload in zip(arm.links, payloads, strict=True)
     ]
+    for i, link in enumerate(arm.links):
+        if link.joint.parallel:
+            result[i - 1] = (replace(result[i - 1][0], bypassed=True),)
+    return result
 
 
 def _with_rotor(joint: Joint, *bodies: LinkConstants) -> tuple[LinkConstants, ...]:
@@ -214,6 +219,7 @@ def link_constants(
         welded=welded,
         prismatic=link.joint.type == "prismatic",
         driven=not welded,
+        bypassed=False,
         pairs=pairs,
         mass=mass,
         first_moment=_tuples(moment),

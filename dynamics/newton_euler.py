@@ -58,15 +58,16 @@ class RigidLink:
 
 
 def rigid_links(arm: Arm) -> tuple[RigidLink, ...]:
-    """The links of an arm without modes and joint springs, each with all it carries."""
+    """The links of an arm without modes, springs, parallel drives; each with all it carries."""
     if arm.base.type != "fixed":
         raise ValueError(
             f"Newton-Euler inverse dynamics is for a fixed base, got Base.type {arm.base.type!r}; "
             "use Model.inverse_dynamics."
         )
     for i, link in enumerate(arm.links, 1):
-        if link.modes or link.joint.elastic:
-            what = f"{len(link.modes)} modes" if link.modes else "a spring at its joint"
+        if link.modes or link.joint.elastic or link.joint.parallel:
+            what = "a spring at its joint" if link.joint.elastic else "a parallel drive"
+            what = f"{len(link.modes)} modes" if link.modes else what
             raise ValueError(
                 f"Newton-Euler inverse dynamics is for rigid arms, but link {i} has {what}; "
                 "use Model.inverse_dynamics."

@@ -65,12 +65,18 @@ class Scene:
         object.__setattr__(self, "name", checks.text(self.name, "Scene.name"))
 
     def check(self, arm: Arm) -> None:
-        """Refuse an arm with another number of joints, or on a free base."""
+        """Refuse an arm with another number of joints, on a free base, or driven in parallel."""
         if arm.base.n:
             raise ValueError(
                 f"Base.type must be 'fixed' for a scene, got {arm.base.type!r}: joint motions do "
                 "not say how a base moves."
             )
+        for i, link in enumerate(arm.links, 1):
+            if link.joint.parallel:
+                raise ValueError(
+                    f"Joint.parallel of link {i} must be false for a scene, got True: references "
+                    "cut links into segments, and the one before it stays in one piece."
+                )
         for k, motion in enumerate(self.motions):
             shapes = {"joint_angles": (len(motion.joint_angles),)}
             if motion.torque is not None:

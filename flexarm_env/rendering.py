@@ -74,17 +74,23 @@ class Renderer:
     def shapes(self, core: Core, q: Array, factor: float) -> list[Array]:
         """(., 3) [m] every link's line in the world, deflections times `factor`.
 
-        R_i = R_{i-1} E_{i-1} F_i Rz(q_i), E the rotation of a bent end.
+        R_i = R_{i-1} E_{i-1} F_i Rz(q_i), E the rotation of a bent end; a parallel drive stands
+        on what the joint before stands on.
         """
         lines: list[Array] = []
         R, end, E = np.eye(3), np.zeros(3), np.eye(3)
+        stand = R  # of the joint before
         at = 0
         for link, constants in zip(core.arm.links, self.constants, strict=True):
             end = end + R @ E @ np.array(link.joint.offset)
             joints = 1 + link.joint.elastic  # the rotor, and the twist of its spring
             angle = sum(q[at : at + joints].tolist())
             c, s = math.cos(angle), math.sin(angle)
-            E = E @ np.array(link.joint.rotation) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+            if link.joint.parallel:
+                R, E = stand, np.eye(3)
+            E = E @ np.array(link.joint.rotation)
+            stand = R @ E
+            E = E @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
             at += joints
             line = []
             for part, known in zip(parts(link), constants[joints - 1 :], strict=True):

@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks import validation, validation_counts, validation_pd, validation_slim
+from benchmarks import (
+    validation,
+    validation_counts,
+    validation_large_arms,
+    validation_pd,
+    validation_slim,
+)
 from benchmarks.validation_entries import Number, Table, as_printed
 from benchmarks.validation_page import HONESTY, page
 from benchmarks.validation_pd import STEPS, Step
 from dynamics import compile_arm
-from dynamics.published import alone
+from dynamics.published import alone, hertz
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +99,21 @@ def test_counts_of_our_code_join_once_they_exist(
 
     monkeypatch.setattr(validation_counts, "COUNTED", tmp_path / "operations.json")
     assert validation_counts.counted() == []
+
+
+# ---- the arm like RALF on its actuators' springs -------------------------------------------------
+
+
+def test_stiff_springs_hold_the_joints_and_soft_ones_carry_rigid_links() -> None:
+    """Soft: the moments of inertia about the joints, at a right elbow uncoupled."""
+    large = validation_large_arms
+    held = hertz(large.finer(), angles=large.ELBOW)
+    m, L = 31.75 / 2.0, 3.048
+    inertia = np.array([m * L**2 / 3.0 + m * L**2, m * L**2 / 3.0])
+
+    assert large.on_springs(1e4)[:4] == pytest.approx(held[:4], rel=1e-6)
+    rigid = np.sqrt(np.array(large.SPRINGS) * 0.01**2 / inertia) / (2.0 * np.pi)
+    assert large.on_springs(0.01)[:2] == pytest.approx(rigid, rel=1e-3)
 
 
 # ---- joint PD control ----------------------------------------------------------------------------

@@ -221,12 +221,13 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
     parts: list[tuple[Array, ...]] = []  # mass, inertia, p, R
     rotors: list[tuple[float, Array]] = []
     p, R = _base(jet) if arm.base.n else (_constant(0.0 * X), _constant(np.eye(3)))
+    stand = R  # what the joint before turns on
     com = p + _product(R, _constant(arm.base.com))
     parts.append((np.array([arm.base.mass]), np.array(arm.base.inertia)[None], com, R))
     whole = _parts(arm)
     for i, ((link, _, _), (q, delta)) in enumerate(zip(whole, _by_part(arm, jet), strict=True)):
         p = p + _product(R, _constant(link.joint.offset))
-        R = _product(R, _constant(link.joint.rotation))
+        R = stand = _product(stand if link.joint.parallel else R, _constant(link.joint.rotation))
         if link.joint.type == "prismatic":
             p = p + _product(R, np.multiply.outer(q, Z)[:, None, :, None])
         else:

@@ -146,9 +146,10 @@ def test_a_free_parameter_reaches_every_formulation(name: str) -> None:
 
 @pytest.mark.parametrize("name", FORMULATIONS)
 def test_every_preset_has_the_same_mass_matrix_or_a_refusal(name: str) -> None:
-    """Sliding joints and joint springs are the recursion's alone."""
+    """Sliding joints, joint springs and parallel drives are the recursion's alone."""
     refused = {preset for preset, arm in ARMS.items() if table.why_not(arm, name)}
-    assert refused == (set() if name == "gibbs_appell" else {"stanford", "srms-like"})
+    others = {"stanford", "srms-like", "ralf-like"}
+    assert refused == (set() if name == "gibbs_appell" else others)
     for preset in sorted(set(ARMS) - refused):
         chain, q = compiled(ARMS[preset]).chain, floats(random_state(ARMS[preset])[0])
         M, expected = (

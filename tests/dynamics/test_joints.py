@@ -230,7 +230,8 @@ def sprung_slim(stiffness: float, count: int) -> Arm:
 def exact_frequency(stiffness: float, low: float, high: float) -> float:
     """[Hz] of SLIM's beam between a root spring and a tip mass, without assumed modes.
 
-    w = 0 and EI w_xx = k w_x at the root, w_xx = 0 and EI w_xxx = -m omega^2 w at the tip.
+    w = 0 and EI w_xx = k w_x at the root; at the tip EI w_xx = J omega^2 w_x and
+    EI w_xxx = -m omega^2 w.
     """
     (slim,) = ARMS["slim"].links
     EI, L = float(slim.EIz or 0.0), slim.length
@@ -241,9 +242,12 @@ def exact_frequency(stiffness: float, low: float, high: float) -> float:
         s, c, sh, ch = np.sin(b * L), np.cos(b * L), np.sinh(b * L), np.cosh(b * L)
         root = -stiffness / (2.0 * EI * b)  # of cos - cosh, per slope of sin and sinh
         mass = slim.tip_mass * squared / (EI * b**3)
-        both = np.array([c - ch, -c - ch, s - sh]) * root  # w, w_xx/b^2, w_xxx/b^3
-        a, d = np.add(both, (s, -s, -c)), np.add(both, (sh, sh, ch))
-        return float(a[1] * (d[2] + mass * d[0]) - d[1] * (a[2] + mass * a[0]))
+        spin = slim.tip_inertia[2][2] * squared / (EI * b)  # of w_x/b
+        both = np.array([c - ch, -s - sh, -c - ch, s - sh]) * root  # w, w_x/b, w_xx/b^2, w_xxx/b^3
+        a, d = np.add(both, (s, c, -s, -c)), np.add(both, (sh, ch, sh, ch))
+        moments = [x[2] - spin * x[1] for x in (a, d)]
+        forces = [x[3] + mass * x[0] for x in (a, d)]
+        return float(moments[0] * forces[1] - moments[1] * forces[0])
 
     return float(brentq(determinant, low, high))
 

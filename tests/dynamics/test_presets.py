@@ -96,6 +96,12 @@ def test_a_tuned_rigidity_is_what_the_tuning_finds(name: str, link: int, tuned: 
     assert ARMS[name].links[link].EIz == pytest.approx(tuned(), rel=1e-4)
 
 
+def test_density_and_tip_body_of_slim_are_what_its_printed_frequencies_imply() -> None:
+    (link,) = ARMS["slim"].links
+    own = (link.rho_A, link.tip_mass, link.tip_inertia[2][2])
+    assert own == pytest.approx(tune_presets.tuned_slim(), rel=1e-3)
+
+
 def test_the_booms_and_joints_of_the_shuttle_like_arm_are_tuned() -> None:
     shoulder, *booms = ARMS["srms-like"].links[:3]
     EI, *springs = tune_presets.tuned_shuttle()

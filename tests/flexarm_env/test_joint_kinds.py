@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexarm_env  # noqa: F401
-from dynamics import ARMS, Arm, Link
+from dynamics import ARMS, Arm, Link, simulate
 from flexarm_env.core import Core
 from flexarm_env.rendering import Renderer
 
@@ -47,6 +47,28 @@ def test_a_sprung_joint_is_drawn_where_it_is() -> None:
     q = np.array([0.7, -0.4, 0.03, 0.001])
     drawn = Renderer(core).shapes(core, q, 1.0)[-1][-1]
     np.testing.assert_allclose(drawn, core.model.tip(q), atol=1e-12)
+
+
+def test_a_parallel_drive_is_drawn_where_it_is() -> None:
+    core = Core(task="Reach", arm="ralf-like")
+    q = np.array([0.7, 0.2, -0.1, -0.4, 0.15, 0.1])
+    drawn = Renderer(core).shapes(core, q, 1.0)
+    np.testing.assert_allclose(drawn[-1][-1], core.model.tip(q), atol=1e-12)
+
+
+def test_an_environment_moves_an_arm_with_a_parallel_drive_as_its_model_says() -> None:
+    """Full torque on the second motor alone, beside error control on the model."""
+    env = gym.make(ID, arm="ralf-like", control_dt=0.02)
+    env.reset(seed=0, options={"state": {"q": [0.2, 0, 0, 0.9, 0, 0], "v": [0.0] * 6}})
+    core = env.unwrapped.core  # type: ignore[attr-defined]
+    q, v, torque = core.q[0].copy(), core.v[0].copy(), np.array([0.0, core.torque_limit[1]])
+    for _ in range(10):
+        env.step(np.array([0.0, 1.0], np.float32))
+
+    path = simulate(core.model, q, v, lambda t: torque, np.array([0.0, 0.2]), rtol=1e-9)
+
+    np.testing.assert_allclose(core.q[0], path.q[-1], rtol=0.0, atol=1e-3)
+    assert np.abs(core.q[0] - q).min() > 1e-4
 
 
 def test_torque_limits_of_a_sprung_rigid_arm_are_those_of_the_rigid_arm() -> None:
