@@ -111,7 +111,7 @@ def test_stiff_springs_hold_the_joints_and_soft_ones_carry_rigid_links() -> None
     m, L = 31.75 / 2.0, 3.048
     inertia = np.array([m * L**2 / 3.0 + m * L**2, m * L**2 / 3.0])
 
-    assert large.on_springs(1e4)[:4] == pytest.approx(held[:4], rel=1e-6)
+    assert large.on_springs(1e3)[:4] == pytest.approx(held[:4], rel=1e-5)
     rigid = np.sqrt(np.array(large.SPRINGS) * 0.01**2 / inertia) / (2.0 * np.pi)
     assert large.on_springs(0.01)[:2] == pytest.approx(rigid, rel=1e-3)
 
