@@ -34,6 +34,7 @@ from benchmarks.precision_scenes import GOOD, SETTINGS, Array, Level, Setting
 from dynamics import Arm, Diverged, Model, Stepper, compile_arm, simulate
 from dynamics.integrators import INTEGRATORS
 from dynamics.lowering import operations
+from dynamics.stepping import LONGEST
 from flexarm_env.certificates import stored
 from flexarm_env.core import Core
 from flexarm_env.timing import cpu_seconds
@@ -244,6 +245,7 @@ def measured(setting: Setting, compile_all: Compile) -> dict[str, Any]:
         (name, method)
         for name in models
         for method in (INTEGRATORS if name in best else (ACCURATE,))
+        if compiles(models[name], method)
     ]
     compile_all([(arms[name], method) for name, method in pairs])
     prices = costs(models, setting, pairs)
@@ -278,6 +280,11 @@ def compile_one(program: tuple[Arm, str], n_env: int = 2) -> None:
     """Compile, or find compiled, one arm for one integrator; many lanes unless for one."""
     arm, integrator = program
     Stepper(compile_arm(arm), n_env, dt=1e-7, substeps=1, integrator=integrator).advance()
+
+
+def compiles(model: Model, method: str) -> bool:
+    """Whether the method's code for this model is short enough."""
+    return INTEGRATORS[method].aid != "jacobian" or model.jacobian_graph.n_instructions() <= LONGEST
 
 
 def front(points: list[Row]) -> list[Row]:

@@ -27,7 +27,7 @@ from dynamics.lowering import (
     render_module,
 )
 from dynamics.modes import chain_constants, curvature, parts
-from dynamics.stepping import method_functions
+from dynamics.stepping import aid_function, method_functions
 
 Array = np.ndarray
 
@@ -299,7 +299,7 @@ class Model:
         functions = [
             render_function("accelerations", graph, inputs, at["ACC"]),
             *added.functions(at),
-            *self._aid(method.aid, inputs, at["SCRATCH"]),
+            *aid_function(self, method.aid, inputs, at["SCRATCH"]),
             *self._renewal(at),
             *method_functions(integrator, self.n, at),
         ]
@@ -319,15 +319,6 @@ class Model:
         sizes = {"CHECK": 1, "GOOD": 1, "MEASURED": self.n_measure}
         entries = glue(free_base=self.arm.base.n > 0)
         return Addition(key="stepper", sizes=sizes, functions=functions, entries=entries)
-
-    def _aid(self, aid: str, inputs: Sequence[int], scratch: int) -> list[str]:
-        """Source of what a method needs beside the accelerations: AID."""
-        if aid == "modes":
-            modes = linear.frozen_modes(self.chain)  # none of a rigid arm: the shape must tell
-            return [f"AID = np.array({modes.tolist()!r}).reshape({modes.shape})"]
-        if aid == "jacobian":
-            return [render_function("AID", self.jacobian_graph, inputs, scratch)]
-        return ["AID = None"]
 
     def _renewal(self, at: Mapping[str, int]) -> list[str]:
         """Source of what follows every step with a free base."""

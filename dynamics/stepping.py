@@ -5,13 +5,18 @@ straight-line function, as the arm's own code is, which compiles several times f
 loops. A method with an aid is compiled as it stands, because it has more to do than an evaluation.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dynamics.integrators import INTEGRATORS
+from dynamics.linear import frozen_modes
 from dynamics.lowering import render_function
 
+if TYPE_CHECKING:
+    from dynamics.model import Model
+
+LONGEST = 100_000  # operations of a Jacobian that compiles within minutes
 ROUNDS = 4  # a vector register per number: a coordinate's operations hang together, loosely
 _LOOPS = """
 METHOD = INTEGRATORS[{0!r}]
@@ -39,6 +44,27 @@ def method_functions(integrator: str, n: int, at: Mapping[str, int]) -> list[str
         for name, function in (("start", method.start), ("step", method.step))
         for text in _recorded(name, function, n, at)
     ]
+
+
+def aid_function(model: "Model", aid: str, inputs: Sequence[int], scratch: int) -> list[str]:
+    """Text of AID, what a method needs beside the accelerations.
+
+    Raises
+    ------
+    ValueError : for a Jacobian that is too long to compile.
+    """
+    if aid == "modes":
+        modes = frozen_modes(model.chain)  # none of a rigid arm: the shape must tell
+        return [f"AID = np.array({modes.tolist()!r}).reshape({modes.shape})"]
+    if aid != "jacobian":
+        return ["AID = None"]
+    count = model.jacobian_graph.n_instructions()
+    if count > LONGEST:
+        raise ValueError(
+            f"The Jacobian of the accelerations takes {count} operations for this arm, too long "
+            f"to compile (at most {LONGEST}); take integrator 'midpoint', implicit without one."
+        )
+    return [render_function("AID", model.jacobian_graph, inputs, scratch)]
 
 
 def _recorded(name: str, function: Callable[..., None], n: int, at: Mapping[str, int]) -> list[str]:
