@@ -153,7 +153,7 @@ def test_energy_drift_of_a_swing_falls_at_the_order_of_the_method(integrator: st
 
 
 def test_a_jacobian_too_long_to_compile_is_refused() -> None:
-    """Six spatial links: a sentence at once instead of an hour's compiling."""
+    """Six spatial links: a sentence at once instead of many minutes' compiling."""
     model = compile_arm("six-link")
     with pytest.raises(ValueError, match=r"takes \d+ operations .* take integrator 'midpoint'"):
         Stepper(model, 1, dt=1e-3, substeps=1, integrator="rosenbrock")
