@@ -21,7 +21,7 @@ _FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive t
 
 
 def straight_line(lanes: int, rounds: int = 1) -> Callable[[Callable[..., None]], Any]:
-    """Decorator: compile a generated function of `w` for this many lanes, as njit would.
+    """Decorator: a generated function of `w` becomes one for this many lanes, for njit's to call.
 
     In several rounds, each for its share of the lanes, fewer numbers are on the way at a time: good
     for a function that has few operations on each.

@@ -3,7 +3,8 @@
 A method works in place on the flat workspace `w`: `n` values (coordinates times lanes) of q, v and
 a start at these offsets, scratch space at `s`. `evaluate(w)` writes the accelerations of the
 present q and v. The functions are plain Python, with numbers typed to the workspace (float64 or
-float32); a generated module compiles them around its arm.
+float32). Without an aid they run on symbols, so no branch may hang on a value; stepping.py turns
+them, or with an aid their loops, into compiled code around an arm.
 
 `start` runs once per call, under a new torque, `step` as often as there are substeps. Nothing but
 q and v outlives a call, so a method that remembers must begin well: on true accelerations and,

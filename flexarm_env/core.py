@@ -62,7 +62,7 @@ class Core:
     deflection_limit : [-] deflection over length above which an episode ends as invalid.
     max_steps : control steps after which an episode is truncated; 0: never.
     threads : worker threads at most; a batch with too little work for them takes fewer.
-    dtype : number type of the compiled code, "float64" or "float32".
+    dtype : number type of the compiled code, the state, rewards and info: "float64" or "float32".
     randomize : ranges (low, high) of free parameters, drawn anew at every reset; names are those
         of `dynamics.free_parameters.FREE_PARAMETERS`.
     fidelity : "auto", the arm as described; "rigid", without modes; or "reference", cut into

@@ -62,7 +62,9 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._all = np.arange(num_envs)
         self._everyone = np.ones(num_envs, np.bool_)
         self._everyone.flags.writeable = False  # shared by all steps' infos
-        self._masks, self._term_masks = self._masked(self._everyone)
+        names = self.core.outputs().described()
+        self._masks = {f"_{name}": self._everyone for name in names}
+        self._term_masks = {f"_{name}": self._everyone for name in names["reward_terms"]}
         self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
         self._seeded = False
 
@@ -167,12 +169,6 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._after_step()
         return out.obs, *outcome, self._info(out) | final
 
-    def _masked(self, mask: Flags) -> tuple[dict[str, Flags], dict[str, Flags]]:
-        """Gymnasium's `_name` beside each `name` of info and of reward terms."""
-        names = self.core.outputs().described()
-        terms = names["reward_terms"]
-        return {f"_{name}": mask for name in names}, {f"_{name}": mask for name in terms}
-
     def _info(self, out: Outputs) -> dict[str, Any]:
         """Info by name; all environments have it."""
         described = out.described()
@@ -184,11 +180,10 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         """Copies of the last info of the environments that are `done`."""
         described = out.described()
         terms = described.pop("reward_terms")
-        masks, term_masks = self._masked(done)
         copies: dict[str, Any] = {name: values.copy() for name, values in described.items()}
         copies["reward_terms"] = {name: values.copy() for name, values in terms.items()}
-        copies["reward_terms"] |= term_masks
-        return copies | masks
+        copies["reward_terms"] |= dict.fromkeys(self._term_masks, done)
+        return copies | dict.fromkeys(self._masks, done)
 
     def _after_step(self) -> None:
         if self._renderer is not None:

@@ -80,6 +80,19 @@ def inertial_forces(arm: Arm, q: Array, v: Array, a: Array) -> Array:
     ) / (2.0 * np.diag(steps))
 
 
+def implicit_accelerations(
+    arm: Arm, M: Array, load: Array, guess: Array, s: float, d: float
+) -> Array:
+    """Solution of (M + W) a = load + W guess, W = s K + d C of all that is linear in q and v."""
+    smooth = [replace(link, joint=replace(link.joint, coulomb=0.0)) for link in arm.links]
+    linear, none = replace(arm, links=tuple(smooth)), np.zeros(arm.n)
+    units = np.eye(arm.n)
+    K = np.array([resisting_forces(linear, e, none) for e in units]).T
+    C = np.array([resisting_forces(linear, none, e) for e in units]).T
+    W = s * K + d * C
+    return np.linalg.solve(M + W, load + W @ guess)
+
+
 def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
     """(n,) elastic, damping and friction forces, from their definitions."""
     forces: list[float] = [0.0] * arm.base.n
