@@ -23,6 +23,10 @@ STAR: dict[str, Any] = {
     "color": "gold", "markeredgecolor": "k", "markersize": 14, "zorder": 5, "linestyle": "none",
 }  # fmt: skip
 CODE = "modes x segments, f: foreshortened"
+BELOW: dict[str, Any] = {  # a legend where it hides no run
+    "loc": "upper center", "bbox_to_anchor": (0.5, -0.07), "ncols": 3, "fontsize": 7.5,
+    "title_fontsize": 8, "columnspacing": 1.0, "handletextpad": 0.4,
+}  # fmt: skip
 Row = dict[str, Any]
 
 
@@ -30,7 +34,7 @@ def draw(results: Row, folder: Path) -> None:
     """One figure per scene, its step, its model and both apart, and one of all scenes."""
     scenes = results["scenes"]
     for name, scene in scenes.items():
-        figure, axes = plt.subplots(1, 3, figsize=(14.5, 5.2), sharey=True, layout="constrained")
+        figure, axes = plt.subplots(1, 3, figsize=(14.5, 6.4), sharey=True, layout="constrained")
         _draw_steps(axes[0], scene)
         _draw_models(axes[1], scene)
         _draw_runs(axes[2], scene)
@@ -109,7 +113,7 @@ def _draw_steps(axis: Any, scene: Row) -> None:
         lost = [p["cpu"] for p in mine if p["integrator"] == name and p not in line]
         axis.plot(lost, [1.0] * len(lost), "x", color=_colour(name), markersize=5)
     _draw_default(axis, scene, "integration")
-    axis.legend(fontsize=8, loc="upper right", title=model, title_fontsize=8)
+    axis.legend(title=model, **BELOW)
 
 
 def _draw_models(axis: Any, scene: Row) -> None:
@@ -136,7 +140,7 @@ def _draw_models(axis: Any, scene: Row) -> None:
             )
             if name == scene["default"]["model"]:
                 axis.plot(place, error, "*", label="default", **STAR)
-    axis.legend(fontsize=8, loc="lower left", title=CODE, title_fontsize=8)
+    axis.legend(title=CODE, **BELOW)
 
 
 def _draw_runs(axis: Any, scene: Row) -> None:
@@ -166,7 +170,7 @@ def _draw_runs(axis: Any, scene: Row) -> None:
             xytext=(2, 3), fontsize=7.5, weight="bold", zorder=6,
         )  # fmt: skip
     _draw_default(axis, scene, "error")
-    axis.legend(fontsize=7, loc="lower left", title=CODE, title_fontsize=7)
+    axis.legend(title=CODE, **BELOW)
 
 
 def _draw_default(axis: Any, scene: Row, error: str) -> None:

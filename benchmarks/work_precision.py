@@ -1,7 +1,7 @@
 """Tip error against CPU time: every integrator, step, number of modes, foreshortening, segments.
 
     python benchmarks/work_precision.py [--quick] [--only NAME ...] [--out FILE] [--images FOLDER]
-    python benchmarks/work_precision.py --truth [--only NAME ...]
+    python benchmarks/work_precision.py --redraw | --truth [--only NAME ...]
 
 CPU time is that of one environment in a batch of 1024 on one thread, calls and measurements
 included, per simulated second. Errors are the largest distance of the tip over the motion, in
@@ -319,6 +319,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one scene, three models")
     parser.add_argument("--truth", action="store_true", help="make the truths again, nothing else")
+    parser.add_argument("--redraw", action="store_true", help="charts of stored results, no runs")
     parser.add_argument("--only", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
     parser.add_argument("--jobs", type=int, default=2, help="processes that compile")
     parser.add_argument("--out", type=Path, default=Path("docs/results/work_precision.json"))
@@ -329,6 +330,10 @@ def main() -> None:
         for setting in chosen:
             if setting.refined:
                 make_truth(setting)
+        return
+    if options.redraw:
+        text = options.out.read_text().replace('"diverged"', "Infinity")
+        precision_charts.draw(json.loads(text), options.images)
         return
     results = quick() if options.quick else run(chosen, options.jobs)
     options.out.parent.mkdir(parents=True, exist_ok=True)
