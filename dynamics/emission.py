@@ -8,15 +8,16 @@ vectors of all lanes is a hundred times faster and certain, and LLVM fits them t
 
 import ast
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core.cgutils import for_range
+from numba.core.cgutils import for_range, unpack_tuple
 from numba.extending import intrinsic
 
+_WORD = ir.IntType(64)
 _FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive to be seen
 
 
@@ -33,37 +34,21 @@ def straight_line(lanes: int, rounds: int = 1) -> Callable[[Callable[..., None]]
         def call(typingctx, w):  # type: ignore[no-untyped-def]
             def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
                 data = context.make_array(signature.args[0])(context, builder, args[0]).data
-                number = context.get_value_type(w.dtype)
-                builder.call(_defined(builder.module, function, number, lanes, width), [data])
+                builder.call(_once(builder.module, function.__name__, [data], body), [data])
                 return context.get_dummy_value()
 
             return types.void(w), codegen
 
+        def body(builder: ir.IRBuilder, data: ir.Value) -> None:
+            tree = ast.parse(inspect.getsource(function)).body[0]
+            assert isinstance(tree, ast.FunctionDef)
+            with for_range(builder, _WORD(lanes // width)) as loop:
+                share = builder.gep(data, [builder.mul(loop.index, _WORD(width))])
+                _Block(builder, share, lanes, width).emit(tree.body)
+
         return call
 
     return decorate
-
-
-def _defined(
-    module: ir.Module, function: Callable[..., None], number: ir.Type, lanes: int, width: int
-) -> ir.Function:
-    """The function in the module of its caller, which optimizes and keeps it once, for itself."""
-    known = module.globals.get(function.__name__)
-    if known is not None:
-        return known
-    kind = ir.FunctionType(ir.VoidType(), [number.as_pointer()])
-    defined = ir.Function(module, kind, function.__name__)
-    defined.linkage = "internal"
-    defined.attributes.add("noinline")  # called often: one copy is enough
-    defined.attributes.add("nounwind")
-    builder = ir.IRBuilder(defined.append_basic_block())
-    tree = ast.parse(inspect.getsource(function)).body[0]
-    assert isinstance(tree, ast.FunctionDef)
-    with for_range(builder, ir.IntType(64)(lanes // width)) as loop:
-        data = builder.gep(defined.args[0], [builder.mul(loop.index, loop.index.type(width))])
-        _Block(builder, data, number, lanes, width).emit(tree.body)
-    builder.ret_void()
-    return defined
 
 
 def lane_moves(lanes: int) -> tuple[Any, Any]:
@@ -113,13 +98,94 @@ def lane_moves(lanes: int) -> tuple[Any, Any]:
     return move(inwards=True), move(inwards=False)
 
 
+def row_moves(lanes: int) -> tuple[Any, Any]:
+    """Functions `gather` and `scatter`: lanes of adjoining slots from, and to, rows of an array.
+
+    `gather(w, at, rows, first)` fills a slot per column, from offset `at` on, with a row per lane;
+    the last row stands in for missing ones. `scatter(w, at, rows, row)` writes the lane at offset
+    `at` of every slot into a row. Numbers are converted.
+    """
+
+    def gathered(builder, slots, data, count, columns, down, along, first):  # type: ignore[no-untyped-def]
+        last = builder.sub(count, _WORD(1))
+        offsets = []
+        for b in range(lanes):
+            row = builder.add(first, _WORD(b))
+            row = builder.select(builder.icmp_unsigned("<", row, last), row, last)
+            offsets.append(builder.mul(row, down))
+        with for_range(builder, columns) as loop:
+            place = builder.mul(loop.index, along)
+            slot = builder.gep(slots, [builder.mul(loop.index, _WORD(lanes))])
+            for b, offset in enumerate(offsets):
+                value = builder.load(_element(builder, data, builder.add(offset, place)))
+                value = _converted(builder, value, slots.type.pointee)
+                builder.store(value, builder.gep(slot, [_WORD(b)]))
+
+    def scattered(builder, slots, data, count, columns, down, along, row):  # type: ignore[no-untyped-def]
+        start = builder.mul(row, down)
+        with for_range(builder, columns) as loop:
+            slot = builder.gep(slots, [builder.mul(loop.index, _WORD(lanes))])
+            value = _converted(builder, builder.load(slot), data.type.pointee)
+            place = builder.add(start, builder.mul(loop.index, along))
+            builder.store(value, _element(builder, data, place))
+
+    def move(body: Callable[..., None]) -> Any:
+        @intrinsic
+        def rows_moved(typingctx, w, at, rows, row):  # type: ignore[no-untyped-def]
+            def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+                slots = context.make_array(signature.args[0])(context, builder, args[0]).data
+                array = context.make_array(signature.args[2])(context, builder, args[2])
+                sizes = [*unpack_tuple(builder, array.shape), *unpack_tuple(builder, array.strides)]
+                given = [builder.gep(slots, [args[1]]), array.data, *sizes, args[3]]
+                name = f"{body.__name__}_{slots.type.pointee}_{array.data.type.pointee}"
+                builder.call(_once(builder.module, name, given, body), given)
+                return context.get_dummy_value()
+
+            return types.void(w, at, rows, row), codegen
+
+        return rows_moved
+
+    return move(gathered), move(scattered)
+
+
+def _once(
+    module: ir.Module, name: str, arguments: Sequence[ir.Value], body: Callable[..., None]
+) -> ir.Function:
+    """A function of this module for its own calls, of a body that never grows into its callers."""
+    known = module.globals.get(name)
+    if known is not None:
+        return known
+    kind = ir.FunctionType(ir.VoidType(), [x.type for x in arguments])
+    defined = ir.Function(module, kind, name)
+    defined.linkage = "internal"
+    defined.attributes.add("noinline")  # called often: one copy is enough
+    defined.attributes.add("nounwind")
+    builder = ir.IRBuilder(defined.append_basic_block())
+    body(builder, *defined.args)
+    builder.ret_void()
+    return defined
+
+
+def _element(builder: ir.IRBuilder, data: ir.Value, offset: ir.Value) -> ir.Value:
+    """Address so many bytes on."""
+    bytes_ = builder.bitcast(data, ir.IntType(8).as_pointer())
+    return builder.bitcast(builder.gep(bytes_, [offset]), data.type)
+
+
+def _converted(builder: ir.IRBuilder, value: ir.Value, kind: ir.Type) -> ir.Value:
+    """A number, or a vector of them, in another precision."""
+    if value.type == kind:
+        return value
+    narrower = isinstance(getattr(kind, "element", kind), ir.FloatType)
+    return builder.fptrunc(value, kind) if narrower else builder.fpext(value, kind)
+
+
 class _Block:
     """Emits statements on values of one type: a number, or a vector of lanes."""
 
-    def __init__(
-        self, builder: ir.IRBuilder, data: ir.Value, number: ir.Type, lanes: int, width: int
-    ) -> None:
+    def __init__(self, builder: ir.IRBuilder, data: ir.Value, lanes: int, width: int) -> None:
         self.builder, self.data, self.lanes, self.width = builder, data, lanes, width
+        number = data.type.pointee
         self.single = isinstance(number, ir.FloatType)
         self.kind = number if width == 1 else ir.VectorType(number, width)
         self.align = 4 if self.single else 8
@@ -139,7 +205,7 @@ class _Block:
 
     def _slot(self, node: ast.Subscript) -> ir.Value:
         slot = ast.literal_eval(node.slice)
-        offset = ir.IntType(64)(slot * self.lanes)
+        offset = _WORD(slot * self.lanes)
         address = self.builder.gep(self.data, [offset])
         return self.builder.bitcast(address, self.kind.as_pointer())
 

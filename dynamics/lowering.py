@@ -15,7 +15,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import accumulate
 from pathlib import Path
 from types import ModuleType
@@ -215,6 +215,7 @@ class Addition:
     sizes: Mapping[str, int]  # further slots of the workspace: name -> how many
     functions: Callable[[Mapping[str, int]], list[str]]  # all slots -> text of functions of `w`
     entries: str  # text of the functions that Python calls
+    marks: Mapping[str, Sequence[str]] = field(default_factory=dict)  # lines it has marks for
 
 
 def render_function(
@@ -237,6 +238,14 @@ def render_function(
         lines += [f"w[{slot}] = {code.text(value)}" for slot, value in stores.get(v, ())]
     head = [f"@straight_line(LANES, {rounds})", f"def {name}(w):"]
     return "\n".join([*head, *(f"    {x}" for x in lines), ""])
+
+
+def render_check(state: Iterable[int], check: int, good: int) -> str:
+    """Text of `check(w)`: one more is `good` if the state is finite, and was whenever asked."""
+    lines = [f"    sum = sum + 0.0 * w[{slot}]" for slot in state]
+    text = ["@straight_line(LANES)", "def check(w):", f"    sum = w[{check}]", *lines]
+    text += [f"    w[{check}] = sum", f"    w[{good}] = w[{good}] + at_most(abs(sum), 0.0)", ""]
+    return "\n".join(text)
 
 
 def _earliest_stores(
@@ -267,9 +276,9 @@ def render_module(
         f'"""Generated: {title}."""',
         "import numpy as np",
         "from numpy import floor, sqrt",
-        "from dynamics.emission import lane_moves, straight_line",
+        "from dynamics.emission import lane_moves, row_moves, straight_line",
         "from dynamics.integrators import INTEGRATORS",
-        "from dynamics.kernels import compiled, count_finite, gather, outermost, scatter",
+        "from dynamics.kernels import compiled, outermost",
         f"LANES = {lanes}",
         f"SLOTS = {slots}",
         f"OPERATIONS = {operations}",
@@ -277,6 +286,20 @@ def render_module(
     offsets = [f"{name} = np.uint64({slot * lanes})" for name, slot in constants.items()]
     lines = [f"LANES = np.uint64({lanes})", *offsets]
     return "\n\n".join(["\n".join(head), *functions, "\n".join(lines), entries])
+
+
+def expanded(text: str, marks: Mapping[str, Sequence[str]]) -> str:
+    """Text with other lines, which may be marks again, in place of those that are marks."""
+    lines = []
+    for line in text.splitlines():
+        mark = line.lstrip()
+        if mark in marks:
+            indent = line[: len(line) - len(mark)]
+            own = expanded("\n".join(marks[mark]), marks)
+            lines += [indent + other for other in own.splitlines()]
+        else:
+            lines.append(line)
+    return "\n".join(lines) + "\n"
 
 
 def cache_folder() -> Path:

@@ -16,18 +16,20 @@ from dynamics.christoffel import christoffel
 from dynamics.formulations import formulation_for
 from dynamics.free_parameters import FREE_PARAMETERS
 from dynamics.integrators import INTEGRATORS
-from dynamics.kernels import LANES, glue
+from dynamics.kernels import ENTRIES, FLIGHT, LANES
 from dynamics.kinematics import Chain
 from dynamics.lowering import (
     Addition,
     cached_module,
+    expanded,
     fingerprint,
     operations,
+    render_check,
     render_function,
     render_module,
 )
 from dynamics.modes import chain_constants, curvature, parts
-from dynamics.stepping import aid_function, method_functions
+from dynamics.stepping import aid_function, method_code
 
 Array = np.ndarray
 
@@ -296,17 +298,21 @@ class Model:
         at, implicit = dict(zip(sizes, starts, strict=False)), method.implicit
         inputs = [at["Q"], at["V"], at["TAU"], at["PARAMETERS"], at["IMPLICIT"]]
         graph = graphs.accelerations(self, implicit) if implicit else self.graph
+        stepping, calls = method_code(integrator, self.n, at)
+        flight = FLIGHT if self.arm.base.n else dict.fromkeys(FLIGHT, ())
+        marks = {"#evaluate": ["accelerations(w)"], **calls, **flight, **added.marks}
         functions = [
             render_function("accelerations", graph, inputs, at["ACC"]),
             *added.functions(at),
             *aid_function(self, method.aid, inputs, at["SCRATCH"]),
             *self._renewal(at),
-            *method_functions(integrator, self.n, at),
+            *(expanded(text, marks) for text in stepping),
         ]
         title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}, {self.dtype}"
         constants = at | {"N": self.n}
         work = functions[0].count(" = ")
-        return render_module(title, lanes, starts[-1], work, constants, functions, added.entries)
+        entries = expanded(added.entries, marks)
+        return render_module(title, lanes, starts[-1], work, constants, functions, entries)
 
     @property
     def _stepping(self) -> Addition:
@@ -314,11 +320,12 @@ class Model:
 
         def functions(at: Mapping[str, int]) -> list[str]:
             inputs = [at[name] for name in ("Q", "V", "ATTITUDE") if name in at]
-            return [render_function("measure", self.measure_graph, inputs, at["MEASURED"])]
+            measure = render_function("measure", self.measure_graph, inputs, at["MEASURED"])
+            state = range(at.get("ATTITUDE", at["Q"]), at["V"] + self.n)
+            return [measure, render_check(state, at["CHECK"], at["GOOD"])]
 
         sizes = {"CHECK": 1, "GOOD": 1, "MEASURED": self.n_measure}
-        entries = glue(free_base=self.arm.base.n > 0)
-        return Addition(key="stepper", sizes=sizes, functions=functions, entries=entries)
+        return Addition(key="stepper", sizes=sizes, functions=functions, entries=ENTRIES)
 
     def _renewal(self, at: Mapping[str, int]) -> list[str]:
         """Source of what follows every step with a free base."""
@@ -328,7 +335,8 @@ class Model:
         graph, sizes = graphs.renewal(self.arm.gravity)
         inputs = [places[name] for name in list(sizes)[:3]]
         outputs = [places[name] + i for name, size in sizes.items() for i in range(size)]
-        return [render_function("renew", graph, inputs, outputs)]
+        chart = "from dynamics.chart import enter, leave, turn"
+        return [chart, render_function("renew", graph, inputs, outputs)]
 
     # ---- tracing -------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""Source of a method's `start(w, evaluate)` and `step(w, evaluate)` in a generated module.
+"""Source of a method in a generated module: functions, and lines #start and #step that call them.
 
 Most methods run once on a workspace of symbols: what they do between two evaluations becomes one
 straight-line function, as the arm's own code is, which compiles several times faster than their
@@ -24,26 +24,25 @@ start_method, step_method = compiled(METHOD.start), compiled(METHOD.step)
 
 
 @compiled
-def start(w, evaluate):
-    start_method(w, w[H], evaluate, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
-
-
-@compiled
-def step(w, evaluate):
-    step_method(w, w[H], evaluate, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)
+def evaluate(w):
+    #evaluate
 """
+_CALL = "{0}_method(w, w[H], evaluate, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)"
+
+Marks = Mapping[str, Sequence[str]]
 
 
-def method_functions(integrator: str, n: int, at: Mapping[str, int]) -> list[str]:
-    """Text of the functions, for n coordinates and the slots `at`; H holds the step's length."""
+def method_code(integrator: str, n: int, at: Mapping[str, int]) -> tuple[list[str], Marks]:
+    """Text of the functions for n coordinates and the slots `at`, and the lines that call them.
+
+    H holds the step's length; #evaluate stands for the lines that find accelerations.
+    """
     method = INTEGRATORS[integrator]
     if method.aid != "none":
-        return [_LOOPS.format(integrator)]
-    return [
-        text
-        for name, function in (("start", method.start), ("step", method.step))
-        for text in _recorded(name, function, n, at)
-    ]
+        return [_LOOPS.format(integrator)], {f"#{k}": [_CALL.format(k)] for k in ("start", "step")}
+    start = _recorded("start", method.start, n, at)
+    step = _recorded("step", method.step, n, at)
+    return [*start.functions, *step.functions], {"#start": start.calls, "#step": step.calls}
 
 
 def aid_function(model: "Model", aid: str, inputs: Sequence[int], scratch: int) -> list[str]:
@@ -67,23 +66,18 @@ def aid_function(model: "Model", aid: str, inputs: Sequence[int], scratch: int) 
     return [render_function("AID", model.jacobian_graph, inputs, scratch)]
 
 
-def _recorded(name: str, function: Callable[..., None], n: int, at: Mapping[str, int]) -> list[str]:
-    """One straight-line function per stretch between evaluations, and one that calls them all."""
+def _recorded(name: str, function: Callable[..., None], n: int, at: Mapping[str, int]) -> "_Record":
+    """One straight-line function per stretch between evaluations, and the lines that call them."""
     record = _Record(name, at["H"])
 
     def evaluate(w: _Record) -> None:
         w.end_stretch()
-        w.calls.append("evaluate(w)")
+        w.calls.append("#evaluate")
 
     places = (at[x] for x in ("Q", "V", "ACC", "IMPLICIT", "SCRATCH"))
     function(record, record[at["H"]], evaluate, 1, n, *places, None)
     record.end_stretch()
-    lines = [
-        "@compiled",
-        f"def {name}(w, evaluate):",
-        *(f"    {x}" for x in record.calls or ["pass"]),
-    ]
-    return [*record.functions, "\n".join([*lines, ""])]
+    return record
 
 
 class _Record:

@@ -20,7 +20,7 @@ from flexarm_env.arguments import checked, ranges, require_whole, torque_limits
 from flexarm_env.certificates import find, fit, kept
 from flexarm_env.drives import Drives
 from flexarm_env.observations import observation_layout
-from flexarm_env.outputs import SPARE, Outputs
+from flexarm_env.outputs import SPARE, BatchOutputs, Outputs, SingleOutputs
 from flexarm_env.physics import (
     BY_RULE,
     DEFLECTION_LIMIT,
@@ -51,6 +51,7 @@ class Core:
     task : "Reach", "Track" or "Damp".
     arm : whatever `load_arm` takes.
     n_env : number of environments.
+    single : whether what it says is `SingleOutputs`, of the one environment, or `BatchOutputs`.
     obs : "state" or "sensors".
     reward : name in `rewards.REWARDS` or weights of `rewards.TERMS`; None: the task's own.
     control_dt : [s] time between actions.
@@ -84,6 +85,7 @@ class Core:
         task: str,
         arm: ArmSource,
         n_env: int = 1,
+        single: bool = False,
         obs: str = "state",
         reward: str | Mapping[str, float] | None = None,
         control_dt: float = 0.02,
@@ -119,6 +121,7 @@ class Core:
             ("threads", threads, 1),
         ):
             require_whole(name, value, least)
+        self._outputs = SingleOutputs if single else BatchOutputs
         self.n_env, self.threads, self.control_dt = int(n_env), int(threads), float(control_dt)
         self.randomize = ranges(randomize or {})
         fitted = fit(described, self.control_dt, fidelity, tolerance)
@@ -237,7 +240,8 @@ class Core:
         work = n_env * evaluations * self._program.OPERATIONS / OPERATIONS_PER_SECOND  # [s]
         count = max(1, min(self.threads, blocks, int(work / WORTH_A_THREAD)))
         bounds = [*(lanes * (k * blocks // count) for k in range(count)), n_env]
-        self._shares = [(a, b, self._workspace()) for a, b in pairwise(bounds)]
+        self._shares = [(np.array(span), self._workspace()) for span in pairwise(bounds)]
+        self._no_actions = np.zeros((0, self.arm.n_joint), np.float32)
         self._pool = ThreadPoolExecutor(max(1, count - 1))  # starts no thread before the first job
 
     def _workspace(self) -> Array:
@@ -248,28 +252,28 @@ class Core:
         w[int(self._program.H) : int(self._program.H) + lanes] = self.dt
         return w
 
-    def outputs(self) -> Outputs:
-        """Arrays to fill that nobody else holds."""
+    def outputs(self) -> Any:
+        """`Outputs` to fill that nobody else holds."""
         for k, known in enumerate(self._kept):
             if known.unused:
                 self._kept.append(self._kept.pop(k))
                 return known
         info = self.report.info
-        new = Outputs(self.n_env, self.layout.size, self._width, self.model.dtype, info)
+        new = self._outputs(self.n_env, self.layout.size, self._width, self.model.dtype, info)
         self._kept = [*self._kept[-SPARE + 1 :], new]
         return new
 
     # ---- stepping ----------------------------------------------------------------------------
 
-    def step(self, actions: NDArray[np.float32]) -> tuple[Outputs, int]:
+    def step(self, actions: NDArray[np.float32]) -> tuple[Any, int]:
         """One control step of all: what it says, and how many ended."""
         out = self.outputs()
-        waiting = [
-            self._pool.submit(self.step_share, k, actions, out) for k in range(1, len(self._shares))
-        ]
-        ended = self.step_share(0, actions, out)
-        if waiting:
-            ended += sum(job.result() for job in waiting)
+        if len(self._shares) == 1:
+            ended = self.step_share(0, actions, out)
+        else:
+            others = range(1, len(self._shares))
+            waiting = [self._pool.submit(self.step_share, k, actions, out) for k in others]
+            ended = self.step_share(0, actions, out) + sum(job.result() for job in waiting)
         if ended < 0:
             bad = int(np.flatnonzero(np.isnan(actions).any(axis=1))[0])
             raise ValueError(
@@ -280,9 +284,9 @@ class Core:
 
     def step_share(self, k: int, actions: NDArray[np.float32], out: Outputs) -> int:
         """The compiled call: step the environments of thread k, say how many ended."""
-        first, stop, w = self._shares[k]
+        span, w = self._shares[k]
         ended: int = self._program.control_step(
-            actions, first, stop, self.substeps, self.state, w, out.obs, out.info, out.flags
+            span, self.substeps, actions, self.state, w, out.obs, out.info, out.flags
         )
         return ended
 
@@ -297,9 +301,11 @@ class Core:
             states = self.report.state.slices["actuator"]
             self.state[states, rows] = self.drives.at_rest(self.q[rows])
         w = self._shares[0][-1]
-        self._program.report_rows(rows, self.state, w, out.obs, out.info, out.flags)
+        self._program.control_step(
+            rows, 0, self._no_actions, self.state, w, out.obs, out.info, out.flags
+        )
 
-    def reset(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> Outputs:
+    def reset(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> Any:
         """Start new episodes in `rows` and report on them; the other rows are zero."""
         out = self.outputs()
         for array in (out.obs, out.info, out.flags):

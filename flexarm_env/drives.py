@@ -32,22 +32,12 @@ UNLIMITED = 1e30  # [N m]
 REFUSED = "rosenbrock"  # its Jacobian would have to know the actuator
 EXPLICIT_PART = 1.0  # omega h of actuators whose arm is stepped by a method without a limit
 
-# How a control step advances an arm behind actuators; see kernels.ADVANCE.
-ADVANCE = """
-@compiled
-def driven(w):
-    drive(w)
-    accelerations(w)
-
-
-@compiled
-def advance(substeps, w):
-    for _ in range(substeps):
-        mark(w)
-        start(w, driven)
-        step(w, driven)
-        follow(w)
-"""
+_SUBSTEP = ("mark(w)", "#start", "#step", "follow(w)")
+# how a control step advances an arm behind actuators; see kernels.py
+DRIVEN = {
+    "#evaluate": ["drive(w)", "accelerations(w)"],
+    "#advance": ["for _ in range(substeps):", *(f"    {x}" for x in _SUBSTEP)],
+}
 
 
 class Drives:

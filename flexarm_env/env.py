@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flexarm_env.core import Array, Core
 from flexarm_env.observations import Layout
-from flexarm_env.outputs import BLOCKS, Outputs
+from flexarm_env.outputs import SingleOutputs
 from flexarm_env.rewards import TERMS
 
 RENDER_MODES = ("human", "rgb_array")
@@ -29,20 +29,18 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         check_render_mode(render_mode)
-        for name in ("n_env", "max_steps"):
+        for name in ("n_env", "single", "max_steps"):
             if name in arguments:
                 raise ValueError(f"{name} is for a batch; this is a single environment.")
         self.render_mode = render_mode
-        self.core = Core(**arguments)
+        self.core = Core(single=True, **arguments)
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.core.control_dt)}
         self.observation_space = observation_space(self.core.layout)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_joint,), np.float32)
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
         self._seeded = False
         self._renderer: Any = None
-        rows = self.core.report.info.slices
-        self._terms = rows[BLOCKS[0]]
-        self._wide = [(name, (rows[name], 0)) for name in BLOCKS[1:] if name in rows]
+        self._terms = self.core.report.info.slices["reward_terms"]
 
     # ---- what agents ask ---------------------------------------------------------------------
 
@@ -81,7 +79,8 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return out.obs[0], self._info(out, out.info[:, 0].tolist(), out.flags[:, 0].tolist())
+        values, marks = out.info[:, 0].tolist(), out.flags[:, 0].tolist()
+        return out.observation, self._info(out, values, marks)
 
     def step(
         self, action: NDArray[np.float32]
@@ -99,9 +98,9 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.follow(self.core)
         if self.render_mode == "human":
             self.render()
-        return out.obs[0], values[0], marks[0], marks[1], self._info(out, values, marks)
+        return out.observation, values[0], marks[0], marks[1], self._info(out, values, marks)
 
-    def _info(self, out: Outputs, values: list[float], marks: list[bool]) -> dict[str, Any]:
+    def _info(self, out: SingleOutputs, values: list[float], marks: list[bool]) -> dict[str, Any]:
         return {
             "time": values[1],
             "tip_error": values[2],
@@ -109,7 +108,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             "deflection": values[4],
             "tip_deflection": values[5],
             "reward_terms": dict(zip(_TERMS, values[self._terms], strict=True)),
-            **{name: out.info[place] for name, place in self._wide},
+            **out.blocks,
             "settled": marks[2],
             "diverged": marks[3],
             "invalid": marks[4],

@@ -16,96 +16,75 @@ fast = njit(cache=True, nogil=True, error_model="numpy")
 U = np.uint64
 WAVES = 2  # sines in the path of a joint
 
-# How a control step advances an arm behind ideal torque sources; drives.py knows actuators.
-ADVANCE = """
-@compiled
-def advance(substeps, w):
-    start(w, accelerations)
-    for _ in range(substeps):
-        step(w, accelerations)
-"""
-
-# What a generated module adds to its arm's `accelerations(w)`, its task's `check(w)` and
-# `report(w)`, and one of the ADVANCE.
+# What a generated module adds to its arm's `accelerations(w)` and its task's `command(w)`,
+# `check(w)` and `report(w)`: one entry, because `report` takes long to compile. It steps the
+# environments rows[0] to rows[1], and says how many ended, or that an action is not a number;
+# without substeps it reports on all `rows`. #advance stands for the lines that step the arm.
 ENTRIES = """
-TORQUE_LIMIT = CONSTANTS
 take, put = lane_moves(int(LANES))
-
-
-@compiled
-def command(actions, column, w):
-    last = np.uint64(actions.shape[0]) - np.uint64(1)
-    for j in range(N_JOINT):
-        at = j * LANES
-        for b in range(LANES):
-            a = w.dtype.type(actions[min(column + b, last), j])
-            a = min(max(a, w.dtype.type(-1.0)), w.dtype.type(1.0))
-            w[BEFORE + at + b] = w[ACTION + at + b]
-            w[ACTION + at + b] = a
-            w[TAU + at + b] = a * w[TORQUE_LIMIT + at + b]
-    for b in range(LANES):
-        w[ELAPSED + b] += w.dtype.type(1.0)
-
-
-@compiled
-def restore_lost(state, column, w):
-    check(w)
-    lost = False
-    for b in range(LANES):
-        lost |= w[CHECK + b] != w.dtype.type(0.0)
-    for b in range(LANES):
-        w[LOST + b] = 0.0
-    if lost:
-        for b in range(LANES):
-            if w[CHECK + b] != w.dtype.type(0.0):
-                w[LOST + b] = 1.0
-                for k in range(np.uint64(2) * N_COORDINATE):
-                    w[Q + k * LANES + b] = state[k, column + b]
-                for k in range(N_ACTUATOR):
-                    w[ACTUATOR + k * LANES + b] = state[FIRST_ACTUATOR + k, column + b]
-
-
-@compiled
-def step_lanes(actions, column, substeps, state, w):
-    width = np.uint64(state.shape[1])
-    n = np.uint64(2) * N_COORDINATE
-    for k in range(n):
-        take(w, Q + k * LANES, state, k * width + column)
-    for k in range(N_MEMORY):
-        take(w, ACTION + k * LANES, state, (n + k) * width + column)
-    for k in range(N_FREE):
-        take(w, PARAMETERS + k * LANES, state, (N_STATE + k) * width + column)
-    command(actions, column, w)
-    advance(substeps, w)
-    restore_lost(state, column, w)
-    report(w)
-    for k in range(N_JOINT):
-        put(w, TARGET_NOW + k * LANES, w, TARGET + k * LANES)
-    for k in range(n):
-        put(w, Q + k * LANES, state, k * width + column)
-    for k in range(N_KEPT):
-        put(w, ACTION + k * LANES, state, (n + k) * width + column)
-
-
-@compiled
-def not_numbers(actions):
-    count = 0
-    for i in range(np.uint64(actions.shape[0])):
-        for j in range(N_JOINT):
-            count += actions[i, j] != actions[i, j]
-    return count
+gather, scatter = row_moves(int(LANES))
 
 
 @outermost
-def control_step(actions, first, stop, substeps, state, w, obs, info, flags):
-    if not_numbers(actions) > 0:
-        return np.int64(-1)
-    first, stop = np.uint64(first), np.uint64(stop)
+def control_step(rows, substeps, actions, state, w, obs, info, flags):
     width = np.uint64(state.shape[1])
+    if substeps == 0:
+        count = np.uint64(rows.shape[0])
+        for block in range((count + LANES - np.uint64(1)) // LANES):
+            first = block * LANES
+            for b in range(LANES):
+                i = np.uint64(rows[min(first + b, count - np.uint64(1))])
+                for k in range(N_STATE):
+                    w[Q + k * LANES + b] = state[k, i]
+                for k in range(N_MEMORY):
+                    w[ACTION + k * LANES + b] = state[N_STATE + k, i]
+                for j in range(N_JOINT):
+                    w[BEFORE + j * LANES + b] = w[ACTION + j * LANES + b]
+                w[LOST + b] = 0.0
+            report(w)
+            for b in range(min(LANES, count - first)):
+                i = np.uint64(rows[first + b])
+                for j in range(N_JOINT):
+                    state[FIRST_TARGET + j, i] = w[TARGET_NOW + j * LANES + b]
+                for k in range(N_FLAG):
+                    flags[k, i] = w[FLAGS + k * LANES + b] != 0.0
+                for k in range(N_INFO):
+                    info[k, i] = w[INFO + k * LANES + b]
+                scatter(w, OBSERVATION + b, obs, i)
+        return np.int64(0)
+
     ended = np.int64(0)
-    for block in range((stop - first + LANES - np.uint64(1)) // LANES):
-        column = first + block * LANES
-        step_lanes(actions, column, substeps, state, w)
+    for i in range(np.uint64(actions.shape[0])):
+        for j in range(N_JOINT):
+            ended -= actions[i, j] != actions[i, j]
+    if ended < 0:
+        return ended
+    start, stop = np.uint64(rows[0]), np.uint64(rows[1])
+    for block in range((stop - start + LANES - np.uint64(1)) // LANES):
+        column = start + block * LANES
+        for k in range(N_STATE):
+            take(w, Q + k * LANES, state, k * width + column)
+        for k in range(N_MEMORY):
+            take(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
+        for k in range(N_FREE):
+            take(w, PARAMETERS + k * LANES, state, (N_STATE + N_MEMORY + k) * width + column)
+        gather(w, GIVEN, actions, column)
+        command(w)
+        #advance
+        check(w)
+        for b in range(LANES):
+            if w[LOST + b] > 0.0:
+                for k in range(N_STATE):
+                    w[Q + k * LANES + b] = state[k, column + b]
+                for k in range(N_ACTUATOR):
+                    w[ACTUATOR + k * LANES + b] = state[FIRST_ACTUATOR + k, column + b]
+        report(w)
+        for k in range(N_JOINT):
+            put(w, TARGET_NOW + k * LANES, w, TARGET + k * LANES)
+        for k in range(N_STATE):
+            put(w, Q + k * LANES, state, k * width + column)
+        for k in range(N_KEPT):
+            put(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
         for k in range(N_FLAG):
             put(w, FLAGS + k * LANES, flags, k * width + column)
         for k in range(N_INFO):
@@ -115,35 +94,10 @@ def control_step(actions, first, stop, substeps, state, w, obs, info, flags):
                 obs[column + b, k] = w[OBSERVATION + k * LANES + b]
             ended += flags[0, column + b] | flags[1, column + b]
     return ended
-
-
-@outermost
-def report_rows(rows, state, w, obs, info, flags):
-    count = np.uint64(rows.shape[0])
-    for block in range((count + LANES - np.uint64(1)) // LANES):
-        first = block * LANES
-        for b in range(LANES):
-            i = np.uint64(rows[min(first + b, count - np.uint64(1))])
-            for k in range(np.uint64(2) * N_COORDINATE):
-                w[Q + k * LANES + b] = state[k, i]
-            for k in range(N_MEMORY):
-                w[ACTION + k * LANES + b] = state[np.uint64(2) * N_COORDINATE + k, i]
-            for j in range(N_JOINT):
-                w[BEFORE + j * LANES + b] = w[ACTION + j * LANES + b]
-            w[LOST + b] = 0.0
-        report(w)
-        for b in range(min(LANES, count - first)):
-            i = np.uint64(rows[first + b])
-            for j in range(N_JOINT):
-                target = np.uint64(2) * N_COORDINATE + N_JOINT + np.uint64(1) + j
-                state[target, i] = w[TARGET_NOW + j * LANES + b]
-            for k in range(N_FLAG):
-                flags[k, i] = w[FLAGS + k * LANES + b] != w.dtype.type(0.0)
-            for k in range(N_INFO):
-                info[k, i] = w[INFO + k * LANES + b]
-            for k in range(N_OBSERVATION):
-                obs[i, k] = w[OBSERVATION + k * LANES + b]
 """
+
+# how a control step advances an arm behind ideal torque sources; drives.py knows actuators
+IDEAL = {"#advance": ["#start", "for _ in range(substeps):", "    #step"]}
 
 
 # ---- random numbers ------------------------------------------------------------------------------

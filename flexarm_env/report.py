@@ -13,9 +13,8 @@ from typing import Any
 
 from dynamics.lowering import Addition, hash_of_files, render_function
 from dynamics.model import Model
-from flexarm_env.drives import ADVANCE as ADVANCE_DRIVEN
-from flexarm_env.drives import Drives
-from flexarm_env.kernels import ADVANCE, ENTRIES, WAVES
+from flexarm_env.drives import DRIVEN, Drives
+from flexarm_env.kernels import ENTRIES, IDEAL, WAVES
 from flexarm_env.observations import Layout, curvature_columns
 from flexarm_env.rewards import TERMS, Measured
 
@@ -89,15 +88,15 @@ class Report:
         """What joins the accelerations in the generated module."""
         m = self.model.n_joint
         sizes = {name.upper(): size for name, size in self.memory.items()}
-        sizes |= {"BEFORE": m, "LOST": 1, "CHECK": 1, "CONSTANTS": self.constants.total}
+        sizes |= {"GIVEN": m, "BEFORE": m, "LOST": 1, "CONSTANTS": self.constants.total}
         sizes |= {"TARGET_NOW": m, "FLAGS": len(FLAGS), "INFO": self.info.total}
         sizes |= {"OBSERVATION": self.layout.size, "RATE_BEFORE": m if self.drives else 0}
         counts = {
-            "N_STATE": 2 * self.model.n + sum(self.memory.values()), "N_JOINT": m,
-            "N_COORDINATE": self.model.n, "N_MEMORY": sum(self.memory.values()),
+            "N_STATE": 2 * self.model.n, "N_JOINT": m, "N_MEMORY": sum(self.memory.values()),
             "N_FREE": len(self.model.free_parameters), "N_FLAG": len(FLAGS),
             "N_INFO": self.info.total, "N_OBSERVATION": self.layout.size,
             "N_ACTUATOR": self.memory["actuator"], "N_KEPT": 2 * m + 1 + self.memory["actuator"],
+            "FIRST_TARGET": self.state.slices["target"].start,
             "FIRST_ACTUATOR": self.state.slices["actuator"].start,
         }  # fmt: skip
         lines = [f"{name} = np.uint64({count})" for name, count in counts.items()]
@@ -106,14 +105,14 @@ class Report:
         def functions(at: Mapping[str, int]) -> list[str]:
             inputs = [at["Q"], at["V"], at["ACTION"], at["BEFORE"], at["LOST"], at["CONSTANTS"]]
             report = render_function("report", self.graph, inputs, at["TARGET_NOW"])
-            return [self._check(at), report, *self._driving(at)]
+            return [self._command(at), self._check(at), report, *self._driving(at)]
 
-        advance = ADVANCE_DRIVEN if self.drives else ADVANCE
         return Addition(
             key=f"environment {_SOURCES} {self.moving} {parts} {self.drives and self.drives.key}",
             sizes=sizes,
             functions=functions,
-            entries="\n".join([*lines, advance, ENTRIES]),
+            entries="\n".join([*lines, ENTRIES]),
+            marks=DRIVEN if self.drives else IDEAL,
         )
 
     def _driving(self, at: Mapping[str, int]) -> list[str]:
@@ -122,10 +121,29 @@ class Report:
             return []
         return self.drives.functions(at, at["CONSTANTS"] + self.constants.slices["actuators"].start)
 
-    def _check(self, at: Mapping[str, int]) -> str:
-        """Text of `check(w)`: zero where q and v are finite and their eighth powers, too.
+    def _command(self, at: Mapping[str, int]) -> str:
+        """Text of `command(w)`: the given actions, clipped, as torques; and time goes on."""
+        import casadi as ca
 
-        Not a number elsewhere: what is larger would overflow on the way into a report.
+        m, limit = self.model.n_joint, self.constants.slices["torque_limit"].start
+        given, before, torque_limit = (ca.SX.sym(x, m) for x in ("given", "before", "torque_limit"))
+        elapsed = ca.SX.sym("elapsed")
+        action = ca.fmin(ca.fmax(given, -1.0), 1.0)
+        outputs = {
+            "BEFORE": before, "ACTION": action, "TAU": action * torque_limit,
+            "ELAPSED": elapsed + 1.0,
+        }  # fmt: skip
+        graph = ca.Function(
+            "command", [given, before, torque_limit, elapsed], [ca.vertcat(*outputs.values())]
+        )
+        inputs = [at["GIVEN"], at["ACTION"], at["CONSTANTS"] + limit, at["ELAPSED"]]
+        slots = [at[name] + k for name, x in outputs.items() for k in range(x.numel())]
+        return render_function("command", graph, inputs, slots)
+
+    def _check(self, at: Mapping[str, int]) -> str:
+        """Text of `check(w)`: lost where q and v are not finite, or their eighth powers are not.
+
+        What is larger would overflow on the way into a report.
         """
         slots = [at[name] + k for name in ("Q", "V") for k in range(self.model.n)]
         lines = ["@straight_line(LANES)", "def check(w):", "    s = 0.0"]
@@ -136,7 +154,7 @@ class Report:
                 "    d = x - x",
                 "    s = s + d",
             ]
-        return "\n".join([*lines, f"    w[{at['CHECK']}] = s", ""])
+        return "\n".join([*lines, f"    w[{at['LOST']}] = 1.0 - at_most(abs(s), 0.0)", ""])
 
     @property
     def graph(self) -> Any:

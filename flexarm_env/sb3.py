@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from flexarm_env.outputs import Outputs
+from flexarm_env.outputs import BatchOutputs
 from flexarm_env.vector import FlexArmVectorEnv
 
 
@@ -68,7 +68,7 @@ class SB3VecEnv(VecEnv):
             self._returns[rows], self._lengths[rows] = 0.0, 0
         return out.obs, reward, dones, infos
 
-    def _report(self, rows: Any, out: Outputs, infos: list[Any]) -> None:
+    def _report(self, rows: Any, out: BatchOutputs, infos: list[Any]) -> None:
         """Infos of the environments whose episode ended."""
         described = out.described()
         terms = described.pop("reward_terms")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from flexarm_env.core import Array, Core
 from flexarm_env.env import RENDER_MODES, check_render_mode, observation_space
-from flexarm_env.outputs import Outputs
+from flexarm_env.outputs import BatchOutputs
 
 Flags = NDArray[np.bool_]
 _AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
@@ -147,7 +147,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         return array
 
     def _restart_now(
-        self, out: Outputs, ended: int
+        self, out: BatchOutputs, ended: int
     ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """SAME_STEP: the observation is the new episode's first, the last is in final_obs."""
         outcome = out.reward, out.terminated, out.truncated
@@ -169,14 +169,14 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._after_step()
         return out.obs, *outcome, self._info(out) | final
 
-    def _info(self, out: Outputs) -> dict[str, Any]:
+    def _info(self, out: BatchOutputs) -> dict[str, Any]:
         """Info by name; all environments have it."""
         described = out.described()
         described["reward_terms"].update(self._term_masks)
         described.update(self._masks)
         return described
 
-    def _final_info(self, out: Outputs, done: Flags) -> dict[str, Any]:
+    def _final_info(self, out: BatchOutputs, done: Flags) -> dict[str, Any]:
         """Copies of the last info of the environments that are `done`."""
         described = out.described()
         terms = described.pop("reward_terms")

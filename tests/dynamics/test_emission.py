@@ -1,6 +1,7 @@
 """Vector code that no expression graph writes: lanes between a workspace and other arrays."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -40,3 +41,40 @@ def test_lanes_move_between_workspace_and_arrays(
     np.testing.assert_array_equal(w, np.r_[np.zeros(lanes), moved, np.zeros(lanes)])
     np.testing.assert_array_equal(numbers, np.r_[7.0, moved, 7.0])
     np.testing.assert_array_equal(flags, np.r_[False, moved != 0.0, False])
+
+
+ROWS = """
+from dynamics.emission import row_moves
+from dynamics.kernels import outermost
+gather, scatter = row_moves({lanes})
+
+@outermost
+def there_and_back(source, first, w, lane, target, row):
+    gather(w, {lanes}, source, first)
+    scatter(w, {lanes} + lane, target, row)
+"""
+
+
+@pytest.mark.parametrize("lanes", [1, LANES])
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_rows_move_between_workspace_and_arrays(
+    lanes: int,
+    dtype: str,
+    order: Literal["C", "F"],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A row per lane, the last for all that are missing; one lane back into one row."""
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
+    module = cached_module(f"rows_{lanes}_{dtype}", lambda: ROWS.format(lanes=lanes))
+    source = np.array(np.arange(3.0 * (LANES + 2)).reshape(-1, 3), order=order)
+    w, target = np.zeros(5 * lanes, dtype), np.full((4, 3), 7.0, order=order)
+
+    module.there_and_back(source, 5, w, lanes - 1, target, 2)
+
+    expected = source[np.minimum(5 + np.arange(lanes), LANES + 1)]
+    np.testing.assert_array_equal(w[lanes : 4 * lanes].reshape(3, lanes), expected.T)
+    np.testing.assert_array_equal(w[[*range(lanes), *range(4 * lanes, 5 * lanes)]], 0.0)
+    np.testing.assert_array_equal(target[2], expected[-1])
+    np.testing.assert_array_equal(target[[0, 1, 3]], 7.0)
