@@ -9,6 +9,8 @@ vectors of all lanes is a hundred times faster and certain, and LLVM fits them t
 import ast
 import inspect
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from numba import types
 from numba.core.cgutils import for_range, unpack_tuple
 from numba.extending import intrinsic
 
+PIECE = 8000  # statements of one function: twice as many take more than twice the time to compile
 _WORD = ir.IntType(64)
 _FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive to be seen
 
@@ -42,9 +45,18 @@ def straight_line(lanes: int, rounds: int = 1) -> Callable[[Callable[..., None]]
         def body(builder: ir.IRBuilder, data: ir.Value) -> None:
             tree = ast.parse(inspect.getsource(function)).body[0]
             assert isinstance(tree, ast.FunctionDef)
+            pieces = _pieces(tree.body)
+            places = 1 + max(place for piece in pieces for place in (-1, *piece.left.values()))
+            passed = builder.alloca(_vector(data.type.pointee, width), _WORD(places))
             with for_range(builder, _WORD(lanes // width)) as loop:
                 share = builder.gep(data, [builder.mul(loop.index, _WORD(width))])
-                _Block(builder, share, lanes, width).emit(tree.body)
+                for k, piece in enumerate(pieces):
+                    if len(pieces) == 1:
+                        _emit(builder, share, passed, piece, lanes)
+                        continue
+                    name, given = f"{function.__name__}_piece_{k}", [share, passed]
+                    emit = partial(_emit, piece=piece, lanes=lanes)
+                    builder.call(_once(builder.module, name, given, emit), given)
 
         return call
 
@@ -58,16 +70,13 @@ def lane_moves(lanes: int) -> tuple[Any, Any]:
     array. Numbers are converted; in an array of flags all but zero is true.
     """
 
-    def vector(number: ir.Type) -> ir.Type:
-        return number if lanes == 1 else ir.VectorType(number, lanes)
-
     def pointer(context, builder, kind, array, offset):  # type: ignore[no-untyped-def]
         data = context.make_array(kind)(context, builder, array).data
         address = builder.gep(data, [offset])
-        return builder.bitcast(address, vector(address.type.pointee).as_pointer())
+        return builder.bitcast(address, _vector(address.type.pointee, lanes).as_pointer())
 
     def convert(builder, value, number):  # type: ignore[no-untyped-def]
-        kind = vector(number)
+        kind = _vector(number, lanes)
         if isinstance(number, ir.IntType):
             zero = ir.Constant(value.type, [0.0] * lanes if lanes > 1 else 0.0)
             return builder.zext(builder.fcmp_unordered("!=", value, zero), kind)
@@ -148,6 +157,10 @@ def row_moves(lanes: int) -> tuple[Any, Any]:
     return move(gathered), move(scattered)
 
 
+def _vector(number: ir.Type, width: int) -> ir.Type:
+    return number if width == 1 else ir.VectorType(number, width)
+
+
 def _once(
     module: ir.Module, name: str, arguments: Sequence[ir.Value], body: Callable[..., None]
 ) -> ir.Function:
@@ -180,28 +193,82 @@ def _converted(builder: ir.IRBuilder, value: ir.Value, kind: ir.Type) -> ir.Valu
     return builder.fptrunc(value, kind) if narrower else builder.fpext(value, kind)
 
 
+@dataclass
+class _Piece:
+    """Consecutive statements; by name, where they find earlier values and leave their own."""
+
+    statements: list[ast.Assign]
+    taken: dict[str, int]
+    left: dict[str, int]
+
+
+def _pieces(statements: list[ast.stmt]) -> list[_Piece]:
+    """A function's statements, several functions' worth if they are many."""
+    lines = [x for x in statements if isinstance(x, ast.Assign)]  # but for the docstring
+    shares = [lines[k : k + PIECE] for k in range(0, len(lines), PIECE)]
+    reads = [
+        {node.id for line in share for node in ast.walk(line.value) if isinstance(node, ast.Name)}
+        for share in shares
+    ]
+    last = {name: k for k, names in enumerate(reads) for name in names}
+    places: dict[str, int] = {}
+    free: list[int] = []
+    result, size = [], 0
+    for k, share in enumerate(shares):
+        taken = {name: place for name, place in places.items() if name in reads[k]}
+        left = {}
+        for line in share:
+            target = line.targets[0]
+            if not isinstance(target, ast.Name) or target.id in left:
+                continue
+            if last.get(target.id, k) > k:
+                left[target.id] = free.pop() if free else size
+                size = max(size, left[target.id] + 1)
+        places |= left
+        free += [places.pop(name) for name in list(places) if last[name] == k]
+        result.append(_Piece(share, taken, left))
+    return result
+
+
+def _emit(
+    builder: ir.IRBuilder, data: ir.Value, passed: ir.Value, piece: _Piece, lanes: int
+) -> None:
+    _Block(builder, data, passed, piece, lanes).emit()
+
+
 class _Block:
     """Emits statements on values of one type: a number, or a vector of lanes."""
 
-    def __init__(self, builder: ir.IRBuilder, data: ir.Value, lanes: int, width: int) -> None:
-        self.builder, self.data, self.lanes, self.width = builder, data, lanes, width
-        number = data.type.pointee
-        self.single = isinstance(number, ir.FloatType)
-        self.kind = number if width == 1 else ir.VectorType(number, width)
+    def __init__(
+        self, builder: ir.IRBuilder, data: ir.Value, passed: ir.Value, piece: _Piece, lanes: int
+    ) -> None:
+        self.builder, self.data, self.passed, self.lanes = builder, data, passed, lanes
+        self.piece, self.kind = piece, passed.type.pointee
+        self.width = self.kind.count if isinstance(self.kind, ir.VectorType) else 1
+        self.single = isinstance(data.type.pointee, ir.FloatType)
         self.align = 4 if self.single else 8
         self.values: dict[str, ir.Value] = {}
 
-    def emit(self, statements: list[ast.stmt]) -> None:
-        for statement in statements:
-            if not isinstance(statement, ast.Assign):
-                continue  # the docstring
+    def emit(self) -> None:
+        for statement in self.piece.statements:
             value = self._value(statement.value)
             target = statement.targets[0]
-            if isinstance(target, ast.Name):
-                self.values[target.id] = value
-            else:
-                assert isinstance(target, ast.Subscript)
+            if isinstance(target, ast.Subscript):
                 self.builder.store(value, self._slot(target), align=self.align)
+                continue
+            assert isinstance(target, ast.Name)
+            self.values[target.id] = value
+            if target.id in self.piece.left:
+                self.builder.store(value, self._place(self.piece.left[target.id]))
+
+    def _named(self, name: str) -> ir.Value:
+        """A value of this piece, or of an earlier one when it is first needed."""
+        if name not in self.values:
+            self.values[name] = self.builder.load(self._place(self.piece.taken[name]))
+        return self.values[name]
+
+    def _place(self, index: int) -> ir.Value:
+        return self.builder.gep(self.passed, [_WORD(index)])
 
     def _slot(self, node: ast.Subscript) -> ir.Value:
         slot = ast.literal_eval(node.slice)
@@ -213,7 +280,7 @@ class _Block:
         b = self.builder
         match node:
             case ast.Name():
-                return self.values[node.id]
+                return self._named(node.id)
             case ast.Constant(value=int() | float() as number):
                 return self._constant(float(number))
             case ast.Subscript():

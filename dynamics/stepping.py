@@ -16,7 +16,7 @@ from dynamics.lowering import render_function
 if TYPE_CHECKING:
     from dynamics.model import Model
 
-LONGEST = 30_000  # operations of a Jacobian that compiles in about a minute
+LONGEST = 150_000  # operations of a Jacobian that compiles in about a minute
 ROUNDS = 4  # a vector register per number: a coordinate's operations hang together, loosely
 _LOOPS = """
 METHOD = INTEGRATORS[{0!r}]

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from dynamics import emission
 from dynamics.kernels import LANES
 from dynamics.lowering import cached_module
 
@@ -78,3 +79,41 @@ def test_rows_move_between_workspace_and_arrays(
     np.testing.assert_array_equal(w[[*range(lanes), *range(4 * lanes, 5 * lanes)]], 0.0)
     np.testing.assert_array_equal(target[2], expected[-1])
     np.testing.assert_array_equal(target[[0, 1, 3]], 7.0)
+
+
+LONG = """
+from dynamics.emission import straight_line
+from dynamics.kernels import outermost
+@straight_line({lanes}, {rounds})
+def inner(w):
+{lines}
+
+@outermost
+def long(w):
+    inner(w)
+"""
+
+
+@pytest.mark.parametrize(("lanes", "rounds"), [(1, 4), (LANES, 1), (LANES, 4)])
+@pytest.mark.parametrize("piece", [1, 7, 1000])
+def test_pieces_of_a_function_are_the_function(
+    lanes: int, rounds: int, piece: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Values pass from piece to piece, through places that others had before; names may recur."""
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
+    monkeypatch.setattr(emission, "PIECE", piece)
+    rng = np.random.default_rng(0)
+    lines = ["x0 = w[0]", "x1 = w[1]", "s = x0 * x1"]
+    for k in range(2, 60):
+        i, j = rng.integers(max(0, k - 25), k, 2)
+        lines += [f"x{k} = {rng.uniform():.3f} * x{i} + x{j}"] + ["s = s + x0"] * (k % 9 == 0)
+    lines += ["w[2] = x59 + s", "w[0] = x58"]
+    text = LONG.format(lanes=lanes, rounds=rounds, lines="\n".join(f"    {x}" for x in lines))
+    module = cached_module(f"long_{lanes}_{rounds}_{piece}", lambda: text)
+    w = rng.uniform(size=3 * lanes)
+    rows = w.reshape(3, lanes).copy()
+
+    module.long(w)
+
+    exec("\n".join(lines), {"w": rows})
+    np.testing.assert_allclose(w, rows.ravel(), rtol=1e-13)

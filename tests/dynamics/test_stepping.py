@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from dynamics import compile_arm, stepping
 from dynamics.integrators import INTEGRATORS
 from dynamics.lowering import expanded
-from dynamics.stepping import method_code
+from dynamics.stepping import aid_function, method_code
 
 N = 3
 AT = {"Q": 0, "V": N, "IMPLICIT": 2 * N, "ACC": 3 * N + 2, "H": 4 * N + 2, "SCRATCH": 4 * N + 3}
@@ -65,3 +66,15 @@ def test_a_stretch_needs_no_slot_that_it_has_overwritten(integrator: str) -> Non
             if target.startswith("w["):
                 assert target not in written
                 written.add(target)
+
+
+def test_a_jacobian_too_long_to_compile_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With what to take instead; one operation fewer is not."""
+    model = compile_arm("slim")
+    count = model.jacobian_graph.n_instructions()
+    inputs = [0, 10, 20, 30, 40]
+    monkeypatch.setattr(stepping, "LONGEST", count)
+    assert "def AID(w):" in aid_function(model, "jacobian", inputs, 50)[0]
+    monkeypatch.setattr(stepping, "LONGEST", count - 1)
+    with pytest.raises(ValueError, match=f"takes {count} operations .* 'midpoint'"):
+        aid_function(model, "jacobian", inputs, 50)
