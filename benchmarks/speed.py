@@ -27,12 +27,14 @@ from dynamics import ARMS, Stepper, compile_arm
 from dynamics.kernels import LANES
 from dynamics.lowering import cached_module
 from flexarm_env import FlexArmVectorEnv
+from flexarm_env.certificates import kept
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.output import provenance, save_results
 
 DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
 BATCHES = (1024, 16384)
+TOLERANCE = 1e-3  # tip error in parts of the reach
 CHAINS, ROUNDS = 3, 200  # 3 chains of 16 lanes keep 12 of 16 vector registers in flight
 
 
@@ -153,14 +155,48 @@ def env_steps(family: str) -> dict[str, Any]:
 
 
 def interface_microseconds(env_id: str) -> dict[str, float]:
-    """What a call of a batch costs beside its compiled code: a batch of one block of lanes."""
+    """What a call of a batch costs beside its compiled work, which is left out here."""
     batch = cast(FlexArmVectorEnv, gym.make_vec(env_id, num_envs=LANES))
     batch.reset(seed=0)
-    actions = np.zeros((LANES, batch.n_joint), np.float32)
+    for span, _ in batch.core.shares:
+        span[:] = 0
+    return timed(partial(batch.step, np.zeros((LANES, batch.n_joint), np.float32))).each(1e-6)
+
+
+def errors(env_id: str) -> dict[str, float]:
+    """Tip errors of what is timed, as kept with the environment, in parts of the reach."""
+    core = cast(Any, gym.make(env_id).unwrapped).core
+    entry = kept(core.arm, core.control_dt)
+    assert entry is not None
+    return {
+        "error of the step over episodes [reach]": entry["steps"][0]["error"],
+        "error in all at full torque [reach]": entry["certificate"]["error"] / core.arm.reach,
+    }
+
+
+def within_tolerance(env_id: str, tolerance: float) -> dict[str, Any]:
+    """The same environment with the cheapest model and step of that error in all, at full torque.
+
+    `tolerance` is in parts of the reach.
+    """
+    reach = gym.make(env_id).get_wrapper_attr("reach")
+    size, name = BATCHES[-1], f"within {tolerance:g} of the reach in all"
+    try:
+        batch = cast(
+            FlexArmVectorEnv,
+            gym.make_vec(env_id, num_envs=size, threads=2, tolerance=tolerance * reach),
+        )
+    except RuntimeError:
+        return {f"{name}: model": "none found", f"{name}: batch of {size} [steps/s]": "-"}
+    batch.reset(seed=0)
+    actions = np.zeros((size, batch.n_joint), np.float32)
+    rate = timed(partial(batch.step, actions)).per(size)
     core = batch.core
-    whole = timed(partial(batch.step, actions)).each(1e-6)
-    inside = timed(partial(core.step_share, 0, actions, core.outputs())).each(1e-6)
-    return {key: whole[key] - inside[key] for key in whole}
+    steps = f"{core.integrator}, {core.substeps} step{'s' * (core.substeps > 1)}"
+    batch.close()
+    assert core.certificate is not None
+    model = core.certificate["reason"].split(" with ")[0].lower()
+    return {f"{name}: model": f"{model}; {steps}", f"{name}: batch of {size} [steps/s]": rate}
 
 
 def physics_steps(family: str) -> dict[str, Any]:
@@ -193,9 +229,11 @@ def main() -> None:
         results[family] = {
             "arm": arm,
             "coordinates": ARMS[arm].n,
+            **errors(f"FlexArm/{family}-Reach-v0"),
             **right_hand_side(arm, peak),
             **physics_steps(family),
             **env_steps(family),
+            **within_tolerance(f"FlexArm/{family}-Reach-v0", TOLERANCE),
             **compile_seconds(arm),
         }
     text = table(results)

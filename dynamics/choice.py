@@ -202,7 +202,10 @@ class Bench:
         try:
             self._tips[fidelity] = self._settled(fidelity)
         except Unsettled as error:
-            raise RuntimeError(f"No reference from '{fidelity}': {error}") from error
+            raise RuntimeError(
+                f"No reference from '{fidelity}': {error} Take a larger tolerance or a shorter "
+                "scene."
+            ) from error
         return self._tips[fidelity]
 
     def _settled(self, fidelity: Fidelity) -> Tips:

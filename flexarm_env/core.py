@@ -76,6 +76,7 @@ class Core:
     certificate : measured errors of model and step, see `dynamics.certificate.Certificate`; None
         where this arm and step were never certified.
     q, v : (N, n) coordinates and rates, writable views.
+    shares : per thread the range of its environments, (2,), and its workspace.
     parameters : (N, n_free) values of the randomized parameters, a view.
     """
 
@@ -240,7 +241,7 @@ class Core:
         work = n_env * evaluations * self._program.OPERATIONS / OPERATIONS_PER_SECOND  # [s]
         count = max(1, min(self.threads, blocks, int(work / WORTH_A_THREAD)))
         bounds = [*(lanes * (k * blocks // count) for k in range(count)), n_env]
-        self._shares = [(np.array(span), self._workspace()) for span in pairwise(bounds)]
+        self.shares = [(np.array(span), self._workspace()) for span in pairwise(bounds)]
         self._no_actions = np.zeros((0, self.arm.n_joint), np.float32)
         self._pool = ThreadPoolExecutor(max(1, count - 1))  # starts no thread before the first job
 
@@ -268,10 +269,10 @@ class Core:
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, int]:
         """One control step of all: what it says, and how many ended."""
         out = self.outputs()
-        if len(self._shares) == 1:
+        if len(self.shares) == 1:
             ended = self.step_share(0, actions, out)
         else:
-            others = range(1, len(self._shares))
+            others = range(1, len(self.shares))
             waiting = [self._pool.submit(self.step_share, k, actions, out) for k in others]
             ended = self.step_share(0, actions, out) + sum(job.result() for job in waiting)
         if ended < 0:
@@ -284,7 +285,7 @@ class Core:
 
     def step_share(self, k: int, actions: NDArray[np.float32], out: Outputs) -> int:
         """The compiled call: step the environments of thread k, say how many ended."""
-        span, w = self._shares[k]
+        span, w = self.shares[k]
         ended: int = self._program.control_step(
             span, self.substeps, actions, self.state, w, out.obs, out.info, out.flags
         )
@@ -300,7 +301,7 @@ class Core:
         if self.drives:
             states = self.report.state.slices["actuator"]
             self.state[states, rows] = self.drives.at_rest(self.q[rows])
-        w = self._shares[0][-1]
+        w = self.shares[0][-1]
         self._program.control_step(
             rows, 0, self._no_actions, self.state, w, out.obs, out.info, out.flags
         )

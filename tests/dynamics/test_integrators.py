@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from dynamics import Arm, Diverged, Joint, Link, Mode, Stepper, compile_arm, simulate
+from dynamics import Arm, Diverged, Joint, Link, Mode, Stepper, simulate
 from dynamics.integrators import INTEGRATORS
 from dynamics.linear import linear_arm
 from dynamics.stability import amplification, fastest, largest_step
@@ -150,13 +150,6 @@ def test_energy_drift_of_a_swing_falls_at_the_order_of_the_method(integrator: st
     drifts = [drift(integrator, 0.05 / FASTEST / 2**k) for k in range(3)]
 
     assert np.all(orders(drifts) > INTEGRATORS[integrator].order - 0.3)
-
-
-def test_a_jacobian_too_long_to_compile_is_refused() -> None:
-    """Six spatial links: a sentence at once instead of many minutes' compiling."""
-    model = compile_arm("six-link")
-    with pytest.raises(ValueError, match=r"takes \d+ operations .* take integrator 'midpoint'"):
-        Stepper(model, 1, dt=1e-3, substeps=1, integrator="rosenbrock")
 
 
 def test_lanes_of_a_rosenbrock_batch_do_not_mix() -> None:

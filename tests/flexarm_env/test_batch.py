@@ -89,7 +89,7 @@ def test_results_do_not_depend_on_batch_size_or_threads(
     actions = random_actions(60, 40, 1)
     reference = gym.make_vec(env_id, num_envs=33, max_episode_steps=25)
     other = gym.make_vec(env_id, num_envs=n_env, threads=threads, max_episode_steps=25)
-    assert len(other.unwrapped.core._shares) == threads
+    assert len(other.unwrapped.core.shares) == threads
     common = min(33, n_env)
     for a, b in zip(run(reference, actions), run(other, actions), strict=True):
         for x, y in zip(a[:-1], b[:-1], strict=True):
@@ -99,7 +99,7 @@ def test_results_do_not_depend_on_batch_size_or_threads(
 def test_a_batch_with_little_work_takes_fewer_threads() -> None:
     few = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=64, threads=2)
     many = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=16384, threads=2)
-    assert [len(envs.unwrapped.core._shares) for envs in (few, many)] == [1, 2]
+    assert [len(envs.unwrapped.core.shares) for envs in (few, many)] == [1, 2]
 
 
 @pytest.mark.parametrize("env_id", ["FlexArm/OneLink-Reach-v0", "FlexArm/TwoLink-Track-v0"])
