@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 SAMPLES = 256  # at least so many tip positions of a motion are compared
 STRIDES = (8, 4, 2, 1)  # a large step keeps every so many of them only
 MANY = 1e8  # operations (under a second) from which an implicit method tries first
+FEW = 3  # samples: who leaves sooner, leaves because of the step
 TOO_MANY = 5e9  # operations after which a motion counts as not computable
 
 
@@ -135,8 +136,9 @@ class Rollout:
         while True:
             dt /= 2.0
             fine = self.tips(motion, method, dt)
-            gone = [np.nanmax(np.abs(t)) > 2.0 * self.arm.reach for t in (coarse, fine)]
-            if all(gone) or not (np.isfinite(fine[-1]).all() or np.isfinite(coarse[-1]).all()):
+            left = [self._leaves(t) for t in (coarse, fine)]
+            alike = min(left) > FEW and max(left) <= 1.1 * min(left)  # later with finer steps, else
+            if max(left) < len(fine) and (alike or work / dt > TOO_MANY):
                 raise Unsettled(f"The motion leaves the reach ({self.arm.reach:.6g} m): diverged.")
             if distance(fine, coarse) <= accuracy:
                 return fine + (fine - coarse) / gain
@@ -147,6 +149,11 @@ class Rollout:
             f"Steps of {dt:.3g} s still move the tip by {distance(fine, coarse):.3g} m, more than "
             f"{accuracy:.3g} m; the motion is too long, too stiff or chaotic."
         )
+
+    def _leaves(self, tips: Array) -> int:
+        """The first sample far beyond the reach, or not a number; their count if there is none."""
+        far = ~(np.abs(tips).max(axis=1) <= 2.0 * self.arm.reach)
+        return int(np.argmax(far)) if far.any() else len(tips)
 
     def _torque(self, motion: JointMotion, times: list[float]) -> Array:
         if motion.torque is None:
