@@ -4,13 +4,29 @@ A generated module holds `accelerations(w)` and `measure(w)` of one arm for one 
 and ends with its entry points.
 """
 
-from numba import njit
+from typing import Any
 
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+CACHE_LINE = 64  # bytes
 LANES = 16  # of a batch's blocks in float64; twice as many fit the same registers in float32
 
 _FAST = {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy", "nogil": True}
 compiled = njit(**_FAST, inline="always")
 outermost = njit(**_FAST, cache=True, no_cfunc_wrapper=True)  # Python calls it: cached on disk
+
+
+def aligned_zeros(size: int, dtype: str) -> NDArray[Any]:
+    """Zeros from the start of a cache line on.
+
+    Elsewhere every other vector would lie across two lines: up to a fifth of the speed.
+    """
+    each = np.dtype(dtype).itemsize
+    memory = np.zeros(size + CACHE_LINE // each, dtype)
+    first = -memory.ctypes.data % CACHE_LINE // each
+    return memory[first : first + size]
 
 
 # What a stepper's module adds to its arm's `accelerations(w)`, `measure(w)` and `check(w)`. Lines

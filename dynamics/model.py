@@ -16,7 +16,7 @@ from dynamics.christoffel import christoffel
 from dynamics.formulations import formulation_for
 from dynamics.free_parameters import FREE_PARAMETERS
 from dynamics.integrators import INTEGRATORS
-from dynamics.kernels import ENTRIES, FLIGHT, LANES
+from dynamics.kernels import ENTRIES, FLIGHT, LANES, aligned_zeros
 from dynamics.kinematics import Chain
 from dynamics.lowering import (
     Addition,
@@ -277,7 +277,7 @@ class Model:
 
     def workspace(self, program: ModuleType) -> Array:
         """Scratch memory for one thread in `program`."""
-        return np.zeros(program.SLOTS * int(program.LANES), dtype=self.dtype)
+        return aligned_zeros(program.SLOTS * int(program.LANES), self.dtype)
 
     def _generate(self, lanes: int, integrator: str, added: Addition) -> str:
         method = INTEGRATORS[integrator]

@@ -10,7 +10,7 @@ ROUNDS = 12
 LONG_ENOUGH = 2e-3  # [s] of calls at a time
 
 
-def cpu_seconds(calls: Mapping[K, Callable[[], Any]]) -> dict[K, float]:
+def cpu_seconds(calls: Mapping[K, Callable[[], Any]], rounds: int = ROUNDS) -> dict[K, float]:
     """CPU time of each call [s]: the least of many rounds through all of them.
 
     The work is the same in every round, so that whatever takes longer was disturbed; and a
@@ -21,7 +21,7 @@ def cpu_seconds(calls: Mapping[K, Callable[[], Any]]) -> dict[K, float]:
         call()
         least[key] = _timed(call, 1)
     often = {key: max(1, int(LONG_ENOUGH / max(t, 1e-7))) for key, t in least.items()}
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for key, call in calls.items():
             least[key] = min(least[key], _timed(call, often[key]))
     return least

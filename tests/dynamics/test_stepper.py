@@ -274,3 +274,13 @@ def test_a_bad_argument_is_refused_with_name_and_value(
 
     with pytest.raises(ValueError, match=f"^{re.escape(sentence)}$"):
         Stepper(compiled(ARM), **arguments)
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_a_workspace_starts_with_a_cache_line(dtype: str) -> None:
+    """Wherever memory is found for it."""
+    model = compile_arm("slim", dtype=dtype)
+    program = model.program(model.lanes, "rk4")
+    several = [model.workspace(program) for _ in range(20)]
+    assert [w.ctypes.data % 64 for w in several] == [0] * 20
+    assert {(w.size, w.dtype.name) for w in several} == {(program.SLOTS * model.lanes, dtype)}

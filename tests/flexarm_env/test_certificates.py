@@ -1,5 +1,6 @@
 """Certificates: kept, reproducible, and true of what the environment steps."""
 
+import math
 from typing import Any
 
 import gymnasium as gym
@@ -10,7 +11,7 @@ import flexarm_env
 from dynamics import compile_arm, load_arm, simulate
 from dynamics.case import Torque
 from flexarm_env.certificates import RANDOM_STEPS, fit, scene, stored
-from flexarm_env.certify import ALIKE, TIP_ERROR, best_first, measure, strayed
+from flexarm_env.certify import TIP_ERROR, WORTH, best_first, measure, strayed
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 MEASURED = ("error", "integration", "truncation", "nonlinear", "residual")
@@ -53,12 +54,11 @@ def test_a_kept_step_is_accurate_and_one_less_is_not(name: str) -> None:
     assert best["error"] < TIP_ERROR < strayed(*setting, best["substeps"] - 1)
 
 
-def test_about_equally_fast_steps_go_by_their_error() -> None:
-    fast = {"seconds": 1.0, "error": 9e-4}
-    true = {"seconds": 0.99 * ALIKE, "error": 1e-5}
-    truest = {"seconds": 1.01 * ALIKE, "error": 1e-6}
-    assert best_first([truest, fast, true]) == [true, fast, truest]
-    assert best_first([fast, truest]) == [fast, truest]
+def test_a_tenth_of_the_error_is_worth_a_tenth_more_time() -> None:
+    fast = {"seconds": 1.0, "error": 1e-3}
+    worth = {"seconds": 0.99 * math.exp(2.0 * WORTH), "error": 1e-5}
+    slow = {"seconds": 1.01 * math.exp(2.0 * WORTH), "error": 1e-5}
+    assert best_first([slow, fast, worth]) == [worth, fast, slow]
 
 
 def random_torque_tips(**keywords: Any) -> np.ndarray:
