@@ -4,13 +4,19 @@
 
 CPU time is that of one right-hand side of one environment, many lanes side by side on one thread;
 in a batch also the calls' share. An exponent says how that grows which is added to the second
-number of a line: the first link or segment is cheaper, for its root rests.
+number of a line: the first link or segment is cheaper, for its root rests. Compiling is CPU time,
+too: from the arm's description to its first right-hand side, without a cache.
 """
 
 import argparse
+import os
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import matplotlib
@@ -31,6 +37,7 @@ DEFAULT_ARMS = ("slim", "deluca-siciliano", "six-link")
 EVALUATIONS = 4  # of the accelerations per Runge-Kutta step
 SUBSTEPS = 5
 REPEATED = 50  # evaluations per timed call
+TOLD = ("x", "operations", "ns", "workspace [kB]", "compile [s]")
 Row = dict[str, Any]
 K = TypeVar("K")
 
@@ -66,7 +73,7 @@ def chain(links: int, modes: int, *, spatial: bool = False, **changes: Any) -> A
 def growth(most: int) -> dict[str, tuple[str, dict[int, Arm]]]:
     """Lines of the chart: what grows, and the arm at each number; `most` links or segments."""
     links = [n for n in (1, 2, 3, 4, 6, 8) if n <= most]
-    segments = [n for n in (1, 2, 4, 8, 16) if n <= 2 * most]
+    segments = [1, 2, 4, 8, *([16, 32] if most > 4 else [])]
     modes = [n for n in (1, 2, 3, 4, 5, 6) if n <= most]
     return {
         "planar links, 2 modes": ("parts", {n: chain(n, 2) for n in links}),
@@ -87,18 +94,34 @@ def growth(most: int) -> dict[str, tuple[str, dict[int, Arm]]]:
     }  # fmt: skip
 
 
+@contextmanager
+def empty_cache() -> Iterator[None]:
+    """Whatever is compiled inside is compiled anew."""
+    with TemporaryDirectory() as folder:
+        before = os.environ.get("FLEXARM_CACHE")
+        os.environ["FLEXARM_CACHE"] = folder
+        yield
+        os.environ.pop("FLEXARM_CACHE")
+        if before is not None:
+            os.environ["FLEXARM_CACHE"] = before
+
+
 def right_hand_sides(arms: dict[K, Arm]) -> dict[K, Row]:
     """Operations and CPU time [ns] of the accelerations of one environment, for each arm."""
     rows, calls = {}, {}
     for key, arm in arms.items():
+        begin = time.process_time()
         model = compile_arm(arm)
         program = model.program(model.lanes, "rk4")
         w = model.workspace(program)
+        program.evaluate_often(w, 1)
+        compiling = time.process_time() - begin
         calls[key] = partial(program.evaluate_often, w, REPEATED)
         rows[key] = {
             "coordinates": model.n,
             "operations": sum(operations(model.graph).values()),
             "workspace [kB]": w.nbytes / 1e3,
+            "compile [s]": compiling,
         }
     for key, seconds in cpu_seconds(calls).items():
         rows[key]["ns"] = 1e9 * seconds / REPEATED / compile_arm(arms[key]).lanes
@@ -127,7 +150,9 @@ def measure(most: int, sizes: list[int]) -> Row:
     """All lines."""
     wanted = growth(most)
     arms = {(name, n): arm for name, (_, line) in wanted.items() for n, arm in line.items()}
-    rows = right_hand_sides(arms)
+    with empty_cache():
+        right_hand_sides({"numba's own start": chain(1, 7)})
+        rows = right_hand_sides(arms)
     lines: Row = {}
     for name, (kind, line) in wanted.items():
         x = list(line)
@@ -147,8 +172,8 @@ def measure(most: int, sizes: list[int]) -> Row:
 
 
 def draw(results: Row, path: Path) -> None:
-    """Three panels: parts, modes, batch."""
-    figure, axes = plt.subplots(1, 3, figsize=(14.0, 5.0), layout="constrained")
+    """Four panels: parts, modes, batch, compiling."""
+    figure, axes = plt.subplots(1, 4, figsize=(18.0, 5.0), layout="constrained")
     titles = {"parts": "links, or segments of one link", "modes": "modes per link"}
     for axis, (kind, label) in zip(axes, titles.items(), strict=False):
         mine = {k: v for k, v in results["lines"].items() if v["grows"] == kind}
@@ -156,7 +181,8 @@ def draw(results: Row, path: Path) -> None:
             text = f"{name}: operations {line['exponent, operations']:.2f}"
             text += f", time {line['exponent, time']:.2f}"
             axis.loglog(line["x"], line["ns"], "o-", color=f"C{k}", label=text)
-        _guide(axis, next(iter(mine.values())))
+        line = next(iter(mine.values()))
+        _guide(axis, line["x"], 0.6 * line["ns"][0])
         axis.set(xlabel=label, ylabel="ns per right-hand side")
         ticks = sorted({n for line in mine.values() for n in line["x"]})
         axis.set_xticks(ticks, [str(n) for n in ticks])
@@ -165,19 +191,24 @@ def draw(results: Row, path: Path) -> None:
     for name in DEFAULT_ARMS:
         axes[2].loglog(sizes, results["batch"][name], "o-", label=name)
     axes[2].set(xlabel="environments in the batch", ylabel="ns per right-hand side, calls included")
+    for name, line in results["lines"].items():
+        axes[3].loglog(line["operations"], line["compile [s]"], "o", label=name)
+    least, most = (f(f(x["operations"]) for x in results["lines"].values()) for f in (min, max))
+    _guide(axes[3], [least, most], 3e-4 * least)
+    axes[3].set(xlabel="operations", ylabel="seconds to trace and compile")
     for axis in axes:
         axis.grid(alpha=0.3)
         axis.legend(
             fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12),
-            title="exponents" if axis is not axes[2] else None,
+            title="exponents" if axis in axes[:2] else None,
         )  # fmt: skip
     save_figure(figure, path)
 
 
-def _guide(axis: Any, line: Row) -> None:
-    """A grey line of slope one, from the first point of a line."""
-    x = np.array([line["x"][0], line["x"][-1]])
-    axis.loglog(x, 0.6 * line["ns"][0] * x / x[0], "--", color="0.6", label="linear")
+def _guide(axis: Any, ends: list[int], first: float) -> None:
+    """A grey line of slope one between the ends of a list, from this value on."""
+    x = np.array([ends[0], ends[-1]])
+    axis.loglog(x, first * x / x[0], "--", color="0.6", label="linear")
 
 
 def table(results: Row) -> str:
@@ -190,13 +221,14 @@ def table(results: Row) -> str:
         f"commit {results['commit']}. An exponent says how that grows which is added to the second "
         "number.",
         "",
-        "| | numbers | operations | ns | workspace [kB] | exponent of operations | of time |",
-        "|---|---|---|---|---|---:|---:|",
+        "| | numbers | operations | ns | workspace [kB] | compile [s] | exponent of operations | "
+        "of time |",
+        "|---|---|---|---|---|---|---:|---:|",
     ]
     for name, line in results["lines"].items():
         cells = [
             f"{line['grows']}: {name}", *(", ".join(f"{x:.3g}" if isinstance(x, float) else str(x)
-            for x in line[key]) for key in ("x", "operations", "ns", "workspace [kB]")),
+            for x in line[key]) for key in TOLD),
             f"{line['exponent, operations']:.2f}", f"{line['exponent, time']:.2f}",
         ]  # fmt: skip
         rows.append(f"| {' | '.join(cells)} |")
