@@ -5,7 +5,7 @@ from typing import Any
 
 from dynamics import checks
 from dynamics.arm import Arm
-from dynamics.choice import Bench, apart
+from dynamics.bench import Bench, apart
 from dynamics.fidelity import Fidelity, everything
 from dynamics.integrators import INTEGRATORS
 from dynamics.scene import Scene

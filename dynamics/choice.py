@@ -10,11 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dynamics import checks
 from dynamics.arm import Arm
+from dynamics.bench import Bench, apart
 from dynamics.fidelity import (
     MOST_MODES,
     MOST_SEGMENTS,
@@ -25,17 +23,13 @@ from dynamics.fidelity import (
     rigid,
 )
 from dynamics.integrators import INTEGRATORS
-from dynamics.rollout import SAMPLES, STRIDES, Rollout, Unsettled, distance
+from dynamics.rollout import SAMPLES, STRIDES, distance
 from dynamics.scene import Scene
 
-Tips = list[NDArray[np.float64]]  # (N, 3) [m] per motion
-
-SETTLED = 0.02  # of the tolerance: what integrating a compared motion may cost
-CONVERGED = 0.1  # of the tolerance: what refining the reference may still change
-MODELLING = 0.9  # of what the reference leaves to modes and nonlinearity; the rest is for steps
 SAFE = 0.7  # of an explicit method's stability limit: frequencies change with the pose
 TRIALS = 3  # changes measured per rung, the most promising ones, once all have been seen
-REFERENCES = ((2, 3), (4, 3), (8, 3), (16, 2))  # segments per link, modes per direction
+CROWDED = 0.3  # of the tolerance: a model that leaves its steps less may be the dearer one
+ROOMIER = 2.0  # times as much for the steps, for a richer model to be tried
 IDLE = 0.05  # gain of a change below which it counts as useless alone
 STEPPING = tuple(name for name, method in INTEGRATORS.items() if method.aid != "jacobian")
 # a Jacobian is worth 3 (one link) to 19 (six links) evaluations: never the cheapest
@@ -111,20 +105,25 @@ def choose_model(arm: Arm, scene: Scene, tolerance: float) -> Choice:
     bench = Bench(arm, scene, checks.positive(tolerance, "tolerance", "m"))
     reference = bench.converge()
     ladder: list[Rung] = []
-    chosen = _climb_all(bench, ladder)
-    steps = list(_steps(bench, chosen))
-    ladder += steps
-    best = min(steps, key=lambda step: step.cost or math.inf)
+    enough = _climb_all(bench, ladder)
+    steps = list(_steps(bench, enough))
+    ladder += [step.rung for step in steps]
+    roomier = _roomier(bench, enough)
+    if roomier:
+        further = list(_steps(bench, roomier, min(step.cost for step in steps)))
+        ladder += [_rung(bench, roomier, None), *(step.rung for step in further)]
+        steps += further
+    step = min(steps, key=lambda step: step.cost)
+    chosen, best = step.model, step.rung
     if best.cost is None:
         raise RuntimeError(
             f"No step keeps '{chosen}' within {tolerance:.3g} m of the reference; "
-            f"smallest error {min(k.error for k in steps):.3g} m."
+            f"smallest error {min(k.rung.error for k in steps):.3g} m."
         )
-    integrator, dt = bench.steps[best.description]
     return Choice(
         arm=chosen.arm(arm),
-        integrator=integrator,
-        dt=dt,
+        integrator=step.integrator,
+        dt=step.dt,
         tolerance=bench.tolerance,
         error=best.error,
         residual=bench.residual,
@@ -134,83 +133,6 @@ def choose_model(arm: Arm, scene: Scene, tolerance: float) -> Choice:
         scene=scene.name,
         ladder=tuple(ladder),
     )
-
-
-class Bench:
-    """An arm on a scene: every model's motions, computed once."""
-
-    def __init__(self, arm: Arm, scene: Scene, tolerance: float) -> None:
-        self.arm, self.scene, self.tolerance = arm, scene, tolerance
-        self.residual = 0.0  # [m]
-        self.truth: Tips = []
-        self.steps: dict[str, tuple[str, float]] = {}
-        self._rollouts: dict[Fidelity, Rollout] = {}
-        self._tips: dict[Fidelity, Tips] = {}
-
-    @property
-    def enough(self) -> float:
-        """[m] error a model may have, before any of its integration."""
-        return MODELLING * (self.tolerance - self.residual)
-
-    def rollout(self, fidelity: Fidelity) -> Rollout:
-        if fidelity not in self._rollouts:
-            self._rollouts[fidelity] = Rollout(fidelity.arm(self.arm))
-        return self._rollouts[fidelity]
-
-    def tips(self, fidelity: Fidelity) -> Tips:
-        """Settled motions; NaN where a motion diverges."""
-        if fidelity not in self._tips:
-            try:
-                self._tips[fidelity] = self._settled(fidelity)
-            except Unsettled:
-                self._tips[fidelity] = [np.full_like(tip, np.nan) for tip in self.truth]
-        return self._tips[fidelity]
-
-    def error(self, fidelity: Fidelity) -> float:
-        """[m] from the reference."""
-        return apart(self.tips(fidelity), self.truth)
-
-    def operations(self, fidelity: Fidelity) -> int:
-        return self.rollout(fidelity).operations
-
-    def converge(self) -> str:
-        """Cut all links of the reference into more segments until that changes little; describe."""
-        start = rigid(self.arm, foreshortening=True, polynomial=True)
-        start = replace(start, counts=everything(self.arm, 3, 2))
-        if start.rigid:
-            start = rigid(self.arm)
-        level, tips = start, self._reference(start)
-        change = 0.0 if start.rigid else math.inf
-        for segments, modes in REFERENCES:
-            if change <= CONVERGED * self.tolerance:
-                break
-            cut = tuple(segments if any(counts) else 1 for counts in start.counts)
-            counts, before = everything(self.arm, modes, 2), tips
-            level = replace(start, counts=counts, segments=cut)
-            tips = self._reference(level)
-            change = apart(tips, before)
-        if change > CONVERGED * self.tolerance:
-            raise RuntimeError(
-                f"The reference does not converge: with '{level}' the tip still moves by "
-                f"{change:.3g} m, and {CONVERGED * self.tolerance:.3g} m are wanted for a "
-                f"tolerance of {self.tolerance:.3g} m; take a larger tolerance or a shorter scene."
-            )
-        self.truth, self.residual = tips, change
-        return f"{level}; its last refinement moved the tip by {change:.2g} m"
-
-    def _reference(self, fidelity: Fidelity) -> Tips:
-        try:
-            self._tips[fidelity] = self._settled(fidelity)
-        except Unsettled as error:
-            raise RuntimeError(
-                f"No reference from '{fidelity}': {error} Take a larger tolerance or a shorter "
-                "scene."
-            ) from error
-        return self._tips[fidelity]
-
-    def _settled(self, fidelity: Fidelity) -> Tips:
-        rollout = self.rollout(fidelity)
-        return [rollout.settled(m, SETTLED * self.tolerance) for m in self.scene.motions]
 
 
 @dataclass(frozen=True)
@@ -319,11 +241,37 @@ def _rung(bench: Bench, fidelity: Fidelity, best: Fidelity | None) -> Rung:
     )
 
 
-def _steps(bench: Bench, fidelity: Fidelity) -> Iterator[Rung]:
-    """Per integrator its largest step within the tolerance, if any."""
-    model = bench.error(fidelity)
-    left = bench.tolerance - bench.residual - model
-    cheapest = math.inf
+@dataclass(frozen=True)
+class _Step:
+    """A method's largest step with a model."""
+
+    model: Fidelity
+    integrator: str
+    dt: float  # [s]
+    rung: Rung
+
+    @property
+    def cost(self) -> float:
+        return math.inf if self.rung.cost is None else self.rung.cost
+
+
+def _roomier(bench: Bench, enough: Fidelity) -> Fidelity | None:
+    """Where a model leaves little to its steps, a richer one that leaves them several times that.
+
+    The more accurate model may be the cheaper one, for its longer steps.
+    """
+    left = bench.left(enough)
+    if left > CROWDED * bench.tolerance:
+        return None
+    segments = MOST_SEGMENTS if max(enough.segments) > 1 else 1
+    options = enough.richer(everything(bench.arm, MOST_MODES, 2), segments).values()
+    roomy = [f for f in options if bench.left(f) > ROOMIER * left]
+    return min(roomy, key=bench.operations, default=None)
+
+
+def _steps(bench: Bench, fidelity: Fidelity, cheapest: float = math.inf) -> Iterator[_Step]:
+    """Per integrator its largest step within the tolerance, if any costs less than `cheapest`."""
+    model, left = bench.error(fidelity), bench.left(fidelity)
     for name in STEPPING:
         traced = bench.rollout(fidelity).method(name)
         work = traced.evaluations * traced.operations
@@ -335,15 +283,14 @@ def _steps(bench: Bench, fidelity: Fidelity) -> Iterator[Rung]:
             dt, integration = finer, error
             if work / dt > cheapest:  # another method has done it for less
                 break
-        kept = f"{name}, dt {dt:.4g} s"
-        bench.steps[kept] = (name, dt)
-        yield Rung(
-            description=kept,
+        rung = Rung(
+            description=f"{name}, dt {dt:.4g} s",
             error=model + integration,
             integration=integration,
             operations=traced.operations,
             cost=work / dt if integration <= left else None,
         )
+        yield _Step(fidelity, name, dt, rung)
 
 
 def _trials(bench: Bench, fidelity: Fidelity, integrator: str) -> Iterator[tuple[float, float]]:
@@ -368,11 +315,6 @@ def _reason(bench: Bench, chosen: Fidelity, best: Rung) -> str:
         f"{str(chosen).capitalize()} with {best.description} keeps the tip within "
         f"{_metres(best.error)} m of the reference, {bench.tolerance:.3g} m are allowed{less}."
     )
-
-
-def apart(a: Tips, b: Tips) -> float:
-    """[m] largest distance over all motions."""
-    return max(distance(x, y) for x, y in zip(a, b, strict=True))
 
 
 def _metres(value: float | None) -> str:

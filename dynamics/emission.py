@@ -28,7 +28,7 @@ def straight_line(lanes: int, rounds: int = 1) -> Callable[[Callable[..., None]]
     """Decorator: a generated function of `w` becomes one for this many lanes, for njit's to call.
 
     In several rounds, each for its share of the lanes, fewer numbers are on the way at a time: good
-    for a function that has few operations on each.
+    for a function that has many numbers, or few operations on each.
     """
     width = -(-lanes // rounds)
 
@@ -46,7 +46,7 @@ def straight_line(lanes: int, rounds: int = 1) -> Callable[[Callable[..., None]]
             tree = ast.parse(inspect.getsource(function)).body[0]
             assert isinstance(tree, ast.FunctionDef)
             pieces = _pieces(tree.body)
-            places = 1 + max(place for piece in pieces for place in (-1, *piece.left.values()))
+            places = 1 + max((at for piece in pieces for at in piece.left.values()), default=-1)
             passed = builder.alloca(_vector(data.type.pointee, width), _WORD(places))
             with for_range(builder, _WORD(lanes // width)) as loop:
                 share = builder.gep(data, [builder.mul(loop.index, _WORD(width))])
@@ -80,10 +80,7 @@ def lane_moves(lanes: int) -> tuple[Any, Any]:
         if isinstance(number, ir.IntType):
             zero = ir.Constant(value.type, [0.0] * lanes if lanes > 1 else 0.0)
             return builder.zext(builder.fcmp_unordered("!=", value, zero), kind)
-        if value.type == kind:
-            return value
-        narrower = isinstance(number, ir.FloatType)
-        return builder.fptrunc(value, kind) if narrower else builder.fpext(value, kind)
+        return _converted(builder, value, kind)
 
     def move(inwards: bool) -> Any:
         @intrinsic

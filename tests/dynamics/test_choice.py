@@ -8,13 +8,14 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import dynamics.choice
+import dynamics.bench
 from benchmarks.model_choice import (
     S1,
     TRIALS,
@@ -25,6 +26,7 @@ from benchmarks.model_choice import (
     verified_error,
 )
 from dynamics import (
+    ARMS,
     Choice,
     Joint,
     Mode,
@@ -36,6 +38,8 @@ from dynamics import (
     load_arm,
     simulate,
 )
+from dynamics.choice import _roomier
+from dynamics.fidelity import Fidelity, rigid
 from dynamics.integrators import INTEGRATORS
 from dynamics.rollout import Rollout, distance
 from dynamics.scene import JointMotion, bang_bang, cycloid, release
@@ -161,7 +165,7 @@ def test_the_arms_own_modes_name_the_shapes() -> None:
 
 def test_a_reference_that_does_not_converge_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     trial = TRIALS["soft beam"]
-    monkeypatch.setattr(dynamics.choice, "REFERENCES", ((2, 2),))
+    monkeypatch.setattr(dynamics.bench, "REFERENCES", ((2, 2),))
     with pytest.raises(RuntimeError, match=r"does not converge: .*still moves by 0\.\d+ m"):
         choose_model(trial.arm, trial.scene, trial.tolerance)
 
@@ -270,3 +274,26 @@ def test_limits_name_every_assumption_that_a_motion_leaves() -> None:
     assert limits(stiffening, moved(2.0 * first, 0.0)) == ()
     with pytest.warns(ValidityWarning, match="Joint 1 turns"):
         simulate(model, [0.0, 0.0], [0.51 * first, 0.0], None, [0.0, 1e-3])
+
+
+@pytest.mark.parametrize(("error", "expected"), [(0.65, None), (0.75, 2), (0.85, 3)])
+def test_a_model_that_crowds_its_steps_gets_a_roomier_rival(
+    error: float, expected: int | None
+) -> None:
+    """The cheapest that leaves twice as much: 0.25 wants more than 0.5 left, 0.15 more than 0.3."""
+    arm, errors = ARMS["deluca-siciliano"], {2: 0.45, 3: 0.6}
+    one = replace(rigid(arm, polynomial=True), counts=((1, 0, 0), (1, 0, 0)))
+
+    def left(model: Fidelity) -> float:
+        return 1.0 - (error if model == one else errors[2 if model.counts[0][0] == 2 else 3])
+
+    def operations(model: Fidelity) -> int:
+        return 2 if model.counts[0][0] == 2 else 1  # the second link's further mode is cheaper
+
+    bench: Any = SimpleNamespace(tolerance=1.0, arm=arm, left=left, operations=operations)
+    rival = _roomier(bench, one)
+    if expected is None:
+        assert rival is None
+    else:
+        assert rival is not None
+        assert rival.counts == (((2, 0, 0), (1, 0, 0)) if expected == 2 else ((1, 0, 0), (2, 0, 0)))
