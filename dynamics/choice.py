@@ -311,6 +311,8 @@ def _trials(bench: Bench, fidelity: Fidelity, integrator: str) -> Iterator[tuple
 def _reason(bench: Bench, chosen: Fidelity, best: Rung) -> str:
     poorer = [bench.error(f) for f in chosen.poorer()]
     less = f"; the next simpler model errs by {_metres(min(poorer))} m" if poorer else ""
+    if poorer and min(poorer) <= bench.enough:
+        less += ", and its shorter steps cost more"
     return (
         f"{str(chosen).capitalize()} with {best.description} keeps the tip within "
         f"{_metres(best.error)} m of the reference, {bench.tolerance:.3g} m are allowed{less}."
