@@ -12,12 +12,11 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
+from unittest.mock import patch
 
 import matplotlib
 
@@ -94,18 +93,6 @@ def growth(most: int) -> dict[str, tuple[str, dict[int, Arm]]]:
     }  # fmt: skip
 
 
-@contextmanager
-def empty_cache() -> Iterator[None]:
-    """Whatever is compiled inside is compiled anew."""
-    with TemporaryDirectory() as folder:
-        before = os.environ.get("FLEXARM_CACHE")
-        os.environ["FLEXARM_CACHE"] = folder
-        yield
-        os.environ.pop("FLEXARM_CACHE")
-        if before is not None:
-            os.environ["FLEXARM_CACHE"] = before
-
-
 def right_hand_sides(arms: dict[K, Arm]) -> dict[K, Row]:
     """Operations and CPU time [ns] of the accelerations of one environment, for each arm."""
     rows, calls = {}, {}
@@ -151,7 +138,7 @@ def measure(most: int, sizes: list[int]) -> Row:
     """All lines."""
     wanted = growth(most)
     arms = {(name, n): arm for name, (_, line) in wanted.items() for n, arm in line.items()}
-    with empty_cache():
+    with TemporaryDirectory() as empty, patch.dict(os.environ, FLEXARM_CACHE=empty):
         right_hand_sides({"numba's own start": chain(1, 7)})
         rows = right_hand_sides(arms)
     lines: Row = {}

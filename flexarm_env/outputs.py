@@ -1,5 +1,6 @@
 """What environments say after a step: one set of arrays, and views of them by name."""
 
+from abc import ABC, abstractmethod
 from sys import getrefcount
 from typing import Any
 
@@ -15,7 +16,7 @@ SETTLED = 2  # first row of flags that info tells
 SPARE = 3  # sets kept: with the caller, being filled, and one that the caller copied late
 
 
-class Outputs:
+class Outputs(ABC):
     """Arrays that a step fills; a new step may fill them again once nobody else holds any.
 
     Attributes
@@ -32,9 +33,9 @@ class Outputs:
         self._arrays = [self.obs, self.info, self.flags, *self._views(n_env, names)]
         self._alone = list(map(getrefcount, self._arrays))
 
+    @abstractmethod
     def _views(self, n_env: int, names: Rows) -> list[Array]:
         """Views of the arrays that others are given."""
-        raise NotImplementedError
 
     @property
     def unused(self) -> bool:

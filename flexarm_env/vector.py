@@ -47,7 +47,9 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         mode = known.get(str(autoreset_mode), autoreset_mode)
         if not isinstance(mode, AutoresetMode) or mode not in _AUTORESET:
             raise ValueError(f"autoreset_mode must be one of {sorted(known)}, got {mode!r}.")
-        self.core = Core(n_env=num_envs, max_steps=max_episode_steps or 0, **arguments)
+        self.core = Core(
+            n_env=num_envs, single=False, max_steps=max_episode_steps or 0, **arguments
+        )
         self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, mode
         self.metadata = {
             **self.metadata,
