@@ -105,9 +105,10 @@ def _draw_steps(axis: Any, scene: Row) -> None:
         line = [p for p in group if p["integration"] < math.inf]
         known = name in INTEGRATORS
         label = f"{name} (order {INTEGRATORS[name].order})" if known else f"SciPy {name}"
+        marker = "o" if known else "^v"[name == "bdf"]
         axis.plot(
             [p["cpu"] for p in line], [_drawn(p["integration"]) for p in line],
-            marker="o" if known else "^", markersize=3.5, linewidth=1.3, color=_colour(name),
+            marker=marker, markersize=3.5, linewidth=1.3, color=_colour(name),
             linestyle="-" if known else ":", label=label,
         )  # fmt: skip
         lost = [p["cpu"] for p in mine if p["integrator"] == name and p not in line]
