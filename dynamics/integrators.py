@@ -3,12 +3,13 @@
 A method works in place on the flat workspace `w`: `n` values (coordinates times lanes) of q, v and
 a start at these offsets, scratch space at `s`. `evaluate(w)` writes the accelerations of the
 present q and v. The functions are plain Python, with numbers typed to the workspace (float64 or
-float32). Without an aid they run on symbols, so no branch may hang on a value; stepping.py turns
-them, or with an aid their loops, into compiled code around an arm.
+float32). But for what needs a Jacobian they run on symbols, so no branch may hang on a value;
+stepping.py turns them, or their loops, into compiled code around an arm.
 
-`start` runs once per call, under a new torque, `step` as often as there are substeps. Nothing but
-q and v outlives a call, so a method that remembers must begin well: on true accelerations and,
-where it needs their rate, on one more evaluation a little later.
+`prepare` runs when the length of the steps is known, `start` once per call, under a new torque,
+`step` as often as there are substeps. Nothing but q and v outlives a call, so a method that
+remembers must begin well: on true accelerations and, where it needs their rate, on one more
+evaluation a little later.
 
 An implicit method takes elastic and linear damping forces implicitly, all others at an
 extrapolated state: `evaluate` then solves (M + W) a = f(q, v) + W guess with W = k K + c C, one
@@ -18,7 +19,7 @@ number each of k and c at `implicit`, then the guess. It stays linear and costs 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dynamics.exponential import exponential, start_exponential
+from dynamics.exponential import exponential, prepare_exponential, start_exponential
 from dynamics.newmark import (
     generalized_alpha,
     midpoint,
@@ -28,6 +29,10 @@ from dynamics.newmark import (
     start_numerov,
 )
 from dynamics.rosenbrock import rosenbrock
+
+
+def prepare_nothing(w, h, lanes, n, s, aid):  # type: ignore[no-untyped-def]
+    """A method without numbers of its own for a length of steps."""
 
 
 def start_nothing(w, h, evaluate, lanes, n, q, v, a, implicit, s, aid):  # type: ignore[no-untyped-def]
@@ -76,7 +81,7 @@ def rk4(w, h, evaluate, lanes, n, q, v, a, implicit, s, aid):  # type: ignore[no
 
 @dataclass(frozen=True)
 class Integrator:
-    """A method: what it does once per call, what it does each step, and what to expect of it."""
+    """A method: what it does each step, once per call and beforehand, and what to expect of it."""
 
     step: Callable[..., None]
     start: Callable[..., None]
@@ -86,6 +91,7 @@ class Integrator:
     aid: str = "none"  # what it needs beside `evaluate`: "modes" of the arm, or its "jacobian"
     scratch: Callable[[int], int] = lambda n: 4 * n  # values per lane at `s`
     kept: Callable[[int], int] = lambda n: 0  # how many of them, the first, outlive a step
+    prepare: Callable[..., None] = prepare_nothing
 
 
 ALWAYS = float("inf")
@@ -102,7 +108,7 @@ INTEGRATORS = {
     ),
     "exponential": Integrator(
         exponential, start_exponential, order=2, limit=ALWAYS, aid="modes",
-        scratch=lambda n: 16 * n, kept=lambda n: 12 * n,
+        scratch=lambda n: 11 * n, kept=lambda n: 11 * n, prepare=prepare_exponential,
     ),
     "rosenbrock": Integrator(
         rosenbrock, start_nothing, order=4, limit=ALWAYS, aid="jacobian",

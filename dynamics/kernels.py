@@ -30,7 +30,7 @@ def aligned_zeros(size: int, dtype: str) -> NDArray[Any]:
 
 
 # What a stepper's module adds to its arm's `accelerations(w)`, `measure(w)` and `check(w)`. Lines
-# that are marks stand for others: a method's #start and #step, the rest for a free base only.
+# that are marks stand for others: a method's #prepare, #start and #step, the rest of a free base.
 ENTRIES = """
 gather, scatter = row_moves(int(LANES))
 
@@ -38,6 +38,9 @@ gather, scatter = row_moves(int(LANES))
 @outermost
 def advance(q, v, torque, parameters, dt, substeps, w, status, measured):
     rows = np.uint64(q.shape[0])
+    for b in range(LANES):
+        w[H + b] = dt
+    #prepare
     for block in range((rows + LANES - np.uint64(1)) // LANES):
         first = block * LANES
         gather(w, Q, q, first)
@@ -48,7 +51,6 @@ def advance(q, v, torque, parameters, dt, substeps, w, status, measured):
         for b in range(LANES):
             w[CHECK + b] = 0.0
             w[GOOD + b] = 0.0
-            w[H + b] = dt
         #start
         for _ in range(substeps):
             #step

@@ -57,13 +57,13 @@ def _assemble(
 
 @dataclass(frozen=True)
 class LinearArm:
-    """One posture's matrices, each (n, n), and the modes that an exponential step freezes."""
+    """One posture's matrices, each (n, n), and its modes."""
 
     M: Array
     K: Array
     C: Array  # of the modes, and viscous joint friction: what implicit methods know
     friction: Array  # Coulomb's at its steepest, about resting joints
-    frozen: Array  # (m, 2 + 2 n), see `frozen_modes`
+    frozen: Array  # (n, 2 + 2 n), see `frozen_modes`
 
 
 def linear_arm(chain: Chain, q: Array) -> LinearArm:
@@ -73,16 +73,17 @@ def linear_arm(chain: Chain, q: Array) -> LinearArm:
 
 
 def frozen_modes(chain: Chain) -> Array:
-    """(m, 2 + 2 n) elastic modes of the straight arm, joints free, for exponential.py.
+    """(n, 2 + 2 n) modes of the straight arm, joints free, for exponential.py.
 
     Per row the squared frequency [1/s^2], the damping [1/s], L (n) and S (n): y = L q is the mode's
-    amplitude, S y its share of q. Damping that couples modes is left out.
+    amplitude, S y its share of q. Damping that couples modes is left out, and all of motions
+    without elastic forces: their first two numbers are zero.
     """
     from scipy.linalg import eigh
 
     M = inertia(chain, np.zeros(len(stiffness(chain))))
     squares, S = eigh(stiffness(chain), M)
-    keep = squares > ELASTIC * squares.max(initial=0.0)
-    squares, S = squares[keep], S[:, keep]
+    elastic = squares > ELASTIC * squares.max(initial=0.0)
     decays = np.einsum("ik,ij,jk->k", S, damping(chain), S)
-    return np.hstack([squares[:, None], decays[:, None], S.T @ M, S.T])
+    numbers = np.column_stack([squares, decays]) * elastic[:, None]
+    return np.hstack([numbers, S.T @ M, S.T])

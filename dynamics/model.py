@@ -298,7 +298,8 @@ class Model:
         at, implicit = dict(zip(sizes, starts, strict=False)), method.implicit
         inputs = [at["Q"], at["V"], at["TAU"], at["PARAMETERS"], at["IMPLICIT"]]
         graph = graphs.accelerations(self, implicit) if implicit else self.graph
-        stepping, calls = method_code(integrator, self.n, at)
+        modes = linear.frozen_modes(self.chain) if method.aid == "modes" else None
+        stepping, calls = method_code(integrator, self.n, at, modes)
         flight = FLIGHT if self.arm.base.n else dict.fromkeys(FLIGHT, ())
         marks = {"#evaluate": ["accelerations(w)"], **calls, **flight, **added.marks}
         functions = [

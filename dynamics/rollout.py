@@ -209,8 +209,13 @@ def _trace(model: Model, integrator: str) -> Traced:
         w[SCRATCH : SCRATCH + 2 * n * n] = ca.vertsplit(rows)
 
     aid = {"none": None, "modes": frozen_modes(model.chain), "jacobian": jacobian}[method.aid]
+
+    def start(w: Any, h: Any, *rest: Any) -> None:
+        method.prepare(w, h, 1, n, SCRATCH, aid)
+        method.start(w, h, *rest)
+
     steps = []
-    for function in (method.start, method.step):
+    for function in (start, method.step):
         w = np.zeros(SCRATCH + method.scratch(n), dtype=object)
         w[:keep] = x
         with warnings.catch_warnings():  # CasADi's, of numpy.cos on its symbols: as meant

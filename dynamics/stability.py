@@ -62,6 +62,7 @@ def amplification(arm: LinearArm, integrator: str, dt: float) -> float:
     w[W] = w[W + 1] = 0.0
     state = [i for i in range(size) if i not in (W, W + 1)]
     with np.errstate(all="ignore"):
+        method.prepare(w, dt, 1, n, S, aid)
         method.start(w, dt, evaluate, 1, n, Q, V, A, W, S, aid)
         method.step(w, dt, evaluate, 1, n, Q, V, A, W, S, aid)  # the first may differ
         for column, i in enumerate(state):

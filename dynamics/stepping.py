@@ -1,8 +1,9 @@
-"""Source of a method in a generated module: functions, and lines #start and #step that call them.
+"""Source of a method in a generated module: functions, and the lines that call them.
 
 Most methods run once on a workspace of symbols: what they do between two evaluations becomes one
 straight-line function, as the arm's own code is, which compiles several times faster than their
-loops. A method with an aid is compiled as it stands, because it has more to do than an evaluation.
+loops. A method with a Jacobian is compiled as it stands, because it has more to do than an
+evaluation.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,21 +29,32 @@ def evaluate(w):
     #evaluate
 """
 _CALL = "{0}_method(w, w[H], evaluate, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)"
+_PREPARE = "prepare_method = compiled(INTEGRATORS[{0!r}].prepare)"
+_PREPARED = "prepare_method(w, w[H], LANES, N, SCRATCH, AID)"
 
 Marks = Mapping[str, Sequence[str]]
 
 
-def method_code(integrator: str, n: int, at: Mapping[str, int]) -> tuple[list[str], Marks]:
+def method_code(
+    integrator: str, n: int, at: Mapping[str, int], modes: Any = None
+) -> tuple[list[str], Marks]:
     """Text of the functions for n coordinates and the slots `at`, and the lines that call them.
 
-    H holds the step's length; #evaluate stands for the lines that find accelerations.
+    H holds the step's length; #evaluate stands for the lines that find accelerations. `modes` are
+    the aid of a method that freezes them.
     """
     method = INTEGRATORS[integrator]
-    if method.aid != "none":
-        return [_LOOPS.format(integrator)], {f"#{k}": [_CALL.format(k)] for k in ("start", "step")}
-    start = _recorded("start", method.start, n, at)
-    step = _recorded("step", method.step, n, at)
-    return [*start.functions, *step.functions], {"#start": start.calls, "#step": step.calls}
+    if method.aid == "jacobian":
+        calls = {f"#{k}": [_CALL.format(k)] for k in ("start", "step")}
+        return [_LOOPS.format(integrator)], {"#prepare": [], **calls}
+    start = _recorded("start", method.start, n, at, modes)
+    step = _recorded("step", method.step, n, at, modes)
+    functions = [*start.functions, *step.functions]
+    calls = {"#prepare": [], "#start": start.calls, "#step": step.calls}
+    if method.aid == "modes":
+        functions.append(_PREPARE.format(integrator))
+        calls["#prepare"] = [_PREPARED]
+    return functions, calls
 
 
 def aid_function(model: "Model", aid: str, inputs: Sequence[int], scratch: int) -> list[str]:
@@ -53,10 +65,9 @@ def aid_function(model: "Model", aid: str, inputs: Sequence[int], scratch: int) 
     ValueError : for a Jacobian that is too long to compile.
     """
     if aid == "modes":
-        modes = frozen_modes(model.chain)  # none of a rigid arm: the shape must tell
-        return [f"AID = np.array({modes.tolist()!r}).reshape({modes.shape})"]
+        return [f"AID = np.array({frozen_modes(model.chain).tolist()!r})"]
     if aid != "jacobian":
-        return ["AID = None"]
+        return []
     count = model.jacobian_graph.n_instructions()
     if count > LONGEST:
         raise ValueError(
@@ -66,7 +77,9 @@ def aid_function(model: "Model", aid: str, inputs: Sequence[int], scratch: int) 
     return [render_function("AID", model.jacobian_graph, inputs, scratch)]
 
 
-def _recorded(name: str, function: Callable[..., None], n: int, at: Mapping[str, int]) -> "_Record":
+def _recorded(
+    name: str, function: Callable[..., None], n: int, at: Mapping[str, int], modes: Any
+) -> "_Record":
     """One straight-line function per stretch between evaluations, and the lines that call them."""
     record = _Record(name, at["H"])
 
@@ -75,7 +88,7 @@ def _recorded(name: str, function: Callable[..., None], n: int, at: Mapping[str,
         w.calls.append("#evaluate")
 
     places = (at[x] for x in ("Q", "V", "ACC", "IMPLICIT", "SCRATCH"))
-    function(record, record[at["H"]], evaluate, 1, n, *places, None)
+    function(record, record[at["H"]], evaluate, 1, n, *places, modes)
     record.end_stretch()
     return record
 

@@ -170,15 +170,24 @@ class Core:
         if substeps is not None:
             require_whole("substeps", substeps, 1)
         entry = kept(self.arm, self.control_dt) if integrator is None else None
-        if entry is not None:  # restarted every substep, Numerov's method is not what was measured
-            steps = entry["steps"]
-            best = next(s for s in steps if not self.drives or s["integrator"] in BY_RULE)
+        if entry is not None:
+            best = next(s for s in entry["steps"] if self._as_measured(s["integrator"]))
             name, count = best["integrator"], best["substeps"]
         else:
             name, count = integration(self.arm, self.control_dt, integrator)
         if self.drives:
             count = max(count, self.drives.substeps(self.control_dt, name))
         return name, count if substeps is None else int(substeps)
+
+    def _as_measured(self, integrator: str) -> bool:
+        """Whether a method does here what it did where its error was measured.
+
+        Restarted every substep, for actuators, a method that remembers does not; frozen modes are
+        those of the arm as described, not of one with other parameters.
+        """
+        if self.drives:
+            return integrator in BY_RULE
+        return not self.randomize or INTEGRATORS[integrator].aid != "modes"
 
     def _fixed_numbers(
         self, weights: dict[str, float], deflection_limit: float, max_steps: int
@@ -230,7 +239,7 @@ class Core:
         self._program = self.model.program(lanes, self.integrator, self.report.addition)
         blocks = -(-n_env // lanes)
         self._width = lanes * (blocks | 1)  # an odd number of blocks spreads rows over the cache
-        self._kept: list[Outputs] = []  # in the order of their last use
+        self._kept: list[Outputs] = []
         self.state = np.zeros((self.report.state.total, self._width), self.model.dtype)
         self.state[rows["free"]] = self.model.nominal_parameters[:, None]
         self.streams = np.zeros(n_env, dtype=np.int64)
@@ -255,9 +264,8 @@ class Core:
 
     def outputs(self) -> Any:
         """`Outputs` to fill that nobody else holds."""
-        for k, known in enumerate(self._kept):
+        for known in self._kept:
             if known.unused:
-                self._kept.append(self._kept.pop(k))
                 return known
         info = self.report.info
         new = self._outputs(self.n_env, self.layout.size, self._width, self.model.dtype, info)

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from flexarm_env.core import Array, Core
 from flexarm_env.observations import Layout
-from flexarm_env.outputs import SingleOutputs
+from flexarm_env.outputs import WIDE, SingleOutputs
 from flexarm_env.rewards import TERMS
 
 RENDER_MODES = ("human", "rgb_array")
 Observation = NDArray[np.float32]
-_TERMS = tuple(TERMS)
 _ONE = np.zeros(1, np.int64)
 
 
@@ -40,7 +39,10 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
         self._seeded = False
         self._renderer: Any = None
-        self._terms = self.core.report.info.slices["reward_terms"]
+        rows = self.core.report.info.slices
+        first = rows["reward_terms"].start
+        self._terms = tuple((name, first + k) for k, name in enumerate(TERMS))
+        self._blocks = tuple((name, rows[name]) for name in WIDE if name in rows)
 
     # ---- what agents ask ---------------------------------------------------------------------
 
@@ -79,8 +81,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        values, marks = out.info[:, 0].tolist(), out.flags[:, 0].tolist()
-        return out.observation, self._info(out, values, marks)
+        return out.observation.copy(), self._info(out, out.values.tolist(), out.marks.tolist())
 
     def step(
         self, action: NDArray[np.float32]
@@ -93,22 +94,24 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
                 f"An action is {self._action.size} numbers in [-1, 1], got {action!r}."
             ) from None
         out, _ = self.core.step(self._action)
-        values, marks = out.info[:, 0].tolist(), out.flags[:, 0].tolist()
+        values, marks = out.values.tolist(), out.marks.tolist()
         if self._renderer is not None:
             self._renderer.follow(self.core)
         if self.render_mode == "human":
             self.render()
-        return out.observation, values[0], marks[0], marks[1], self._info(out, values, marks)
+        info = self._info(out, values, marks)
+        return out.observation.copy(), values[0], marks[0], marks[1], info
 
     def _info(self, out: SingleOutputs, values: list[float], marks: list[bool]) -> dict[str, Any]:
+        numbers = out.values.copy()
         return {
             "time": values[1],
             "tip_error": values[2],
             "tip_speed": values[3],
             "deflection": values[4],
             "tip_deflection": values[5],
-            "reward_terms": dict(zip(_TERMS, values[self._terms], strict=True)),
-            **out.blocks,
+            "reward_terms": {name: values[row] for name, row in self._terms},
+            **{name: numbers[rows] for name, rows in self._blocks},
             "settled": marks[2],
             "diverged": marks[3],
             "invalid": marks[4],

@@ -60,6 +60,7 @@ def control_step(rows, substeps, actions, state, w, obs, info, flags):
     if ended < 0:
         return ended
     start, stop = np.uint64(rows[0]), np.uint64(rows[1])
+    #prepare
     for block in range((stop - start + LANES - np.uint64(1)) // LANES):
         column = start + block * LANES
         for k in range(N_STATE):

@@ -1,6 +1,5 @@
 """What environments say after a step: one set of arrays, and views of them by name."""
 
-from abc import ABC, abstractmethod
 from sys import getrefcount
 from typing import Any
 
@@ -11,12 +10,12 @@ from flexarm_env.report import FLAGS, NUMBERS, Rows
 from flexarm_env.rewards import TERMS
 
 Array = NDArray[Any]
-BLOCKS = ("reward_terms", "root_curvature", "torque", "command")  # rows of info behind NUMBERS
+WIDE = ("root_curvature", "torque", "command")  # of info, as far as there: several rows each
 SETTLED = 2  # first row of flags that info tells
 SPARE = 3  # sets kept: with the caller, being filled, and one that the caller copied late
 
 
-class Outputs(ABC):
+class Outputs:
     """Arrays that a step fills; a new step may fill them again once nobody else holds any.
 
     Attributes
@@ -30,48 +29,49 @@ class Outputs(ABC):
         self.obs = np.empty((n_env, size), np.float32)
         self.info = np.empty((names.total, width), dtype)
         self.flags = np.empty((len(FLAGS), width), np.bool_)
-        self._arrays = [self.obs, self.info, self.flags, *self._views(n_env, names)]
-        self._alone = list(map(getrefcount, self._arrays))
-
-    @abstractmethod
-    def _views(self, n_env: int, names: Rows) -> list[Array]:
-        """Views of the arrays that others are given."""
 
     @property
     def unused(self) -> bool:
-        """Whether nobody else holds any of the arrays: a part of one holds the whole."""
-        return list(map(getrefcount, self._arrays)) == self._alone
+        """Whether nobody else holds any of the arrays."""
+        return True
 
 
 class SingleOutputs(Outputs):
-    """What a single environment says.
+    """What a single environment says, for it to copy.
 
     Attributes
     ----------
     observation : (size,)
-    blocks : wide entries of info by name, but for reward terms.
+    values, marks : the columns of info and flags.
     """
 
-    def _views(self, n_env: int, names: Rows) -> list[Array]:
-        self.observation = self.obs[0]
-        wide = [name for name in BLOCKS[1:] if name in names.slices]
-        self.blocks: dict[str, Array] = {name: self.info[names.slices[name], 0] for name in wide}
-        return [self.observation, *self.blocks.values()]
+    def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
+        super().__init__(n_env, size, width, dtype, names)
+        self.observation, self.values, self.marks = self.obs[0], self.info[:, 0], self.flags[:, 0]
 
 
 class BatchOutputs(Outputs):
-    """What a batch says.
+    """What a batch says: views of the arrays, where a part of one holds the whole.
 
     Attributes
     ----------
     reward, terminated, truncated : (N,) rows of info and flags.
     """
 
+    def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
+        super().__init__(n_env, size, width, dtype, names)
+        self._arrays = [self.obs, self.info, self.flags, *self._views(n_env, names)]
+        self._alone = list(map(getrefcount, self._arrays))
+
+    @property
+    def unused(self) -> bool:
+        return list(map(getrefcount, self._arrays)) == self._alone
+
     def _views(self, n_env: int, names: Rows) -> list[Array]:
         values, marks = list(self.info[:, :n_env]), list(self.flags[:, :n_env])
         self.reward, self.terminated, self.truncated = values[0], marks[0], marks[1]
-        named = {name: names.slices[name] for name in BLOCKS if name in names.slices}
-        terms = named.pop("reward_terms")
+        named = {name: names.slices[name] for name in WIDE if name in names.slices}
+        terms = names.slices["reward_terms"]
         self._terms = dict(zip(TERMS, values[terms], strict=True))
         self._named: dict[str, Any] = dict(zip(NUMBERS, values[1 : terms.start], strict=True))
         self._named |= {name: self.info[at, :n_env].T for name, at in named.items()}
