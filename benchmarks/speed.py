@@ -158,8 +158,8 @@ def interface_microseconds(env_id: str) -> dict[str, float]:
     """What a call of a batch costs beside its compiled work, which is left out here."""
     batch = cast(FlexArmVectorEnv, gym.make_vec(env_id, num_envs=LANES))
     batch.reset(seed=0)
-    for span, _ in batch.core.shares:
-        span[:] = 0
+    for share in batch.core.shares:
+        share[:] = 0
     return timed(partial(batch.step, np.zeros((LANES, batch.n_joint), np.float32))).each(1e-6)
 
 

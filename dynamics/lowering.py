@@ -279,12 +279,15 @@ def render_module(
     title: str,
     lanes: int,
     slots: int,
-    operations: int,
+    operations: tuple[int, int],
     constants: dict[str, int],
     functions: Sequence[str],
     entries: str,
 ) -> str:
-    """The whole generated module; `constants` are slots, in it offsets of values."""
+    """The whole generated module; `constants` are slots, in it offsets of values.
+
+    `operations` are those of an evaluation of the accelerations, and of what was added.
+    """
     head = [
         f'"""Generated: {title}."""',
         "import numpy as np",
@@ -294,7 +297,8 @@ def render_module(
         "from dynamics.kernels import compiled, outermost",
         f"LANES = {lanes}",
         f"SLOTS = {slots}",
-        f"OPERATIONS = {operations}",
+        f"OPERATIONS = {operations[0]}",
+        f"FURTHER_OPERATIONS = {operations[1]}",
     ]
     offsets = [f"{name} = np.uint64({slot * lanes})" for name, slot in constants.items()]
     lines = [f"LANES = np.uint64({lanes})", *offsets]

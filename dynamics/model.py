@@ -311,9 +311,11 @@ class Model:
         ]
         title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}, {self.dtype}"
         constants = at | {"N": self.n}
-        work = functions[0].count(" = ")
+        work, further = functions[0].count(" = "), sum(x.count(" = ") for x in added.functions(at))
         entries = expanded(added.entries, marks)
-        return render_module(title, lanes, starts[-1], work, constants, functions, entries)
+        return render_module(
+            title, lanes, starts[-1], (work, further), constants, functions, entries
+        )
 
     @property
     def _stepping(self) -> Addition:

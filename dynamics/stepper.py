@@ -1,12 +1,14 @@
 """Many substeps, many environments, all cores: one compiled call."""
 
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
 
+from dynamics.crew import Crew
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
+
+SHARES = 4  # of a batch per thread: a thread that is held up leaves some to the others
 
 
 class Stepper:
@@ -63,31 +65,26 @@ class Stepper:
         self._program = model.program(1 if n_env == 1 else model.lanes, integrator)
         blocks = -(-self.n_env // model.lanes)
         self.threads = min(self.threads, blocks)
-        bounds = [model.lanes * (k * blocks // self.threads) for k in range(self.threads)]
-        self._shares = [
-            slice(a, b) for a, b in pairwise([*bounds, self.n_env])
-        ]  # whole blocks of lanes for every thread
-        self._w = [model.workspace(self._program) for _ in self._shares]
-        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
+        count = min(SHARES * self.threads, blocks)
+        bounds = [model.lanes * (k * blocks // count) for k in range(count)]
+        self._shares = [slice(a, b) for a, b in pairwise([*bounds, self.n_env])]  # whole blocks
+        self._w = [model.workspace(self._program) for _ in range(self.threads)]
+        self._crew = Crew(self.threads)
 
     def advance(self) -> None:
         """Step every environment `substeps` times, then measure. Allocates nothing."""
-        if self._pool is None:
+        if self.threads == 1:
             self._program.advance(
                 self.q, self.v, self.torque, self.parameters, self.dt, self.substeps, self._w[0],
                 self.status, self.measured,
             )  # fmt: skip
             return
-        others = [self._pool.submit(self._advance_share, k) for k in range(1, self.threads)]
-        self._advance_share(0)
-        for other in others:
-            other.result()
+        self._crew.run(self._advance_share, self._shares)
 
-    def _advance_share(self, k: int) -> None:
-        rows = self._shares[k]
+    def _advance_share(self, thread: int, rows: slice) -> None:
         self._program.advance(
             self.q[rows], self.v[rows], self.torque[rows], self.parameters[rows], self.dt,
-            self.substeps, self._w[k], self.status[rows], self.measured[rows],
+            self.substeps, self._w[thread], self.status[rows], self.measured[rows],
         )  # fmt: skip
 
     def measure(self, q: np.ndarray, v: np.ndarray, out: np.ndarray) -> None:

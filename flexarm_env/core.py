@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import pairwise
 from os import PathLike
 from typing import Any
@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import Arm, checks, load_arm
+from dynamics.crew import Crew
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model, compile_arm
+from dynamics.stepper import SHARES
 from dynamics.validity import LARGEST_RATE
 from flexarm_env import kernels
 from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
@@ -36,8 +38,9 @@ from flexarm_env.tasks import find_task
 
 Array = NDArray[np.float64]
 FASTEST = 1e12  # [rad/s] of a joint without a limit
-OPERATIONS_PER_SECOND = 3e10  # of one thread, roughly
+OPERATIONS_PER_SECOND = 1.5e10  # of one thread, roughly
 WORTH_A_THREAD = 1e-4  # [s] of work; waking a thread takes half as long
+WORTH_A_CALL = 5e-5  # [s] of work; a call takes a twentieth
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm
 
 
@@ -76,7 +79,8 @@ class Core:
     certificate : measured errors of model and step, see `dynamics.certificate.Certificate`; None
         where this arm and step were never certified.
     q, v : (N, n) coordinates and rates, writable views.
-    shares : per thread the range of its environments, (2,), and its workspace.
+    shares : (2,) ranges of environments that are stepped by a call each.
+    workspaces : one per thread.
     parameters : (N, n_free) values of the randomized parameters, a view.
     """
 
@@ -245,14 +249,21 @@ class Core:
         self.streams = np.zeros(n_env, dtype=np.int64)
         self.q, self.v = self.state[rows["q"], :n_env].T, self.state[rows["v"], :n_env].T
         self.parameters = self.state[rows["free"], :n_env].T
-        per_step, per_call = WORK.get(self.integrator, WORK["rk4"])
-        evaluations = per_step * self.substeps + per_call
-        work = n_env * evaluations * self._program.OPERATIONS / OPERATIONS_PER_SECOND  # [s]
-        count = max(1, min(self.threads, blocks, int(work / WORTH_A_THREAD)))
+        work = n_env * self._operations() / OPERATIONS_PER_SECOND  # [s]
+        threads = max(1, min(self.threads, blocks, int(work / WORTH_A_THREAD)))
+        count = min(SHARES * threads, blocks, max(threads, int(work / WORTH_A_CALL)))
+        count = count if threads > 1 else 1
         bounds = [*(lanes * (k * blocks // count) for k in range(count)), n_env]
-        self.shares = [(np.array(span), self._workspace()) for span in pairwise(bounds)]
+        self.shares = [np.array(span) for span in pairwise(bounds)]
+        self.workspaces = [self._workspace() for _ in range(threads)]
         self._no_actions = np.zeros((0, self.arm.n_joint), np.float32)
-        self._pool = ThreadPoolExecutor(max(1, count - 1))  # starts no thread before the first job
+        self._crew = Crew(threads)
+
+    def _operations(self) -> int:
+        """How many a control step of one environment takes, but for the method's own."""
+        per_step, per_call = WORK.get(self.integrator, WORK["rk4"])
+        program, evaluations = self._program, per_step * self.substeps + per_call
+        return int(evaluations * program.OPERATIONS + program.FURTHER_OPERATIONS)
 
     def _workspace(self) -> Array:
         w = self.model.workspace(self._program)
@@ -278,11 +289,11 @@ class Core:
         """One control step of all: what it says, and how many ended."""
         out = self.outputs()
         if len(self.shares) == 1:
-            ended = self.step_share(0, actions, out)
-        else:
-            others = range(1, len(self.shares))
-            waiting = [self._pool.submit(self.step_share, k, actions, out) for k in others]
-            ended = self.step_share(0, actions, out) + sum(job.result() for job in waiting)
+            ended = self._step_share(actions, out, 0, self.shares[0])
+        else:  # one bad action must not find other environments stepped already
+            ended = -kernels.missing(actions)
+            if not ended:
+                ended = sum(self._crew.run(partial(self._step_share, actions, out), self.shares))
         if ended < 0:
             bad = int(np.flatnonzero(np.isnan(actions).any(axis=1))[0])
             raise ValueError(
@@ -291,12 +302,14 @@ class Core:
             )
         return out, ended
 
-    def step_share(self, k: int, actions: NDArray[np.float32], out: Outputs) -> int:
-        """The compiled call: step the environments of thread k, say how many ended."""
-        span, w = self.shares[k]
+    def _step_share(
+        self, actions: NDArray[np.float32], out: Outputs, thread: int, share: NDArray[np.int64]
+    ) -> int:
+        """The compiled call: step a share of the environments, say how many ended."""
         ended: int = self._program.control_step(
-            span, self.substeps, actions, self.state, w, out.obs, out.info, out.flags
-        )
+            share, self.substeps, actions, self.state, self.workspaces[thread], out.obs, out.info,
+            out.flags,
+        )  # fmt: skip
         return ended
 
     def restart(
@@ -309,7 +322,7 @@ class Core:
         if self.drives:
             states = self.report.state.slices["actuator"]
             self.state[states, rows] = self.drives.at_rest(self.q[rows])
-        w = self.shares[0][-1]
+        w = self.workspaces[0]
         self._program.control_step(
             rows, 0, self._no_actions, self.state, w, out.obs, out.info, out.flags
         )

@@ -18,8 +18,8 @@ WAVES = 2  # sines in the path of a joint
 
 # What a generated module adds to its arm's `accelerations(w)` and its task's `command(w)`,
 # `check(w)` and `report(w)`: one entry, because `report` takes long to compile. It steps the
-# environments rows[0] to rows[1], and says how many ended, or that an action is not a number;
-# without substeps it reports on all `rows`. #advance stands for the lines that step the arm.
+# environments rows[0] to rows[1], and says how many ended, or that an action of theirs is not a
+# number; without substeps it reports on all `rows`. #advance stands for what steps the arm.
 ENTRIES = """
 take, put = lane_moves(int(LANES))
 gather, scatter = row_moves(int(LANES))
@@ -53,13 +53,12 @@ def control_step(rows, substeps, actions, state, w, obs, info, flags):
                 scatter(w, OBSERVATION + b, obs, i)
         return np.int64(0)
 
-    ended = np.int64(0)
-    for i in range(np.uint64(actions.shape[0])):
+    ended, start, stop = np.int64(0), np.uint64(rows[0]), np.uint64(rows[1])
+    for i in range(start, stop):
         for j in range(N_JOINT):
             ended -= actions[i, j] != actions[i, j]
     if ended < 0:
         return ended
-    start, stop = np.uint64(rows[0]), np.uint64(rows[1])
     #prepare
     for block in range((stop - start + LANES - np.uint64(1)) // LANES):
         column = start + block * LANES
@@ -126,6 +125,19 @@ def either_sign(streams, i, ranges, name):  # type: ignore[no-untyped-def]
     """A magnitude within one of a task's ranges, with a random sign."""
     sign = 1.0 if uniform(streams, i, 0.0, 1.0) < 0.5 else -1.0
     return sign * draw(streams, i, ranges, name)
+
+
+# ---- actions -------------------------------------------------------------------------------------
+
+
+@fast
+def missing(actions):  # type: ignore[no-untyped-def]
+    """How many actions (N, n_joint) are not numbers."""
+    count = np.int64(0)
+    for i in range(U(actions.shape[0])):
+        for j in range(U(actions.shape[1])):
+            count += actions[i, j] != actions[i, j]
+    return count
 
 
 # ---- the start of an episode ---------------------------------------------------------------------

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from dynamics import Arm, Diverged, Joint, Link, Mode, Stepper, simulate
 from dynamics.integrators import INTEGRATORS
-from dynamics.linear import linear_arm
+from dynamics.linear import frozen_modes, inertia, linear_arm, stiffness
 from dynamics.stability import amplification, fastest, largest_step
 from tests.dynamics.random_arms import Array, compiled
 
@@ -225,6 +225,20 @@ def test_damping_breaks_a_method_exactly_where_its_eigenvalues_say(
     assert calm == (radius < 1.0 + 1e-6)
     assert calm or integrator in [*LIMITED, "exponential"]
     assert not (calm and integrator in LIMITED and decays > 4.0)
+
+
+def test_frozen_modes_are_all_of_the_straight_arm() -> None:
+    """K S = M S Omega^2 with L = S^-1; joints that turn freely neither swing nor decay."""
+    model = compiled(planar(2, 2, damping_ratio=0.02, joint=Joint(rotor_inertia=0.05)))
+    n, modes = model.n, frozen_modes(model.chain)
+    squares, decays, L, S = modes[:, 0], modes[:, 1], modes[:, 2 : 2 + n], modes[:, 2 + n :].T
+    K, M = stiffness(model.chain), inertia(model.chain, np.zeros(n))
+    assert_allclose(L @ S, np.eye(n), atol=1e-12)
+    assert_allclose(K @ S, M @ S * squares, atol=1e-9 * np.abs(K @ S).max())
+    free = squares == 0.0
+    assert free.sum() == 2
+    assert np.all(decays[free] == 0.0)
+    assert np.all(decays[~free] > 0.0)
 
 
 def test_an_exponential_step_of_any_length_is_exact_for_small_motions() -> None:

@@ -14,7 +14,9 @@ from dynamics.stepping import aid_function, method_code
 
 N = 3
 AT = {"Q": 0, "V": N, "IMPLICIT": 2 * N, "ACC": 3 * N + 2, "H": 4 * N + 2, "SCRATCH": 4 * N + 3}
-RECORDED = sorted(name for name, method in INTEGRATORS.items() if method.aid == "none")
+RECORDED = sorted(name for name, method in INTEGRATORS.items() if method.aid != "jacobian")
+MODES = np.random.default_rng(1).uniform(-1.0, 1.0, (N, 2 + 2 * N))  # as they may be
+MODES[:, 0] = 0.0, 3.0, 50.0
 
 
 def evaluate(w: Any) -> None:
@@ -25,19 +27,24 @@ def evaluate(w: Any) -> None:
 
 
 def generated(integrator: str) -> dict[str, Callable[..., None]]:
-    """Start and step as generated, run as the Python they are written in, on one lane."""
-    texts, marks = method_code(integrator, N, AT)
+    """What is generated, run as the Python it is written in, on one lane."""
+    texts, marks = method_code(integrator, N, AT, MODES)
     marks = {"#evaluate": ["evaluate(w)"], **marks}
     names: dict[str, Any] = {
         "straight_line": lambda lanes, rounds: lambda function: function,
         "evaluate": evaluate,
-        "LANES": 1,
+        "compiled": lambda function: function,
+        "INTEGRATORS": INTEGRATORS,
+        **{name: np.uint64(at) for name, at in AT.items()},
+        "LANES": np.uint64(1),
+        "N": np.uint64(N),
+        "AID": MODES,
     }
     for text in texts:
         exec(text, names)
-    for name in ("start", "step"):
+    for name in ("prepare", "start", "step"):
         exec(expanded(f"def {name}(w):\n    #{name}\n    return", marks), names)
-    return {name: names[name] for name in ("start", "step")}
+    return {name: names[name] for name in ("prepare", "start", "step")}
 
 
 @pytest.mark.parametrize("integrator", RECORDED)
@@ -49,16 +56,18 @@ def test_straight_line_steps_are_the_methods(integrator: str) -> None:
     mine[AT["H"]] = 0.1
     theirs = mine.copy()
     places = [AT[name] for name in ("Q", "V", "ACC", "IMPLICIT", "SCRATCH")]
+    code["prepare"](mine)
+    method.prepare(theirs, 0.1, 1, N, AT["SCRATCH"], MODES)
     for name in ("start", "step", "step", "step"):
         code[name](mine)
-        getattr(method, name)(theirs, 0.1, evaluate, 1, N, *places, None)
+        getattr(method, name)(theirs, 0.1, evaluate, 1, N, *places, MODES)
         assert_allclose(mine, theirs, rtol=1e-13, atol=1e-14)
 
 
 @pytest.mark.parametrize("integrator", RECORDED)
 def test_a_stretch_needs_no_slot_that_it_has_overwritten(integrator: str) -> None:
     """Every slot is read before it is written, once at most."""
-    for text in method_code(integrator, N, AT)[0]:
+    for text in method_code(integrator, N, AT, MODES)[0]:
         written: set[str] = set()
         for line in text.splitlines():
             target, _, value = (part.strip() for part in line.partition("="))

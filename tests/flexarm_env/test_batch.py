@@ -11,6 +11,8 @@ from gymnasium.vector import AutoresetMode
 
 import flexarm_env
 from dynamics import load_arm
+from dynamics.integrators import INTEGRATORS
+from flexarm_env.certificates import stored
 
 TASKS = ("Reach", "Track", "Damp")
 ROUND_OFF = 1e-6  # observations are float32
@@ -89,7 +91,7 @@ def test_results_do_not_depend_on_batch_size_or_threads(
     actions = random_actions(60, 40, 1)
     reference = gym.make_vec(env_id, num_envs=33, max_episode_steps=25)
     other = gym.make_vec(env_id, num_envs=n_env, threads=threads, max_episode_steps=25)
-    assert len(other.unwrapped.core.shares) == threads
+    assert len(other.unwrapped.core.workspaces) == threads
     common = min(33, n_env)
     for a, b in zip(run(reference, actions), run(other, actions), strict=True):
         for x, y in zip(a[:-1], b[:-1], strict=True):
@@ -99,7 +101,7 @@ def test_results_do_not_depend_on_batch_size_or_threads(
 def test_a_batch_with_little_work_takes_fewer_threads() -> None:
     few = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=64, threads=2)
     many = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=16384, threads=2)
-    assert [len(envs.unwrapped.core.shares) for envs in (few, many)] == [1, 2]
+    assert [len(envs.unwrapped.core.workspaces) for envs in (few, many)] == [1, 2]
 
 
 @pytest.mark.parametrize("env_id", ["FlexArm/OneLink-Reach-v0", "FlexArm/TwoLink-Track-v0"])
@@ -128,6 +130,12 @@ def test_free_parameters_are_drawn_at_every_reset_and_move_the_arm() -> None:
     for _ in range(4):
         envs.step(np.zeros((64, 1)))
     assert (envs.unwrapped.core.parameters != first).all()
+    core = gym.make_vec(env_id, num_envs=2).unwrapped.core
+    drawn = envs.unwrapped.core
+    assert core.integrator == "exponential"  # of frozen modes, which are not those of other arms
+    assert INTEGRATORS[drawn.integrator].aid == "none"
+    measured = [(s["integrator"], s["substeps"]) for s in stored()["slim"]["steps"]]
+    assert (drawn.integrator, drawn.substeps) in measured
 
     twice = {"stiffness": (2.0, 2.0), "damping": (2.0**0.5, 2.0**0.5)}  # at the same ratio
     step: Any = {"integrator": "rk4", "substeps": 4}
