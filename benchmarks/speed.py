@@ -35,6 +35,7 @@ from benchmarks.output import provenance, save_results
 DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
 BATCHES = (1024, 16384)
 TOLERANCE = 1e-3  # tip error in parts of the reach
+RUNS, SECONDS = 150, 1.5  # of each measurement; short runs find the moments when nothing disturbs
 CHAINS, WIDTH, ROUNDS = 12, 4, 200  # a vector register each: 12 of 16 are on the way
 
 
@@ -53,14 +54,14 @@ class Timing(NamedTuple):
         return {"median": self.median / amount, "best": self.best / amount}
 
 
-def timed(call: Callable[[], Any], at_least: float = 1.0, runs: int = 20) -> Timing:
-    """Several runs of many calls."""
+def timed(call: Callable[[], Any]) -> Timing:
+    """Many runs of several calls."""
     call()
     begin = time.perf_counter()
     call()
-    calls = max(1, int(at_least / runs / max(time.perf_counter() - begin, 1e-7)))
+    calls = max(1, int(SECONDS / RUNS / max(time.perf_counter() - begin, 1e-7)))
     times = []
-    for _ in range(runs):
+    for _ in range(RUNS):
         begin = time.perf_counter()
         for _ in range(calls):
             call()
@@ -205,11 +206,11 @@ def physics_steps(family: str) -> dict[str, Any]:
     row = {}
     for threads in (1, 2):
         stepper = Stepper(
-            core.model, BATCHES[0], dt=core.control_dt / core.substeps, substeps=core.substeps,
+            core.model, BATCHES[-1], dt=core.control_dt / core.substeps, substeps=core.substeps,
             integrator=core.integrator, threads=threads,
         )  # fmt: skip
-        name = f"physics, {threads} thread{'s' * (threads > 1)} [steps/s]"
-        row[name] = timed(stepper.advance).per(BATCHES[0])
+        name = f"physics, batch of {BATCHES[-1]}, {threads} thread{'s' * (threads > 1)} [steps/s]"
+        row[name] = timed(stepper.advance).per(BATCHES[-1])
     return row
 
 
@@ -246,10 +247,11 @@ def table(results: dict[str, Any]) -> str:
     peak = machine["peak, one core [GFLOP/s]"]
     lines = [
         "# Speed\n",
-        "Made by `python benchmarks/speed.py`: medians of 20 runs, and in brackets the best of "
-        f"them, all on {machine['cores']} cores ({machine['processor']}) whose multiply-add peak "
-        f"in float64 was {peak['median']:.0f} ({peak['best']:.0f}) GFLOP/s each. Where median and "
-        "best differ much, the machine had other work.\n",
+        f"Made by `python benchmarks/speed.py`: medians of {RUNS} runs, and in brackets the best "
+        f"of them, all on {machine['cores']} cores ({machine['processor']}) whose peak in float64, "
+        "of fused multiply-adds that need nothing from memory, was "
+        f"{peak['median']:.0f} ({peak['best']:.0f}) GFLOP/s each. Where median and best differ "
+        "much, the machine had other work.\n",
         f"Two busy processes side by side had {machine['cores in fact']:.2f} cores: where that is "
         "near one, the two-thread figures say nothing of threads.\n",
         "| | " + " | ".join(DEFAULT_ARMS) + " |",
