@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -34,6 +34,7 @@ from benchmarks.output import provenance, save_results
 
 DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
 BATCHES = (1024, 16384)
+LANES_OF = {"one lane": 1, "many lanes": LANES}
 TOLERANCE = 1e-3  # tip error in parts of the reach
 RUNS, SECONDS = 150, 1.5  # of each measurement; short runs find the moments when nothing disturbs
 CHAINS, WIDTH, ROUNDS = 12, 4, 200  # a vector register each: 12 of 16 are on the way
@@ -56,21 +57,31 @@ class Timing(NamedTuple):
 
 def timed(call: Callable[[], Any]) -> Timing:
     """Many runs of several calls."""
-    call()
-    begin = time.perf_counter()
-    call()
-    calls = max(1, int(SECONDS / RUNS / max(time.perf_counter() - begin, 1e-7)))
-    times = []
+    return timed_in_turn({"": call})[""]
+
+
+def timed_in_turn(calls: Mapping[str, Callable[[], Any]]) -> dict[str, Timing]:
+    """A run of each in turn, many times: what disturbs for seconds falls on all."""
+    often: dict[str, int] = {}
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for name, call in calls.items():
+        call()
+        often[name] = max(1, int(SECONDS / RUNS / max(_seconds(call, 1), 1e-7)))
     for _ in range(RUNS):
-        begin = time.perf_counter()
-        for _ in range(calls):
-            call()
-        times.append((time.perf_counter() - begin) / calls)
-    return Timing(statistics.median(times), min(times))
+        for name, call in calls.items():
+            times[name].append(_seconds(call, often[name]))
+    return {name: Timing(statistics.median(found), min(found)) for name, found in times.items()}
 
 
-def multiply_add_peak() -> dict[str, float]:
-    """[FLOP/s] of one core in float64: independent chains of fused multiply-adds."""
+def _seconds(call: Callable[[], Any], times: int) -> float:
+    begin = time.perf_counter()
+    for _ in range(times):
+        call()
+    return (time.perf_counter() - begin) / times
+
+
+def multiply_adds() -> tuple[Callable[[], Any], float]:
+    """A call that does independent chains of fused multiply-adds, and how many operations."""
     chains = range(CHAINS)
     lines = ["a = w[0]", "b = w[1]", *(f"x{k} = w[{2 + k}]" for k in chains)]
     lines += [f"x{k} = x{k} * a + b" for _ in range(ROUNDS) for k in chains]
@@ -89,23 +100,30 @@ def multiply_add_peak() -> dict[str, float]:
     module = cached_module(f"peak_{CHAINS}_{WIDTH}_{ROUNDS}", lambda: text)
     w = np.full((2 + CHAINS) * WIDTH, 0.5)
     times = 2000
-    return timed(lambda: module.often(w, times)).per(2.0 * CHAINS * ROUNDS * WIDTH * times)
+    return lambda: module.often(w, times), 2.0 * CHAINS * ROUNDS * WIDTH * times
 
 
-def right_hand_side(arm: str, peak: dict[str, float]) -> dict[str, Any]:
-    """ns per environment and share of the peak, one lane and many."""
-    model = compile_arm(arm)
-    count = model.operation_count()["accelerations"]
-    flops = count["multiplications"] + count["additions"] + count["divisions"]
-    row: dict[str, Any] = {"operations": flops}
-    for name, lanes in (("one lane", 1), ("many lanes", LANES)):
+def right_hand_sides() -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
+    """The peak [FLOP/s] of one core; by arm, ns per environment and share of the peak."""
+    multiply_add, amount = multiply_adds()
+    calls, often = {"peak": multiply_add}, 1000
+    for arm, (name, lanes) in itertools.product(DEFAULT_ARMS.values(), LANES_OF.items()):
+        model = compile_arm(arm)
         program = model.program(lanes, "rk4")
-        w = model.workspace(program)
-        found = timed(partial(program.evaluate_often, w, 1000))
-        row[f"rhs {name} [ns]"] = found.each(1e-9 * 1000 * lanes)
-        rate = found.per(flops * 1000 * lanes)
-        row[f"share of peak, {name}"] = {key: rate[key] / peak[key] for key in peak}
-    return row
+        calls[arm + name] = partial(program.evaluate_often, model.workspace(program), often)
+    found = timed_in_turn(calls)
+    peak, rows = found["peak"].per(amount), {}
+    for arm in DEFAULT_ARMS.values():
+        count = compile_arm(arm).operation_count()["accelerations"]
+        flops = count["multiplications"] + count["additions"] + count["divisions"]
+        row: dict[str, Any] = {"operations": flops}
+        for name, lanes in LANES_OF.items():
+            timing = found[arm + name]
+            row[f"rhs {name} [ns]"] = timing.each(1e-9 * often * lanes)
+            rate = timing.per(flops * often * lanes)
+            row[f"share of peak, {name}"] = {key: rate[key] / peak[key] for key in peak}
+        rows[arm] = row
+    return peak, rows
 
 
 def compile_seconds(arm: str) -> dict[str, float]:
@@ -219,7 +237,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("docs/results/speed.json"))
     options = parser.parse_args()
-    peak = multiply_add_peak()
+    peak, rows = right_hand_sides()
     results = provenance("numba", "numpy", "gymnasium", "casadi")
     results["machine"] |= {
         "cores in fact": cores_in_fact(),
@@ -230,7 +248,7 @@ def main() -> None:
             "arm": arm,
             "coordinates": ARMS[arm].n,
             **errors(f"FlexArm/{family}-Reach-v0"),
-            **right_hand_side(arm, peak),
+            **rows[arm],
             **physics_steps(family),
             **env_steps(family),
             **within_tolerance(f"FlexArm/{family}-Reach-v0", TOLERANCE),
