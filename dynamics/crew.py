@@ -8,6 +8,7 @@ from threading import Lock, Thread
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+SHARES = 4  # of a batch per thread: one that is held up leaves some to the others
 
 
 class Crew:

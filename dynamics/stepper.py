@@ -4,11 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from dynamics.crew import Crew
+from dynamics.crew import SHARES, Crew
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
-
-SHARES = 4  # of a batch per thread: a thread that is held up leaves some to the others
 
 
 class Stepper:

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import Arm, checks, load_arm
-from dynamics.crew import Crew
+from dynamics.crew import SHARES, Crew
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model, compile_arm
-from dynamics.stepper import SHARES
 from dynamics.validity import LARGEST_RATE
 from flexarm_env import kernels
 from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
