@@ -122,6 +122,8 @@ def right_hand_sides() -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
             row[f"rhs {name} [ns]"] = timing.each(1e-9 * often * lanes)
             rate = timing.per(flops * often * lanes)
             row[f"share of peak, {name}"] = {key: rate[key] / peak[key] for key in peak}
+            if rate["best"] > peak["best"]:
+                raise RuntimeError(f"{arm}, {name}, ran faster than what was measured as the peak.")
         rows[arm] = row
     return peak, rows
 

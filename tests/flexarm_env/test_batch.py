@@ -205,6 +205,24 @@ def test_bad_batch_arguments_get_a_sentence() -> None:
         envs.reset(seed=[1, 2, 3])
 
 
+@pytest.mark.parametrize("row", [0, 39])
+def test_a_bad_action_finds_no_environment_stepped(
+    row: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever thread's environment it is for."""
+    monkeypatch.setattr(flexarm_env.core, "WORTH_A_THREAD", 1e-9)
+    envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=40, threads=2)
+    core = envs.unwrapped.core
+    assert len(core.shares) > 1
+    envs.reset(seed=0)
+    before = core.state.copy()
+    action = np.zeros((40, 1))
+    action[row] = np.nan
+    with pytest.raises(ValueError, match=rf"got \[nan\] for environment {row}"):
+        envs.step(action)
+    np.testing.assert_array_equal(core.state, before)
+
+
 def test_sb3_batch_is_the_same_batch() -> None:
     from stable_baselines3.common.vec_env import DummyVecEnv
 
