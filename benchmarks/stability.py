@@ -18,6 +18,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
@@ -252,20 +253,23 @@ def draw_maps(maps: list[dict[str, Any]], path: Path) -> None:
     save_figure(figure, path)
 
 
-def draw_lines(data: dict[str, Any], x: str, labels: tuple[str, str], path: Path) -> None:
-    """One line per row of errors."""
-    figure, axis = plt.subplots(figsize=(7.5, 4.5), layout="constrained")
-    groups = sorted({name.split(", ")[0] for name in data["error"]})
-    rows = sorted({name.split(", ")[1] for name in data["error"]})
+def draw_lines(
+    data: dict[str, Any], x: str, labels: tuple[str, str], kinds: tuple[str, str], path: Path
+) -> None:
+    """One line per row of errors: the first of its kinds by colour, the second by dashes."""
+    figure, axis = plt.subplots(figsize=(9.0, 4.5), layout="constrained")
+    groups, rows = (sorted({name.split(", ")[k] for name in data["error"]}) for k in (0, 1))
+    colours = {group: f"C{k}" for k, group in enumerate(groups)}
+    dashes = dict(zip(rows, ("-", "--", ":", "-."), strict=False))
     for name, errors in data["error"].items():
         group, row = name.split(", ")
-        axis.loglog(
-            data[x], np.abs(errors), color=f"C{groups.index(group)}",
-            linestyle=("-", "--", ":", "-.")[rows.index(row)], label=name,
-        )  # fmt: skip
+        axis.loglog(data[x], np.abs(errors), color=colours[group], linestyle=dashes[row])
     axis.set(xlabel=labels[0], ylabel=labels[1], title=data["title"])
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=7, ncols=len(groups))
+    by_colour = [Line2D([], [], color=colour, label=name) for name, colour in colours.items()]
+    by_dash = [Line2D([], [], color="k", linestyle=dash, label=k) for k, dash in dashes.items()]
+    figure.legend(handles=by_colour, title=kinds[0], fontsize=8, loc="outside right upper")
+    figure.legend(handles=by_dash, title=kinds[1], fontsize=8, loc="outside right lower")
     save_figure(figure, path)
 
 
@@ -295,11 +299,11 @@ def main() -> None:
             )
     draw_lines(
         shapes, "hub", ("rotor inertia over the beam's", "error of the frequency [-]"),
-        options.images / "stability_shapes",
+        ("shapes", "modes"), options.images / "stability_shapes",
     )  # fmt: skip
     draw_lines(
         torques, "step", ("step x highest frequency [-]", "tip error [m]"),
-        options.images / "stability_torques",
+        ("method", "torque"), options.images / "stability_torques",
     )  # fmt: skip
     everything = {"maps": maps, "shapes": shapes, "torques": torques}
     options.out.write_text(json.dumps(everything).replace("NaN", "null") + "\n")
