@@ -4,11 +4,19 @@ import os
 import weakref
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import pairwise
 from threading import Lock, Thread
 from typing import Any, TypeVar
 
 T = TypeVar("T")
 SHARES = 4  # of a batch per thread: one that is held up leaves some to the others
+
+
+def shares(count: int, block: int, threads: int) -> list[tuple[int, int]]:
+    """Ranges of whole blocks that make up `count` things; the last block may be short."""
+    blocks = -(-count // block)
+    parts = min(SHARES * threads, blocks) if threads > 1 else 1
+    return list(pairwise([*(block * (k * blocks // parts) for k in range(parts)), count]))
 
 
 class Crew:
@@ -90,7 +98,7 @@ class _Helper:
         return self._results
 
     def end(self) -> None:
-        self._task = None
+        """Wake the thread without a task."""
         self._go.release()
 
 

@@ -60,15 +60,31 @@ def _flow(w: Any, n: int, factors: int, modal: int, aid: Any) -> tuple[list[Any]
     return amplitudes, rates
 
 
+def _elastic(aid: Any, y: list[Any], z: list[Any]) -> list[Any]:
+    """w^2 y + d z, the force that the modes take upon themselves."""
+    numbers = zip(aid[:, :2].tolist(), y, z, strict=True)
+    return [square * x + decay * rate for (square, decay), x, rate in numbers]
+
+
+def _place(w: Any, first: int, values: list[Any]) -> None:
+    for i, value in enumerate(values):
+        w[first + i] = value
+
+
+def _add_forces(w: Any, n: int, a: int, rest: int, aid: Any) -> None:
+    """Turn the elastic part of the rest into the whole of it."""
+    forces = _product(aid[:, 2 : 2 + n], [w[a + i] for i in range(n)])
+    for k, force in enumerate(forces):
+        w[rest + k] += force
+
+
 def start_exponential(w, h, evaluate, lanes, n, q, v, a, implicit, s, aid):  # type: ignore[no-untyped-def]
     """Amplitudes of the modes, their rates, and the rest of the present accelerations."""
     modal, L = s + 8 * n, aid[:, 2 : 2 + n]
     evaluate(w)
-    y, z, forces = (_product(L, [w[x + i] for i in range(n)]) for x in (q, v, a))
-    for k in range(n):
-        w[modal + k], w[modal + n + k] = y[k], z[k]
-        elastic = float(aid[k, 0]) * y[k] + float(aid[k, 1]) * z[k]
-        w[modal + n + n + k] = forces[k] + elastic
+    y, z = (_product(L, [w[x + i] for i in range(n)]) for x in (q, v))
+    _place(w, modal, [*y, *z, *_elastic(aid, y, z)])
+    _add_forces(w, n, a, modal + 2 * n, aid)
 
 
 def exponential(w, h, evaluate, lanes, n, q, v, a, implicit, s, aid):  # type: ignore[no-untyped-def]
@@ -76,17 +92,14 @@ def exponential(w, h, evaluate, lanes, n, q, v, a, implicit, s, aid):  # type: i
 
     One evaluation a step; exact for linear motion about the straight arm under a constant force.
     """
-    modal, L, S = s + 8 * n, aid[:, 2 : 2 + n], aid[:, 2 + n :].T
+    modal, S = s + 8 * n, aid[:, 2 + n :].T
     y, z = _flow(w, n, s, modal, aid)
-    for i, (x, rate) in enumerate(zip(_product(S, y), _product(S, z), strict=True)):
-        w[q + i], w[v + i] = x, rate
-    for k in range(n):
-        w[modal + n + n + k] = float(aid[k, 0]) * y[k] + float(aid[k, 1]) * z[k]
+    _place(w, q, _product(S, y))
+    _place(w, v, _product(S, z))
+    _place(w, modal + 2 * n, _elastic(aid, y, z))
     evaluate(w)
-    for k, force in enumerate(_product(L, [w[a + i] for i in range(n)])):
-        w[modal + n + n + k] += force
+    _add_forces(w, n, a, modal + 2 * n, aid)
     y, z = _flow(w, n, s + 4 * n, modal, aid)
-    for i, (x, rate) in enumerate(zip(_product(S, y), _product(S, z), strict=True)):
-        w[q + i], w[v + i] = x, rate
-    for k in range(n):
-        w[modal + k], w[modal + n + k] = y[k], z[k]
+    _place(w, q, _product(S, y))
+    _place(w, v, _product(S, z))
+    _place(w, modal, [*y, *z])

@@ -29,7 +29,7 @@ from dynamics.lowering import (
     render_module,
 )
 from dynamics.modes import chain_constants, curvature, parts
-from dynamics.stepping import aid_function, method_code
+from dynamics.stepping import jacobian_code, method_code
 
 Array = np.ndarray
 
@@ -302,20 +302,19 @@ class Model:
         stepping, calls = method_code(integrator, self.n, at, modes)
         flight = FLIGHT if self.arm.base.n else dict.fromkeys(FLIGHT, ())
         marks = {"#evaluate": ["accelerations(w)"], **calls, **flight, **added.marks}
+        further = added.functions(at)
         functions = [
             render_function("accelerations", graph, inputs, at["ACC"]),
-            *added.functions(at),
-            *aid_function(self, method.aid, inputs, at["SCRATCH"]),
+            *further,
+            *([jacobian_code(self, inputs, at["SCRATCH"])] if method.aid == "jacobian" else []),
             *self._renewal(at),
             *(expanded(text, marks) for text in stepping),
         ]
         title = f"{self.arm.name or 'arm'}, {lanes} lanes, {integrator}, {self.dtype}"
         constants = at | {"N": self.n}
-        work, further = functions[0].count(" = "), sum(x.count(" = ") for x in added.functions(at))
+        work = functions[0].count(" = "), "".join(further).count(" = ")
         entries = expanded(added.entries, marks)
-        return render_module(
-            title, lanes, starts[-1], (work, further), constants, functions, entries
-        )
+        return render_module(title, lanes, starts[-1], work, constants, functions, entries)
 
     @property
     def _stepping(self) -> Addition:

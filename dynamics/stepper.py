@@ -1,10 +1,8 @@
 """Many substeps, many environments, all cores: one compiled call."""
 
-from itertools import pairwise
-
 import numpy as np
 
-from dynamics.crew import SHARES, Crew
+from dynamics.crew import Crew, shares
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
 
@@ -61,11 +59,8 @@ class Stepper:
         self.status = np.zeros(n_env, dtype=np.int64)
         self.measured = np.zeros((n_env, model.n_measure))
         self._program = model.program(1 if n_env == 1 else model.lanes, integrator)
-        blocks = -(-self.n_env // model.lanes)
-        self.threads = min(self.threads, blocks)
-        count = min(SHARES * self.threads, blocks)
-        bounds = [model.lanes * (k * blocks // count) for k in range(count)]
-        self._shares = [slice(a, b) for a, b in pairwise([*bounds, self.n_env])]  # whole blocks
+        self.threads = min(self.threads, -(-self.n_env // model.lanes))
+        self._shares = [slice(*span) for span in shares(self.n_env, model.lanes, self.threads)]
         self._w = [model.workspace(self._program) for _ in range(self.threads)]
         self._crew = Crew(self.threads)
 

@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from dynamics.integrators import INTEGRATORS
-from dynamics.linear import frozen_modes
 from dynamics.lowering import render_function
 
 if TYPE_CHECKING:
@@ -29,7 +28,10 @@ def evaluate(w):
     #evaluate
 """
 _CALL = "{0}_method(w, w[H], evaluate, LANES, N, Q, V, ACC, IMPLICIT, SCRATCH, AID)"
-_PREPARE = "prepare_method = compiled(INTEGRATORS[{0!r}].prepare)"
+_PREPARE = """
+AID = np.array({1!r})
+prepare_method = compiled(INTEGRATORS[{0!r}].prepare)
+"""
 _PREPARED = "prepare_method(w, w[H], LANES, N, SCRATCH, AID)"
 
 Marks = Mapping[str, Sequence[str]]
@@ -52,29 +54,25 @@ def method_code(
     functions = [*start.functions, *step.functions]
     calls = {"#prepare": [], "#start": start.calls, "#step": step.calls}
     if method.aid == "modes":
-        functions.append(_PREPARE.format(integrator))
+        functions.append(_PREPARE.format(integrator, modes.tolist()))
         calls["#prepare"] = [_PREPARED]
     return functions, calls
 
 
-def aid_function(model: "Model", aid: str, inputs: Sequence[int], scratch: int) -> list[str]:
-    """Text of AID, what a method needs beside the accelerations.
+def jacobian_code(model: "Model", inputs: Sequence[int], scratch: int) -> str:
+    """Text of AID, which finds the Jacobian of the accelerations.
 
     Raises
     ------
     ValueError : for a Jacobian that is too long to compile.
     """
-    if aid == "modes":
-        return [f"AID = np.array({frozen_modes(model.chain).tolist()!r})"]
-    if aid != "jacobian":
-        return []
     count = model.jacobian_graph.n_instructions()
     if count > LONGEST:
         raise ValueError(
             f"The Jacobian of the accelerations takes {count} operations for this arm, too long "
             f"to compile (at most {LONGEST}); take integrator 'midpoint', implicit without one."
         )
-    return [render_function("AID", model.jacobian_graph, inputs, scratch)]
+    return render_function("AID", model.jacobian_graph, inputs, scratch)
 
 
 def _recorded(

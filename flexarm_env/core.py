@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
-from itertools import pairwise
 from os import PathLike
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import Arm, checks, load_arm
-from dynamics.crew import SHARES, Crew
+from dynamics.crew import Crew, shares
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model, compile_arm
 from dynamics.validity import LARGEST_RATE
@@ -39,7 +38,6 @@ Array = NDArray[np.float64]
 FASTEST = 1e12  # [rad/s] of a joint without a limit
 OPERATIONS_PER_SECOND = 1.5e10  # of one thread, roughly
 WORTH_A_THREAD = 1e-4  # [s] of work; waking a thread takes half as long
-WORTH_A_CALL = 5e-5  # [s] of work; a call takes a twentieth
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm
 
 
@@ -250,10 +248,7 @@ class Core:
         self.parameters = self.state[rows["free"], :n_env].T
         work = n_env * self._operations() / OPERATIONS_PER_SECOND  # [s]
         threads = max(1, min(self.threads, blocks, int(work / WORTH_A_THREAD)))
-        count = min(SHARES * threads, blocks, max(threads, int(work / WORTH_A_CALL)))
-        count = count if threads > 1 else 1
-        bounds = [*(lanes * (k * blocks // count) for k in range(count)), n_env]
-        self.shares = [np.array(span) for span in pairwise(bounds)]
+        self.shares = [np.array(span) for span in shares(n_env, lanes, threads)]
         self.workspaces = [self._workspace() for _ in range(threads)]
         self._no_actions = np.zeros((0, self.arm.n_joint), np.float32)
         self._crew = Crew(threads)
@@ -289,10 +284,10 @@ class Core:
         out = self.outputs()
         if len(self.shares) == 1:
             ended = self._step_share(actions, out, 0, self.shares[0])
-        else:  # one bad action must not find other environments stepped already
-            ended = -kernels.missing(actions)
-            if not ended:
-                ended = sum(self._crew.run(partial(self._step_share, actions, out), self.shares))
+        elif np.isnan(actions).any():  # must not find other environments stepped already
+            ended = -1
+        else:
+            ended = sum(self._crew.run(partial(self._step_share, actions, out), self.shares))
         if ended < 0:
             bad = int(np.flatnonzero(np.isnan(actions).any(axis=1))[0])
             raise ValueError(

@@ -127,19 +127,6 @@ def either_sign(streams, i, ranges, name):  # type: ignore[no-untyped-def]
     return sign * draw(streams, i, ranges, name)
 
 
-# ---- actions -------------------------------------------------------------------------------------
-
-
-@fast
-def missing(actions):  # type: ignore[no-untyped-def]
-    """How many actions (N, n_joint) are not numbers."""
-    count = np.int64(0)
-    for i in range(U(actions.shape[0])):
-        for j in range(U(actions.shape[1])):
-            count += actions[i, j] != actions[i, j]
-    return count
-
-
 # ---- the start of an episode ---------------------------------------------------------------------
 
 REACHING, TRACKING, DAMPING = 0, 1, 2  # tasks

@@ -29,8 +29,8 @@ RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexib
 SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequency
 SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # by order: dt omega of the first joint-free mode, which moves
 # excite and a step must follow to 1e-3 of the reach
-WORK = {"rk4": (4, 0), "midpoint": (1, 1), "numerov": (1, 2), "exponential": (1, 1)}
 # evaluations per step, per call
+WORK = {"rk4": (4, 0), "midpoint": (1, 1), "numerov": (1, 2), "exponential": (1, 1)}
 BY_RULE = ("rk4", "midpoint")  # SMOOTH is not enough for Numerov's method: it has to be measured
 _UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not reach
 _SAMPLES = 200  # per period of the first joint-free mode

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from dynamics.crew import Crew
+from dynamics.crew import Crew, shares
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
@@ -21,19 +21,30 @@ def test_every_job_is_done_once(size: int, count: int) -> None:
 
 
 def test_a_thread_that_is_held_up_leaves_its_jobs_to_the_others() -> None:
-    held, late = threading.Event(), []
+    taken: list[list[int]] = [[], []]
+    none_left = threading.Event()
 
-    def work(thread: int, job: int) -> int:
+    def work(thread: int, job: int) -> None:
+        taken[thread].append(job)
+        if len(taken[0]) + len(taken[1]) == 10:
+            none_left.set()
         if thread == 1:
-            late.append(job)
-            assert held.wait(10.0)
-        elif job == 9:
-            held.set()
-        time.sleep(0.01)
-        return thread
+            assert none_left.wait(10.0)
+        else:
+            time.sleep(0.001)
 
-    done = Crew(2).run(work, range(10))
-    assert len(late) == done.count(1) <= 1
+    Crew(2).run(work, range(10))
+    assert len(taken[1]) <= 1
+    assert sorted(taken[0] + taken[1]) == list(range(10))
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 100, 1024])
+@pytest.mark.parametrize("threads", [1, 2, 3, 64])
+def test_shares_are_whole_blocks_and_all_there_is(count: int, threads: int) -> None:
+    found = shares(count, 16, threads)
+    assert [k for a, b in found for k in range(a, b)] == list(range(count))
+    assert all(a % 16 == 0 and a < b for a, b in found)
+    assert len(found) == 1 if threads == 1 else len(found) <= 4 * threads
 
 
 def test_an_error_arrives_and_the_crew_works_on() -> None:

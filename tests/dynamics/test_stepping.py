@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from dynamics import compile_arm, stepping
 from dynamics.integrators import INTEGRATORS
 from dynamics.lowering import expanded
-from dynamics.stepping import aid_function, method_code
+from dynamics.stepping import jacobian_code, method_code
 
 N = 3
 AT = {"Q": 0, "V": N, "IMPLICIT": 2 * N, "ACC": 3 * N + 2, "H": 4 * N + 2, "SCRATCH": 4 * N + 3}
@@ -38,7 +38,7 @@ def generated(integrator: str) -> dict[str, Callable[..., None]]:
         **{name: np.uint64(at) for name, at in AT.items()},
         "LANES": np.uint64(1),
         "N": np.uint64(N),
-        "AID": MODES,
+        "np": np,
     }
     for text in texts:
         exec(text, names)
@@ -83,7 +83,7 @@ def test_a_jacobian_too_long_to_compile_is_refused(monkeypatch: pytest.MonkeyPat
     count = model.jacobian_graph.n_instructions()
     inputs = [0, 10, 20, 30, 40]
     monkeypatch.setattr(stepping, "LONGEST", count)
-    assert "def AID(w):" in aid_function(model, "jacobian", inputs, 50)[0]
+    assert "def AID(w):" in jacobian_code(model, inputs, 50)
     monkeypatch.setattr(stepping, "LONGEST", count - 1)
     with pytest.raises(ValueError, match=f"takes {count} operations .* 'midpoint'"):
-        aid_function(model, "jacobian", inputs, 50)
+        jacobian_code(model, inputs, 50)
