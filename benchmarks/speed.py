@@ -25,7 +25,7 @@ import numpy as np
 
 from dynamics import ARMS, Stepper, compile_arm
 from dynamics.kernels import LANES
-from dynamics.lowering import cached_module
+from dynamics.lowering import cached_module, render_lines
 from flexarm_env import FlexArmVectorEnv
 from flexarm_env.certificates import kept
 
@@ -89,9 +89,8 @@ def multiply_adds() -> tuple[Callable[[], Any], float]:
     text = "\n".join([
         "from dynamics.emission import straight_line",
         "from dynamics.kernels import outermost",
-        f"@straight_line({WIDTH})",
-        "def rounds(w):",
-        *(f"    {line}" for line in lines),
+        f"LANES = {WIDTH}",
+        render_lines("rounds", lines),
         "@outermost",
         "def often(w, times):",
         "    for _ in range(times):",

@@ -1,17 +1,16 @@
 """Straight-line Python to LLVM vector code, without numba's type inference.
 
-A generated function has one form only: `x3 = w[2]`, `x7 = x3 * x5`, `x8 = floor(x7)`, `w[9] = x8`,
+A function is text of one form only: `x3 = w[2]`, `x7 = x3 * x5`, `x8 = floor(x7)`, `w[9] = x8`,
 where `w[s]` stands for slot s of every lane. Type inference would take half a millisecond per
 operation, and the loop vectoriser's success would be a matter of luck; emitting the operations on
 vectors of all lanes is a hundred times faster and certain, and LLVM fits them to the machine.
 """
 
 import ast
-import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from llvmlite import ir
@@ -24,43 +23,37 @@ _WORD = ir.IntType(64)
 _FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive to be seen
 
 
-def straight_line(lanes: int, rounds: int = 1) -> Callable[[Callable[..., None]], Any]:
-    """Decorator: a generated function of `w` becomes one for this many lanes, for njit's to call.
+def straight_line(name: str, lanes: int, rounds: int, text: str) -> Any:
+    """A function `name(w)` of these statements for this many lanes, for njit's to call.
 
     In several rounds, each for its share of the lanes, fewer numbers are on the way at a time: good
     for a function that has many numbers, or few operations on each.
     """
     width = -(-lanes // rounds)
 
-    def decorate(function: Callable[..., None]) -> Any:
-        @intrinsic
-        def call(typingctx, w):  # type: ignore[no-untyped-def]
-            def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-                data = context.make_array(signature.args[0])(context, builder, args[0]).data
-                builder.call(_once(builder.module, function.__name__, [data], body), [data])
-                return context.get_dummy_value()
+    @intrinsic
+    def call(typingctx, w):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            data = context.make_array(signature.args[0])(context, builder, args[0]).data
+            builder.call(_once(builder.module, name, [data], body), [data])
+            return context.get_dummy_value()
 
-            return types.void(w), codegen
+        return types.void(w), codegen
 
-        def body(builder: ir.IRBuilder, data: ir.Value) -> None:
-            tree = ast.parse(inspect.getsource(function)).body[0]
-            assert isinstance(tree, ast.FunctionDef)
-            pieces = _pieces(tree.body)
-            places = 1 + max((at for piece in pieces for at in piece.left.values()), default=-1)
-            passed = builder.alloca(_vector(data.type.pointee, width), _WORD(places))
-            with for_range(builder, _WORD(lanes // width)) as loop:
-                share = builder.gep(data, [builder.mul(loop.index, _WORD(width))])
-                for k, piece in enumerate(pieces):
-                    if len(pieces) == 1:
-                        _emit(builder, share, passed, piece, lanes)
-                        continue
-                    name, given = f"{function.__name__}_piece_{k}", [share, passed]
-                    emit = partial(_emit, piece=piece, lanes=lanes)
-                    builder.call(_once(builder.module, name, given, emit), given)
+    def body(builder: ir.IRBuilder, data: ir.Value) -> None:
+        pieces = _pieces(text)
+        places = 1 + max((at for piece in pieces for at in piece.left.values()), default=-1)
+        passed = builder.alloca(_vector(data.type.pointee, width), _WORD(places))
+        with for_range(builder, _WORD(lanes // width)) as loop:
+            share = builder.gep(data, [builder.mul(loop.index, _WORD(width))])
+            for k, piece in enumerate(pieces):
+                if len(pieces) == 1:
+                    _emit(builder, share, passed, piece, lanes)
+                    continue
+                given, emit = [share, passed], partial(_emit, piece=piece, lanes=lanes)
+                builder.call(_once(builder.module, f"{name}_piece_{k}", given, emit), given)
 
-        return call
-
-    return decorate
+    return call
 
 
 def lane_moves(lanes: int) -> tuple[Any, Any]:
@@ -199,10 +192,12 @@ class _Piece:
     left: dict[str, int]
 
 
-def _pieces(statements: list[ast.stmt]) -> list[_Piece]:
+def _pieces(text: str) -> list[_Piece]:
     """A function's statements, several functions' worth if they are many."""
-    lines = [x for x in statements if isinstance(x, ast.Assign)]  # but for the docstring
+    lines = cast(list[ast.Assign], ast.parse(text).body)
     shares = [lines[k : k + PIECE] for k in range(0, len(lines), PIECE)]
+    if len(shares) == 1:
+        return [_Piece(lines, taken={}, left={})]
     reads = [
         {node.id for line in share for node in ast.walk(line.value) if isinstance(node, ast.Name)}
         for share in shares

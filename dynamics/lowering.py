@@ -1,7 +1,7 @@
 """From an expression graph to compiled code: CasADi in, cached numba source out.
 
 The source is straight-line code on one workspace `w` of slots, each as many numbers wide as there
-are lanes; emission.py turns it into vector code across environments.
+are lanes, as text, which emission.py turns into vector code across environments.
 
 Sources are files in the user's cache folder, named by a hash of all that determines them, because
 numba caches functions that live in files and no others. A warm start neither traces nor imports
@@ -249,16 +249,19 @@ def render_function(
         elif v not in code.names:
             lines.append(f"x{v} = {_TEXT[op].format(*(code.text(a) for a in args))}")
         lines += [f"w[{slot}] = {code.text(value)}" for slot, value in stores.get(v, ())]
-    head = [f"@straight_line(LANES, {rounds})", f"def {name}(w):"]
-    return "\n".join([*head, *(f"    {x}" for x in lines), ""])
+    return render_lines(name, lines, rounds)
+
+
+def render_lines(name: str, lines: Sequence[str], rounds: int = 1) -> str:
+    """Text of `name(w)`, of statements as emission.py knows them."""
+    return "\n".join([f'{name} = straight_line("{name}", LANES, {rounds}, """', *lines, '""")', ""])
 
 
 def render_check(state: Iterable[int], check: int, good: int) -> str:
     """Text of `check(w)`: one more is `good` if the state is finite, and was whenever asked."""
-    lines = [f"    sum = sum + 0.0 * w[{slot}]" for slot in state]
-    text = ["@straight_line(LANES)", "def check(w):", f"    sum = w[{check}]", *lines]
-    text += [f"    w[{check}] = sum", f"    w[{good}] = w[{good}] + at_most(abs(sum), 0.0)", ""]
-    return "\n".join(text)
+    lines = [f"sum = w[{check}]", *(f"sum = sum + 0.0 * w[{slot}]" for slot in state)]
+    lines += [f"w[{check}] = sum", f"w[{good}] = w[{good}] + at_most(abs(sum), 0.0)"]
+    return render_lines("check", lines)
 
 
 def _earliest_stores(
@@ -291,7 +294,6 @@ def render_module(
     head = [
         f'"""Generated: {title}."""',
         "import numpy as np",
-        "from numpy import floor, sqrt",
         "from dynamics.emission import lane_moves, row_moves, straight_line",
         "from dynamics.integrators import INTEGRATORS",
         "from dynamics.kernels import compiled, outermost",

@@ -8,9 +8,10 @@ numbers is one entry of `streams`.
 import math
 
 import numpy as np
-from numba import njit
 
-fast = njit(cache=True, nogil=True, error_model="numpy")
+from dynamics.kernels import on_disk
+
+fast = on_disk(nogil=True, error_model="numpy")
 
 # Indices are unsigned: numba would guard every signed one against counting from the end.
 U = np.uint64

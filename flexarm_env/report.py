@@ -11,7 +11,7 @@ from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
-from dynamics.lowering import Addition, hash_of_files, render_function
+from dynamics.lowering import Addition, hash_of_files, render_function, render_lines
 from dynamics.model import Model
 from flexarm_env.drives import DRIVEN, Drives
 from flexarm_env.kernels import ENTRIES, IDEAL, WAVES
@@ -146,15 +146,10 @@ class Report:
         What is larger would overflow on the way into a report.
         """
         slots = [at[name] + k for name in ("Q", "V") for k in range(self.model.n)]
-        lines = ["@straight_line(LANES)", "def check(w):", "    s = 0.0"]
+        lines = ["s = 0.0"]
         for slot in slots:
-            lines += [
-                f"    x = w[{slot}]",
-                *3 * ["    x = x * x"],
-                "    d = x - x",
-                "    s = s + d",
-            ]
-        return "\n".join([*lines, f"    w[{at['LOST']}] = 1.0 - at_most(abs(s), 0.0)", ""])
+            lines += [f"x = w[{slot}]", *3 * ["x = x * x"], "d = x - x", "s = s + d"]
+        return render_lines("check", [*lines, f"w[{at['LOST']}] = 1.0 - at_most(abs(s), 0.0)"])
 
     @property
     def graph(self) -> Any:

@@ -8,7 +8,7 @@ import pytest
 
 from dynamics import emission
 from dynamics.kernels import LANES
-from dynamics.lowering import cached_module
+from dynamics.lowering import cached_module, render_lines
 
 MOVES = """
 from dynamics.emission import lane_moves
@@ -84,9 +84,8 @@ def test_rows_move_between_workspace_and_arrays(
 LONG = """
 from dynamics.emission import straight_line
 from dynamics.kernels import outermost
-@straight_line({lanes}, {rounds})
-def inner(w):
-{lines}
+LANES = {lanes}
+{inner}
 
 @outermost
 def long(w):
@@ -108,7 +107,7 @@ def test_pieces_of_a_function_are_the_function(
         i, j = rng.integers(max(0, k - 25), k, 2)
         lines += [f"x{k} = {rng.uniform():.3f} * x{i} + x{j}"] + ["s = s + x0"] * (k % 9 == 0)
     lines += ["w[2] = x59 + s", "w[0] = x58"]
-    text = LONG.format(lanes=lanes, rounds=rounds, lines="\n".join(f"    {x}" for x in lines))
+    text = LONG.format(lanes=lanes, inner=render_lines("inner", lines, rounds))
     module = cached_module(f"long_{lanes}_{rounds}_{piece}", lambda: text)
     w = rng.uniform(size=3 * lanes)
     rows = w.reshape(3, lanes).copy()

@@ -321,7 +321,7 @@ def test_accelerations_take_no_more_operations_than_the_design_counts(
     text = Path(str(model.program(1, "rk4").__file__)).read_text()
 
     counts = model.operation_count()["accelerations"]
-    lines = text.split("def accelerations(w):")[1].split("def measure(w):")[0]
+    lines = text.split("accelerations = ")[1].split("measure = ")[0]
     assert counts["multiplications"] + counts["additions"] <= multiplications + additions
     assert lines.count(" / ") <= divisions
 
