@@ -26,6 +26,7 @@ import numpy as np
 from dynamics import ARMS, Stepper, compile_arm
 from dynamics.kernels import LANES
 from dynamics.lowering import cached_module, render_lines
+from dynamics.sharing import STOP
 from flexarm_env import FlexArmVectorEnv
 from flexarm_env.certificates import kept
 
@@ -178,8 +179,7 @@ def interface_microseconds(env_id: str) -> dict[str, float]:
     """What a call of a batch costs beside its compiled work, which is left out here."""
     batch = cast(FlexArmVectorEnv, gym.make_vec(env_id, num_envs=LANES))
     batch.reset(seed=0)
-    for share in batch.core.shares:
-        share[:] = 0
+    batch.core.turns[STOP] = 0
     return timed(partial(batch.step, np.zeros((LANES, batch.n_joint), np.float32))).each(1e-6)
 
 

@@ -1,30 +1,25 @@
-"""Threads that share a list of jobs."""
+"""Threads that work together."""
 
 import os
+import sys
+import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
-from itertools import pairwise
-from threading import Lock, Thread
+from queue import SimpleQueue
+from threading import Thread
 from typing import Any, TypeVar
 
+from dynamics.kernels import aligned_zeros
+from dynamics.sharing import LINE, LOOKS, watch
+
 T = TypeVar("T")
-SHARES = 4  # of a batch per thread: one that is held up leaves some to the others
-
-
-def shares(count: int, block: int, threads: int) -> list[tuple[int, int]]:
-    """Ranges of whole blocks that make up `count` things; the last block may be short."""
-    blocks = -(-count // block)
-    parts = min(SHARES * threads, blocks) if threads > 1 else 1
-    return list(pairwise([*(block * (k * blocks // parts) for k in range(parts)), count]))
+GIVEN, DONE = 0, LINE  # where a post holds numbers of tasks
+NAP = 1e-4  # [s]
 
 
 class Crew:
-    """The caller and `size - 1` threads, each of which takes the next job when it is free.
-
-    So a thread whose core has other work takes fewer. The threads start with the first run and end
-    with the crew.
-    """
+    """The caller and `size - 1` threads, which start with the first run and end with the crew."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -32,23 +27,23 @@ class Crew:
         self._process = os.getpid()
         weakref.finalize(self, _dismiss, self._helpers)
 
-    def run(self, work: Callable[[int, Any], T], jobs: Sequence[Any]) -> list[T]:
-        """What `work(thread, job)` says of each job, in any order; threads count from 0."""
-        todo = iter(jobs)  # one iterator for all: whoever asks gets the next
+    def run(self, work: Callable[[int], T]) -> list[T]:
+        """What `work(thread)` says in every thread that came in time; threads count from 0.
 
-        def share(thread: int) -> list[T]:
-            return [work(thread, job) for job in todo]
-
-        helpers = self._hired(min(self.size, len(jobs)) - 1)
+        It is to take parts of something until none is left. Who is so late that the caller has
+        finished does not begin, so a thread whose core is busy holds up nobody.
+        """
+        helpers = self._hired(self.size - 1)
         for k, helper in enumerate(helpers):
-            helper.begin(partial(share, k + 1))
+            helper.begin(partial(work, k + 1))
         try:
-            results = share(0)
+            results = [work(0)]
         finally:
-            for helper in helpers:
-                helper.wait()
-        for helper in helpers:
-            results += helper.results()
+            outcomes = [helper.outcome() for helper in helpers]
+        for result, error in outcomes:
+            if error is not None:
+                raise error
+            results += result
         return results
 
     def _hired(self, count: int) -> list["_Helper"]:
@@ -61,45 +56,65 @@ class Crew:
 
 
 class _Helper:
-    """A thread that sleeps between tasks."""
+    """A thread that looks for tasks, and sleeps when none comes for a while.
+
+    A task is given under its number, and done when that number is. Each side says what it is about
+    to do before it looks whether the other has: so no call is missed, and no task that was
+    withdrawn is begun.
+    """
 
     def __init__(self) -> None:
-        self._go, self._done = Lock(), Lock()
-        self._go.acquire()
-        self._done.acquire()
-        self._task: Callable[[], list[Any]] | None = None
-        self._results: list[Any] = []
-        self._error: BaseException | None = None
+        self._post = aligned_zeros(2 * LINE, "int64")
+        self._task: tuple[int, Callable[[], Any] | None] = (0, None)
+        self._begun = 0
+        self._asleep, self._calls = False, SimpleQueue[None]()
+        self._outcome: tuple[list[Any], BaseException | None] = [], None
         Thread(target=self._serve, daemon=True).start()
 
     def _serve(self) -> None:
-        while True:
-            self._go.acquire()
-            if self._task is None:
-                return
-            try:
-                self._results = self._task()
-            except BaseException as error:  # raised again by `results`
-                self._error = error
-            self._task = None
-            self._done.release()
+        number = 0
+        while number >= 0:
+            if not watch(self._post, DONE, number, GIVEN, number + 1, LOOKS):
+                self._sleep(number)
+            task = self._task
+            number = self._begun = task[0]
+            if self._task is task and task[1] is not None:
+                try:
+                    self._outcome = [task[1]()], None
+                except BaseException as error:
+                    self._outcome = [], error
+            del task
 
-    def begin(self, task: Callable[[], list[Any]]) -> None:
-        self._task, self._error = task, None
-        self._go.release()
+    def _sleep(self, number: int) -> None:
+        self._asleep = True
+        while self._post[GIVEN] <= number:  # looked at after saying so: no call is missed
+            self._calls.get()
+        self._asleep = False
 
-    def wait(self) -> None:
-        self._done.acquire()
+    def begin(self, task: Callable[[], Any]) -> None:
+        number = self._task[0] + 1
+        self._give(number, number, task)
 
-    def results(self) -> list[Any]:
-        """Of the task that was waited for."""
-        if self._error is not None:
-            raise self._error
-        return self._results
+    def _give(self, number: int, shown: int, task: Callable[[], Any] | None) -> None:
+        self._task = number, task
+        self._post[GIVEN] = shown
+        if self._asleep:
+            self._calls.put(None)
+
+    def outcome(self) -> tuple[list[Any], BaseException | None]:
+        """What the task said, or what it raised; nothing if it has not begun, and it will not."""
+        number = self._task[0]
+        self._task = number, None
+        if self._begun != number:
+            return [], None
+        if not watch(self._post, GIVEN, number, DONE, number, LOOKS):
+            while self._post[DONE] < number:
+                time.sleep(NAP)
+        return self._outcome
 
     def end(self) -> None:
-        """Wake the thread without a task."""
-        self._go.release()
+        """No task comes any more."""
+        self._give(-1, sys.maxsize, None)
 
 
 def _dismiss(helpers: list[_Helper]) -> None:

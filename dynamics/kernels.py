@@ -61,38 +61,39 @@ gather, scatter = row_moves(int(LANES))
 
 
 @outermost
-def advance(q, v, torque, parameters, dt, substeps, w, status, measured):
-    rows = np.uint64(q.shape[0])
+def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, measured):
     for b in range(LANES):
         w[H + b] = dt
     #prepare
-    for block in range((rows + LANES - np.uint64(1)) // LANES):
-        first = block * LANES
-        gather(w, Q, q, first)
-        gather(w, V, v, first)
-        gather(w, TAU, torque, first)
-        gather(w, PARAMETERS, parameters, first)
-        #enter
-        for b in range(LANES):
-            w[CHECK + b] = 0.0
-            w[GOOD + b] = 0.0
-        #start
-        for _ in range(substeps):
-            #step
-            #renew
-            check(w)
-        measure(w)
-        #leave
-        for b in range(min(LANES, rows - first)):
-            row = first + b
-            good = np.int64(w[GOOD + b])
-            if good == substeps:
-                status[row] = 0
-                scatter(w, Q + b, q, row)
-                scatter(w, V + b, v, row)
-                scatter(w, MEASURED + b, measured, row)
-            else:
-                status[row] = good + 1
+    start, stop = take_turn(rows, thread)
+    while start < stop:
+        for first in range(start, stop, LANES):
+            gather(w, Q, q, first)
+            gather(w, V, v, first)
+            gather(w, TAU, torque, first)
+            gather(w, PARAMETERS, parameters, first)
+            #enter
+            for b in range(LANES):
+                w[CHECK + b] = 0.0
+                w[GOOD + b] = 0.0
+            #start
+            for _ in range(substeps):
+                #step
+                #renew
+                check(w)
+            measure(w)
+            #leave
+            for b in range(min(LANES, stop - first)):
+                row = first + b
+                good = np.int64(w[GOOD + b])
+                if good == substeps:
+                    status[row] = 0
+                    scatter(w, Q + b, q, row)
+                    scatter(w, V + b, v, row)
+                    scatter(w, MEASURED + b, measured, row)
+                else:
+                    status[row] = good + 1
+        start, stop = take_turn(rows, thread)
 
 
 @outermost

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from dynamics.crew import Crew, shares
+from dynamics.crew import Crew
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
+from dynamics.sharing import turns
 
 
 class Stepper:
@@ -60,24 +61,23 @@ class Stepper:
         self.measured = np.zeros((n_env, model.n_measure))
         self._program = model.program(1 if n_env == 1 else model.lanes, integrator)
         self.threads = min(self.threads, -(-self.n_env // model.lanes))
-        self._shares = [slice(*span) for span in shares(self.n_env, model.lanes, self.threads)]
+        self._turns = turns(self.n_env, model.lanes, self.threads)
+        self._rows = self._turns.copy()
         self._w = [model.workspace(self._program) for _ in range(self.threads)]
         self._crew = Crew(self.threads)
 
     def advance(self) -> None:
         """Step every environment `substeps` times, then measure. Allocates nothing."""
+        self._rows[:] = self._turns
         if self.threads == 1:
-            self._program.advance(
-                self.q, self.v, self.torque, self.parameters, self.dt, self.substeps, self._w[0],
-                self.status, self.measured,
-            )  # fmt: skip
-            return
-        self._crew.run(self._advance_share, self._shares)
+            self._advance(0)
+        else:
+            self._crew.run(self._advance)
 
-    def _advance_share(self, thread: int, rows: slice) -> None:
+    def _advance(self, thread: int) -> None:
         self._program.advance(
-            self.q[rows], self.v[rows], self.torque[rows], self.parameters[rows], self.dt,
-            self.substeps, self._w[thread], self.status[rows], self.measured[rows],
+            self._rows, thread, self.q, self.v, self.torque, self.parameters, self.dt,
+            self.substeps, self._w[thread], self.status, self.measured,
         )  # fmt: skip
 
     def measure(self, q: np.ndarray, v: np.ndarray, out: np.ndarray) -> None:

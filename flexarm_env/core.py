@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import Arm, checks, load_arm
-from dynamics.crew import Crew, shares
+from dynamics.crew import Crew
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model, compile_arm
+from dynamics.sharing import turns
 from dynamics.validity import LARGEST_RATE
 from flexarm_env import kernels
 from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
@@ -37,7 +38,7 @@ from flexarm_env.tasks import find_task
 Array = NDArray[np.float64]
 FASTEST = 1e12  # [rad/s] of a joint without a limit
 OPERATIONS_PER_SECOND = 1.5e10  # of one thread, roughly
-WORTH_A_THREAD = 1e-4  # [s] of work; waking a thread takes half as long
+WORTH_A_THREAD = 5e-5  # [s] of work, of which dividing it takes a fifth
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm
 
 
@@ -76,7 +77,7 @@ class Core:
     certificate : measured errors of model and step, see `dynamics.certificate.Certificate`; None
         where this arm and step were never certified.
     q, v : (N, n) coordinates and rates, writable views.
-    shares : (2,) ranges of environments that are stepped by a call each.
+    turns : the shares that threads take of a step, see `dynamics.sharing.turns`.
     workspaces : one per thread.
     parameters : (N, n_free) values of the randomized parameters, a view.
     """
@@ -248,7 +249,8 @@ class Core:
         self.parameters = self.state[rows["free"], :n_env].T
         work = n_env * self._operations() / OPERATIONS_PER_SECOND  # [s]
         threads = max(1, min(self.threads, blocks, int(work / WORTH_A_THREAD)))
-        self.shares = [np.array(span) for span in shares(n_env, lanes, threads)]
+        self.turns = turns(n_env, lanes, threads)
+        self._rows = self.turns.copy()
         self.workspaces = [self._workspace() for _ in range(threads)]
         self._no_actions = np.zeros((0, self.arm.n_joint), np.float32)
         self._crew = Crew(threads)
@@ -282,12 +284,13 @@ class Core:
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, int]:
         """One control step of all: what it says, and how many ended."""
         out = self.outputs()
-        if len(self.shares) == 1:
-            ended = self._step_share(actions, out, 0, self.shares[0])
+        self._rows[:] = self.turns
+        if len(self.workspaces) == 1:
+            ended = self._step(actions, out, 0)
         elif np.isnan(actions).any():  # must not find other environments stepped already
             ended = -1
         else:
-            ended = sum(self._crew.run(partial(self._step_share, actions, out), self.shares))
+            ended = sum(self._crew.run(partial(self._step, actions, out)))
         if ended < 0:
             bad = int(np.flatnonzero(np.isnan(actions).any(axis=1))[0])
             raise ValueError(
@@ -296,13 +299,11 @@ class Core:
             )
         return out, ended
 
-    def _step_share(
-        self, actions: NDArray[np.float32], out: Outputs, thread: int, share: NDArray[np.int64]
-    ) -> int:
-        """The compiled call: step a share of the environments, say how many ended."""
+    def _step(self, actions: NDArray[np.float32], out: Outputs, thread: int) -> int:
+        """The compiled call: take turns at all environments, say how many ended."""
         ended: int = self._program.control_step(
-            share, self.substeps, actions, self.state, self.workspaces[thread], out.obs, out.info,
-            out.flags,
+            self._rows, thread, self.substeps, actions, self.state, self.workspaces[thread],
+            out.obs, out.info, out.flags,
         )  # fmt: skip
         return ended
 
@@ -318,7 +319,7 @@ class Core:
             self.state[states, rows] = self.drives.at_rest(self.q[rows])
         w = self.workspaces[0]
         self._program.control_step(
-            rows, 0, self._no_actions, self.state, w, out.obs, out.info, out.flags
+            rows, 0, 0, self._no_actions, self.state, w, out.obs, out.info, out.flags
         )
 
     def reset(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> Any:

@@ -18,8 +18,8 @@ U = np.uint64
 WAVES = 2  # sines in the path of a joint
 
 # What a generated module adds to its arm's `accelerations(w)` and its task's `command(w)`,
-# `check(w)` and `report(w)`: one entry, because `report` takes long to compile. It steps the
-# environments rows[0] to rows[1], and says how many ended, or that an action of theirs is not a
+# `check(w)` and `report(w)`: one entry, because `report` takes long to compile. It takes turns at
+# `rows`, steps those environments, and says how many ended, or that an action of theirs is not a
 # number; without substeps it reports on all `rows`. #advance stands for what steps the arm.
 ENTRIES = """
 take, put = lane_moves(int(LANES))
@@ -27,7 +27,7 @@ gather, scatter = row_moves(int(LANES))
 
 
 @outermost
-def control_step(rows, substeps, actions, state, w, obs, info, flags):
+def control_step(rows, thread, substeps, actions, state, w, obs, info, flags):
     width = np.uint64(state.shape[1])
     if substeps == 0:
         count = np.uint64(rows.shape[0])
@@ -54,46 +54,48 @@ def control_step(rows, substeps, actions, state, w, obs, info, flags):
                 scatter(w, OBSERVATION + b, obs, i)
         return np.int64(0)
 
-    ended, start, stop = np.int64(0), np.uint64(rows[0]), np.uint64(rows[1])
-    for i in range(start, stop):
-        for j in range(N_JOINT):
-            ended -= actions[i, j] != actions[i, j]
-    if ended < 0:
-        return ended
+    ended = np.int64(0)
     #prepare
-    for block in range((stop - start + LANES - np.uint64(1)) // LANES):
-        column = start + block * LANES
-        for k in range(N_STATE):
-            take(w, Q + k * LANES, state, k * width + column)
-        for k in range(N_MEMORY):
-            take(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
-        for k in range(N_FREE):
-            take(w, PARAMETERS + k * LANES, state, (N_STATE + N_MEMORY + k) * width + column)
-        gather(w, GIVEN, actions, column)
-        command(w)
-        #advance
-        check(w)
-        for b in range(LANES):
-            if w[LOST + b] > 0.0:
-                for k in range(N_STATE):
-                    w[Q + k * LANES + b] = state[k, column + b]
-                for k in range(N_ACTUATOR):
-                    w[ACTUATOR + k * LANES + b] = state[FIRST_ACTUATOR + k, column + b]
-        report(w)
-        for k in range(N_JOINT):
-            put(w, TARGET_NOW + k * LANES, w, TARGET + k * LANES)
-        for k in range(N_STATE):
-            put(w, Q + k * LANES, state, k * width + column)
-        for k in range(N_KEPT):
-            put(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
-        for k in range(N_FLAG):
-            put(w, FLAGS + k * LANES, flags, k * width + column)
-        for k in range(N_INFO):
-            put(w, INFO + k * LANES, info, k * width + column)
-        for b in range(min(LANES, stop - column)):
-            for k in range(N_OBSERVATION):
-                obs[column + b, k] = w[OBSERVATION + k * LANES + b]
-            ended += flags[0, column + b] | flags[1, column + b]
+    start, stop = take_turn(rows, thread)
+    while start < stop:
+        for i in range(start, stop):
+            for j in range(N_JOINT):
+                ended -= actions[i, j] != actions[i, j]
+        if ended < 0:
+            return ended
+        for column in range(start, stop, LANES):
+            for k in range(N_STATE):
+                take(w, Q + k * LANES, state, k * width + column)
+            for k in range(N_MEMORY):
+                take(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
+            for k in range(N_FREE):
+                take(w, PARAMETERS + k * LANES, state, (N_STATE + N_MEMORY + k) * width + column)
+            gather(w, GIVEN, actions, column)
+            command(w)
+            #advance
+            check(w)
+            for b in range(LANES):
+                if w[LOST + b] > 0.0:
+                    for k in range(N_STATE):
+                        w[Q + k * LANES + b] = state[k, column + b]
+                    for k in range(N_ACTUATOR):
+                        w[ACTUATOR + k * LANES + b] = state[FIRST_ACTUATOR + k, column + b]
+            report(w)
+            for k in range(N_JOINT):
+                put(w, TARGET_NOW + k * LANES, w, TARGET + k * LANES)
+            for k in range(N_STATE):
+                put(w, Q + k * LANES, state, k * width + column)
+            for k in range(N_KEPT):
+                put(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
+            for k in range(N_FLAG):
+                put(w, FLAGS + k * LANES, flags, k * width + column)
+            for k in range(N_INFO):
+                put(w, INFO + k * LANES, info, k * width + column)
+            for b in range(min(LANES, stop - column)):
+                for k in range(N_OBSERVATION):
+                    obs[column + b, k] = w[OBSERVATION + k * LANES + b]
+                ended += flags[0, column + b] | flags[1, column + b]
+        start, stop = take_turn(rows, thread)
     return ended
 """
 

@@ -1,73 +1,178 @@
-"""Threads share jobs, survive errors, and go with their crew."""
+"""Threads take turns, survive errors, and go with their crew."""
 
 import gc
 import os
 import threading
 import time
+from collections.abc import Callable
+from itertools import chain
 
+import numpy as np
 import pytest
+from numba import njit
 
-from dynamics.crew import Crew, shares
+from dynamics import crew as module
+from dynamics.crew import Crew
+from dynamics.sharing import LINE, SIZE, take_turn, turns
+
+
+def jobs(count: int) -> Callable[[int], list[int]]:
+    """Work: whoever is there takes the next of these until none is left."""
+    todo = iter(range(count))
+    return lambda thread: list(todo)
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
-@pytest.mark.parametrize("count", [0, 1, 3, 200])
-def test_every_job_is_done_once(size: int, count: int) -> None:
-    crew = Crew(size)
-    for _ in range(3):
-        done = crew.run(lambda thread, job: (thread, job), range(count))
-        assert sorted(job for _, job in done) == list(range(count))
-        assert all(0 <= thread < size for thread, _ in done)
+def test_every_job_is_done_once(size: int) -> None:
+    """Whether the others are awake, falling asleep or asleep when the next run begins."""
+    crew, rng = Crew(size), np.random.default_rng(0)
+    for k in range(300):
+        count = int(rng.integers(6))
+        assert sorted(chain(*crew.run(jobs(count)))) == list(range(count))
+        if k % 3 == 0:
+            time.sleep(rng.uniform(0.0, 1e-3))
 
 
-def test_a_thread_that_is_held_up_leaves_its_jobs_to_the_others() -> None:
-    taken: list[list[int]] = [[], []]
-    none_left = threading.Event()
+def test_who_has_begun_is_waited_for_however_long_it_takes() -> None:
+    begun = threading.Event()
+    done = []
 
-    def work(thread: int, job: int) -> None:
-        taken[thread].append(job)
-        if len(taken[0]) + len(taken[1]) == 10:
-            none_left.set()
-        if thread == 1:
-            assert none_left.wait(10.0)
+    def work(thread: int) -> int:
+        if thread == 0:
+            assert begun.wait(10.0)
         else:
-            time.sleep(0.001)
+            begun.set()
+            time.sleep(0.02)
+            done.append(thread)
+        return thread
 
-    Crew(2).run(work, range(10))
-    assert len(taken[1]) <= 1
-    assert sorted(taken[0] + taken[1]) == list(range(10))
+    assert sorted(Crew(2).run(work)) == [0, 1]
+    assert done == [1]
+
+
+def test_nobody_waits_for_a_thread_that_does_not_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor does it begin later what the others have finished."""
+    late: list[threading.Thread] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", lambda thread: late.append(thread))
+        crew = Crew(2)
+        assert crew.run(jobs(3)) == [[0, 1, 2]]
+    came: set[int] = set()
+
+    def work(thread: int) -> None:
+        came.add(thread)
+        time.sleep(1e-3)
+
+    late[0].start()
+    for _ in range(1000):
+        crew.run(work)
+        if came == {0, 1}:
+            return
+    raise AssertionError("It does not come for later tasks, either.")
+
+
+def test_a_withdrawn_task_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread has read it, and is held up just before it would begin."""
+    read, go_on = threading.Event(), threading.Event()
+
+    class Slow(module._Helper):
+        @property
+        def _begun(self) -> int:
+            return self.__dict__.get("begun", 0)
+
+        @_begun.setter
+        def _begun(self, number: int) -> None:
+            if number > 0:
+                read.set()
+                assert go_on.wait(10.0)
+            self.__dict__["begun"] = number
+
+    monkeypatch.setattr(module, "_Helper", Slow)
+    came: list[int] = []
+
+    def work(thread: int) -> None:
+        came.append(thread)
+        assert read.wait(10.0)
+
+    Crew(2).run(work)
+    go_on.set()
+    time.sleep(0.05)
+    assert came == [0]
+
+
+@njit(nogil=True)
+def all_turns(rows, thread, taken, often):  # type: ignore[no-untyped-def]
+    """How many turns a thread takes; its number for every row of them."""
+    count = 0
+    start, stop = take_turn(rows, thread)
+    while start < stop:
+        count += 1
+        for k in range(start, stop):
+            taken[k] = thread
+            often[k] += 1
+        start, stop = take_turn(rows, thread)
+    return count
 
 
 @pytest.mark.parametrize("count", [1, 15, 16, 17, 100, 1024])
 @pytest.mark.parametrize("threads", [1, 2, 3, 64])
-def test_shares_are_whole_blocks_and_all_there_is(count: int, threads: int) -> None:
-    found = shares(count, 16, threads)
-    assert [k for a, b in found for k in range(a, b)] == list(range(count))
-    assert all(a % 16 == 0 and a < b for a, b in found)
-    assert len(found) == 1 if threads == 1 else len(found) <= 4 * threads
+@pytest.mark.parametrize("thread", [0, 1, 63])
+def test_turns_are_whole_blocks_and_all_there_is(count: int, threads: int, thread: int) -> None:
+    """Also for a thread that is alone with the shares of all."""
+    taken, often = np.full(count, -1), np.zeros(count, np.int64)
+    number = all_turns(turns(count, 16, threads), thread % threads, taken, often)
+    np.testing.assert_array_equal(often, 1)
+    blocks = -(-count // 16)
+    assert number == 1 if threads == 1 else min(blocks, threads) <= number <= blocks
+
+
+def test_a_thread_takes_its_own_share_first() -> None:
+    """Then what others have left, whole blocks at a time."""
+    rows = turns(100, 16, 3)
+    order = [take_once(rows, 1) for _ in range(8)]
+    assert order == [
+        (32, 48), (48, 64), (64, 80), (80, 96), (96, 100), (0, 16), (16, 32), (0, 0),
+    ]  # fmt: skip
+
+
+@njit
+def take_once(rows, thread):  # type: ignore[no-untyped-def]
+    start, stop = take_turn(rows, thread)
+    return int(start), int(stop)
+
+
+def test_threads_never_take_the_same_turn() -> None:
+    """A million short turns, by four threads that nothing else keeps apart."""
+    count = 1_000_000
+    rows, crew = turns(count, 1, 4), Crew(4)
+    rows[SIZE::LINE] = 1
+    taken, often = np.full(count, -1), np.zeros(count, np.int64)
+    numbers = crew.run(lambda thread: all_turns(rows, thread, taken, often))
+    assert sum(numbers) == count
+    np.testing.assert_array_equal(often, 1)
 
 
 def test_an_error_arrives_and_the_crew_works_on() -> None:
     crew = Crew(2)
     meet = threading.Barrier(2)
 
-    def fail(thread: int, job: int) -> int:
+    def fail(thread: int) -> int:
         meet.wait(10.0)
-        if thread == job_of_failure:
+        if thread == failing:
             raise KeyError(thread)
         return thread
 
-    for job_of_failure in (0, 1):
-        with pytest.raises(KeyError, match=str(job_of_failure)):
-            crew.run(fail, range(2))
-    assert sorted(crew.run(lambda thread, job: job, range(4))) == [0, 1, 2, 3]
+    for failing in (0, 1):
+        with pytest.raises(KeyError, match=str(failing)):
+            crew.run(fail)
+    assert sorted(chain(*crew.run(jobs(4)))) == [0, 1, 2, 3]
 
 
 def test_threads_start_late_and_end_with_the_crew() -> None:
     before = set(threading.enumerate())
     crew = Crew(3)
     assert set(threading.enumerate()) <= before
-    crew.run(lambda thread, job: job, range(9))
+    crew.run(jobs(9))
     mine = set(threading.enumerate()) - before
     assert len(mine) == 2
     del crew
@@ -81,9 +186,9 @@ def test_threads_start_late_and_end_with_the_crew() -> None:
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_process_hires_its_own_threads() -> None:
     crew = Crew(2)
-    crew.run(lambda thread, job: job, range(4))
+    crew.run(jobs(4))
     child = os.fork()
     if child == 0:
-        done = crew.run(lambda thread, job: job, range(4))
+        done = chain(*crew.run(jobs(4)))
         os._exit(0 if sorted(done) == [0, 1, 2, 3] else 1)
     assert os.waitpid(child, 0)[1] == 0

@@ -213,7 +213,7 @@ def test_a_bad_action_finds_no_environment_stepped(
     monkeypatch.setattr(flexarm_env.core, "WORTH_A_THREAD", 1e-9)
     envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=40, threads=2)
     core = envs.unwrapped.core
-    assert len(core.shares) > 1
+    assert len(core.workspaces) > 1
     envs.reset(seed=0)
     before = core.state.copy()
     action = np.zeros((40, 1))
