@@ -15,7 +15,7 @@ TURNS = 8  # per thread at least: one that is held up leaves some to the others
 NEXT, STOP, SIZE = range(3)  # of turns
 LINE = CACHE_LINE // 8  # numbers in a line of the cache, which only one core can write at a time
 LOOKS = 10_000  # about 0.3 ms: as long as waking may take
-BREATH = 100  # about 3 us: until who wrote the number has left Python and its lock is free
+BREATH = 200  # about 6 us: until who wrote the number has left Python and its lock is free
 _PAUSES = {"x86": ("llvm.x86.sse2.pause", []), "arm": ("llvm.aarch64.hint", [1])}
 _FAMILIES = {"x86_64": "x86", "AMD64": "x86", "aarch64": "arm", "arm64": "arm"}
 

@@ -13,7 +13,7 @@ from dynamics import Arm, checks, load_arm
 from dynamics.crew import Crew
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model, compile_arm
-from dynamics.sharing import turns
+from dynamics.sharing import NEXT, turns
 from dynamics.validity import LARGEST_RATE
 from flexarm_env import kernels
 from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
@@ -250,7 +250,6 @@ class Core:
         work = n_env * self._operations() / OPERATIONS_PER_SECOND  # [s]
         threads = max(1, min(self.threads, blocks, int(work / WORTH_A_THREAD)))
         self.turns = turns(n_env, lanes, threads)
-        self._rows = self.turns.copy()
         self.workspaces = [self._workspace() for _ in range(threads)]
         self._no_actions = np.zeros((0, self.arm.n_joint), np.float32)
         self._crew = Crew(threads)
@@ -284,13 +283,13 @@ class Core:
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, int]:
         """One control step of all: what it says, and how many ended."""
         out = self.outputs()
-        self._rows[:] = self.turns
         if len(self.workspaces) == 1:
-            ended = self._step(actions, out, 0)
+            self.turns[NEXT] = 0
+            ended = self._step(self.turns, actions, out, 0)
         elif np.isnan(actions).any():  # must not find other environments stepped already
             ended = -1
         else:
-            ended = sum(self._crew.run(partial(self._step, actions, out)))
+            ended = sum(self._crew.run(partial(self._step, self.turns.copy(), actions, out)))
         if ended < 0:
             bad = int(np.flatnonzero(np.isnan(actions).any(axis=1))[0])
             raise ValueError(
@@ -299,11 +298,13 @@ class Core:
             )
         return out, ended
 
-    def _step(self, actions: NDArray[np.float32], out: Outputs, thread: int) -> int:
+    def _step(
+        self, rows: NDArray[np.int64], actions: NDArray[np.float32], out: Outputs, thread: int
+    ) -> int:
         """The compiled call: take turns at all environments, say how many ended."""
         ended: int = self._program.control_step(
-            self._rows, thread, self.substeps, actions, self.state, self.workspaces[thread],
-            out.obs, out.info, out.flags,
+            rows, thread, self.substeps, actions, self.state, self.workspaces[thread], out.obs,
+            out.info, out.flags,
         )  # fmt: skip
         return ended
 

@@ -1,5 +1,6 @@
 """What environments say after a step: one set of arrays, and views of them by name."""
 
+from collections.abc import Iterable
 from sys import getrefcount
 from typing import Any
 
@@ -43,11 +44,13 @@ class SingleOutputs(Outputs):
     ----------
     observation : (size,)
     values, marks : the columns of info and flags.
+    wide : parts of `values` that info tells as arrays, by name.
     """
 
     def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
         super().__init__(n_env, size, width, dtype, names)
         self.observation, self.values, self.marks = self.obs[0], self.info[:, 0], self.flags[:, 0]
+        self.wide = [(k, self.values[names.slices[k]]) for k in WIDE if k in names.slices]
 
 
 class BatchOutputs(Outputs):
@@ -61,11 +64,11 @@ class BatchOutputs(Outputs):
     def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
         super().__init__(n_env, size, width, dtype, names)
         self._arrays = [self.obs, self.info, self.flags, *self._views(n_env, names)]
-        self._alone = list(map(getrefcount, self._arrays))
+        self._alone = sum(map(getrefcount, self._arrays))
 
     @property
     def unused(self) -> bool:
-        return list(map(getrefcount, self._arrays)) == self._alone
+        return sum(map(getrefcount, self._arrays)) == self._alone
 
     def _views(self, n_env: int, names: Rows) -> list[Array]:
         values, marks = list(self.info[:, :n_env]), list(self.flags[:, :n_env])
@@ -76,9 +79,24 @@ class BatchOutputs(Outputs):
         self._named: dict[str, Any] = dict(zip(NUMBERS, values[1 : terms.start], strict=True))
         self._named |= {name: self.info[at, :n_env].T for name, at in named.items()}
         self._named |= dict(zip(FLAGS[SETTLED:], marks[SETTLED:], strict=True))
+        everyone = np.ones(n_env, np.bool_)
+        everyone.flags.writeable = False  # shared by all steps' infos
+        self._marked = self._named | masks((*self._named, "reward_terms"), everyone)
+        self._marked_terms = self._terms | masks(TERMS, everyone)
         outcome = [self.reward, self.terminated, self.truncated]
         return [*outcome, *self._terms.values(), *self._named.values()]
 
     def described(self) -> dict[str, Any]:
         """Info by name, reward terms in a dict of their own: new dicts of the same arrays."""
-        return {**self._named, "reward_terms": dict(self._terms)}
+        return {**self._named, "reward_terms": self._terms.copy()}
+
+    def marked(self) -> dict[str, Any]:
+        """The same with Gymnasium's masks, which say that every environment has it."""
+        marked = self._marked.copy()
+        marked["reward_terms"] = self._marked_terms.copy()
+        return marked
+
+
+def masks(names: Iterable[str], whose: NDArray[np.bool_]) -> dict[str, NDArray[np.bool_]]:
+    """Gymnasium's masks: which environments have the infos of these names."""
+    return {f"_{name}": whose for name in names}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from flexarm_env.core import Array, Core
 from flexarm_env.env import RENDER_MODES, check_render_mode, observation_space
-from flexarm_env.outputs import BatchOutputs
+from flexarm_env.outputs import BatchOutputs, masks
 
 Flags = NDArray[np.bool_]
 _AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
@@ -62,11 +62,6 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._shape = (num_envs, self.core.arm.n_joint)
         self._all = np.arange(num_envs)
-        self._everyone = np.ones(num_envs, np.bool_)
-        self._everyone.flags.writeable = False  # shared by all steps' infos
-        names = self.core.outputs().described()
-        self._masks = {f"_{name}": self._everyone for name in names}
-        self._term_masks = {f"_{name}": self._everyone for name in names["reward_terms"]}
         self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
         self._seeded = False
 
@@ -124,7 +119,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return out.obs, self._info(out)
+        return out.obs, out.marked()
 
     def step(self, actions: Any) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """One control step of all; ended episodes restart as `autoreset_mode` says.
@@ -140,7 +135,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         if ended:
             self._pending = np.flatnonzero(out.terminated | out.truncated)
         self._after_step()
-        return out.obs, out.reward, out.terminated, out.truncated, self._info(out)
+        return out.obs, out.reward, out.terminated, out.truncated, out.marked()
 
     def _actions(self, actions: Any) -> NDArray[np.float32]:
         array = np.ascontiguousarray(actions, dtype=np.float32)
@@ -169,14 +164,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             }
             self.core.restart(rows, out)
         self._after_step()
-        return out.obs, *outcome, self._info(out) | final
-
-    def _info(self, out: BatchOutputs) -> dict[str, Any]:
-        """Info by name; all environments have it."""
-        described = out.described()
-        described["reward_terms"].update(self._term_masks)
-        described.update(self._masks)
-        return described
+        return out.obs, *outcome, out.marked() | final
 
     def _final_info(self, out: BatchOutputs, done: Flags) -> dict[str, Any]:
         """Copies of the last info of the environments that are `done`."""
@@ -184,8 +172,8 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         terms = described.pop("reward_terms")
         copies: dict[str, Any] = {name: values.copy() for name, values in described.items()}
         copies["reward_terms"] = {name: values.copy() for name, values in terms.items()}
-        copies["reward_terms"] |= dict.fromkeys(self._term_masks, done)
-        return copies | dict.fromkeys(self._masks, done)
+        copies["reward_terms"] |= masks(terms, done)
+        return copies | masks(copies, done)
 
     def _after_step(self) -> None:
         if self._renderer is not None:
