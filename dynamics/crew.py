@@ -76,7 +76,7 @@ class _Helper:
         while number >= 0:
             if not watch(self._post, DONE, number, GIVEN, number + 1, LOOKS):
                 self._sleep(number)
-            task = self._task
+            task, self._outcome = self._task, ([], None)
             number = self._begun = task[0]
             if self._task is task and task[1] is not None:
                 try:

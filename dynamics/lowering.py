@@ -43,7 +43,7 @@ _TANH_SATURATES = 20.0  # tanh(20) = 1 - 8e-18
 # In one round a value of all lanes fills four vector registers of AVX2, four chains for a processor
 # to work on at a time. A long function has chains of its own, and rather keeps more values: in four
 # rounds it is a tenth faster, and compiles two to three times as fast.
-ROUNDS = {1: 500, 4: math.inf}  # rounds -> statements below which they are enough
+ROUNDS = {1: 700, 4: math.inf}  # rounds -> statements below which they are enough
 
 
 class Code:

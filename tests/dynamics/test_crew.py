@@ -72,32 +72,49 @@ def test_nobody_waits_for_a_thread_that_does_not_come(monkeypatch: pytest.Monkey
 
 
 def test_a_withdrawn_task_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The thread has read it, and is held up just before it would begin."""
-    read, go_on = threading.Event(), threading.Event()
+    """The thread has read it, but says so only when it is too late; nor does it repeat itself."""
+    tasks: list[str] = []  # "read" by the thread, "withdrawn" by the caller, "begun" by the thread
+    change = threading.Condition()
+
+    def tell(event: str) -> None:
+        with change:
+            tasks.append(event)
+            change.notify_all()
+
+    def expect(event: str) -> None:
+        with change:
+            assert change.wait_for(lambda: event in tasks, 10.0)
 
     class Slow(module._Helper):
         @property
         def _begun(self) -> int:
+            if late:
+                tell("withdrawn")
+                expect("begun")
             return self.__dict__.get("begun", 0)
 
         @_begun.setter
         def _begun(self, number: int) -> None:
-            if number > 0:
-                read.set()
-                assert go_on.wait(10.0)
+            if late and number > 0:
+                tell("read")
+                expect("withdrawn")
             self.__dict__["begun"] = number
+            if late and number > 0:
+                tell("begun")
 
     monkeypatch.setattr(module, "_Helper", Slow)
-    came: list[int] = []
+    crew, late = Crew(2), False
 
-    def work(thread: int) -> None:
-        came.append(thread)
-        assert read.wait(10.0)
+    def in_time(thread: int) -> int:
+        tell(str(thread))
+        expect(str(1 - thread))
+        return thread
 
-    Crew(2).run(work)
-    go_on.set()
-    time.sleep(0.05)
-    assert came == [0]
+    assert crew.run(in_time) == [0, 1]
+    late = True
+    assert crew.run(lambda thread: expect("read") if thread == 0 else tell("wrong")) == [None]
+    late = False
+    assert tasks[2:] == ["read", "withdrawn", "begun"]
 
 
 @njit(nogil=True)

@@ -1,5 +1,6 @@
 """Vector code that no expression graph writes: lanes between a workspace and other arrays."""
 
+import platform
 from pathlib import Path
 from typing import Literal
 
@@ -116,3 +117,20 @@ def test_pieces_of_a_function_are_the_function(
 
     exec("\n".join(lines), {"w": rows})
     np.testing.assert_allclose(w, rows.ravel(), rtol=1e-13)
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads its instructions")
+@pytest.mark.parametrize(("lanes", "aligned"), [(1, False), (LANES, True)])
+def test_vectors_that_wait_on_the_stack_begin_with_a_cache_line(
+    lanes: int, aligned: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or half of all processes would be slow, by chance."""
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
+    lines = [f"x{k} = w[{k}]" for k in range(40)]
+    lines += [f"w[{k}] = x{k} * x{39 - k}" for k in range(40)]
+    text = LONG.format(lanes=lanes, inner=render_lines("inner", lines))
+    module = cached_module(f"waiting_{lanes}", lambda: text)
+    module.long(np.zeros(40 * lanes))
+
+    (code,) = module.long.inspect_asm().values()
+    assert ("andq\t$-64, %rsp" in code) == aligned
