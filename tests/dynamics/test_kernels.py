@@ -1,0 +1,47 @@
+"""What Python calls is compiled once, kept on disk, and quick to load."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+
+SESSION = """
+import json, sys
+from dynamics import Stepper, compile_arm
+stepper = Stepper(compile_arm("slim"), 20, dt=1e-4, substeps=2)
+stepper.advance()
+stats = stepper._program.advance.stats
+slow = {"casadi", "scipy.linalg", "numba.np.arraymath", "dynamics.arms.six_link"}
+print(json.dumps({
+    "slow": sorted(slow & set(sys.modules)),
+    "hits": sum(stats.cache_hits.values()), "misses": sum(stats.cache_misses.values()),
+}))
+"""
+
+
+def test_a_second_process_starts_from_the_cache(tmp_path: Path) -> None:
+    """It neither traces nor compiles nor writes, nor imports what only those need."""
+
+    def session() -> dict[str, Any]:
+        result = subprocess.run(
+            [sys.executable, "-c", SESSION], cwd=ROOT, check=True, capture_output=True, text=True,
+            env=os.environ | {"FLEXARM_CACHE": str(tmp_path)},
+        )  # fmt: skip
+        return json.loads(result.stdout)
+
+    def files() -> dict[Path, int]:
+        return {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
+
+    cold = session()
+    written = files()
+    warm = session()
+
+    compiler = ["casadi", "numba.np.arraymath", "scipy.linalg"]
+    assert cold == {"slow": compiler, "hits": 0, "misses": 1}
+    assert warm == {"slow": [], "hits": 1, "misses": 0}
+    assert any(path.suffix == ".nbc" for path in written)
+    assert files() == written
