@@ -16,8 +16,9 @@ NEXT, STOP, SIZE = range(3)  # of turns
 LINE = CACHE_LINE // 8  # numbers in a line of the cache, which only one core can write at a time
 LOOKS = 10_000  # about 0.3 ms: as long as waking may take
 BREATH = 200  # about 6 us: until who wrote the number has left Python and its lock is free
-_PAUSES = {"x86": ("llvm.x86.sse2.pause", []), "arm": ("llvm.aarch64.hint", [1])}
-_FAMILIES = {"x86_64": "x86", "AMD64": "x86", "aarch64": "arm", "arm64": "arm"}
+_X86: tuple[str, list[int]] = ("llvm.x86.sse2.pause", [])
+_ARM: tuple[str, list[int]] = ("llvm.aarch64.hint", [1])
+_PAUSES = {"x86_64": _X86, "AMD64": _X86, "aarch64": _ARM, "arm64": _ARM}
 
 
 def _place(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -58,8 +59,8 @@ def _pause(typingctx):  # type: ignore[no-untyped-def]
     """The processor's own idea of waiting a moment: lighter on others than running in circles."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        if platform.machine() in _FAMILIES:
-            name, numbers = _PAUSES[_FAMILIES[platform.machine()]]
+        if platform.machine() in _PAUSES:
+            name, numbers = _PAUSES[platform.machine()]
             kind = ir.FunctionType(ir.VoidType(), [ir.IntType(32) for _ in numbers])
             function = builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
             builder.call(function, [ir.IntType(32)(x) for x in numbers])

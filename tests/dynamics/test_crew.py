@@ -73,17 +73,17 @@ def test_nobody_waits_for_a_thread_that_does_not_come(monkeypatch: pytest.Monkey
 
 def test_a_withdrawn_task_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread has read it, but says so only when it is too late; nor does it repeat itself."""
-    tasks: list[str] = []  # "read" by the thread, "withdrawn" by the caller, "begun" by the thread
+    events: list[str] = []
     change = threading.Condition()
 
     def tell(event: str) -> None:
         with change:
-            tasks.append(event)
+            events.append(event)
             change.notify_all()
 
     def expect(event: str) -> None:
         with change:
-            assert change.wait_for(lambda: event in tasks, 10.0)
+            assert change.wait_for(lambda: event in events, 10.0)
 
     class Slow(module._Helper):
         @property
@@ -114,7 +114,7 @@ def test_a_withdrawn_task_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     late = True
     assert crew.run(lambda thread: expect("read") if thread == 0 else tell("wrong")) == [None]
     late = False
-    assert tasks[2:] == ["read", "withdrawn", "begun"]
+    assert events[2:] == ["read", "withdrawn", "begun"]
 
 
 @njit(nogil=True)
