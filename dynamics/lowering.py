@@ -297,7 +297,7 @@ def render_module(
         "from dynamics.emission import lane_moves, row_moves, straight_line",
         "from dynamics.integrators import INTEGRATORS",
         "from dynamics.kernels import compiled, outermost",
-        "from dynamics.sharing import take_turn",
+        "from dynamics.sharing import first_turn, take_turn",
         f"LANES = {lanes}",
         f"SLOTS = {slots}",
         f"OPERATIONS = {operations[0]}",

@@ -98,6 +98,14 @@ def take_turn(rows: Any, thread: int) -> Any:
     return np.uint64(0), np.uint64(0)
 
 
+@register_jitable
+def first_turn(rows: Any, thread: int) -> Any:
+    """The same, of a thread that begins: where it is the only one, all start anew."""
+    if rows.size == LINE:
+        rows[NEXT] = 0
+    return take_turn(rows, thread)
+
+
 @on_disk(nogil=True)
 def watch(post: Any, mine: int, number: int, other: int, wanted: int, looks: int) -> bool:
     """Write a number at `mine`, then look until that at `other` is as large as wanted.

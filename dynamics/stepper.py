@@ -68,10 +68,10 @@ class Stepper:
 
     def advance(self) -> None:
         """Step every environment `substeps` times, then measure. Allocates nothing."""
-        self._rows[:] = self._turns
         if self.threads == 1:
             self._advance(0)
         else:
+            self._rows[:] = self._turns
             self._crew.run(self._advance)
 
     def _advance(self, thread: int) -> None:

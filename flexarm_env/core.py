@@ -1,8 +1,8 @@
 """Plant and task for N environments: what the single, the batch and the SB3 environment share."""
 
 import math
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, partial
 from os import PathLike
 from typing import Any
 
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from dynamics import Arm, checks, load_arm
 from dynamics.crew import Crew
 from dynamics.integrators import INTEGRATORS
+from dynamics.kernels import direct
 from dynamics.model import Model, compile_arm
-from dynamics.sharing import NEXT, turns
+from dynamics.sharing import turns
 from dynamics.validity import LARGEST_RATE
 from flexarm_env import kernels
 from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
@@ -284,12 +285,14 @@ class Core:
         """One control step of all: what it says, and how many ended."""
         out = self.outputs()
         if len(self.workspaces) == 1:
-            self.turns[NEXT] = 0
-            ended = self._step(self.turns, actions, out, 0)
-        elif np.isnan(actions).any():  # must not find other environments stepped already
+            ended = self._control_step(
+                self.turns, 0, self.substeps, actions, self.state, self.workspaces[0], out.obs,
+                out.info, out.flags,
+            )  # fmt: skip
+        elif np.isnan(actions.min()):  # must not find other environments stepped already
             ended = -1
         else:
-            ended = sum(self._crew.run(partial(self._step, self.turns.copy(), actions, out)))
+            ended = sum(self._crew.run(partial(self._turn, self.turns.copy(), actions, out)))
         if ended < 0:
             bad = int(np.flatnonzero(np.isnan(actions).any(axis=1))[0])
             raise ValueError(
@@ -298,15 +301,24 @@ class Core:
             )
         return out, ended
 
-    def _step(
+    def _turn(
         self, rows: NDArray[np.int64], actions: NDArray[np.float32], out: Outputs, thread: int
     ) -> int:
-        """The compiled call: take turns at all environments, say how many ended."""
-        ended: int = self._program.control_step(
+        """A thread's part of a step."""
+        ended: int = self._control_step(
             rows, thread, self.substeps, actions, self.state, self.workspaces[thread], out.obs,
             out.info, out.flags,
         )  # fmt: skip
         return ended
+
+    @cached_property
+    def _control_step(self) -> Callable[..., Any]:
+        """The compiled call: take turns at all environments, say how many ended."""
+        out = self.outputs()
+        return direct(
+            self._program.control_step, self.turns, 0, self.substeps, self._no_actions, self.state,
+            self.workspaces[0], out.obs, out.info, out.flags,
+        )  # fmt: skip
 
     def restart(
         self, rows: NDArray[np.int64], out: Outputs, options: Mapping[str, Any] | None = None
@@ -319,7 +331,7 @@ class Core:
             states = self.report.state.slices["actuator"]
             self.state[states, rows] = self.drives.at_rest(self.q[rows])
         w = self.workspaces[0]
-        self._program.control_step(
+        self._control_step(
             rows, 0, 0, self._no_actions, self.state, w, out.obs, out.info, out.flags
         )
 

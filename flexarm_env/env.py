@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from flexarm_env.core import Array, Core
 from flexarm_env.observations import Layout
-from flexarm_env.outputs import SingleOutputs
-from flexarm_env.rewards import TERMS
 
 RENDER_MODES = ("human", "rgb_array")
 Observation = NDArray[np.float32]
@@ -77,14 +75,14 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return out.observation.copy(), self._info(out, out.values.tolist(), out.marks.tolist())
+        return out.observation.copy(), out.described(out.values.tolist(), out.marks.tolist())
 
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step."""
         try:
-            self._action[0] = action
+            self._action[...] = action
         except (TypeError, ValueError):
             raise ValueError(
                 f"An action is {self._action.size} numbers in [-1, 1], got {action!r}."
@@ -95,26 +93,8 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.follow(self.core)
         if self.render_mode == "human":
             self.render()
-        info = self._info(out, values, marks)
+        info = out.described(values, marks)
         return out.observation.copy(), values[0], marks[0], marks[1], info
-
-    def _info(self, out: SingleOutputs, values: list[float], marks: list[bool]) -> dict[str, Any]:
-        _, time, tip_error, tip_speed, deflection, tip_deflection, *others = values
-        info = {
-            "time": time,
-            "tip_error": tip_error,
-            "tip_speed": tip_speed,
-            "deflection": deflection,
-            "tip_deflection": tip_deflection,
-            "reward_terms": dict(zip(TERMS, others)),  # noqa: B905 - a keyword takes 0.2 us
-            "settled": marks[2],
-            "diverged": marks[3],
-            "invalid": marks[4],
-            "overspeed": marks[5],
-        }
-        for name, numbers in out.wide:
-            info[name] = numbers.copy()
-        return info
 
     def render(self) -> NDArray[np.uint8] | None:
         """The arm now: an (H, W, 3) picture, or a window that shows it."""

@@ -56,7 +56,7 @@ def control_step(rows, thread, substeps, actions, state, w, obs, info, flags):
 
     ended = np.int64(0)
     #prepare
-    start, stop = take_turn(rows, thread)
+    start, stop = first_turn(rows, thread)
     while start < stop:
         for i in range(start, stop):
             for j in range(N_JOINT):
@@ -70,7 +70,12 @@ def control_step(rows, thread, substeps, actions, state, w, obs, info, flags):
                 take(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
             for k in range(N_FREE):
                 take(w, PARAMETERS + k * LANES, state, (N_STATE + N_MEMORY + k) * width + column)
-            gather(w, GIVEN, actions, column)
+            if stop - column < LANES:
+                gather(w, GIVEN, actions, column)
+            else:
+                for b in range(LANES):
+                    for j in range(N_JOINT):
+                        w[GIVEN + j * LANES + b] = actions[column + b, j]
             command(w)
             #advance
             check(w)

@@ -1,6 +1,6 @@
 """What environments say after a step: one set of arrays, and views of them by name."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from sys import getrefcount
 from typing import Any
 
@@ -24,17 +24,15 @@ class Outputs:
     obs : (N, size) observations.
     info : (rows, width) numbers, a row per name, a column per environment.
     flags : (len(FLAGS), width) marks likewise.
+    unused : whether nobody else holds any of the arrays.
     """
+
+    unused: Any = True
 
     def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
         self.obs = np.empty((n_env, size), np.float32)
         self.info = np.empty((names.total, width), dtype)
         self.flags = np.empty((len(FLAGS), width), np.bool_)
-
-    @property
-    def unused(self) -> bool:
-        """Whether nobody else holds any of the arrays."""
-        return True
 
 
 class SingleOutputs(Outputs):
@@ -43,14 +41,16 @@ class SingleOutputs(Outputs):
     Attributes
     ----------
     observation : (size,)
-    values, marks : the columns of info and flags.
-    wide : parts of `values` that info tells as arrays, by name.
+    values, marks : the columns of info, but for what is wide, and of flags.
+    described : function of both, as lists, that makes a dict of info.
     """
 
     def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
         super().__init__(n_env, size, width, dtype, names)
-        self.observation, self.values, self.marks = self.obs[0], self.info[:, 0], self.flags[:, 0]
-        self.wide = [(k, self.values[names.slices[k]]) for k in WIDE if k in names.slices]
+        self.observation, column, self.marks = self.obs[0], self.info[:, 0], self.flags[:, 0]
+        self.values = column[: names.slices["reward_terms"].stop]
+        wide = {name: column[names.slices[name]] for name in WIDE if name in names.slices}
+        self.described = _describer(names, wide)
 
 
 class BatchOutputs(Outputs):
@@ -95,6 +95,24 @@ class BatchOutputs(Outputs):
         marked = self._marked.copy()
         marked["reward_terms"] = self._marked_terms.copy()
         return marked
+
+
+def _describer(names: Rows, wide: Mapping[str, Array]) -> Callable[..., dict[str, Any]]:
+    """A function of values and marks that makes a dict of info, with copies of what is wide.
+
+    A dict written out is made in half the time of one from names and values: 0.5 us of a step.
+    """
+
+    def entries(names: Iterable[str], listed: str, first: int) -> str:
+        return ", ".join(f"{name!r}: {listed}[{k}]" for k, name in enumerate(names, first))
+
+    text = ", ".join([
+        entries(NUMBERS, "values", names.slices[NUMBERS[0]].start),
+        *(f"{name!r}: {name}.copy()" for name in wide),
+        entries(FLAGS[SETTLED:], "marks", SETTLED),
+        f"'reward_terms': {{{entries(TERMS, 'values', names.slices['reward_terms'].start)}}}",
+    ])  # fmt: skip
+    return eval(f"lambda values, marks: {{{text}}}", dict(wide))
 
 
 def masks(names: Iterable[str], whose: NDArray[np.bool_]) -> dict[str, NDArray[np.bool_]]:

@@ -141,14 +141,14 @@ class Report:
         return render_function("command", graph, inputs, slots)
 
     def _check(self, at: Mapping[str, int]) -> str:
-        """Text of `check(w)`: lost where q and v are not finite, or their eighth powers are not.
+        """Text of `check(w)`: lost where the eighth power of the size of q and v is not finite.
 
         What is larger would overflow on the way into a report.
         """
-        slots = [at[name] + k for name in ("Q", "V") for k in range(self.model.n)]
         lines = ["s = 0.0"]
-        for slot in slots:
-            lines += [f"x = w[{slot}]", *3 * ["x = x * x"], "d = x - x", "s = s + d"]
+        for slot in (at[name] + k for name in ("Q", "V") for k in range(self.model.n)):
+            lines += [f"x = w[{slot}]", "s = s + x * x"]
+        lines += [*2 * ["s = s * s"], "s = s - s"]
         return render_lines("check", [*lines, f"w[{at['LOST']}] = 1.0 - at_most(abs(s), 0.0)"])
 
     @property

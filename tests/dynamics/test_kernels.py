@@ -7,6 +7,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pytest
+
+from dynamics.kernels import direct, on_disk
+
 ROOT = Path(__file__).resolve().parents[2]
 
 SESSION = """
@@ -45,3 +50,18 @@ def test_a_second_process_starts_from_the_cache(tmp_path: Path) -> None:
     assert warm == {"slow": [], "hits": 1, "misses": 0}
     assert any(path.suffix == ".nbc" for path in written)
     assert files() == written
+
+
+def mean(x: Any, scale: float) -> Any:
+    return scale * x.sum() / x.size
+
+
+def test_what_is_called_directly_is_what_numba_would_have_found() -> None:
+    """Compiled once for arguments of these types; numbers of another size are refused."""
+    found, x = on_disk()(mean), np.arange(5.0)
+    called = direct(found, x, 2.0)
+    assert direct(found, x[:3], 1.0) is called
+    assert called(x, 0.5) == found(x, 0.5) == 1.0
+    assert len(found.overloads) == 1
+    with pytest.raises(TypeError, match="array"):
+        called(x.astype(np.float32), 0.5)

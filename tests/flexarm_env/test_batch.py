@@ -268,3 +268,15 @@ def test_ppo_and_sac_learn_on_the_batch() -> None:
     envs = flexarm_env.SB3VecEnv("FlexArm/OneLink-Reach-v0", 8, max_episode_steps=10)
     PPO("MlpPolicy", envs, n_steps=16, batch_size=64, n_epochs=1, device="cpu").learn(128)
     SAC("MlpPolicy", envs, learning_starts=16, batch_size=16, device="cpu").learn(64)
+
+
+def test_actions_that_may_not_be_written_are_read() -> None:
+    """As other libraries hand them over; nothing is compiled for them anew."""
+    envs: Any = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=3)
+    actions = np.array([[0.5], [-0.5], [1.0]], np.float32)
+    envs.reset(seed=0)
+    expected = envs.step(actions)[0].copy()
+    envs.reset(seed=0)
+    actions.flags.writeable = False
+    np.testing.assert_array_equal(envs.step(actions)[0], expected)
+    assert len(envs.core._program.control_step.overloads) == 1
