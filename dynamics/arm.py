@@ -84,7 +84,7 @@ class Link:
     tip_mass: float = 0.0  # [kg] point mass at the tip
     tip_inertia: Matrix = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
     modes: tuple[Mode, ...] = ()
-    damping_ratio: float = 0.0  # [-] the same for every bending mode
+    damping_ratio: float = 0.0  # [-] the same for every bending mode, of a segment's own
     damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
     segments: int = 1  # equal welded parts, each with all the modes: for large deflections
     joint: Joint = field(default_factory=Joint)

@@ -43,7 +43,7 @@ class Bench:
         """Settled motions; NaN where a motion diverges."""
         if fidelity not in self._tips:
             try:
-                self._tips[fidelity] = self._settled(fidelity)
+                self._tips[fidelity] = self.settled(self.rollout(fidelity))
             except Unsettled:
                 self._tips[fidelity] = [np.full_like(tip, np.nan) for tip in self.truth]
         return self._tips[fidelity]
@@ -84,19 +84,24 @@ class Bench:
         self.truth, self.residual = tips, change
         return f"{level}; its last refinement moved the tip by {change:.2g} m"
 
+    def settled(self, rollout: Rollout) -> Tips:
+        """All motions of an arm, free of its own steps' error.
+
+        Raises
+        ------
+        Unsettled : where one diverges, or no step is small enough.
+        """
+        return [rollout.settled(m, SETTLED * self.tolerance) for m in self.scene.motions]
+
     def _reference(self, fidelity: Fidelity) -> Tips:
         try:
-            self._tips[fidelity] = self._settled(fidelity)
+            self._tips[fidelity] = self.settled(self.rollout(fidelity))
         except Unsettled as error:
             raise RuntimeError(
                 f"No reference from '{fidelity}': {error} Take a larger tolerance or a shorter "
                 "scene."
             ) from error
         return self._tips[fidelity]
-
-    def _settled(self, fidelity: Fidelity) -> Tips:
-        rollout = self.rollout(fidelity)
-        return [rollout.settled(m, SETTLED * self.tolerance) for m in self.scene.motions]
 
 
 def apart(a: Tips, b: Tips) -> float:

@@ -8,6 +8,7 @@ from dynamics.arm import Arm
 from dynamics.bench import Bench, apart
 from dynamics.fidelity import Fidelity, everything
 from dynamics.integrators import INTEGRATORS
+from dynamics.rollout import Rollout
 from dynamics.scene import Scene
 
 
@@ -16,7 +17,8 @@ class Certificate:
     """Measured errors of a model, an integrator and a step; the largest distance of the tip [m].
 
     error: of model and step together, from the reference. integration: of the step alone.
-    truncation: of the modes kept, from more of them. nonlinear: of those, from the reference.
+    truncation: of the modes kept, with their damping ratio, from more of them, with the viscosity
+    that stands for it. nonlinear: of those, from the reference.
     residual: what the last refinement of the reference moved its tip by.
     """
 
@@ -61,20 +63,21 @@ def certify(arm: Arm, scene: Scene, integrator: str, dt: float, accuracy: float)
     reference = bench.converge()
     own = fidelity_of(arm)
     richer = replace(own, counts=everything(arm, 5, 3), polynomial=True)
-    rollout = bench.rollout(own)
+    rollout = Rollout(arm)
+    tips = bench.settled(rollout)
     traced = rollout.method(integrator)
     runs = [rollout.run(motion, integrator, dt) for motion in scene.motions]
     kept = [slice(None, None, run.stride) for run in runs]
     stepped = [run.tips for run in runs]
-    settled = [tips[k] for tips, k in zip(bench.tips(own), kept, strict=True)]
-    truth = [tips[k] for tips, k in zip(bench.truth, kept, strict=True)]
+    settled = [x[k] for x, k in zip(tips, kept, strict=True)]
+    truth = [x[k] for x, k in zip(bench.truth, kept, strict=True)]
     return Certificate(
         model=str(own),
         integrator=integrator,
         dt=dt,
         error=apart(stepped, truth),
         integration=apart(stepped, settled),
-        truncation=apart(bench.tips(own), bench.tips(richer)),
+        truncation=apart(tips, bench.tips(richer)),
         nonlinear=bench.error(richer),
         residual=bench.residual,
         reach=arm.reach,

@@ -92,7 +92,8 @@ def choose_model(arm: Arm, scene: Scene, tolerance: float) -> Choice:
 
     Parameters
     ----------
-    arm : lengths, masses, stiffnesses, tip bodies and joints; its modes name the family of shapes.
+    arm : lengths, masses, stiffnesses, tip bodies and joints; its modes name the family of shapes,
+        a damping ratio the viscosity, see `fidelity.viscous`.
     scene : the motions that count; the error is the largest over time and motions.
     tolerance : [m]
 

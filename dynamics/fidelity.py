@@ -1,15 +1,25 @@
-"""How much of an arm a model keeps: modes per link and direction, foreshortening, segments."""
+"""How much of an arm a model keeps: modes per link and direction, foreshortening, segments.
 
+A damping ratio belongs to the modes that are described, not to the beam: other shapes would be
+damped otherwise, and segments, whose own modes are fast, hardly at all. Models of all kinds damp a
+link as Kelvin and Voigt do, C = beta K, by what its first mode has: see `viscous`.
+"""
+
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from dynamics.arm import STIFFNESS, Arm, Link, Mode
+import numpy as np
+
+from dynamics.arm import STIFFNESS, Arm, Link, Mode, Payload
+from dynamics.modes import link_constants
 
 DIRECTIONS = ("y", "z", "x")  # bending, bending, torsion
 MOST_MODES = 4  # per link and direction on the ladder
 MOST_SEGMENTS = 8
 _NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass"}
 _POLYNOMIAL = {"x": "torsion-poly", "y": "poly", "z": "poly"}
+_FIRST = range(1, 4)  # polynomials that give a beam's first frequency to 1e-5
 
 Counts = tuple[int, int, int]  # modes along y, z, x
 Change = tuple[int, str]  # link, direction or "segments"
@@ -30,10 +40,13 @@ class Fidelity:
         return not any(map(any, self.counts))
 
     def arm(self, arm: Arm) -> Arm:
-        """The arm with just so much."""
+        """The arm with just so much, its links' damping as `viscous` has it."""
+        payloads = [*[None] * (len(arm.links) - 1), arm.payload]
         links = tuple(
-            replace(link, modes=tuple(self._modes(link, counts)), segments=segments)
-            for link, counts, segments in zip(arm.links, self.counts, self.segments, strict=True)
+            replace(viscous(link, load), modes=tuple(self._modes(link, counts)), segments=segments)
+            for link, load, counts, segments in zip(
+                arm.links, payloads, self.counts, self.segments, strict=True
+            )
         )
         return replace(arm, links=links, foreshortening=self.foreshortening)
 
@@ -92,6 +105,24 @@ class Fidelity:
         ]
         shapes = ", polynomial" if self.polynomial else ""
         return "; ".join(kept) + shapes + (", foreshortened" if self.foreshortening else "")
+
+
+def viscous(link: Link, payload: Payload | None = None) -> Link:
+    """The link with `damping_beta` in place of a damping ratio, which its first mode keeps.
+
+    That is the lowest bending mode of the link alone, clamped, with its tip mass and payload.
+    """
+    directions = [d for d in "yz" if getattr(link, STIFFNESS[d])]
+    if not (link.damping_ratio and directions):
+        return link
+    from scipy.linalg import eigh
+
+    shapes = tuple(Mode(kind="poly", index=k, direction=d) for d in directions for k in _FIRST)
+    alone = link_constants(replace(link, modes=shapes, segments=1), payload)
+    tip = np.array(alone.tip_phi)
+    mass = np.array(alone.s) + alone.tip_mass * tip @ tip.T
+    first = math.sqrt(eigh(np.array(alone.K), mass, eigvals_only=True)[0])
+    return replace(link, damping_ratio=0.0, damping_beta=2.0 * link.damping_ratio / first)
 
 
 def rigid(arm: Arm, foreshortening: bool = False, polynomial: bool = False) -> Fidelity:

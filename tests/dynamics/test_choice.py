@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import eigh
 
 import dynamics.bench
 from benchmarks.model_choice import (
@@ -27,20 +28,25 @@ from benchmarks.model_choice import (
 )
 from dynamics import (
     ARMS,
+    Arm,
     Choice,
     Joint,
+    Link,
     Mode,
+    Payload,
     Scene,
     Trajectory,
     ValidityWarning,
     choose_model,
     limits,
+    linear,
     load_arm,
     simulate,
 )
 from dynamics.choice import _roomier
-from dynamics.fidelity import Fidelity, rigid
+from dynamics.fidelity import Fidelity, rigid, viscous
 from dynamics.integrators import INTEGRATORS
+from dynamics.model import Model
 from dynamics.rollout import Rollout, distance
 from dynamics.scene import JointMotion, bang_bang, cycloid, release
 from tests.dynamics.random_arms import compiled, two_link_spatial
@@ -240,6 +246,50 @@ def test_a_scene_must_fit_the_arm_and_the_tolerance_be_positive() -> None:
         choose_model(arm, Scene(motions=(odd,)), 1e-3)
     with pytest.raises(ValueError, match=r"tolerance must be positive, got 0\.0"):
         choose_model(arm, Scene(motions=(motion,)), 0.0)
+
+
+DAMPED = Link(
+    length=0.9, rho_A=0.3, EIz=12.0, EIy=20.0, tip_mass=0.2, damping_ratio=0.03,
+    modes=(Mode(kind="clamped-free", index=1, direction="y"),),
+)  # fmt: skip
+
+
+def held_decay(arm: Arm) -> float:
+    """[-] damping ratio of the slowest mode with the joint held, from the linear matrices."""
+    chain = Model(arm).chain
+    M, K, C = linear.inertia(chain, np.zeros(arm.n)), linear.stiffness(chain), linear.damping(chain)
+    squares, S = eigh(K[1:, 1:], M[1:, 1:])
+    return float(S[:, 0] @ C[1:, 1:] @ S[:, 0] / (2.0 * np.sqrt(squares[0])))
+
+
+@pytest.mark.parametrize("payload", [None, Payload(mass=0.5)])
+@pytest.mark.parametrize(("segments", "polynomial"), [(1, False), (1, True), (4, True)])
+def test_every_model_damps_a_first_mode_by_the_described_ratio(
+    payload: Payload | None, segments: int, polynomial: bool
+) -> None:
+    """Shapes and segments are how a link is modelled, damping is what it is."""
+    arm = Arm(links=(DAMPED,), payload=payload)
+    model = Fidelity(counts=((3, 0, 0),), segments=(segments,), polynomial=polynomial)
+    assert held_decay(model.arm(arm)) == pytest.approx(0.03, rel=2e-3)
+    if segments > 1:
+        cut = replace(DAMPED, segments=segments)
+        assert held_decay(replace(arm, links=(cut,))) < 0.2 * 0.03
+
+
+def test_viscosity_goes_by_the_slowest_direction_and_only_where_there_is_a_ratio() -> None:
+    both, stiff = viscous(DAMPED), viscous(replace(DAMPED, EIz=0.0, modes=()))
+    assert both.damping_beta == pytest.approx(stiff.damping_beta * np.sqrt(20.0 / 12.0), rel=1e-9)
+    assert both.damping_ratio == stiff.damping_ratio == 0.0
+    for link in (replace(DAMPED, damping_ratio=0.0), replace(DAMPED, EIz=0.0, EIy=0.0, modes=())):
+        assert viscous(link) is link
+
+
+def test_a_damped_arm_gets_no_richer_model_than_an_undamped_one() -> None:
+    trial, bare = TRIALS["laboratory arm"], chosen("laboratory arm").arm.links[0]
+    arm = replace(trial.arm, links=(replace(trial.arm.links[0], damping_ratio=0.02),))
+    (link,) = choose_model(arm, trial.scene, trial.tolerance).arm.links
+    assert (len(link.modes), link.segments) <= (len(bare.modes), bare.segments)
+    assert link == replace(viscous(arm.links[0]), modes=link.modes)
 
 
 def test_typical_motions() -> None:
