@@ -219,12 +219,20 @@ def _gain(bench: Bench, before: Fidelity, after: Fidelity) -> float:
 
 
 def _pruned(bench: Bench, fidelity: Fidelity) -> Fidelity:
-    """Take away, cheapest remainder first, whatever turns out not to be needed."""
+    """Take away, cheapest remainder first, whatever turns out not to be needed.
+
+    What is needed beside much is not tried again beside less.
+    """
+    needed: set[Change] = set()
     while True:
-        good = [f for f in fidelity.poorer() if bench.error(f) <= bench.enough]
-        if not good:
+        options = {c: f for c, f in fidelity.poorer().items() if c not in needed}
+        for change in sorted(options, key=lambda c: bench.operations(options[c])):
+            if bench.error(options[change]) <= bench.enough:
+                fidelity = options[change]
+                break
+            needed.add(change)
+        else:
             return fidelity
-        fidelity = min(good, key=bench.operations)
 
 
 def _rung(bench: Bench, fidelity: Fidelity, best: Fidelity | None) -> Rung:
@@ -310,7 +318,7 @@ def _trials(bench: Bench, fidelity: Fidelity, integrator: str) -> Iterator[tuple
 
 
 def _reason(bench: Bench, chosen: Fidelity, best: Rung) -> str:
-    poorer = [bench.error(f) for f in chosen.poorer()]
+    poorer = [bench.error(f) for f in chosen.poorer().values()]
     less = f"; the next simpler model errs by {_metres(min(poorer))} m" if poorer else ""
     if poorer and min(poorer) <= bench.enough:
         less += ", and its shorter steps cost more"

@@ -77,14 +77,16 @@ class Fidelity:
         )
         return replace(self, counts=counts)
 
-    def poorer(self) -> Iterator["Fidelity"]:
+    def poorer(self) -> dict[Change, "Fidelity"]:
         """Every model with one mode less, or one link cut into half as many segments."""
+        result = {}
         for i, counts in enumerate(self.counts):
-            for d in range(3):
+            for d, name in enumerate(DIRECTIONS):
                 if counts[d]:
-                    yield self._with_modes(i, d, counts[d] - 1)
+                    result[i, name] = self._with_modes(i, d, counts[d] - 1)
             if self.segments[i] > 1:
-                yield self._with_segments(i, self.segments[i] // 2)
+                result[i, "segments"] = self._with_segments(i, self.segments[i] // 2)
+        return result
 
     def _with_modes(self, link: int, direction: int, count: int) -> "Fidelity":
         row = list(self.counts[link])
