@@ -63,17 +63,22 @@ def aligned_zeros(size: int, dtype: str) -> NDArray[Any]:
     return memory[first : first + size]
 
 
+# w[H] is the length of the steps that w is prepared for, and zero at first
+STEPS = {
+    "#steps": [
+        "h = w.dtype.type(dt)", "if w[H] != h:", "    for b in range(LANES):",
+        "        w[H + b] = h", "    #prepare",
+    ],
+}  # fmt: skip
 # What a stepper's module adds to its arm's `accelerations(w)`, `measure(w)` and `check(w)`. Lines
-# that are marks stand for others: a method's #prepare, #start and #step, the rest of a free base.
+# that are marks stand for others: #steps, a method's #start and #step, the rest of a free base.
 ENTRIES = """
 gather, scatter = row_moves(int(LANES))
 
 
 @outermost
 def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, measured):
-    for b in range(LANES):
-        w[H + b] = dt
-    #prepare
+    #steps
     start, stop = first_turn(rows, thread)
     while start < stop:
         for first in range(start, stop, LANES):

@@ -16,7 +16,7 @@ from dynamics.christoffel import christoffel
 from dynamics.formulations import formulation_for
 from dynamics.free_parameters import FREE_PARAMETERS
 from dynamics.integrators import INTEGRATORS
-from dynamics.kernels import ENTRIES, FLIGHT, LANES, aligned_zeros
+from dynamics.kernels import ENTRIES, FLIGHT, LANES, STEPS, aligned_zeros
 from dynamics.kinematics import Chain
 from dynamics.lowering import (
     Addition,
@@ -301,7 +301,7 @@ class Model:
         modes = linear.frozen_modes(self.chain) if method.aid == "modes" else None
         stepping, calls = method_code(integrator, self.n, at, modes)
         flight = FLIGHT if self.arm.base.n else dict.fromkeys(FLIGHT, ())
-        marks = {"#evaluate": ["accelerations(w)"], **calls, **flight, **added.marks}
+        marks = {"#evaluate": ["accelerations(w)"], **STEPS, **calls, **flight, **added.marks}
         further = added.functions(at)
         functions = [
             render_function("accelerations", graph, inputs, at["ACC"]),

@@ -78,6 +78,7 @@ class Core:
     certificate : measured errors of model and step, see `dynamics.certificate.Certificate`; None
         where this arm and step were never certified.
     q, v : (N, n) coordinates and rates, writable views.
+    dt : [s] integration step.
     turns : the shares that threads take of a step, see `dynamics.sharing.turns`.
     workspaces : one per thread.
     parameters : (N, n_free) values of the randomized parameters, a view.
@@ -140,6 +141,7 @@ class Core:
             fitted.integrator if integrator is None else integrator,
             fitted.substeps if substeps is None else substeps,
         )
+        self.dt = self.control_dt / self.substeps
         step = self.arm, self.control_dt, self.integrator, self.substeps
         self.certificate = None if self.drives else fitted.certificate or find(*step)
         weights = resolve_weights(self.task.reward if reward is None else reward)
@@ -161,11 +163,6 @@ class Core:
         self._constants = self._fixed_numbers(weights, float(deflection_limit), int(max_steps))
         self._start = self._episode_ranges()
         self._allocate()
-
-    @property
-    def dt(self) -> float:
-        """[s] integration step."""
-        return self.control_dt / self.substeps
 
     def _integration(self, integrator: str | None, substeps: int | None) -> tuple[str, int]:
         if integrator is not None and integrator not in INTEGRATORS:
@@ -266,7 +263,6 @@ class Core:
         lanes = int(self._program.LANES)
         first = int(self._program.CONSTANTS)
         w[first : first + lanes * self._constants.size] = np.repeat(self._constants, lanes)
-        w[int(self._program.H) : int(self._program.H) + lanes] = self.dt
         return w
 
     def outputs(self) -> Any:
@@ -286,8 +282,8 @@ class Core:
         out = self.outputs()
         if len(self.workspaces) == 1:
             ended = self._control_step(
-                self.turns, 0, self.substeps, actions, self.state, self.workspaces[0], out.obs,
-                out.info, out.flags,
+                self.turns, 0, self.substeps, self.dt, actions, self.state, self.workspaces[0],
+                out.obs, out.info, out.flags,
             )  # fmt: skip
         elif np.isnan(actions.min()):  # must not find other environments stepped already
             ended = -1
@@ -306,8 +302,8 @@ class Core:
     ) -> int:
         """A thread's part of a step."""
         ended: int = self._control_step(
-            rows, thread, self.substeps, actions, self.state, self.workspaces[thread], out.obs,
-            out.info, out.flags,
+            rows, thread, self.substeps, self.dt, actions, self.state, self.workspaces[thread],
+            out.obs, out.info, out.flags,
         )  # fmt: skip
         return ended
 
@@ -316,8 +312,8 @@ class Core:
         """The compiled call: take turns at all environments, say how many ended."""
         out = self.outputs()
         return direct(
-            self._program.control_step, self.turns, 0, self.substeps, self._no_actions, self.state,
-            self.workspaces[0], out.obs, out.info, out.flags,
+            self._program.control_step, self.turns, 0, self.substeps, self.dt, self._no_actions,
+            self.state, self.workspaces[0], out.obs, out.info, out.flags,
         )  # fmt: skip
 
     def restart(
@@ -332,7 +328,7 @@ class Core:
             self.state[states, rows] = self.drives.at_rest(self.q[rows])
         w = self.workspaces[0]
         self._control_step(
-            rows, 0, 0, self._no_actions, self.state, w, out.obs, out.info, out.flags
+            rows, 0, 0, self.dt, self._no_actions, self.state, w, out.obs, out.info, out.flags
         )
 
     def reset(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> Any:

@@ -27,7 +27,7 @@ gather, scatter = row_moves(int(LANES))
 
 
 @outermost
-def control_step(rows, thread, substeps, actions, state, w, obs, info, flags):
+def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags):
     width = np.uint64(state.shape[1])
     if substeps == 0:
         count = np.uint64(rows.shape[0])
@@ -55,7 +55,7 @@ def control_step(rows, thread, substeps, actions, state, w, obs, info, flags):
         return np.int64(0)
 
     ended = np.int64(0)
-    #prepare
+    #steps
     start, stop = first_turn(rows, thread)
     while start < stop:
         for i in range(start, stop):

@@ -164,6 +164,19 @@ def test_a_state_that_is_not_finite_is_reported_at_the_first_substep() -> None:
             assert stepper.status.tolist() == [0, 1], (name, value)
 
 
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_a_stepper_may_change_its_step(integrator: str, dtype: str) -> None:
+    """Whatever a method has prepared for the last one."""
+    model = compiled(ARM) if dtype == "float64" else compile_arm(ARM, dtype=dtype)
+    stepper, fresh = (batch(model, 3, integrator=integrator) for _ in range(2))
+    start = stepper.q.copy()
+    stepper.advance()
+    stepper.q[:], stepper.v[:] = start, 0.0
+    fresh.v[:] = 0.0
+    stepper.dt = fresh.dt = 0.5 * fresh.dt
+    assert np.array_equal(results(stepper), results(fresh))
+
+
 def changed(parameters: dict[str, float]) -> Arm:
     """The arm with its free parameters written into it."""
     links = tuple(
