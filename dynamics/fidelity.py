@@ -41,11 +41,10 @@ class Fidelity:
 
     def arm(self, arm: Arm) -> Arm:
         """The arm with just so much, its links' damping as `viscous` has it."""
-        payloads = [*[None] * (len(arm.links) - 1), arm.payload]
         links = tuple(
-            replace(viscous(link, load), modes=tuple(self._modes(link, counts)), segments=segments)
-            for link, load, counts, segments in zip(
-                arm.links, payloads, self.counts, self.segments, strict=True
+            replace(link, modes=tuple(self._modes(link, counts)), segments=segments)
+            for link, counts, segments in zip(
+                viscous_links(arm), self.counts, self.segments, strict=True
             )
         )
         return replace(arm, links=links, foreshortening=self.foreshortening)
@@ -107,6 +106,12 @@ class Fidelity:
         ]
         shapes = ", polynomial" if self.polynomial else ""
         return "; ".join(kept) + shapes + (", foreshortened" if self.foreshortening else "")
+
+
+def viscous_links(arm: Arm) -> tuple[Link, ...]:
+    """The arm's links, each as `viscous` has it."""
+    payloads = [*[None] * len(arm.links), arm.payload][1:]
+    return tuple(map(viscous, arm.links, payloads))
 
 
 def viscous(link: Link, payload: Payload | None = None) -> Link:

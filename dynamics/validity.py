@@ -1,9 +1,11 @@
-"""Where an assumed-modes model leaves what it assumes: small deflections, slow turning."""
+"""Where an assumed-modes model leaves what it assumes: small deflections, slow turning, damping."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dynamics.arm import Arm
+from dynamics.fidelity import viscous_links
 from dynamics.model import Model
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ class ValidityWarning(UserWarning):
 
 def limits(model: Model, trajectory: "Trajectory") -> tuple[str, ...]:
     """One sentence for every assumption that a motion of the arm leaves; empty if it keeps all."""
-    return (*_rates(model, trajectory), *_bending(model, trajectory))
+    return (*_rates(model, trajectory), *_bending(model, trajectory), *_damping(model.arm))
 
 
 def _rates(model: Model, trajectory: "Trajectory") -> list[str]:
@@ -34,6 +36,16 @@ def _rates(model: Model, trajectory: "Trajectory") -> list[str]:
         f"({first:.3g} rad/s): linear modes lose stiffness; set Arm.foreshortening."
         for i, (rate, link) in enumerate(zip(fastest.tolist(), model.arm.links, strict=True), 1)
         if link.joint.type == "revolute" and rate > LARGEST_RATE * first
+    ]
+
+
+def _damping(arm: Arm) -> list[str]:
+    return [
+        f"Link {i} is cut into {link.segments} segments, whose own fast modes have its "
+        f"damping_ratio of {link.damping_ratio:g}: its slow ones keep little of it; set "
+        f"damping_beta={instead.damping_beta:.3g} instead."
+        for i, (link, instead) in enumerate(zip(arm.links, viscous_links(arm), strict=True), 1)
+        if link.segments > 1 and instead is not link
     ]
 
 

@@ -262,6 +262,11 @@ def held_decay(arm: Arm) -> float:
     return float(S[:, 0] @ C[1:, 1:] @ S[:, 0] / (2.0 * np.sqrt(squares[0])))
 
 
+def limits_at_rest(arm: Arm) -> tuple[str, ...]:
+    still = np.zeros((1, arm.n))
+    return limits(Model(arm), Trajectory(np.zeros(1), still, still, np.zeros((1, 3))))
+
+
 @pytest.mark.parametrize("payload", [None, Payload(mass=0.5)])
 @pytest.mark.parametrize(("segments", "polynomial"), [(1, False), (1, True), (4, True)])
 def test_every_model_damps_a_first_mode_by_the_described_ratio(
@@ -272,8 +277,12 @@ def test_every_model_damps_a_first_mode_by_the_described_ratio(
     model = Fidelity(counts=((3, 0, 0),), segments=(segments,), polynomial=polynomial)
     assert held_decay(model.arm(arm)) == pytest.approx(0.03, rel=2e-3)
     if segments > 1:
-        cut = replace(DAMPED, segments=segments)
-        assert held_decay(replace(arm, links=(cut,))) < 0.2 * 0.03
+        cut = replace(arm, links=(replace(DAMPED, segments=segments),))
+        assert held_decay(cut) < 0.2 * 0.03
+        (sentence,) = limits_at_rest(cut)
+        beta = model.arm(arm).links[0].damping_beta
+        assert f"set damping_beta={beta:.3g} instead" in sentence
+        assert limits_at_rest(model.arm(arm)) == ()
 
 
 def test_viscosity_goes_by_the_slowest_direction_and_only_where_there_is_a_ratio() -> None:
