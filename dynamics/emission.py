@@ -22,6 +22,8 @@ from dynamics.kernels import CACHE_LINE
 
 PIECE = 8000  # statements of one function: twice as many take more than twice the time to compile
 _WORD = ir.IntType(64)
+_BYTES = ir.IntType(8).as_pointer()
+_FETCH, _TO_WRITE = "llvm.prefetch.p0i8", (1, 3, 1)  # to write, into the nearest cache, data
 _FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive to be seen
 
 
@@ -63,11 +65,13 @@ def straight_line(name: str, lanes: int, rounds: int, text: str) -> Any:
     return call
 
 
-def lane_moves(lanes: int) -> tuple[Any, Any]:
+def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
     """Functions `take` and `put`: all lanes of a slot from, and to, consecutive array elements.
 
     `take(w, at, array, first)` and `put(w, at, array, first)`; offsets count elements of the flat
-    array. Numbers are converted; in an array of flags all but zero is true.
+    array. Numbers are converted; in an array of flags all but zero is true. `expect(array, first)`
+    says that such elements will soon be written: the processor fetches their lines of the cache
+    meanwhile, of more rows than it would follow by itself.
     """
 
     def pointer(context, builder, kind, array, offset):  # type: ignore[no-untyped-def]
@@ -101,7 +105,22 @@ def lane_moves(lanes: int) -> tuple[Any, Any]:
 
         return lanes_moved
 
-    return move(inwards=True), move(inwards=False)
+    @intrinsic
+    def expect(typingctx, array, first):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            data = context.make_array(signature.args[0])(context, builder, args[0]).data
+            size = context.get_abi_sizeof(data.type.pointee)
+            place = builder.bitcast(builder.gep(data, [args[1]]), _BYTES)
+            kind = ir.FunctionType(ir.VoidType(), [_BYTES, *3 * [ir.IntType(32)]])
+            fetch = builder.module.globals.get(_FETCH) or ir.Function(builder.module, kind, _FETCH)
+            for byte in range(0, lanes * size, CACHE_LINE):
+                line = builder.gep(place, [_WORD(byte)])
+                builder.call(fetch, [line, *map(ir.IntType(32), _TO_WRITE)])
+            return context.get_dummy_value()
+
+        return types.void(array, first), codegen
+
+    return move(inwards=True), move(inwards=False), expect
 
 
 def row_moves(lanes: int) -> tuple[Any, Any]:

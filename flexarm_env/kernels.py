@@ -22,7 +22,7 @@ WAVES = 2  # sines in the path of a joint
 # `rows`, steps those environments, and says how many ended, or that an action of theirs is not a
 # number; without substeps it reports on all `rows`. #advance stands for what steps the arm.
 ENTRIES = """
-take, put = lane_moves(int(LANES))
+take, put, expect = lane_moves(int(LANES))
 gather, scatter = row_moves(int(LANES))
 
 
@@ -64,6 +64,10 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
         if ended < 0:
             return ended
         for column in range(start, stop, LANES):
+            for k in range(N_STATE + N_MEMORY):
+                expect(state, k * width + column + LANES)
+            for k in range(N_INFO):
+                expect(info, k * width + column + LANES)
             for k in range(N_STATE):
                 take(w, Q + k * LANES, state, k * width + column)
             for k in range(N_MEMORY):

@@ -14,7 +14,7 @@ from dynamics.lowering import cached_module, render_lines
 MOVES = """
 from dynamics.emission import lane_moves
 from dynamics.kernels import outermost
-take, put = lane_moves({lanes})
+take, put, expect = lane_moves({lanes})
 
 @outermost
 def there_and_back(source, w, numbers, flags):
@@ -134,3 +134,32 @@ def test_vectors_that_wait_on_the_stack_begin_with_a_cache_line(
 
     (code,) = module.long.inspect_asm().values()
     assert ("andq\t$-64, %rsp" in code) == aligned
+
+
+AHEAD = """
+from dynamics.emission import lane_moves
+from dynamics.kernels import outermost
+take, put, expect = lane_moves({lanes})
+
+@outermost
+def ahead(numbers, first):
+    expect(numbers, first)
+"""
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads its instructions")
+@pytest.mark.parametrize(
+    ("lanes", "dtype", "lines"), [(1, "float64", 1), (LANES, "float64", 2), (LANES, "bool", 1)]
+)
+def test_what_is_expected_is_fetched_line_by_line_and_stays_as_it_is(
+    lanes: int, dtype: str, lines: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also beyond an array's end: the last block has no next one."""
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
+    module = cached_module(f"ahead_{lanes}_{dtype}", lambda: AHEAD.format(lanes=lanes))
+    numbers = np.ones(LANES, dtype)
+    for first in (0, LANES, 10**12):
+        module.ahead(numbers, first)
+    assert numbers.all()
+    (code,) = module.ahead.inspect_asm().values()
+    assert code.count("prefetch") == lines
