@@ -42,11 +42,15 @@ class Bench:
     def tips(self, fidelity: Fidelity) -> Tips:
         """Settled motions; NaN where a motion diverges."""
         if fidelity not in self._tips:
-            try:
-                self._tips[fidelity] = self.settled(self.rollout(fidelity))
-            except Unsettled:
-                self._tips[fidelity] = [np.full_like(tip, np.nan) for tip in self.truth]
+            self._tips[fidelity] = self.follow(self.rollout(fidelity))
         return self._tips[fidelity]
+
+    def follow(self, rollout: Rollout) -> Tips:
+        """The same of an arm that is no fidelity of the bench's own."""
+        try:
+            return self._settled(rollout)
+        except Unsettled:
+            return [np.full_like(tip, np.nan) for tip in self.truth]
 
     def error(self, fidelity: Fidelity) -> float:
         """[m] from the reference."""
@@ -84,24 +88,18 @@ class Bench:
         self.truth, self.residual = tips, change
         return f"{level}; its last refinement moved the tip by {change:.2g} m"
 
-    def settled(self, rollout: Rollout) -> Tips:
-        """All motions of an arm, free of its own steps' error.
-
-        Raises
-        ------
-        Unsettled : where one diverges, or no step is small enough.
-        """
-        return [rollout.settled(m, SETTLED * self.tolerance) for m in self.scene.motions]
-
     def _reference(self, fidelity: Fidelity) -> Tips:
         try:
-            self._tips[fidelity] = self.settled(self.rollout(fidelity))
+            self._tips[fidelity] = self._settled(self.rollout(fidelity))
         except Unsettled as error:
             raise RuntimeError(
                 f"No reference from '{fidelity}': {error} Take a larger tolerance or a shorter "
                 "scene."
             ) from error
         return self._tips[fidelity]
+
+    def _settled(self, rollout: Rollout) -> Tips:
+        return [rollout.settled(m, SETTLED * self.tolerance) for m in self.scene.motions]
 
 
 def apart(a: Tips, b: Tips) -> float:

@@ -64,7 +64,7 @@ def certify(arm: Arm, scene: Scene, integrator: str, dt: float, accuracy: float)
     own = fidelity_of(arm)
     richer = replace(own, counts=everything(arm, 5, 3), polynomial=True)
     rollout = Rollout(arm)
-    tips = bench.settled(rollout)
+    tips = bench.follow(rollout)
     traced = rollout.method(integrator)
     runs = [rollout.run(motion, integrator, dt) for motion in scene.motions]
     kept = [slice(None, None, run.stride) for run in runs]

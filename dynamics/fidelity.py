@@ -19,7 +19,7 @@ MOST_MODES = 4  # per link and direction on the ladder
 MOST_SEGMENTS = 8
 _NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass"}
 _POLYNOMIAL = {"x": "torsion-poly", "y": "poly", "z": "poly"}
-_FIRST = range(1, 4)  # polynomials that give a beam's first frequency to 1e-5
+_FIRST = range(1, 6)  # polynomials that give a beam's first frequency to 1e-7
 
 Counts = tuple[int, int, int]  # modes along y, z, x
 Change = tuple[int, str]  # link, direction or "segments"
@@ -119,7 +119,7 @@ def viscous(link: Link, payload: Payload | None = None) -> Link:
 
     That is the lowest bending mode of the link alone, clamped, with its tip mass and payload.
     """
-    directions = [d for d in "yz" if getattr(link, STIFFNESS[d])]
+    directions = [d for d in "yz" if _yields(link, d)]
     if not (link.damping_ratio and directions):
         return link
     from scipy.linalg import eigh
@@ -150,11 +150,15 @@ def everything(arm: Arm, bending: int, torsion: int) -> tuple[Counts, ...]:
 
 def _possible(arm: Arm, i: int, bending: int, torsion: int) -> Counts:
     link = arm.links[i]
-    y, z, x = (bool(getattr(link, STIFFNESS[d])) for d in DIRECTIONS)
+    y, z, x = (_yields(link, d) for d in DIRECTIONS)
     payload = arm.payload.inertia[0][0] if arm.payload else 0.0
     inertia = link.rho_Ip + link.tip_inertia[0][0] + payload
     twists = x and (i < arm.n_joint - 1 or inertia > 0.0)
     return bending * y, bending * z, (torsion if link.rho_Ip else min(torsion, 1)) * twists
+
+
+def _yields(link: Link, direction: str) -> bool:
+    return link.body is None and bool(getattr(link, STIFFNESS[direction]))
 
 
 def _named(counts: Counts, segments: int) -> str:

@@ -29,6 +29,7 @@ from benchmarks.model_choice import (
 from dynamics import (
     ARMS,
     Arm,
+    Body,
     Choice,
     Joint,
     Link,
@@ -44,7 +45,7 @@ from dynamics import (
     simulate,
 )
 from dynamics.choice import _roomier
-from dynamics.fidelity import Fidelity, rigid, viscous
+from dynamics.fidelity import Fidelity, everything, rigid, viscous
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
 from dynamics.rollout import Rollout, distance
@@ -289,8 +290,12 @@ def test_viscosity_goes_by_the_slowest_direction_and_only_where_there_is_a_ratio
     both, stiff = viscous(DAMPED), viscous(replace(DAMPED, EIz=0.0, modes=()))
     assert both.damping_beta == pytest.approx(stiff.damping_beta * np.sqrt(20.0 / 12.0), rel=1e-9)
     assert both.damping_ratio == stiff.damping_ratio == 0.0
-    for link in (replace(DAMPED, damping_ratio=0.0), replace(DAMPED, EIz=0.0, EIy=0.0, modes=())):
+    spun = Body(mass=1.0, inertia=tuple(map(tuple, np.eye(3))))
+    body = Link(length=0.9, body=spun, EIz=12.0, damping_ratio=0.03)
+    rigid = replace(DAMPED, EIz=0.0, EIy=0.0, modes=())
+    for link in (replace(DAMPED, damping_ratio=0.0), rigid, body):
         assert viscous(link) is link
+    assert everything(Arm(links=(DAMPED, body)), 2, 1) == ((2, 2, 0), (0, 0, 0))
 
 
 def test_a_damped_arm_gets_no_richer_model_than_an_undamped_one() -> None:
