@@ -171,7 +171,8 @@ class Rollout:
 
 def distance(a: Array, b: Array) -> float:
     """[m] largest distance between two tips; infinite where one diverged."""
-    largest = float(np.linalg.norm(a - b, axis=1).max())
+    with np.errstate(over="ignore"):  # of a motion that diverges
+        largest = float(np.linalg.norm(a - b, axis=1).max())
     return largest if np.isfinite(largest) else float("inf")
 
 
