@@ -352,6 +352,11 @@ class Arm:
         """Length of the stretched arm, joint offsets included [m]."""
         return sum(link.length + math.hypot(*link.joint.offset) for link in self.links)
 
+    @property
+    def carried(self) -> tuple[Payload | None, ...]:
+        """(n_joint,) what each link carries beyond its own tip mass: the last one the payload."""
+        return (*len(self.links) * (None,), self.payload)[1:]
+
     def to_dict(self) -> dict[str, Any]:
         """The arm as plain lists, numbers and text, defaults left out; `load_arm` reads it back."""
         return _plain(self)

@@ -21,6 +21,7 @@ from numba.extending import intrinsic
 from dynamics.kernels import CACHE_LINE
 
 PIECE = 8000  # statements of one function: twice as many take more than twice the time to compile
+LONG = 700  # statements: fewer, on numbers and not on vectors, leave little on the stack
 _WORD = ir.IntType(64)
 _BYTES = ir.IntType(8).as_pointer()
 _FETCH, _TO_WRITE = "llvm.prefetch.p0i8", (1, 3, 1)  # to write, into the nearest cache, data
@@ -31,9 +32,7 @@ def straight_line(name: str, lanes: int, rounds: int, text: str) -> Any:
     """A function `name(w)` of these statements for this many lanes, for njit's to call.
 
     In several rounds, each for its share of the lanes, fewer numbers are on the way at a time: good
-    for a function that has many numbers, or few operations on each. In one round, many wait on the
-    stack, which the platform aligns to 16 bytes only: in half of all processes, by chance, every
-    other vector would lie across two lines of the cache, for up to a third more time.
+    for a function that has many numbers, or few operations on each.
     """
     width = -(-lanes // rounds)
 
@@ -41,15 +40,14 @@ def straight_line(name: str, lanes: int, rounds: int, text: str) -> Any:
     def call(typingctx, w):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
             data = context.make_array(signature.args[0])(context, builder, args[0]).data
-            function = _once(builder.module, name, [data], body)
-            if lanes > rounds == 1:
-                function.attributes.alignstack = CACHE_LINE
-            builder.call(function, [data])
+            builder.call(_once(builder.module, name, [data], body), [data])
             return context.get_dummy_value()
 
         return types.void(w), codegen
 
     def body(builder: ir.IRBuilder, data: ir.Value) -> None:
+        if lanes > 1 or text.count("\n") > LONG:
+            _lay_out_stack(builder, data)
         pieces = _pieces(text)
         places = 1 + max((at for piece in pieces for at in piece.left.values()), default=-1)
         passed = builder.alloca(_vector(data.type.pointee, width), _WORD(places))
@@ -59,8 +57,12 @@ def straight_line(name: str, lanes: int, rounds: int, text: str) -> Any:
                 if len(pieces) == 1:
                     _emit(builder, share, passed, piece, lanes)
                     continue
-                given, emit = [share, passed], partial(_emit, piece=piece, lanes=lanes)
-                builder.call(_once(builder.module, f"{name}_piece_{k}", given, emit), given)
+                given, part = [share, passed], partial(own, piece=piece)
+                builder.call(_once(builder.module, f"{name}_piece_{k}", given, part), given)
+
+    def own(builder: ir.IRBuilder, data: ir.Value, passed: ir.Value, piece: _Piece) -> None:
+        _lay_out_stack(builder, data)
+        _emit(builder, data, passed, piece, lanes)
 
     return call
 
@@ -71,7 +73,7 @@ def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
     `take(w, at, array, first)` and `put(w, at, array, first)`; offsets count elements of the flat
     array. Numbers are converted; in an array of flags all but zero is true. `expect(array, first)`
     says that such elements will soon be written: the processor fetches their lines of the cache
-    meanwhile, of more rows than it would follow by itself.
+    meanwhile.
     """
 
     def pointer(context, builder, kind, array, offset):  # type: ignore[no-untyped-def]
@@ -193,6 +195,21 @@ def _once(
     body(builder, *defined.args)
     builder.ret_void()
     return defined
+
+
+def _lay_out_stack(builder: ir.IRBuilder, data: ir.Value) -> None:
+    """Let the vectors that wait on this function's stack be found fast; to be called first.
+
+    The platform aligns the stack to 16 bytes only: in half of all processes, by chance, every other
+    vector would lie across two lines of the cache. And LLVM would address it from the stack
+    pointer, for which x86 takes a byte more than from any other register, in every second
+    instruction of a long function, whose time goes into fetching them. An allocation whose size
+    (none) is known only when the function runs makes it take another register.
+    """
+    builder.function.attributes.alignstack = CACHE_LINE
+    none = builder.and_(builder.ptrtoint(data, _WORD), _WORD(1))
+    place = builder.alloca(ir.IntType(8), none)
+    builder.asm(ir.FunctionType(ir.VoidType(), [place.type]), "", "r", [place], side_effect=True)
 
 
 def _element(builder: ir.IRBuilder, data: ir.Value, offset: ir.Value) -> ir.Value:

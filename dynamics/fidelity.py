@@ -110,8 +110,7 @@ class Fidelity:
 
 def viscous_links(arm: Arm) -> tuple[Link, ...]:
     """The arm's links, each as `viscous` has it."""
-    payloads = [*[None] * len(arm.links), arm.payload][1:]
-    return tuple(map(viscous, arm.links, payloads))
+    return tuple(map(viscous, arm.links, arm.carried))
 
 
 def viscous(link: Link, payload: Payload | None = None) -> Link:

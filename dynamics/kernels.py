@@ -46,8 +46,8 @@ outermost = on_disk(**_FAST, no_cfunc_wrapper=True)  # Python calls it
 def direct(function: Any, *arguments: Any) -> Callable[..., Any]:
     """What numba compiled, or now compiles, for arguments of these types.
 
-    Called by itself it spares the search for what fits, two fifths of a short call. It takes any
-    array for one of the right type: whoever calls it answers for them.
+    Called by itself it spares the search for what fits, which counts beside a short call. It takes
+    any array for one of the right type: whoever calls it answers for them.
     """
     return function.compile(tuple(map(typeof, arguments)))
 

@@ -85,7 +85,6 @@ class LinkConstants:
 
 def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
     """Constants of every link of an arm as bodies: any rotor on a spring, then its welded parts."""
-    payloads = [*[None] * len(arm.links), arm.payload][1:]
     result = [
         _with_rotor(
             link.joint,
@@ -99,7 +98,7 @@ def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
                 for k, part in enumerate(parts(link))
             ),
         )
-        for link, payload in zip(arm.links, payloads, strict=True)
+        for link, payload in zip(arm.links, arm.carried, strict=True)
     ]
     for i, link in enumerate(arm.links):
         if link.joint.parallel:

@@ -72,8 +72,7 @@ def rigid_links(arm: Arm) -> tuple[RigidLink, ...]:
                 f"Newton-Euler inverse dynamics is for rigid arms, but link {i} has {what}; "
                 "use Model.inverse_dynamics."
             )
-    payloads = [None] * (len(arm.links) - 1) + [arm.payload]
-    return tuple(_rigid_link(*pair) for pair in zip(arm.links, payloads, strict=True))
+    return tuple(map(_rigid_link, arm.links, arm.carried))
 
 
 def _rigid_link(link: Link, payload: Payload | None) -> RigidLink:

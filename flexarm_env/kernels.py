@@ -64,22 +64,18 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
         if ended < 0:
             return ended
         for column in range(start, stop, LANES):
-            for k in range(N_STATE + N_MEMORY):
-                expect(state, k * width + column + LANES)
-            for k in range(N_INFO):
-                expect(info, k * width + column + LANES)
+            if column + LANES < stop:
+                for k in range(N_STATE + N_MEMORY):
+                    expect(state, k * width + column + LANES)
+                for k in range(N_INFO):
+                    expect(info, k * width + column + LANES)
             for k in range(N_STATE):
                 take(w, Q + k * LANES, state, k * width + column)
             for k in range(N_MEMORY):
                 take(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
             for k in range(N_FREE):
                 take(w, PARAMETERS + k * LANES, state, (N_STATE + N_MEMORY + k) * width + column)
-            if stop - column < LANES:
-                gather(w, GIVEN, actions, column)
-            else:
-                for b in range(LANES):
-                    for j in range(N_JOINT):
-                        w[GIVEN + j * LANES + b] = actions[column + b, j]
+            gather(w, GIVEN, actions, column)
             command(w)
             #advance
             check(w)

@@ -100,7 +100,7 @@ class BatchOutputs(Outputs):
 def _describer(names: Rows, wide: Mapping[str, Array]) -> Callable[..., dict[str, Any]]:
     """A function of values and marks that makes a dict of info, with copies of what is wide.
 
-    A dict written out is made in half the time of one from names and values: 0.5 us of a step.
+    It is written out, entry by entry: a single environment's step feels how a dict is made.
     """
 
     def entries(names: Iterable[str], listed: str, first: int) -> str:

@@ -120,20 +120,23 @@ def test_pieces_of_a_function_are_the_function(
 
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads its instructions")
-@pytest.mark.parametrize(("lanes", "aligned"), [(1, False), (LANES, True)])
-def test_vectors_that_wait_on_the_stack_begin_with_a_cache_line(
-    lanes: int, aligned: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("piece", [300, 1000])
+@pytest.mark.parametrize(("lanes", "numbers"), [(LANES, 40), (LANES, 400), (1, 400)])
+def test_what_waits_on_the_stack_begins_with_a_cache_line_and_has_a_register_of_its_own(
+    lanes: int, numbers: int, piece: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Or half of all processes would be slow, by chance."""
+    """Or half of all processes would be slow, by chance, and all instructions a byte longer."""
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
-    lines = [f"x{k} = w[{k}]" for k in range(40)]
-    lines += [f"w[{k}] = x{k} * x{39 - k}" for k in range(40)]
+    monkeypatch.setattr(emission, "PIECE", piece)
+    lines = [f"x{k} = w[{k}]" for k in range(numbers)]
+    lines += [f"w[{k}] = x{k} * x{numbers - 1 - k}" for k in range(numbers)]
     text = LONG.format(lanes=lanes, inner=render_lines("inner", lines))
-    module = cached_module(f"waiting_{lanes}", lambda: text)
-    module.long(np.zeros(40 * lanes))
+    module = cached_module(f"waiting_{lanes}_{numbers}_{piece}", lambda: text)
+    module.long(np.zeros(numbers * lanes))
 
     (code,) = module.long.inspect_asm().values()
-    assert ("andq\t$-64, %rsp" in code) == aligned
+    assert "andq\t$-64, %rsp" in code
+    assert code.count("(%rsp)") < 40 < code.count("(%rbx)")  # few: the entry's own
 
 
 AHEAD = """
@@ -154,7 +157,7 @@ def ahead(numbers, first):
 def test_what_is_expected_is_fetched_line_by_line_and_stays_as_it_is(
     lanes: int, dtype: str, lines: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also beyond an array's end: the last block has no next one."""
+    """Also beyond an array's end, where there is nothing to fetch."""
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
     module = cached_module(f"ahead_{lanes}_{dtype}", lambda: AHEAD.format(lanes=lanes))
     numbers = np.ones(LANES, dtype)
