@@ -11,7 +11,7 @@ tests/reference/; `--truth` makes them again.
 import argparse
 import json
 import math
-import platform
+import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +19,8 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
+from benchmarks.output import provenance, save_results
 from dynamics import Arm, Choice, Joint, Link, Mode, Scene, choose_model, compile_arm, simulate
 from dynamics.fidelity import everything
 from dynamics.scene import JointMotion, bang_bang, cycloid, release
@@ -228,12 +230,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("docs/results/model_choice.json"))
     parser.add_argument("--truth", action="store_true", help="make the independent motions again")
-    arguments = parser.parse_args()
-    if arguments.truth:
+    options = parser.parse_args()
+    if options.truth:
         _make_truth()
     truth = stored_truth()
-    out: Path = arguments.out
-    results, text = [], ["# Model choice: the ladders", ""]
+    made = provenance("numpy", "scipy", "casadi")
+    text = ["# Model choice: the ladders", ""]
+    text += [f"Made by `{made['command']}` on {made['machine']['processor']}.", ""]
+    results = []
     for name, trial in TRIALS.items():
         begin = time.process_time()
         choice = choose_model(trial.arm, trial.scene, trial.tolerance)
@@ -246,10 +250,7 @@ def main() -> None:
             f"{trial.tolerance:.2g} m allowed; {seconds:.1f} s.", "",
         ]  # fmt: skip
         print("\n".join(text[-8:]), flush=True)
-    machine = f"{platform.processor() or platform.machine()}, Python {platform.python_version()}"
-    text += [f"Written by `python benchmarks/model_choice.py` on {machine}.", ""]
-    out.write_text(json.dumps({"machine": machine, "trials": results}, indent=1) + "\n")
-    out.with_suffix(".md").write_text("\n".join(text))
+    save_results(made | {"trials": results}, "\n".join(text), options.out)
 
 
 if __name__ == "__main__":

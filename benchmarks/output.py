@@ -14,14 +14,19 @@ from agents.runs import revision
 def provenance(*packages: str) -> dict[str, Any]:
     """Machine, versions of Python and of the packages, commit and command."""
     return {
-        "machine": {
-            "processor": platform.processor() or platform.machine(),
-            "cores": os.cpu_count(),
-        },
+        "machine": {"processor": processor(), "cores": os.cpu_count()},
         "versions": {"python": platform.python_version(), **{p: version(p) for p in packages}},
         "commit": revision(),
         "command": " ".join(["python", "benchmarks/" + Path(sys.argv[0]).name, *sys.argv[1:]]),
     }
+
+
+def processor() -> str:
+    """The processor's name where the system tells, else its kind."""
+    told = Path("/proc/cpuinfo")  # Linux
+    lines = told.read_text(encoding="utf-8").splitlines() if told.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return next(iter(names), platform.processor() or platform.machine())
 
 
 def save_results(results: dict[str, Any], text: str, path: Path) -> None:
