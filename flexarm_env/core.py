@@ -280,7 +280,7 @@ class Core:
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, int]:
         """One control step of all: what it says, and how many ended."""
         out = self.outputs()
-        if len(self.workspaces) == 1:
+        if len(self.workspaces) == 1:  # as `_turn`, whose call a single environment would feel
             ended = self._control_step(
                 self.turns, 0, self.substeps, self.dt, actions, self.state, self.workspaces[0],
                 out.obs, out.info, out.flags,
