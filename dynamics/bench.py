@@ -1,5 +1,6 @@
 """An arm on a scene: every model's motions, computed once, beside a converged reference."""
 
+import logging
 import math
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from dynamics.fidelity import Fidelity, everything, rigid
 from dynamics.rollout import Rollout, Unsettled, distance
 from dynamics.scene import Scene
 
+_log = logging.getLogger(__name__)
 Tips = list[NDArray[np.float64]]  # (N, 3) [m] per motion
 
 SETTLED = 0.02  # of the tolerance: what integrating a compared motion may cost
@@ -42,7 +44,8 @@ class Bench:
     def tips(self, fidelity: Fidelity) -> Tips:
         """Settled motions; NaN where a motion diverges."""
         if fidelity not in self._tips:
-            self._tips[fidelity] = self.follow(self.rollout(fidelity))
+            found = self._tips[fidelity] = self.follow(self.rollout(fidelity))
+            _log.info("%s: %.2g m from the reference", fidelity, apart(found, self.truth))
         return self._tips[fidelity]
 
     def follow(self, rollout: Rollout) -> Tips:
@@ -79,6 +82,7 @@ class Bench:
             level = replace(start, counts=counts, segments=cut)
             tips = self._reference(level)
             change = apart(tips, before)
+            _log.info("reference, %s: moved the tip by %.2g m", level, change)
         if change > CONVERGED * self.tolerance:
             raise RuntimeError(
                 f"The reference does not converge: with '{level}' the tip still moves by "

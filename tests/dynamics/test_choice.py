@@ -5,6 +5,7 @@ Verified against other discretisations followed by another integrator (in tests/
 """
 
 import json
+import logging
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -151,9 +152,21 @@ def test_rungs_say_what_is_wrong_with_them() -> None:
     assert chosen("fast spin").ladder[0].nonlinear == np.inf
 
 
-def test_a_choice_is_deterministic_and_json() -> None:
+def test_a_choice_is_deterministic_and_tells_what_it_measures(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     trial, choice = TRIALS["heavy hub"], chosen("heavy hub")
+    caplog.set_level(logging.INFO)
     assert choose_model(trial.arm, trial.scene, trial.tolerance) == choice
+    told = dict(m.rsplit(": ", 1) for m in caplog.messages)
+    for rung in choice.ladder:
+        if rung.integration is None:  # a model, not a step
+            assert told[rung.description] == f"{rung.error:.2g} m from the reference"
+    assert f"reference, {choice.reference.split(';')[0]}" in told
+
+
+def test_a_choice_is_json_and_a_table() -> None:
+    choice = chosen("heavy hub")
     data = json.loads(json.dumps(chosen("fast spin").to_dict(), allow_nan=False))
     assert load_arm(data["arm"]) == chosen("fast spin").arm
     assert data["ladder"][1]["error"] == "diverged"
