@@ -37,9 +37,10 @@ def save_results(results: dict[str, Any], text: str, path: Path) -> None:
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """PNG and SVG."""
+    """PNG and SVG, the same bytes for the same figure."""
     import matplotlib.pyplot as plt
 
-    for suffix in (".png", ".svg"):
-        figure.savefig(path.with_suffix(suffix), dpi=110)
+    with plt.rc_context({"svg.hashsalt": path.stem}):
+        figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
+    figure.savefig(path.with_suffix(".png"), dpi=110)
     plt.close(figure)
