@@ -38,6 +38,7 @@ BATCHES = (1024, 16384)
 LANES_OF = {"one lane": 1, "many lanes": LANES}
 TOLERANCE = 1e-3  # tip error in parts of the reach
 RUNS, SECONDS = 150, 1.5  # of each measurement; short runs find the moments when nothing disturbs
+STARTS = 5  # of a process, with a cache and without
 CHAINS, WIDTH, ROUNDS = 12, 4, 200  # a vector register each: 12 of 16 are on the way
 
 
@@ -128,7 +129,7 @@ def right_hand_sides() -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
     return peak, rows
 
 
-def compile_seconds(arm: str) -> dict[str, float]:
+def compile_seconds(arm: str) -> dict[str, dict[str, float]]:
     """First batched step in a fresh process: without a cache, then with it."""
     code = (
         "import time; t = time.perf_counter()\n"
@@ -136,14 +137,14 @@ def compile_seconds(arm: str) -> dict[str, float]:
         f"s = Stepper(compile_arm({arm!r}), 64, dt=1e-3, substeps=1); s.advance()\n"
         "print(time.perf_counter() - t)"
     )
-    with tempfile.TemporaryDirectory() as folder:
-        env = {**os.environ, "FLEXARM_CACHE": folder}
-        runs = [
-            float(subprocess.run([sys.executable, "-c", code], env=env, check=True,
-                                 capture_output=True, text=True).stdout)
-            for _ in range(3)
-        ]  # fmt: skip
-    return {"cold [s]": runs[0], "warm [s]": statistics.median(runs[1:])}
+    start = partial(subprocess.run, [sys.executable, "-c", code], check=True, capture_output=True)
+    times: dict[str, list[float]] = {"cold [s]": [], "warm [s]": []}
+    for _ in range(STARTS):
+        with tempfile.TemporaryDirectory() as folder:
+            env = {**os.environ, "FLEXARM_CACHE": folder}
+            for found in times.values():
+                found.append(float(start(env=env, text=True).stdout))
+    return {k: Timing(statistics.median(t), min(t)).each(1.0) for k, t in times.items()}
 
 
 def env_steps(family: str) -> dict[str, Any]:
