@@ -16,6 +16,7 @@ from dynamics.integrators import INTEGRATORS
 TARGETS = (1e-2, 1e-3, 1e-4)  # of the reach
 SMALL = 0.3  # of a model's error: an integration error below leaves the model's to be seen
 LOWEST, HIGHEST = 3e-8, 2.0  # errors drawn; diverged runs lie on the upper edge
+NEAR = 1.6  # ratio of costs, and of errors, within which models share a place for their names
 STEP = "The step: distance from the default model's own exact motion"
 MODEL = "The model: distance of its exact motion from the truth"
 BOTH = "Both added: every run"
@@ -164,11 +165,21 @@ def _draw_runs(axis: Any, scene: Row) -> None:
         [p["cpu"] for p in line], [_drawn(p["error"]) for p in line], "k-", where="post",
         linewidth=1.4, label="Pareto line",
     )  # fmt: skip
-    first = {point["model"]: point for point in reversed(line)}
+    first: dict[str, Row] = {}
+    for point in line:
+        first.setdefault(point["model"], point)
+    names: dict[tuple[float, float], str] = {}  # by place
     for name, point in first.items():
+        place = point["cpu"], _drawn(point["error"])
+        last = next(reversed(names), (0.0, math.inf))
+        if place[0] < NEAR * last[0] and place[1] > last[1] / NEAR:
+            names[last] += f", {_short(name)}"
+        else:
+            names[place] = _short(name)
+    for place, text in names.items():
         axis.annotate(
-            _short(name), (point["cpu"], _drawn(point["error"])), textcoords="offset points",
-            xytext=(2, 3), fontsize=7.5, weight="bold", zorder=6,
+            text, place, textcoords="offset points", xytext=(2, 3), fontsize=7.5, weight="bold",
+            zorder=6,
         )  # fmt: skip
     _draw_default(axis, scene, "error")
     axis.legend(title=CODE, **BELOW)
