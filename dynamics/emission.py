@@ -57,12 +57,8 @@ def straight_line(name: str, lanes: int, rounds: int, text: str) -> Any:
                 if len(pieces) == 1:
                     _emit(builder, share, passed, piece, lanes)
                     continue
-                given, part = [share, passed], partial(own, piece=piece)
-                builder.call(_once(builder.module, f"{name}_piece_{k}", given, part), given)
-
-    def own(builder: ir.IRBuilder, data: ir.Value, passed: ir.Value, piece: _Piece) -> None:
-        _lay_out_stack(builder, data)
-        _emit(builder, data, passed, piece, lanes)
+                given, emit = [share, passed], partial(_emit_apart, piece=piece, lanes=lanes)
+                builder.call(_once(builder.module, f"{name}_piece_{k}", given, emit), given)
 
     return call
 
@@ -269,6 +265,14 @@ def _emit(
     builder: ir.IRBuilder, data: ir.Value, passed: ir.Value, piece: _Piece, lanes: int
 ) -> None:
     _Block(builder, data, passed, piece, lanes).emit()
+
+
+def _emit_apart(
+    builder: ir.IRBuilder, data: ir.Value, passed: ir.Value, piece: _Piece, lanes: int
+) -> None:
+    """A piece as a function of its own."""
+    _lay_out_stack(builder, data)
+    _emit(builder, data, passed, piece, lanes)
 
 
 class _Block:
