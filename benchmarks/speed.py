@@ -1,13 +1,15 @@
 """How fast the three default arms step, beside this machine's multiply-add peak.
 
-    python benchmarks/speed.py [--out docs/results/speed.json]
+    python benchmarks/speed.py [--thorough] [--out docs/results/speed.json]
 
 Medians of repeated runs; ratios and the peak come from the same run. Leave the machine alone while
-it runs.
+it runs. `--thorough` chooses a model of six links, too, which takes a quarter of an hour; it is
+kept in the cache folder.
 """
 
 import argparse
 import itertools
+import math
 import multiprocessing
 import os
 import statistics
@@ -195,14 +197,14 @@ def errors(env_id: str) -> dict[str, float]:
     }
 
 
-def within_tolerance(env_id: str, tolerance: float) -> dict[str, Any]:
+def within_tolerance(env_id: str, tolerance: float, most_links: float) -> dict[str, Any]:
     """The same environment with the cheapest model and step of that error in all, at full torque.
 
-    `tolerance` is in parts of the reach. For more than two links the choice takes too long here.
+    `tolerance` is in parts of the reach; an arm of more links is not tried.
     """
     bare = cast(Any, gym.make(env_id).unwrapped)
     size, name = BATCHES[-1], f"within {tolerance:g} of the reach in all"
-    if bare.n_joint > 2:
+    if bare.n_joint > most_links:
         return {f"{name}: model": "not tried", f"{name}: batch of {size} [steps/s]": "-"}
     batch = cast(
         FlexArmVectorEnv,
@@ -238,7 +240,9 @@ def main() -> None:
     """Measure, print a table, and write JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("docs/results/speed.json"))
+    parser.add_argument("--thorough", action="store_true", help="choose a model of six links, too")
     options = parser.parse_args()
+    most_links = math.inf if options.thorough else 2
     peak, rows = right_hand_sides()
     results = provenance("numba", "numpy", "gymnasium", "casadi")
     results["machine"] |= {
@@ -253,7 +257,7 @@ def main() -> None:
             **rows[arm],
             **physics_steps(family),
             **env_steps(family),
-            **within_tolerance(f"FlexArm/{family}-Reach-v0", TOLERANCE),
+            **within_tolerance(f"FlexArm/{family}-Reach-v0", TOLERANCE, most_links),
             **compile_seconds(arm),
         }
     text = table(results)
@@ -267,7 +271,7 @@ def table(results: dict[str, Any]) -> str:
     peak = machine["peak, one core [GFLOP/s]"]
     lines = [
         "# Speed\n",
-        f"Made by `python benchmarks/speed.py`: medians of {RUNS} runs, and in brackets the best "
+        f"Made by `{results['command']}`: medians of {RUNS} runs, and in brackets the best "
         f"of them, all on {machine['cores']} cores ({machine['processor']}) whose peak in float64, "
         "of fused multiply-adds that need nothing from memory, was "
         f"{peak['median']:.0f} ({peak['best']:.0f}) GFLOP/s each. Where median and best differ "
