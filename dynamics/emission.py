@@ -199,8 +199,8 @@ def _lay_out_stack(builder: ir.IRBuilder, data: ir.Value) -> None:
     The platform aligns the stack to 16 bytes only: in half of all processes, by chance, every other
     vector would lie across two lines of the cache. And LLVM would address it from the stack
     pointer, for which x86 takes a byte more than from any other register, in every second
-    instruction of a long function, whose time goes into fetching them. An allocation whose size
-    (none) is known only when the function runs makes it take another register.
+    instruction of a long function. An allocation whose size (none) is known only when the function
+    runs makes it take another register.
     """
     builder.function.attributes.alignstack = CACHE_LINE
     none = builder.and_(builder.ptrtoint(data, _WORD), _WORD(1))
