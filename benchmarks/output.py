@@ -8,6 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from llvmlite.binding import get_host_cpu_name
+
 from agents.runs import revision
 
 
@@ -22,11 +24,12 @@ def provenance(*packages: str) -> dict[str, Any]:
 
 
 def processor() -> str:
-    """The processor's name where the system tells, else its kind."""
+    """The processor's name where the system tells, else its kind; what code is compiled for."""
     told = Path("/proc/cpuinfo")  # Linux
     lines = told.read_text(encoding="utf-8").splitlines() if told.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return next(iter(names), platform.processor() or platform.machine())
+    name = next(iter(names), platform.processor() or platform.machine())
+    return f"{name}, {get_host_cpu_name()}"
 
 
 def save_results(results: dict[str, Any], text: str, path: Path) -> None:
