@@ -35,6 +35,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.observation_space = observation_space(self.core.layout)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_joint,), np.float32)
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
+        self._several = self.core.arm.n_joint > 1
         self._seeded = False
         self._renderer: Any = None
 
@@ -82,6 +83,8 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step."""
         try:
+            if self._several and len(action) != self._action.size:  # one number would do for all
+                raise ValueError
             self._action[...] = action
         except (TypeError, ValueError):
             raise ValueError(

@@ -175,12 +175,16 @@ def test_bad_options_get_a_sentence(options: dict[str, Any], sentence: str) -> N
         env.reset(options=options)
 
 
-@pytest.mark.parametrize("action", [[np.nan], [0.1, 0.2], "left", None])
-def test_bad_actions_get_a_sentence_and_change_nothing(action: Any) -> None:
-    env = gym.make("FlexArm/OneLink-Reach-v0").unwrapped
-    env.reset(seed=0)
-    reference = gym.make("FlexArm/OneLink-Reach-v0").unwrapped
-    reference.reset(seed=0)
+@pytest.mark.parametrize(
+    ("family", "action"),
+    [("OneLink", bad) for bad in ([np.nan], [0.1, 0.2], "left", None)]
+    + [("TwoLink", bad) for bad in (0.1, [0.1], [[0.1, 0.2]], [[0.1], [0.2]], [0.1, np.nan])],
+)
+def test_bad_actions_get_a_sentence_and_change_nothing(family: str, action: Any) -> None:
+    env, reference = (gym.make(f"FlexArm/{family}-Reach-v0").unwrapped for _ in range(2))
+    for each in (env, reference):
+        each.reset(seed=0)
     with pytest.raises(ValueError, match="ction"):
         env.step(action)
-    np.testing.assert_array_equal(env.step(np.ones(1))[0], reference.step(np.ones(1))[0])
+    good = np.ones(env.action_space.shape)
+    np.testing.assert_array_equal(env.step(good)[0], reference.step(good)[0])
