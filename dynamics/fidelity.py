@@ -100,12 +100,12 @@ class Fidelity:
     def __str__(self) -> str:
         if self.rigid:
             return "rigid links"
-        kept = [
-            f"link {i}: {_named(counts, segments)}"
-            for i, (counts, segments) in enumerate(zip(self.counts, self.segments, strict=True), 1)
-        ]
+        alike: dict[str, list[int]] = {}
+        for i, kept in enumerate(zip(self.counts, self.segments, strict=True), 1):
+            alike.setdefault(_named(*kept), []).append(i)
+        texts = [f"{_listed(links)}: {kept}" for kept, links in alike.items()]
         shapes = ", polynomial" if self.polynomial else ""
-        return "; ".join(kept) + shapes + (", foreshortened" if self.foreshortening else "")
+        return "; ".join(texts) + shapes + (", foreshortened" if self.foreshortening else "")
 
 
 def viscous_links(arm: Arm) -> tuple[Link, ...]:
@@ -165,6 +165,15 @@ def _named(counts: Counts, segments: int) -> str:
         return "rigid"
     modes = " + ".join(f"{n} {d}" for n, d in zip(counts, DIRECTIONS, strict=True) if n)
     return f"{segments} x ({modes})" if segments > 1 else modes
+
+
+def _listed(links: list[int]) -> str:
+    """As "link 2", "links 1, 2" or "links 1 to 4, 6"."""
+    starts = [i for i in links if i - 1 not in links]
+    ends = [i for i in links if i + 1 not in links]
+    runs = zip(starts, ends, strict=True)
+    texts = [f"{a} to {b}" if b > a + 1 else ", ".join(map(str, range(a, b + 1))) for a, b in runs]
+    return f"link{'s' * (len(links) > 1)} {', '.join(texts)}"
 
 
 def _set(values: tuple[int, ...], place: int, value: int) -> tuple[int, ...]:

@@ -152,6 +152,26 @@ def test_rungs_say_what_is_wrong_with_them() -> None:
     assert chosen("fast spin").ladder[0].nonlinear == np.inf
 
 
+@pytest.mark.parametrize(
+    ("counts", "segments", "text"),
+    [
+        ([(0, 0, 0)] * 2, [1, 1], "rigid links"),
+        ([(2, 0, 0)], [1], "link 1: 2 y"),
+        ([(1, 1, 0)] * 3, [1, 1, 1], "links 1 to 3: 1 y + 1 z"),
+        ([(1, 0, 0)] * 2, [1, 2], "link 1: 1 y; link 2: 2 x (1 y)"),
+        (
+            [(1, 0, 0), (0, 0, 1), *3 * [(1, 0, 0)], (0, 0, 0), (1, 0, 0), (1, 0, 0)],
+            [1] * 8,
+            "links 1, 3 to 5, 7, 8: 1 y; link 2: 1 x; link 6: rigid",
+        ),
+    ],
+)
+def test_a_model_is_named_with_equal_links_together(
+    counts: list[Any], segments: list[int], text: str
+) -> None:
+    assert str(Fidelity(counts=tuple(counts), segments=tuple(segments))) == text
+
+
 def test_a_choice_is_deterministic_and_tells_what_it_measures(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
