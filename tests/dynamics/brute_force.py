@@ -80,17 +80,25 @@ def inertial_forces(arm: Arm, q: Array, v: Array, a: Array) -> Array:
     ) / (2.0 * np.diag(steps))
 
 
-def implicit_accelerations(
+def imbalance(M: Array, a: Array | list[float], load: Array) -> float:
+    """Largest error of M a = load in a row, as a share of all that is added up there [-].
+
+    A solution of its own would depend on M's condition, and on the machine's way to solve.
+    """
+    return float(np.max(np.abs(M @ a - load) / (np.abs(M) @ np.abs(a) + np.abs(load))))
+
+
+def augmented(
     arm: Arm, M: Array, load: Array, guess: Array, s: float, d: float
-) -> Array:
-    """Solution of (M + W) a = load + W guess, W = s K + d C of all that is linear in q and v."""
+) -> tuple[Array, Array]:
+    """M + W and load + W guess, W = s K + d C of all that is linear in q and v."""
     smooth = [replace(link, joint=replace(link.joint, coulomb=0.0)) for link in arm.links]
     linear, none = replace(arm, links=tuple(smooth)), np.zeros(arm.n)
     units = np.eye(arm.n)
     K = np.array([resisting_forces(linear, e, none) for e in units]).T
     C = np.array([resisting_forces(linear, none, e) for e in units]).T
     W = s * K + d * C
-    return np.linalg.solve(M + W, load + W @ guess)
+    return M + W, load + W @ guess
 
 
 def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:

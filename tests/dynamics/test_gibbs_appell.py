@@ -89,8 +89,7 @@ def test_elimination_solves_the_composite_equations(case: tuple[int, int, int]) 
 
     a = accelerations(arm, q, v, tau)
 
-    expected = np.linalg.solve(M, torque_matrix(arm) @ tau - h)
-    assert_allclose(a, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())
+    assert brute_force.imbalance(M, a, torque_matrix(arm) @ tau - h) < 1e-13
 
 
 @any_arm
@@ -106,8 +105,8 @@ def test_implicit_elimination_solves_the_augmented_equations(case: tuple[int, in
     a = elimination.accelerations(compiled(arm).chain, floats(q), floats(v), floats(tau), implicit)
 
     load = torque_matrix(arm) @ tau - h
-    expected = brute_force.implicit_accelerations(arm, M, load, guess, s, d)
-    assert_allclose(a, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())
+    M, load = brute_force.augmented(arm, M, load, guess, s, d)
+    assert brute_force.imbalance(M, a, load) < 1e-13
 
 
 @some_arm
