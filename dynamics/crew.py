@@ -16,6 +16,14 @@ from dynamics.sharing import LINE, LOOKS, watch
 T = TypeVar("T")
 GIVEN, DONE = 0, LINE  # where a post holds numbers of tasks
 NAP = 1e-4  # [s]
+OPERATIONS_PER_SECOND = 1.5e10  # of one thread, roughly
+WORTH_A_THREAD = 5e-5  # [s] of work, of which dividing it takes a fifth
+
+
+def worth(threads: int, blocks: int, operations: float) -> int:
+    """How many threads a call is worth that does so many operations on so many blocks of rows."""
+    work = operations / OPERATIONS_PER_SECOND  # [s]
+    return max(1, min(threads, blocks, int(work / WORTH_A_THREAD)))
 
 
 class Crew:

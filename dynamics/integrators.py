@@ -87,31 +87,39 @@ class Integrator:
     start: Callable[..., None]
     order: int
     limit: float  # largest omega h on an undamped mode
+    per_step: int = 1  # evaluations of the accelerations
+    per_call: int = 0  # those before the first step
     implicit: bool = False  # needs the graph with stiffness and damping in the mass matrix
     aid: str = "none"  # what it needs beside `evaluate`: "modes" of the arm, or its "jacobian"
     scratch: Callable[[int], int] = lambda n: 4 * n  # values per lane at `s`
     kept: Callable[[int], int] = lambda n: 0  # how many of them, the first, outlive a step
     prepare: Callable[..., None] = prepare_nothing
 
+    def evaluations(self, steps: int) -> int:
+        """Of a call of so many steps."""
+        return self.per_step * steps + self.per_call
+
 
 ALWAYS = float("inf")
 INTEGRATORS = {
-    "rk4": Integrator(rk4, start_nothing, order=4, limit=2.828),
-    "midpoint": Integrator(midpoint, start_midpoint, order=2, implicit=True, limit=ALWAYS),
+    "rk4": Integrator(rk4, start_nothing, order=4, limit=2.828, per_step=4),
+    "midpoint": Integrator(
+        midpoint, start_midpoint, order=2, implicit=True, limit=ALWAYS, per_call=1
+    ),
     "numerov": Integrator(
-        numerov, start_numerov, order=4, implicit=True, limit=2.449,
+        numerov, start_numerov, order=4, implicit=True, limit=2.449, per_call=2,
         scratch=lambda n: 5 * n, kept=lambda n: 5 * n,
     ),
     "generalized-alpha": Integrator(
         generalized_alpha, start_generalized_alpha, order=2, implicit=True, limit=ALWAYS,
-        kept=lambda n: n,
+        per_call=2, kept=lambda n: n,
     ),
     "exponential": Integrator(
-        exponential, start_exponential, order=2, limit=ALWAYS, aid="modes",
+        exponential, start_exponential, order=2, limit=ALWAYS, per_call=1, aid="modes",
         scratch=lambda n: 11 * n, kept=lambda n: 11 * n, prepare=prepare_exponential,
     ),
     "rosenbrock": Integrator(
-        rosenbrock, start_nothing, order=4, limit=ALWAYS, aid="jacobian",
+        rosenbrock, start_nothing, order=4, limit=ALWAYS, per_step=3, aid="jacobian",
         scratch=lambda n: 10 * n + 3 * n * n,
     ),
     "euler": Integrator(euler, start_nothing, order=1, limit=2.0),

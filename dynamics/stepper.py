@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dynamics.crew import Crew
+from dynamics.crew import Crew, worth
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
 from dynamics.sharing import turns
@@ -22,7 +22,7 @@ class Stepper:
     dt : [s] integration step.
     substeps : steps per call of `advance`, under constant torque.
     integrator : a name in `dynamics.integrators.INTEGRATORS`.
-    threads : worker threads. Worth it above about 100 us of work per call.
+    threads : worker threads at most; a batch with too little work for them takes fewer.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Stepper:
         if not (np.isfinite(dt) and dt > 0.0):
             raise ValueError(f"dt must be positive and finite, got {dt!r}. Unit: [s].")
         self.model, self.n_env, self.integrator = model, int(n_env), integrator
-        self.dt, self.substeps, self.threads = float(dt), int(substeps), int(threads)
+        self.dt, self.substeps = float(dt), int(substeps)
         self.q = np.zeros((n_env, model.n))
         self.v = np.zeros((n_env, model.n))
         self.torque = np.zeros((n_env, model.n_joint))
@@ -60,7 +60,9 @@ class Stepper:
         self.status = np.zeros(n_env, dtype=np.int64)
         self.measured = np.zeros((n_env, model.n_measure))
         self._program = model.program(1 if n_env == 1 else model.lanes, integrator)
-        self.threads = min(self.threads, -(-self.n_env // model.lanes))
+        evaluations = INTEGRATORS[integrator].evaluations(self.substeps)
+        operations = self.n_env * evaluations * int(self._program.OPERATIONS)
+        self.threads = worth(int(threads), -(-self.n_env // model.lanes), operations)
         self._turns = turns(self.n_env, model.lanes, self.threads)
         self._rows = self._turns.copy()
         self._w = [model.workspace(self._program) for _ in range(self.threads)]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import Arm, checks, load_arm
-from dynamics.crew import Crew
+from dynamics.crew import Crew, worth
 from dynamics.integrators import INTEGRATORS
 from dynamics.kernels import direct
 from dynamics.model import Model, compile_arm
@@ -28,7 +28,6 @@ from flexarm_env.physics import (
     DEFLECTION_LIMIT,
     MOVE,
     SLOPE_PER_DEFLECTION,
-    WORK,
     integration,
     physics,
 )
@@ -38,8 +37,6 @@ from flexarm_env.tasks import find_task
 
 Array = NDArray[np.float64]
 FASTEST = 1e12  # [rad/s] of a joint without a limit
-OPERATIONS_PER_SECOND = 1.5e10  # of one thread, roughly
-WORTH_A_THREAD = 5e-5  # [s] of work, of which dividing it takes a fifth
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm
 
 
@@ -245,8 +242,7 @@ class Core:
         self.streams = np.zeros(n_env, dtype=np.int64)
         self.q, self.v = self.state[rows["q"], :n_env].T, self.state[rows["v"], :n_env].T
         self.parameters = self.state[rows["free"], :n_env].T
-        work = n_env * self._operations() / OPERATIONS_PER_SECOND  # [s]
-        threads = max(1, min(self.threads, blocks, int(work / WORTH_A_THREAD)))
+        threads = worth(self.threads, blocks, n_env * self._operations())
         self.turns = turns(n_env, lanes, threads)
         self.workspaces = [self._workspace() for _ in range(threads)]
         self._no_actions = np.zeros((0, self.arm.n_joint), np.float32)
@@ -254,9 +250,8 @@ class Core:
 
     def _operations(self) -> int:
         """How many a control step of one environment takes, but for the method's own."""
-        per_step, per_call = WORK.get(self.integrator, WORK["rk4"])
-        program, evaluations = self._program, per_step * self.substeps + per_call
-        return int(evaluations * program.OPERATIONS + program.FURTHER_OPERATIONS)
+        evaluations = INTEGRATORS[self.integrator].evaluations(self.substeps)
+        return int(evaluations * self._program.OPERATIONS + self._program.FURTHER_OPERATIONS)
 
     def _workspace(self) -> Array:
         w = self.model.workspace(self._program)

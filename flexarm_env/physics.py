@@ -29,8 +29,6 @@ RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexib
 SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequency
 SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # by order: dt omega of the first joint-free mode, which moves
 # excite and a step must follow to 1e-3 of the reach
-# evaluations per step, per call
-WORK = {"rk4": (4, 0), "midpoint": (1, 1), "numerov": (1, 2), "exponential": (1, 1)}
 BY_RULE = ("rk4", "midpoint")  # SMOOTH is not enough for Numerov's method: it has to be measured
 _UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not reach
 _SAMPLES = 200  # per period of the first joint-free mode
@@ -177,9 +175,6 @@ def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> t
         stable = found.fastest / (SAFE * method.limit)
         return max(1, math.ceil(control_dt * max(stable, first / SMOOTH[method.order]) - 1e-9))
 
-    def cost(name: str) -> int:
-        per_step, per_call = WORK[name]
-        return per_step * steps(name) + per_call
-
-    chosen = min(BY_RULE, key=cost) if integrator is None else integrator
-    return chosen, steps(chosen)
+    known = BY_RULE if integrator is None else (integrator,)
+    counts = {name: steps(name) for name in known}
+    return min(counts.items(), key=lambda item: INTEGRATORS[item[0]].evaluations(item[1]))

@@ -256,6 +256,21 @@ def test_an_exponential_step_of_any_length_is_exact_for_small_motions() -> None:
     assert error < 1e-3 * np.abs(ends["dop853"]).max()
 
 
+@pytest.mark.parametrize("name", INTEGRATORS)
+def test_a_method_evaluates_as_often_as_it_says(name: str) -> None:
+    """On a workspace of one coordinate whose accelerations are never anything but zero."""
+    method, calls = INTEGRATORS[name], []
+    aid = {"none": None, "modes": np.ones((1, 4)), "jacobian": lambda w: None}[method.aid]
+    w = np.zeros(64)
+    w[:2] = 1.0
+    method.prepare(w, 0.1, 1, 1, 8, aid)
+    method.start(w, 0.1, calls.append, 1, 1, 0, 1, 2, 3, 8, aid)
+    for _ in range(3):
+        method.step(w, 0.1, calls.append, 1, 1, 0, 1, 2, 3, 8, aid)
+
+    assert len(calls) == method.evaluations(3)
+
+
 def test_a_step_beyond_the_stability_limit_is_refused_with_the_limit() -> None:
     limit = INTEGRATORS["rk4"].limit / STIFFEST
 

@@ -1,5 +1,7 @@
 """A batch is nothing but its environments."""
 
+import itertools
+import math
 import pickle
 import re
 from dataclasses import replace
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from dynamics import Arm, Model, Payload, Stepper, compile_arm
+from dynamics import Arm, Model, Payload, Stepper, compile_arm, crew
 from dynamics.integrators import INTEGRATORS
 from dynamics.kernels import LANES
 from dynamics.modes import curvature
@@ -76,11 +78,29 @@ def test_float32_is_float64_to_single_precision(
 
 @pytest.mark.parametrize("threads", [2, 3, 64])
 def test_an_environment_does_not_depend_on_threads(
-    hundred: np.ndarray, integrator: str, threads: int
+    hundred: np.ndarray, integrator: str, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bit for bit, also with more threads than blocks."""
+    """Bit for bit, also with more threads than blocks; so few would be left to one thread."""
+    monkeypatch.setattr(crew, "WORTH_A_THREAD", 1e-9)
     stepper = batch(compiled(ARM), 100, integrator=integrator, threads=threads)
+    assert stepper.threads == min(threads, math.ceil(100 / LANES))
     assert np.array_equal(results(stepper), hundred)
+
+
+def test_threads_are_taken_for_as_much_work_as_they_are_worth() -> None:
+    """Which grows with the batch, its substeps and what a method evaluates."""
+    least = next(n for n in itertools.count(1) if threads_of(n) > 1)
+
+    assert LANES < least < 10_000
+    assert threads_of(100 * least) == 4
+    assert threads_of(math.ceil(least / 4), substeps=4) > 1
+    assert threads_of(math.ceil(least / 4), integrator="rk4") > 1
+
+
+def threads_of(n_env: int, substeps: int = 1, integrator: str = "euler") -> int:
+    model = compiled(ARM)
+    stepper = Stepper(model, n_env, dt=1e-4, substeps=substeps, integrator=integrator, threads=4)
+    return stepper.threads
 
 
 @pytest.mark.parametrize("shift", [1, 7, LANES])
