@@ -12,6 +12,7 @@ from dynamics.modes import LinkConstants
 
 Array = NDArray[np.float64]
 ELASTIC = 1e-9  # of the largest squared frequency: what is less belongs to a free joint
+NOISE = 1e-13  # of the most that a share can be: what is less is round-off, and costs operations
 
 
 def inertia(chain: Chain, q: Array) -> Array:
@@ -86,4 +87,6 @@ def frozen_modes(chain: Chain) -> Array:
     elastic = squares > ELASTIC * squares.max(initial=0.0)
     decays = np.einsum("ik,ij,jk->k", S, damping(chain), S)
     numbers = np.column_stack([squares, decays]) * elastic[:, None]
-    return np.hstack([numbers, S.T @ M, S.T])
+    most = np.sqrt(np.diag(M)), np.linalg.norm(S, axis=1)  # as S' M S = 1
+    shares = zip((S.T @ M, S.T), most, strict=True)
+    return np.hstack([numbers, *(x * (np.abs(x) > NOISE * size) for x, size in shares)])

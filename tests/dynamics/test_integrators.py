@@ -239,6 +239,8 @@ def test_frozen_modes_are_all_of_the_straight_arm() -> None:
     assert free.sum() == 2
     assert np.all(decays[free] == 0.0)
     assert np.all(decays[~free] > 0.0)
+    assert np.all(L[~free][:, list(model.arm.joint_index)] == 0.0)  # they balance free joints
+    assert np.all(S[1:3, free] == 0.0)  # and free joints bend nothing
 
 
 def test_an_exponential_step_of_any_length_is_exact_for_small_motions() -> None:
