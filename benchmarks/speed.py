@@ -78,6 +78,12 @@ def timed_in_turn(calls: Mapping[str, Callable[[], Any]]) -> dict[str, Timing]:
     return {name: Timing(statistics.median(found), min(found)) for name, found in times.items()}
 
 
+def rates(calls: Mapping[str, tuple[Callable[[], Any], float]]) -> dict[str, dict[str, float]]:
+    """Amounts per second of calls that do so much each, timed in turn."""
+    found = timed_in_turn({name: call for name, (call, _) in calls.items()})
+    return {name: found[name].per(amount) for name, (_, amount) in calls.items()}
+
+
 def _seconds(call: Callable[[], Any], times: int) -> float:
     begin = time.perf_counter()
     for _ in range(times):
@@ -109,26 +115,26 @@ def multiply_adds(width: int) -> tuple[Callable[[], Any], float]:
 
 def right_hand_sides() -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
     """The peak [FLOP/s] of one core; by arm, ns per environment and share of the peak."""
-    peaks = {f"peak of {width}": multiply_adds(width) for width in WIDTHS}
-    calls, often = {name: call for name, (call, _) in peaks.items()}, 1000
-    for arm, (name, lanes) in itertools.product(DEFAULT_ARMS.values(), LANES_OF.items()):
-        model = compile_arm(arm)
-        program = model.program(lanes, "rk4")
-        calls[arm + name] = partial(program.evaluate_often, model.workspace(program), often)
-    found = timed_in_turn(calls)
-    rates = [found[name].per(amount) for name, (_, amount) in peaks.items()]
-    peak, rows = max(rates, key=lambda rate: rate["median"]), {}
+    peaks = {f"{width} numbers": multiply_adds(width) for width in WIDTHS}
+    calls, counts, often = dict(peaks), dict[str, int](), 1000
     for arm in DEFAULT_ARMS.values():
-        count = compile_arm(arm).operation_count()["accelerations"]
-        flops = count["multiplications"] + count["additions"] + count["divisions"]
-        row: dict[str, Any] = {"operations": flops}
+        model = compile_arm(arm)
+        count = model.operation_count()["accelerations"]
+        counts[arm] = count["multiplications"] + count["additions"] + count["divisions"]
         for name, lanes in LANES_OF.items():
-            timing = found[arm + name]
-            row[f"rhs {name} [ns]"] = timing.each(1e-9 * often * lanes)
-            rate = timing.per(flops * often * lanes)
-            row[f"share of peak, {name}"] = {key: rate[key] / peak[key] for key in peak}
+            program = model.program(lanes, "rk4")
+            call = partial(program.evaluate_often, model.workspace(program), often)
+            calls[arm + name] = call, counts[arm] * often * lanes
+    found = rates(calls)
+    peak, rows = max((found[name] for name in peaks), key=lambda rate: rate["median"]), {}
+    for arm, operations in counts.items():
+        row: dict[str, Any] = {"operations": operations}
+        for name in LANES_OF:
+            rate = found[arm + name]
             if rate["best"] > peak["best"]:
                 raise RuntimeError(f"{arm}, {name}, ran faster than what was measured as the peak.")
+            row[f"rhs {name} [ns]"] = {key: 1e9 * operations / x for key, x in rate.items()}
+            row[f"share of peak, {name}"] = {key: x / peak[key] for key, x in rate.items()}
         rows[arm] = row
     return peak, rows
 
@@ -152,13 +158,13 @@ def compile_seconds(arm: str) -> dict[str, dict[str, float]]:
 
 
 def env_steps(family: str) -> dict[str, Any]:
-    """Environment steps per second: gym.make, the native batch, and the physics alone."""
+    """Environment steps per second of gym.make and of the native batch."""
     env_id = f"FlexArm/{family}-Reach-v0"
     env = gym.make(env_id)
     env.reset(seed=0)
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1.0, 1.0, (256, *env.action_space.shape)).astype(np.float32)  # type: ignore[misc]
-    row: dict[str, Any] = {}
+    calls: dict[str, tuple[Callable[[], Any], float]] = {}
 
     def episode(env: gym.Env[Any, Any]) -> None:
         for action in actions:
@@ -166,18 +172,15 @@ def env_steps(family: str) -> dict[str, Any]:
             if terminated or truncated:
                 env.reset()
 
-    row["single gym.make [steps/s]"] = timed(lambda: episode(env)).per(len(actions))
-    bare = env.unwrapped
-    row["single unwrapped [steps/s]"] = timed(lambda: episode(bare)).per(len(actions))
+    for name, single in (("gym.make", env), ("unwrapped", env.unwrapped)):
+        calls[f"single {name} [steps/s]"] = partial(episode, single), len(actions)
     for size, threads, dtype in itertools.product(BATCHES, (1, 2), ("float64", "float32")):
         batch = gym.make_vec(env_id, num_envs=size, threads=threads, dtype=dtype)
         batch.reset(seed=0)
         many = rng.uniform(-1.0, 1.0, (size, actions.shape[1])).astype(np.float32)
         name = f"batch of {size}, {threads} thread{'s' * (threads > 1)}, {dtype} [steps/s]"
-        row[name] = timed(partial(batch.step, many)).per(size)
-        batch.close()
-    row["vector interface [us/call]"] = interface_microseconds(env_id)
-    return row
+        calls[name] = partial(batch.step, many), size
+    return rates(calls) | {"vector interface [us/call]": interface_microseconds(env_id)}
 
 
 def interface_microseconds(env_id: str) -> dict[str, float]:
@@ -227,15 +230,15 @@ def physics_steps(family: str) -> dict[str, Any]:
     """Control steps per second of the stepper alone, as the environment configures it."""
     bare: Any = gym.make(f"FlexArm/{family}-Reach-v0").unwrapped
     core = bare.core
-    row = {}
+    calls = {}
     for threads in (1, 2):
         stepper = Stepper(
             core.model, BATCHES[-1], dt=core.control_dt / core.substeps, substeps=core.substeps,
             integrator=core.integrator, threads=threads,
         )  # fmt: skip
         name = f"physics, batch of {BATCHES[-1]}, {threads} thread{'s' * (threads > 1)} [steps/s]"
-        row[name] = timed(stepper.advance).per(BATCHES[-1])
-    return row
+        calls[name] = stepper.advance, BATCHES[-1]
+    return rates(calls)
 
 
 def main() -> None:

@@ -9,32 +9,38 @@ vectors of all lanes is a hundred times faster and certain, and LLVM fits them t
 import ast
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any, cast
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import config, types
 from numba.core.cgutils import for_range, unpack_tuple
+from numba.core.codegen import get_host_cpu_features
 from numba.extending import intrinsic
 
 from dynamics.kernels import CACHE_LINE
 
 PIECE = 8000  # statements of one function: twice as many take more than twice the time to compile
 LONG = 700  # statements: fewer, on numbers and not on vectors, leave little on the stack
+# All lanes of a value fill several vector registers, as many chains for a processor to work on at a
+# time. A long function has chains of its own, and rather keeps more values: one register each. By
+# bytes of a register, from how many statements on; AVX2 has 16 of them, AVX-512 twice as many.
+NARROW = {32: 1100, 64: 5000}
+NARROW_LOOSE = {32: 0, 64: 400}
 _WORD = ir.IntType(64)
 _BYTES = ir.IntType(8).as_pointer()
 _FETCH, _TO_WRITE = "llvm.prefetch.p0i8", (1, 3, 1)  # to write, into the nearest cache, data
 _FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive to be seen
 
 
-def straight_line(name: str, lanes: int, rounds: int, text: str) -> Any:
+def straight_line(name: str, lanes: int, text: str, loose: bool = False) -> Any:
     """A function `name(w)` of these statements for this many lanes, for njit's to call.
 
-    In several rounds, each for its share of the lanes, fewer numbers are on the way at a time: good
-    for a function that has many numbers, or few operations on each.
+    A long one goes through the lanes in rounds of one vector register, so that fewer numbers are on
+    the way at a time; a `loose` one, which does little with each of many, sooner.
     """
-    width = -(-lanes // rounds)
+    length = text.count("\n")
 
     @intrinsic
     def call(typingctx, w):  # type: ignore[no-untyped-def]
@@ -46,8 +52,12 @@ def straight_line(name: str, lanes: int, rounds: int, text: str) -> Any:
         return types.void(w), codegen
 
     def body(builder: ir.IRBuilder, data: ir.Value) -> None:
-        if lanes > 1 or text.count("\n") > LONG:
+        if lanes > 1 or length > LONG:
             _lay_out_stack(builder, data)
+        size = 4 if isinstance(data.type.pointee, ir.FloatType) else 8
+        register = _register()
+        least = (NARROW_LOOSE if loose else NARROW)[register]
+        width = lanes if length < least else min(lanes, register // size)
         pieces = _pieces(text)
         places = 1 + max((at for piece in pieces for at in piece.left.values()), default=-1)
         passed = builder.alloca(_vector(data.type.pointee, width), _WORD(places))
@@ -61,6 +71,14 @@ def straight_line(name: str, lanes: int, rounds: int, text: str) -> Any:
                 builder.call(_once(builder.module, f"{name}_piece_{k}", given, emit), given)
 
     return call
+
+
+@cache
+def _register() -> int:
+    """Bytes of a vector register of the processor that numba compiles for."""
+    told = config.CPU_FEATURES
+    features = get_host_cpu_features() if told is None else told
+    return 64 if "+avx512f" in features.split(",") else 32
 
 
 def lane_moves(lanes: int) -> tuple[Any, Any, Any]:

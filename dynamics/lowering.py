@@ -10,7 +10,6 @@ CasADi; a changed recursion has another hash, so it cannot run stale.
 
 import hashlib
 import importlib.util
-import math
 import os
 import sys
 import tempfile
@@ -38,12 +37,6 @@ _COS = (
 )  # fmt: skip
 _PI = (3.1415926534682512, 1.2154201012607932e-10, 4.044532497591901e-21)  # pi in three parts
 _TANH_SATURATES = 20.0  # tanh(20) = 1 - 8e-18
-
-
-# In one round a value of all lanes fills four vector registers of AVX2, four chains for a processor
-# to work on at a time. A long function has chains of its own, and rather keeps more values: in four
-# rounds it is a tenth faster, and compiles two to three times as fast.
-ROUNDS = {1: 700, 4: math.inf}  # rounds -> statements below which they are enough
 
 
 class Code:
@@ -230,16 +223,14 @@ def render_function(
     graph: Any,
     inputs: Sequence[int],
     output: int | Sequence[int],
-    rounds: int | None = None,
+    loose: bool = False,
 ) -> str:
     """Text of `name(w)`, which reads a graph's inputs and stores its output at these slots.
 
-    `output` is the first of adjoining slots, or the slot of every element; `rounds` as
-    `emission.straight_line` takes it, by default those of the function's length.
+    `output` is the first of adjoining slots, or the slot of every element; `loose` as
+    `emission.straight_line` takes it.
     """
     code, outputs = statements(graph, inputs)
-    if rounds is None:
-        rounds = next(k for k, length in ROUNDS.items() if len(code.statements) < length)
     slots = [output + i for i in range(len(outputs))] if isinstance(output, int) else output
     stores = _earliest_stores(code, outputs, slots)
     lines = []
@@ -249,12 +240,13 @@ def render_function(
         elif v not in code.names:
             lines.append(f"x{v} = {_TEXT[op].format(*(code.text(a) for a in args))}")
         lines += [f"w[{slot}] = {code.text(value)}" for slot, value in stores.get(v, ())]
-    return render_lines(name, lines, rounds)
+    return render_lines(name, lines, loose)
 
 
-def render_lines(name: str, lines: Sequence[str], rounds: int = 1) -> str:
+def render_lines(name: str, lines: Sequence[str], loose: bool = False) -> str:
     """Text of `name(w)`, of statements as emission.py knows them."""
-    return "\n".join([f'{name} = straight_line("{name}", LANES, {rounds}, """', *lines, '""")', ""])
+    end = '""", loose=True)' if loose else '""")'
+    return "\n".join([f'{name} = straight_line("{name}", LANES, """', *lines, end, ""])
 
 
 def render_check(state: Iterable[int], check: int, good: int) -> str:

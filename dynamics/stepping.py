@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from dynamics.model import Model
 
 LONGEST = 150_000  # operations of a Jacobian that compiles in about a minute
-ROUNDS = 4  # a vector register per number: a coordinate's operations hang together, loosely
 _LOOPS = """
 METHOD = INTEGRATORS[{0!r}]
 start_method, step_method = compiled(METHOD.start), compiled(METHOD.step)
@@ -126,7 +125,7 @@ class _Record:
             name = f"{self.name}_{len(self.functions)}"
             outputs = [ca.cse(ca.vertcat(*self.written.values()))]
             graph = ca.Function(name, list(self.read.values()), outputs)
-            text = render_function(name, graph, list(self.read), list(self.written), ROUNDS)
+            text = render_function(name, graph, list(self.read), list(self.written), loose=True)
             self.functions.append(text)
             self.calls.append(f"{name}(w)")
         self._begin()

@@ -1,6 +1,7 @@
 """Vector code that no expression graph writes: lanes between a workspace and other arrays."""
 
 import platform
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -94,22 +95,23 @@ def long(w):
 """
 
 
-@pytest.mark.parametrize(("lanes", "rounds"), [(1, 4), (LANES, 1), (LANES, 4)])
+@pytest.mark.parametrize(("lanes", "register"), [(1, 32), (LANES, 32), (LANES, 64)])
 @pytest.mark.parametrize("piece", [1, 7, 1000])
 def test_pieces_of_a_function_are_the_function(
-    lanes: int, rounds: int, piece: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    lanes: int, register: int, piece: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Values pass from piece to piece, through places that others had before; names may recur."""
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
     monkeypatch.setattr(emission, "PIECE", piece)
+    monkeypatch.setattr(emission, "_register", lambda: register)
     rng = np.random.default_rng(0)
     lines = ["x0 = w[0]", "x1 = w[1]", "s = x0 * x1"]
     for k in range(2, 60):
         i, j = rng.integers(max(0, k - 25), k, 2)
         lines += [f"x{k} = {rng.uniform():.3f} * x{i} + x{j}"] + ["s = s + x0"] * (k % 9 == 0)
     lines += ["w[2] = x59 + s", "w[0] = x58"]
-    text = LONG.format(lanes=lanes, inner=render_lines("inner", lines, rounds))
-    module = cached_module(f"long_{lanes}_{rounds}_{piece}", lambda: text)
+    text = LONG.format(lanes=lanes, inner=render_lines("inner", lines, loose=True))
+    module = cached_module(f"long_{lanes}_{register}_{piece}", lambda: text)
     w = rng.uniform(size=3 * lanes)
     rows = w.reshape(3, lanes).copy()
 
@@ -144,6 +146,46 @@ def test_what_waits_on_the_stack_begins_with_a_cache_line_and_has_a_register_of_
     (code,) = module.long.inspect_asm().values()
     assert ("andq\t$-64, %rsp" in code) == laid_out
     assert not laid_out or code.count("(%rsp)") < 40 < code.count("(%rbx)")  # few: the entry's own
+
+
+@pytest.mark.parametrize(
+    ("told", "size"),
+    [("+avx2,+avx512f", 64), ("+avx2,-avx512f", 32), ("", 32), (None, emission._register())],
+)
+def test_a_register_is_that_of_the_processor_compiled_for(
+    told: str | None, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(emission.config, "CPU_FEATURES", told)
+    assert emission._register.__wrapped__() == size
+
+
+@pytest.mark.parametrize(
+    ("numbers", "loose", "register", "rounds"),
+    [
+        (40, False, 32, 1),
+        (40, True, 32, 4),
+        (700, False, 32, 4),
+        (40, True, 64, 1),
+        (700, False, 64, 1),
+        (700, True, 64, 2),
+    ],
+)
+def test_long_and_loose_functions_go_through_their_lanes_in_rounds(
+    numbers: int, loose: bool, register: int, rounds: int,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Each multiplies a share of the lanes, as LLVM is told."""
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
+    monkeypatch.setattr(emission, "_register", lambda: register)
+    lines = [f"x{k} = w[{k}]" for k in range(numbers)]
+    lines += [f"w[{k}] = x{k} * x{numbers - 1 - k}" for k in range(numbers)]
+    text = LONG.format(lanes=LANES, inner=render_lines("inner", lines, loose))
+    module = cached_module(f"rounds_{numbers}_{loose}_{register}", lambda: text)
+    module.long(np.ones(numbers * LANES))
+
+    (code,) = module.long.inspect_llvm().values()
+    widths = re.findall(r"fmul [a-z ]*<(\d+) x double>", code)
+    assert set(widths) == {str(LANES // rounds)}
 
 
 AHEAD = """

@@ -31,7 +31,7 @@ def generated(integrator: str) -> dict[str, Callable[..., None]]:
     texts, marks = method_code(integrator, N, AT, MODES)
     marks = {"#evaluate": ["evaluate(w)"], **marks}
     names: dict[str, Any] = {
-        "straight_line": lambda name, lanes, rounds, text: lambda w: exec(text, {"w": w}),
+        "straight_line": lambda name, lanes, text, loose: lambda w: exec(text, {"w": w}),
         "evaluate": evaluate,
         "compiled": lambda function: function,
         "INTEGRATORS": INTEGRATORS,
