@@ -27,7 +27,7 @@ import numpy as np
 
 from dynamics import ARMS, Stepper, compile_arm
 from dynamics.kernels import LANES
-from dynamics.lowering import cached_module, render_lines
+from dynamics.lowering import cached_module, fingerprint, render_lines
 from dynamics.sharing import STOP
 from flexarm_env import FlexArmVectorEnv
 from flexarm_env.certificates import kept
@@ -107,7 +107,7 @@ def multiply_adds(width: int) -> tuple[Callable[[], Any], float]:
         "    for _ in range(times):",
         "        rounds(w)",
     ])  # fmt: skip
-    module = cached_module(f"peak_{CHAINS}_{width}_{ROUNDS}", lambda: text)
+    module = cached_module(fingerprint("peak", text), lambda: text)
     w = np.full((2 + CHAINS) * width, 0.5)
     times = 2000
     return lambda: module.often(w, times), 2.0 * CHAINS * ROUNDS * width * times
