@@ -3,16 +3,15 @@
 The source is straight-line code on one workspace `w` of slots, each as many numbers wide as there
 are lanes, as text, which emission.py turns into vector code across environments.
 
-Sources are files in the user's cache folder, named by a hash of all that determines them, because
-numba caches functions that live in files and no others. A warm start neither traces nor imports
-CasADi; a changed recursion has another hash, so it cannot run stale.
+Sources are files in the user's cache folder, named by a hash of all that determines them: a warm
+start neither traces nor imports CasADi, and a changed recursion has another hash, so that it cannot
+run stale.
 """
 
 import hashlib
-import importlib.util
-import os
+import math
 import sys
-import tempfile
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +20,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import platformdirs
+from dynamics import cache
+from dynamics.kernels import DIGEST
 
 Statement = tuple[str, tuple[int, ...]]  # operation, operand numbers
 
@@ -57,6 +57,11 @@ class Code:
 
     def constant(self, value: float) -> int:
         """Number of a literal."""
+        if not math.isfinite(value):
+            raise ValueError(
+                f"The arm's equations hold a number that is not finite ({value!r}): its lengths, "
+                "masses and stiffnesses are too far apart for double precision."
+            )
         number = self.emit(f"const {value!r}")
         self.names[number] = f"({value!r})" if value < 0.0 else repr(value)
         return number
@@ -281,10 +286,11 @@ def render_module(
 ) -> str:
     """The whole generated module; `constants` are slots, in it offsets of values.
 
-    `operations` are those of an evaluation of the accelerations, and of what was added.
+    `title` may be any text: a description's name is in it. `operations` are those of an evaluation of the accelerations, and of what was added.
     """
     head = [
-        f'"""Generated: {title}."""',
+        '"""Generated code of one arm; see dynamics/lowering.py."""',
+        f"TITLE = {ascii(title)}",  # no other text of a description becomes source
         "import numpy as np",
         "from dynamics.emission import lane_moves, row_moves, straight_line",
         "from dynamics.integrators import INTEGRATORS",
@@ -314,11 +320,6 @@ def expanded(text: str, marks: Mapping[str, Sequence[str]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def cache_folder() -> Path:
-    """Where generated sources and their compiled code live; FLEXARM_CACHE overrides it."""
-    return Path(os.environ.get("FLEXARM_CACHE") or platformdirs.user_cache_path("flexarm"))
-
-
 def hash_of_files(paths: Iterable[Path]) -> str:
     """Hash of what is in these files."""
     digest = hashlib.sha256()
@@ -326,6 +327,8 @@ def hash_of_files(paths: Iterable[Path]) -> str:
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
+
+_importing = threading.RLock()
 
 # as imported: a file edited later does not speak for the code in memory
 _SOURCES = hash_of_files(Path(__file__).parent.glob("*.py"))
@@ -346,26 +349,23 @@ def fingerprint(*parts: str) -> str:
 
 
 def cached_module(key: str, build: Callable[[], str]) -> ModuleType:
-    """Import the generated module of this key; `build` writes its text on a cold start."""
+    """The generated module of this key; `build` writes its text where the cache has none."""
     name = f"flexarm_generated_{key}"
-    if name in sys.modules:
+    with _importing:
+        if name not in sys.modules:
+            sys.modules[name] = _executed(name, cache.kept(f"{name}.py", build))
         return sys.modules[name]
-    path = cache_folder() / f"{name}.py"
-    if not path.exists():
-        write_whole(path, build())
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    sys.modules[name] = module
+
+
+def _executed(name: str, text: str) -> ModuleType:
+    """A module made of this very text, which was verified; Python's own cache of code was not."""
+    module = ModuleType(name)
+    module.__file__ = str(cache.cache_folder() / f"{name}.py")
+    module.__dict__[DIGEST] = hashlib.sha256(text.encode()).hexdigest()
+    sys.modules[name] = module  # numba looks there for the module of a function
+    try:
+        exec(compile(text, module.__file__, "exec"), module.__dict__)
+    except BaseException:
+        del sys.modules[name]
+        raise
     return module
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    with os.fdopen(handle, "w") as file:
-        file.write(text)
-    os.replace(temporary, path)

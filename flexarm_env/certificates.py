@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from dynamics import checks
+from dynamics import cache, checks
 from dynamics.arm import Arm
 from dynamics.arm_file import load_arm
 from dynamics.case import PiecewiseConstant, Torque
 from dynamics.choice import choose_model
 from dynamics.fidelity import everything, rigid
-from dynamics.lowering import cache_folder, fingerprint, write_whole
+from dynamics.lowering import fingerprint
 from dynamics.scene import JointMotion, Scene
 from flexarm_env.physics import physics
 
@@ -128,11 +128,10 @@ def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> 
 def _chosen(arm: Arm, control_dt: float, tolerance: float) -> Fitted:
     """What `choose_model` finds for the environment's motions; kept, since it may take minutes."""
     key = fingerprint("choice", json.dumps(arm.to_dict()), repr(control_dt), repr(tolerance))
-    path = cache_folder() / f"choice_{key}.json"
-    if path.exists():
-        found = json.loads(path.read_text(encoding="utf-8"))
-    else:
-        found = choose_model(arm, scene(arm, control_dt), tolerance).to_dict()
-        write_whole(path, json.dumps(found, indent=2))
+
+    def choose() -> str:
+        return json.dumps(choose_model(arm, scene(arm, control_dt), tolerance).to_dict(), indent=2)
+
+    found = json.loads(cache.kept(f"choice_{key}", choose))
     substeps = max(1, math.ceil(control_dt / found["dt"] - 1e-9))
     return Fitted(load_arm(found.pop("arm")), found["integrator"], substeps, found)
