@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import Arm, checks, load_arm
-from dynamics.arm_file import read_mapping
+from dynamics.data_file import read_mapping
 from dynamics.newton_euler import inverse_dynamics
 from dynamics.nominal import Cycloidal, NominalTorque
 

@@ -14,7 +14,7 @@ from dynamics.algebra import add, matvec
 from dynamics.kinematics import Frame, outward
 from dynamics.model import Model
 from dynamics.nominal import stiffened
-from dynamics.simulation import Trajectory
+from dynamics.trajectory import Trajectory
 
 RTOL = 1e-9
 DEGREE = np.pi / 180.0

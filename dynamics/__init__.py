@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from dynamics.choice import Choice, choose_model
     from dynamics.model import Model, compile_arm
     from dynamics.scene import JointMotion, Scene
-    from dynamics.simulation import Diverged, Trajectory, simulate
+    from dynamics.simulation import Diverged, simulate
     from dynamics.stepper import Stepper
+    from dynamics.trajectory import Trajectory
     from dynamics.validity import ValidityWarning, limits
 
 __all__ = [
@@ -29,7 +30,7 @@ __all__ = [
 _LATE = {  # these import numba: only when asked for
     "Model": "model", "compile_arm": "model", "Stepper": "stepper",
     "Choice": "choice", "choose_model": "choice", "JointMotion": "scene", "Scene": "scene",
-    "Diverged": "simulation", "Trajectory": "simulation", "simulate": "simulation",
+    "Diverged": "simulation", "Trajectory": "trajectory", "simulate": "simulation",
     "ValidityWarning": "validity", "limits": "validity",
 }  # fmt: skip
 

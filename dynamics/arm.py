@@ -18,6 +18,8 @@ ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # word in a fi
 # direction of a mode -> what resists it
 STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy", "axial": "EA"}
 MAX_INDEX = 50
+MOST_LINKS, MOST_MODES = 1000, 200  # of an arm; of a link
+MOST_COORDINATES = 1000  # of an arm: they compile in minutes
 BASE_NAMES = ("base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz")
 
 
@@ -102,7 +104,7 @@ class Link:
             damping_ratio=checks.nonnegative(self.damping_ratio, "Link.damping_ratio", "-"),
             damping_beta=checks.nonnegative(self.damping_beta, "Link.damping_beta", "s"),
             segments=checks.integer(self.segments, "Link.segments", 1, 1000),
-            modes=tuple(checks.sequence(self.modes, "Link.modes")),
+            modes=tuple(checks.sequence(self.modes, "Link.modes", MOST_MODES)),
         )
         for name in STIFFNESS.values():
             value = getattr(self, name)
@@ -119,8 +121,7 @@ class Link:
                 f"Link.damping_ratio ({self.damping_ratio!r}) and Link.damping_beta "
                 f"({self.damping_beta!r}) exclude each other; give one."
             )
-        if not isinstance(self.joint, Joint):
-            raise ValueError(f"Link.joint must be a Joint, got {self.joint!r}.")
+        checks.instance(self.joint, "Link.joint", Joint)
         self._check_body()
         self._check_modes()
 
@@ -132,8 +133,7 @@ class Link:
             )
         if self.body is None:
             return
-        if not isinstance(self.body, Body):
-            raise ValueError(f"Link.body must be a Body or None, got {self.body!r}.")
+        checks.instance(self.body, "Link.body", Body)
         if self.modes or self.segments > 1:
             raise ValueError(
                 f"Link.body is for a rigid link in one piece, got {len(self.modes)} modes and "
@@ -141,9 +141,8 @@ class Link:
             )
 
     def _check_modes(self) -> None:
-        for mode in self.modes:
-            if not isinstance(mode, Mode):
-                raise ValueError(f"Link.modes must hold Mode objects, got {mode!r}.")
+        for j, mode in enumerate(self.modes):
+            checks.instance(mode, f"Link.modes[{j}]", Mode)
             stiffness = getattr(self, STIFFNESS[mode.direction])
             if stiffness is None or not stiffness > 0.0:
                 raise ValueError(
@@ -277,20 +276,21 @@ class Arm:
     payload: Payload | None = None
 
     def __post_init__(self) -> None:
-        links = tuple(checks.sequence(self.links, "Arm.links"))
+        links: tuple[Any, ...] = tuple(checks.sequence(self.links, "Arm.links", MOST_LINKS))
         if not links and not (isinstance(self.base, Base) and self.base.n):
             raise ValueError("Arm.links must hold at least one link on a fixed base, got [].")
-        for link in links:
-            if not isinstance(link, Link):
-                raise ValueError(f"Arm.links must hold Link objects, got {link!r}.")
-        if not isinstance(self.foreshortening, bool):
+        for i, link in enumerate(links):
+            checks.instance(link, f"Arm.links[{i}]", Link)
+        count = sum(1 + link.joint.elastic + link.segments * len(link.modes) for link in links)
+        if count > MOST_COORDINATES:
             raise ValueError(
-                f"Arm.foreshortening must be true or false, got {self.foreshortening!r}."
+                f"Arm.links must have at most {MOST_COORDINATES} coordinates (joints, springs, "
+                f"modes of every segment), got {count}; use fewer Link.segments or Link.modes."
             )
-        if not isinstance(self.base, Base):
-            raise ValueError(f"Arm.base must be a Base, got {self.base!r}.")
-        if self.payload is not None and not isinstance(self.payload, Payload):
-            raise ValueError(f"Arm.payload must be a Payload or None, got {self.payload!r}.")
+        checks.boolean(self.foreshortening, "Arm.foreshortening")
+        checks.instance(self.base, "Arm.base", Base)
+        if self.payload is not None:
+            checks.instance(self.payload, "Arm.payload", Payload)
         _clean(
             self,
             links=links,

@@ -1,18 +1,16 @@
 """Arm files: JSON, YAML or a plain dict into an `Arm`, and back by `Arm.to_dict`."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from dynamics import checks, denavit_hartenberg
-from dynamics.arm import Arm, Base, Body, Joint, Link, Mode, Payload
+from dynamics.arm import MOST_LINKS, MOST_MODES, Arm, Base, Body, Joint, Link, Mode, Payload
 from dynamics.arms import ARMS
 from dynamics.attitude import from_euler
+from dynamics.data_file import read_mapping
 
 TABLE = "denavit_hartenberg"  # instead of links: rows of a table, see that module
 ARM_KEYS = (*(entry.name for entry in fields(Arm)), "units", TABLE)
@@ -27,8 +25,10 @@ CASE_KEYS = (  # what an arm file may hold besides the arm: a motion and what is
     "checks",
 )
 
+ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm  # what `load_arm` takes
 
-def load_arm(source: "str | PathLike[str] | Mapping[str, Any] | Arm") -> Arm:
+
+def load_arm(source: ArmSource) -> Arm:
     """An arm from a preset's name, a path (.json, .yaml, .yml), a dict, or itself.
 
     A case file is an arm file too: its motion and expectations are left aside.
@@ -44,49 +44,22 @@ def load_arm(source: "str | PathLike[str] | Mapping[str, Any] | Arm") -> Arm:
             f"An arm is a preset name, a path, a dict or an Arm, got {type(source).__name__}."
         )
     path = Path(fspath(source))
-    if isinstance(source, str) and path.suffix == "" and not path.exists():
-        raise ValueError(f"Unknown arm {source!r}. Presets: {sorted(ARMS)}; or give a path.")
+    if isinstance(source, str) and path.suffix == "":
+        raise ValueError(
+            f"Unknown arm {checks.shown(source)}. Presets: {sorted(ARMS)}; or give the path of a "
+            ".json or .yaml file."
+        )
     try:
         return arm_from_dict(read_mapping(path))
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
 
 
-def read_mapping(path: Path) -> dict[str, Any]:
-    """The mapping in a JSON or YAML file; a key given twice is refused."""
-    if path.suffix not in (".json", ".yaml", ".yml"):
-        raise ValueError(f"must end in .json, .yaml or .yml, got {path.suffix!r}.")
-    try:
-        content = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise ValueError(f"no such file: {path}.") from None
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror or error}.") from None
-    except UnicodeDecodeError as error:
-        raise ValueError(f"must be UTF-8 text ({error.reason} at byte {error.start}).") from None
-    try:
-        if path.suffix == ".json":
-            data = json.loads(content, object_pairs_hook=_unique)
-        else:
-            data = yaml.load(content, _UniqueKeyLoader)  # a SafeLoader
-    except json.JSONDecodeError as error:
-        raise ValueError(
-            f"is not valid JSON: {error.msg} at line {error.lineno}, column {error.colno}."
-        ) from None
-    except yaml.YAMLError as error:
-        raise ValueError(f"is not valid YAML: {' '.join(str(error).split())}.") from None
-    except RecursionError:
-        raise ValueError("is nested too deeply to be an arm.") from None
-    if not isinstance(data, dict):
-        raise ValueError(f"must hold a mapping at the top, got a {type(data).__name__}.")
-    return data
-
-
 def arm_from_dict(data: Mapping[str, Any]) -> Arm:
     """An arm from plain lists, numbers and text; every unknown key is refused."""
     keys = checks.mapping(data, "the arm", (*ARM_KEYS, *CASE_KEYS))
     if keys.get("units", "SI") != "SI":
-        raise ValueError(f'units must be "SI", got {keys["units"]!r}.')
+        raise ValueError(f'units must be "SI", got {checks.shown(keys["units"])}.')
     values = {key: keys[key] for key in ARM_KEYS if key in keys and key not in ("units", TABLE)}
     if values.get("base") is not None:
         values["base"] = _base(values["base"])
@@ -99,7 +72,7 @@ def arm_from_dict(data: Mapping[str, Any]) -> Arm:
             raise ValueError(f"links and {TABLE} exclude each other; give one.")
         values["links"] = denavit_hartenberg.links(denavit_hartenberg.rows(keys[TABLE]))
         return Arm(**values)  # type: ignore[arg-type]
-    links = checks.sequence(values.get("links", []), "links")
+    links = checks.sequence(values.get("links", []), "links", MOST_LINKS)
     values["links"] = [_link(entry, f"links[{i}]") for i, entry in enumerate(links)]
     return Arm(**values)  # type: ignore[arg-type]
 
@@ -111,7 +84,7 @@ def _link(data: object, where: str) -> Link:
     if values.get("body") is not None:
         values["body"] = _build(Body, values["body"], f"{where}.body")
     if "modes" in values:
-        modes = checks.sequence(values["modes"], f"{where}.modes")
+        modes = checks.sequence(values["modes"], f"{where}.modes", MOST_MODES)
         values["modes"] = [_build(Mode, m, f"{where}.modes[{j}]") for j, m in enumerate(modes)]
     link: Link = _build(Link, values, where)
     return link
@@ -141,22 +114,3 @@ def _build(cls: Any, data: object, where: str) -> Any:
         return cls(**values)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object; a key given twice is refused."""
-    result = dict(pairs)
-    if len(result) < len(pairs):
-        names = [name for name, _ in pairs]
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        raise ValueError(f"the keys {repeated} stand twice in one object; keep one of each.")
-    return result
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML's safe loader, which would silently keep the last of two equal keys."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        pairs = [(str(self.construct_object(key, deep=True)), None) for key, _ in node.value]
-        _unique(pairs)
-        return super().construct_mapping(node, deep=deep)

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from dynamics import checks
 from dynamics.arm import Arm
-from dynamics.arm_file import ARM_KEYS, CASE_KEYS, arm_from_dict, read_mapping
+from dynamics.arm_file import ARM_KEYS, CASE_KEYS, arm_from_dict
 from dynamics.attitude import from_rotation_vector, product, to_rotation_vector
+from dynamics.data_file import read_mapping
 
 Array = NDArray[np.float64]
 Numbers = tuple[float, ...]

@@ -5,6 +5,7 @@ from typing import Any
 
 from dynamics import checks
 from dynamics.arm import Arm
+from dynamics.arm_file import ArmSource, load_arm
 from dynamics.bench import Bench, apart
 from dynamics.fidelity import Fidelity, everything
 from dynamics.integrators import INTEGRATORS
@@ -40,7 +41,9 @@ class Certificate:
         return dict(vars(self))
 
 
-def certify(arm: Arm, scene: Scene, integrator: str, dt: float, accuracy: float) -> Certificate:
+def certify(
+    arm: ArmSource, scene: Scene, integrator: str, dt: float, accuracy: float
+) -> Certificate:
     """Measure a model on a scene's motions.
 
     Parameters
@@ -55,9 +58,9 @@ def certify(arm: Arm, scene: Scene, integrator: str, dt: float, accuracy: float)
     RuntimeError : naming numbers, if the reference does not converge that far.
     ValueError : for a scene that does not fit the arm.
     """
-    scene.check(arm)
-    if integrator not in INTEGRATORS:
-        raise ValueError(f"Unknown integrator {integrator!r}. Known: {sorted(INTEGRATORS)}.")
+    arm = load_arm(arm)
+    checks.instance(scene, "scene", Scene).check(arm)
+    checks.known(integrator, "integrator", INTEGRATORS)
     checks.positive(dt, "dt", "s")
     bench = Bench(arm, scene, 10.0 * checks.positive(accuracy, "accuracy", "m"))
     reference = bench.converge()

@@ -2,17 +2,25 @@
 
 import difflib
 import math
-from collections.abc import Collection, Mapping
+import reprlib
+import sys
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from numbers import Integral, Real
+from typing import TypeVar
 
 import numpy as np
 
+T = TypeVar("T")
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
 ZEROS: Matrix = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
+_REPR = reprlib.Repr()  # visits few entries of what is large or nested
+_REPR.maxlist = _REPR.maxtuple = _REPR.maxdict = 12
+_REPR.maxstring = _REPR.maxother = _REPR.maxlong = 80
 _LARGEST = 1e30  # in any SI unit; beyond it, and for a length below its inverse, floats overflow
 _ORTHONORMAL = 1e-9  # [-] largest entry of R'R - 1 of a mounting rotation
 _ROUND_OFF = 1e-15  # [-] of a length that is one
@@ -25,15 +33,15 @@ def number(value: object, name: str, unit: str = "") -> float:
     what = f"{name}{f' [{unit}]' if unit else ''}"
     if isinstance(value, str):
         remedy = "remove the quotes; YAML reads 3e-4 as text, write 3.0e-4"
-        raise ValueError(f"{what} must be a number, got the text {value!r} ({remedy}).")
+        raise ValueError(f"{what} must be a number, got the text {shown(value)} ({remedy}).")
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise ValueError(f"{what} must be a number, got {_short(value)}.")
+        raise ValueError(f"{what} must be a number, got {shown(value)}.")
     try:
         result = float(value)
     except OverflowError:
         result = math.inf
     if not math.isfinite(result):
-        raise ValueError(f"{what} must be a finite number, got {_short(value)}.")
+        raise ValueError(f"{what} must be a finite number, got {shown(value)}.")
     if abs(result) > _LARGEST:
         raise ValueError(f"{what} must be at most {_LARGEST:g} in size, got {result!r}.")
     return result
@@ -60,24 +68,45 @@ def nonnegative(value: object, name: str, unit: str) -> float:
 def integer(value: object, name: str, least: int, most: int) -> int:
     """An int between two bounds, both allowed; 2.0 is not an int."""
     if isinstance(value, bool) or not isinstance(value, Integral):
-        raise ValueError(f"{name} must be an int, got {_short(value)}.")
+        raise ValueError(f"{name} must be an int, got {shown(value)}.")
     result = int(value)
     if not least <= result <= most:
-        raise ValueError(f"{name} must be between {least} and {most}, got {_short(result)}.")
+        raise ValueError(f"{name} must be between {least} and {most}, got {shown(result)}.")
     return result
 
 
 def choice(value: object, name: str, known: Collection[str]) -> str:
     """One of a few words."""
     if not isinstance(value, str) or value not in known:
-        raise ValueError(f"{name} must be one of {sorted(known)}, got {_short(value)}.")
+        raise ValueError(f"{name} must be one of {sorted(known)}, got {shown(value)}.")
+    return value
+
+
+def instance(value: object, name: str, kind: type[T]) -> T:
+    """An object of a class."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be a {kind.__name__}, got {shown(value)}.")
+    return value
+
+
+def known(value: object, noun: str, names: Collection[str]) -> str:
+    """One of the names in a table."""
+    if not isinstance(value, str) or value not in names:
+        raise ValueError(f"Unknown {noun} {shown(value)}. Known: {sorted(names)}.")
+    return value
+
+
+def boolean(value: object, name: str) -> bool:
+    """True or false, and not a number that stands for it."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} must be true or false, got {shown(value)}.")
     return value
 
 
 def text(value: object, name: str) -> str:
     """A string."""
     if not isinstance(value, str):
-        raise ValueError(f"{name} must be text, got {_short(value)}.")
+        raise ValueError(f"{name} must be text, got {shown(value)}.")
     return value
 
 
@@ -85,8 +114,52 @@ def numbers(value: object, name: str, size: int | None = None, unit: str = "") -
     """(size,) finite floats from a list, tuple or array."""
     entries = sequence(value, name)
     if size is not None and len(entries) != size:
-        raise ValueError(f"{name} must have {size} numbers, got {len(entries)}: {_short(value)}.")
+        raise ValueError(f"{name} must have {size} numbers, got {len(entries)}: {shown(value)}.")
     return tuple(number(entry, f"{name}[{k}]", unit) for k, entry in enumerate(entries))
+
+
+def array(
+    value: object, name: str, shape: tuple[int | None, ...], most: float = sys.float_info.max
+) -> np.ndarray:
+    """A float64 array of finite numbers, a copy; None in the shape stands for any length."""
+    try:
+        given = np.asarray(value)
+        result = np.array(given, dtype=np.float64) if given.dtype.kind in "iufO" else None
+    except (TypeError, ValueError, OverflowError):
+        result = None
+    if result is None:
+        raise ValueError(f"{name} must hold numbers, got {shown(value)}.")
+    lengths = zip(result.shape, shape, strict=False)
+    if result.ndim != len(shape) or any(b not in (None, a) for a, b in lengths):
+        wanted = str(shape).replace("None", "N")
+        raise ValueError(f"{name} must have shape {wanted}, got {result.shape}.")
+    if not (np.abs(result) <= most).all():
+        size = f" of at most {most:g} in size" if most < sys.float_info.max else ""
+        raise ValueError(f"{name} must hold finite numbers{size}, got {shown(value)}.")
+    return result
+
+
+def finite(values: np.ndarray, name: str) -> np.ndarray:
+    """Answers about a state, all finite."""
+    if not np.isfinite(values).all():
+        raise ValueError(
+            f"{name} at this state must be finite: its deflections or rates are beyond what the "
+            "model can mean."
+        )
+    return values
+
+
+@contextmanager
+def double_precision(what: str) -> Iterator[None]:
+    """Refuse an arm whose computation overflows, divides by zero or meets a singular matrix."""
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            yield
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        raise ValueError(
+            f"{what} cannot be computed in double precision ({error}): the arm's lengths, masses "
+            "and stiffnesses are too far apart."
+        ) from None
 
 
 def vector(value: object, name: str, unit: str) -> Vector:
@@ -110,11 +183,11 @@ def inertia(value: object, name: str) -> Matrix:
     entries = np.array(result)
     largest = float(np.abs(entries).max())
     if np.abs(entries - entries.T).max() > _SYMMETRIC * largest:
-        raise ValueError(f"{name} must be symmetric, got {_short(value)}.")
+        raise ValueError(f"{name} must be symmetric, got {shown(value)}.")
     least = float(np.linalg.eigvalsh(entries)[0])
     if least < -_SYMMETRIC * largest:
         raise ValueError(
-            f"{name} must have no negative principal moment, got {least:.6g} in {_short(value)}."
+            f"{name} must have no negative principal moment, got {least:.6g} in {shown(value)}."
         )
     return result
 
@@ -135,7 +208,7 @@ def quaternion(value: object, name: str) -> tuple[float, float, float, float]:
     size = math.hypot(w, x, y, z)
     if abs(size - 1.0) > _UNIT:
         raise ValueError(
-            f"{name} must have length 1 [w, x, y, z], got length {size:.6g} in {_short(value)}; "
+            f"{name} must have length 1 [w, x, y, z], got length {size:.6g} in {shown(value)}; "
             "divide by it."
         )
     if abs(size - 1.0) < _ROUND_OFF:  # normalised before: leave it
@@ -151,31 +224,36 @@ def rotation(value: object, name: str) -> Matrix:
     if np.abs(entries.T @ entries - np.eye(3)).max() > _ORTHONORMAL or determinant < 0.0:
         raise ValueError(
             f"{name} must be a rotation (orthonormal, determinant +1), got determinant "
-            f"{determinant:.6g} in {_short(value)}."
+            f"{determinant:.6g} in {shown(value)}."
         )
     return result
 
 
-def sequence(value: object, name: str) -> list[object]:
-    """The entries of a list, tuple or array."""
-    if not isinstance(value, list | tuple | np.ndarray):
-        raise ValueError(f"{name} must be a list, got {_short(value)}.")
+def sequence(value: object, name: str, most: int | None = None) -> list[object]:
+    """The entries of a list, tuple or array, `most` of them at most."""
+    if not isinstance(value, list | tuple | np.ndarray) or getattr(value, "ndim", 1) == 0:
+        raise ValueError(f"{name} must be a list, got {shown(value)}.")
+    if most is not None and len(value) > most:
+        raise ValueError(f"{name} must have at most {most} entries, got {len(value)}.")
     return list(value)
 
 
 def mapping(value: object, name: str, known: Collection[str]) -> dict[str, object]:
     """A mapping whose keys are all known."""
     if not isinstance(value, Mapping):
-        raise ValueError(f"{name} must be a mapping of keys to values, got {_short(value)}.")
+        raise ValueError(f"{name} must be a mapping of keys to values, got {shown(value)}.")
     for key in value:
         if key not in known:
             near = difflib.get_close_matches(str(key), sorted(known), n=1, cutoff=0.0)
-            raise ValueError(f"Unknown key {_short(key)} in {name}; nearest known: {near[0]!r}.")
+            raise ValueError(f"Unknown key {shown(key)} in {name}; nearest known: {near[0]!r}.")
     return dict(value)
 
 
-def _short(value: object) -> str:
+def shown(value: object) -> str:
     """A value as it looks in an error sentence: one line, not too long."""
-    plain = value.tolist() if isinstance(value, np.ndarray) else value
-    shown = " ".join(repr(plain).split())
-    return shown if len(shown) <= 80 else f"{shown[:77]}..."
+    plain = value.tolist() if isinstance(value, np.ndarray) and value.size < 20 else value
+    try:
+        text = " ".join(_REPR.repr(plain).split())
+    except Exception:  # of an object that cannot be shown
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= 80 else f"{text[:77]}..."

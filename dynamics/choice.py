@@ -12,6 +12,7 @@ from typing import Any
 
 from dynamics import checks
 from dynamics.arm import Arm
+from dynamics.arm_file import ArmSource, load_arm
 from dynamics.bench import Bench, apart
 from dynamics.fidelity import (
     MOST_MODES,
@@ -87,13 +88,13 @@ class Choice:
         return "\n".join(rows)
 
 
-def choose_model(arm: Arm, scene: Scene, tolerance: float) -> Choice:
+def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
     """The cheapest model, integrator and step with a tip error of at most `tolerance` [m].
 
     Parameters
     ----------
-    arm : lengths, masses, stiffnesses, tip bodies and joints; its modes name the family of shapes,
-        a damping ratio the viscosity, see `fidelity.viscous`.
+    arm : whatever `load_arm` takes: lengths, masses, stiffnesses, tip bodies and joints; its modes
+        name the family of shapes, a damping ratio the viscosity, see `fidelity.viscous`.
     scene : the motions that count; the error is the largest over time and motions.
     tolerance : [m]
 
@@ -102,7 +103,8 @@ def choose_model(arm: Arm, scene: Scene, tolerance: float) -> Choice:
     ValueError : for a scene that does not fit the arm, or a tolerance that is not positive.
     RuntimeError : naming numbers, if the reference does not converge or no step is small enough.
     """
-    scene.check(arm)
+    arm = load_arm(arm)
+    checks.instance(scene, "scene", Scene).check(arm)
     bench = Bench(arm, scene, checks.positive(tolerance, "tolerance", "m"))
     reference = bench.converge()
     ladder: list[Rung] = []

@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+import warnings
 import weakref
 from collections.abc import Callable
 from functools import partial
@@ -10,7 +11,7 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any, TypeVar
 
-from dynamics.kernels import aligned_zeros
+from dynamics.kernels import aligned_zeros, direct
 from dynamics.sharing import LINE, LOOKS, watch
 
 T = TypeVar("T")
@@ -58,9 +59,24 @@ class Crew:
         if self._process != os.getpid():  # a fork has none of its parent's threads
             self._helpers.clear()
             self._process = os.getpid()
+        for helper in [helper for helper in self._helpers if helper.failure]:
+            warnings.warn(
+                f"A worker thread ended ({helper.failure!r}); another takes its place.",
+                RuntimeWarning,
+                stacklevel=4,
+            )
+            self._helpers.remove(helper)
         while len(self._helpers) < count:
             self._helpers.append(_Helper())
         return self._helpers[:count]
+
+
+def in_use() -> RuntimeError:
+    """Error of a batch that two threads would step at once."""
+    return RuntimeError(
+        "This batch is in use by another thread; give every thread a batch of its own, or hold a "
+        "lock while one steps."
+    )
 
 
 class _Helper:
@@ -77,7 +93,15 @@ class _Helper:
         self._begun = 0
         self._asleep, self._calls = False, SimpleQueue[None]()
         self._outcome: tuple[list[Any], BaseException | None] = [], None
-        Thread(target=self._serve, daemon=True).start()
+        self.failure: BaseException | None = None  # what ended the thread itself
+        direct(watch, self._post, DONE, 0, GIVEN, 1, LOOKS)  # compiled before two threads need it
+        Thread(target=self._live, daemon=True).start()
+
+    def _live(self) -> None:
+        try:
+            self._serve()
+        except BaseException as error:
+            self.failure = error
 
     def _serve(self) -> None:
         number = 0
@@ -117,6 +141,10 @@ class _Helper:
             return [], None
         if not watch(self._post, GIVEN, number, DONE, number, LOOKS):
             while self._post[DONE] < number:
+                if self.failure:
+                    raise RuntimeError(
+                        f"A worker thread ended within a step ({self.failure!r}); reset the batch."
+                    ) from self.failure
                 time.sleep(NAP)
         return self._outcome
 

@@ -7,7 +7,7 @@ without accelerations of its own factors its mass matrix whole.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from dynamics import book, complement, dense, elimination, gibbs_appell, kinematics
+from dynamics import book, checks, complement, dense, elimination, gibbs_appell, kinematics
 from dynamics.algebra import Scalar, Vector
 from dynamics.arm import Arm
 from dynamics.dense import Equations
@@ -71,8 +71,7 @@ FORMULATIONS = {
 
 def formulation_for(arm: Arm, name: str) -> Formulation:
     """The formulation of that name; refuses what is unknown or does not know all of the arm."""
-    if name not in FORMULATIONS:
-        raise ValueError(f"Unknown formulation {name!r}. Known: {sorted(FORMULATIONS)}.")
+    checks.known(name, "formulation", FORMULATIONS)
     refusal = why_not(arm, name)
     if refusal:
         raise ValueError(refusal)

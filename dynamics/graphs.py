@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from dynamics.algebra import Scalar, add, combine, matvec
 from dynamics.elimination import Implicit
 from dynamics.free_base import (
@@ -149,6 +151,17 @@ def accelerations(model: "Model", implicit: bool) -> Any:
     weights = Implicit(x[0], x[1], x[2:]) if implicit else None
     a = model.formed.accelerations(_with_parameters(model, symbols[3]), q, v, tau, weights)
     return ca.Function("accelerations", symbols, [ca.cse(ca.vertcat(*a))])
+
+
+def check_rest(model: "Model") -> None:
+    """Refuse an arm that cannot even rest, straight and without torque."""
+    parameters = [*model.nominal_parameters, *model.n_gravity * [0.0]]
+    rest = np.array(model.graph(0.0, 0.0, 0.0, parameters, []))
+    if not np.isfinite(rest).all():
+        raise ValueError(
+            "The arm's accelerations at rest are not finite: its lengths, masses and stiffnesses "
+            "are too far apart for double precision."
+        )
 
 
 def _with_parameters(model: "Model", p: Any) -> Chain:

@@ -49,8 +49,7 @@ class Joint:
             cleaned["stiffness"] = positive(self.stiffness, "Joint.stiffness", "N m/rad")
         for name, value in cleaned.items():
             object.__setattr__(self, name, value)
-        if not isinstance(self.parallel, bool):
-            raise ValueError(f"Joint.parallel must be true or false, got {self.parallel!r}.")
+        checks.boolean(self.parallel, "Joint.parallel")
         self._check_spring()
 
     def _check_spring(self) -> None:

@@ -44,7 +44,8 @@ class _CodeCache:
         if source is None:
             content = Path(function.__code__.co_filename).read_bytes()
             source = hashlib.sha256(content).hexdigest()
-        self._function = function.__qualname__, source, numba.__version__, sys.version
+        name = function.__qualname__, function.__module__  # which compiled code looks for
+        self._depends = *name, source, numba.__version__, sys.version
 
     @property
     def cache_path(self) -> str:
@@ -70,8 +71,8 @@ class _CodeCache:
         """Files of other sources are never looked at again."""
 
     def _name(self, signature: Any, codegen: Any) -> str:
-        depends = repr((*self._function, signature, codegen.magic_tuple()))
-        return f"{self._function[0]}-{hashlib.sha256(depends.encode()).hexdigest()[:20]}.nbc"
+        depends = repr((*self._depends, signature, codegen.magic_tuple()))
+        return f"{self._depends[0]}-{hashlib.sha256(depends.encode()).hexdigest()[:20]}.nbc"
 
 
 def on_disk(**options: Any) -> Callable[[Callable[..., Any]], Any]:

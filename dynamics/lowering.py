@@ -286,11 +286,12 @@ def render_module(
 ) -> str:
     """The whole generated module; `constants` are slots, in it offsets of values.
 
-    `title` may be any text: a description's name is in it. `operations` are those of an evaluation of the accelerations, and of what was added.
+    `title` may be any text: a description's name is in it. `operations` are those of an evaluation
+    of the accelerations, and of what was added.
     """
     head = [
         '"""Generated code of one arm; see dynamics/lowering.py."""',
-        f"TITLE = {ascii(title)}",  # no other text of a description becomes source
+        f"TITLE = {title!a}",  # no other text of a description becomes source
         "import numpy as np",
         "from dynamics.emission import lane_moves, row_moves, straight_line",
         "from dynamics.integrators import INTEGRATORS",

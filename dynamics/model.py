@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from dynamics import free_base, gibbs_appell, graphs, linear
+from dynamics import checks, free_base, gibbs_appell, graphs, linear
 from dynamics.arm import Arm
-from dynamics.arm_file import load_arm
+from dynamics.arm_file import ArmSource, load_arm
 from dynamics.attitude import from_rotation_vector, rotation_matrix
 from dynamics.christoffel import christoffel
 from dynamics.formulations import formulation_for
@@ -37,7 +37,7 @@ LANES_OF = {"float64": LANES, "float32": 2 * LANES}
 
 
 def compile_arm(
-    arm: Arm | str | dict[str, Any],
+    arm: ArmSource,
     *,
     formulation: str = "gibbs_appell",
     dtype: str = "float64",
@@ -58,12 +58,10 @@ def compile_arm(
     ------
     ValueError : naming the argument, its value and what is possible.
     """
-    if dtype not in LANES_OF:
-        raise ValueError(f"Unknown dtype {dtype!r}. Known: {sorted(LANES_OF)}.")
-    unknown = sorted(set(free_parameters) - set(FREE_PARAMETERS))
-    if unknown:
-        raise ValueError(f"Unknown free parameters {unknown}. Known: {sorted(FREE_PARAMETERS)}.")
-    return Model(load_arm(arm), tuple(free_parameters), dtype, formulation)
+    checks.known(dtype, "dtype", LANES_OF)
+    names = checks.sequence(free_parameters, "free_parameters")
+    free = [checks.known(name, "free parameter", FREE_PARAMETERS) for name in names]
+    return Model(load_arm(arm), tuple(dict.fromkeys(free)), dtype, formulation)
 
 
 class Model:
@@ -120,11 +118,11 @@ class Model:
 
     def mass_matrix(self, q: Array) -> Array:
         """(n, n) M at q."""
-        return np.array(self._questions["mass_matrix"](*self._state(q, np.zeros(self.n))))
+        return self._answer("mass_matrix", q, np.zeros(self.n))
 
     def bias(self, q: Array, v: Array) -> Array:
         """(n,) h: inertial, gravity, elastic and dissipative forces."""
-        return np.array(self._questions["bias"](*self._state(q, v))).ravel()
+        return self._answer("bias", q, v).ravel()
 
     def christoffel(self, q: Array, v: Array) -> Array:
         """(n, n) H: H v are the velocity terms of h, dM/dt - 2 H is skew-symmetric."""
@@ -139,7 +137,7 @@ class Model:
             self._q(q)[None], self._q(v, "v")[None], self._tau(tau)[None],
             self.nominal_parameters[None], self.workspace(program), out,
         )  # fmt: skip
-        return out[0]
+        return checks.finite(out[0], "accelerations")
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array, wrench: Array | None = None) -> Array:
         """(n,) generalized forces M a + h; motion under joint torques alone needs B tau.
@@ -151,19 +149,19 @@ class Model:
         if wrench is not None:
             self._refuse_flight("wrench")
             x, rates = self._q(q).tolist(), self._q(v, "v").tolist()
-            f = _checked(wrench, 6, "wrench").tolist()
+            f = checks.array(wrench, "wrench", (6,)).tolist()
             load = gibbs_appell.Wrench(f[:3], f[3:])
             h = np.array(gibbs_appell.bias(self.chain, x, rates, load), dtype=np.float64)
         return self.mass_matrix(q) @ self._q(a, "a") + h
 
     def energy(self, q: Array, v: Array) -> tuple[float, float, float]:
         """(kinetic, elastic, gravity) [J]; gravity is zero with all mass at the world's origin."""
-        values = np.array(self._questions["energy"](*self._state(q, v))).ravel()
-        return float(values[0]), float(values[1]), float(values[2])
+        kinetic, elastic, gravity = self._answer("energy", q, v).ravel().tolist()
+        return kinetic, elastic, gravity
 
     def momentum(self, q: Array, v: Array) -> tuple[Array, Array]:
         """(3,) [N s] linear and (3,) [N m s] angular momentum about the world's origin."""
-        values = np.array(self._questions["momentum"](*self._state(q, v))).ravel()
+        values = self._answer("momentum", q, v).ravel()
         return values[:3], values[3:]
 
     def tip(self, q: Array) -> Array:
@@ -179,10 +177,8 @@ class Model:
 
         The strain a gauge reads is curvature times its distance from the neutral axis.
         """
-        if not 0 <= link < self.n_joint:
-            raise ValueError(f"link must be 0 to {self.n_joint - 1}, got {link!r}.")
-        described = self.arm.links[link]
-        if not 0.0 <= x <= described.length:
+        described = self.arm.links[checks.integer(link, "link", 0, self.n_joint - 1)]
+        if not 0.0 <= checks.number(x, "x", "m") <= described.length:
             raise ValueError(f"x must be within the link, 0 to {described.length} m, got {x!r}.")
         segment = parts(described)[0]
         k = min(int(x / segment.length), described.segments - 1)
@@ -195,8 +191,7 @@ class Model:
         joints="locked" holds the coordinates q_i; "free" leaves them free and omits the rigid
         motions. A free base flies in both.
         """
-        if joints not in ("locked", "free"):
-            raise ValueError(f"joints must be 'locked' or 'free', got {joints!r}.")
+        checks.choice(joints, "joints", ("locked", "free"))
         rigid = self.rigid(np.zeros(self.n) if q is None else self._q(q))
         M: Array = np.array(
             self.formed.equations.mass_matrix(self.chain, [float(x) for x in rigid])
@@ -207,7 +202,8 @@ class Model:
             M, K = M[np.ix_(moving, moving)], K[np.ix_(moving, moving)]
         from scipy.linalg import eigh
 
-        squares = eigh(K, M, eigvals_only=True)
+        with checks.double_precision("The arm's frequencies"):
+            squares = eigh(K, M, eigvals_only=True)
         elastic = self.n - self.n_joint - self.arm.base.n
         return np.sqrt(np.abs(squares[squares.size - elastic :]))
 
@@ -243,7 +239,11 @@ class Model:
         Of a free base in coordinates whose rates are derivatives: x and rotation vector in a frame
         that does not move, in which gravity ends the parameters: see free_base.py.
         """
-        return graphs.accelerations(self, implicit=False)
+        return self._accelerations(implicit=False)
+
+    def _accelerations(self, implicit: bool) -> Any:
+        with checks.double_precision("The arm's accelerations"):
+            return graphs.accelerations(self, implicit)
 
     @cached_property
     def stiffness(self) -> Array:
@@ -297,7 +297,8 @@ class Model:
         starts = np.cumsum([0, *sizes.values()]).tolist()
         at, implicit = dict(zip(sizes, starts, strict=False)), method.implicit
         inputs = [at["Q"], at["V"], at["TAU"], at["PARAMETERS"], at["IMPLICIT"]]
-        graph = graphs.accelerations(self, implicit) if implicit else self.graph
+        graphs.check_rest(self)
+        graph = self._accelerations(implicit) if implicit else self.graph
         modes = linear.frozen_modes(self.chain) if method.aid == "modes" else None
         stepping, calls = method_code(integrator, self.n, at, modes)
         flight = FLIGHT if self.arm.base.n else dict.fromkeys(FLIGHT, ())
@@ -364,8 +365,13 @@ class Model:
     def _christoffel(self) -> Any:
         return christoffel(self.formed.equations, self.chain, self.n)
 
+    def _answer(self, question: str, q: Array, v: Array) -> Array:
+        return checks.finite(np.array(self._questions[question](*self._state(q, v))), question)
+
     def _measure(self, q: Array, v: Array) -> Array:
-        return np.array(self.measure_graph(*self._state(q, v))).ravel()
+        return checks.finite(
+            np.array(self.measure_graph(*self._state(q, v))).ravel(), "measurements"
+        )
 
     def _state(self, q: Array, v: Array) -> tuple[Array, ...]:
         """q and v; of a free base, in its own frame, and its attitude (4,)."""
@@ -382,15 +388,7 @@ class Model:
             raise ValueError(f"{what} is for an arm with a fixed base; this one flies.")
 
     def _q(self, x: Array, name: str = "q") -> Array:
-        return _checked(x, self.n, name)
+        return checks.array(x, name, (self.n,))
 
     def _tau(self, x: Array) -> Array:
-        return _checked(x, self.n_joint, "tau")
-
-
-def _checked(x: Array, size: int, name: str) -> Array:
-    """A float64 array of the right size, or a sentence."""
-    array = np.ascontiguousarray(x, dtype=np.float64)
-    if array.shape != (size,):
-        raise ValueError(f"{name} must have shape ({size},), got {array.shape}.")
-    return array
+        return checks.array(x, "tau", (self.n_joint,))

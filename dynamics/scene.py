@@ -35,7 +35,8 @@ class JointMotion:
             raise ValueError("JointMotion.joint_angles must hold one angle per joint, got [].")
         if self.torque is not None and not callable(self.torque):
             raise ValueError(
-                f"JointMotion.torque must be a function of time or None, got {self.torque!r}."
+                "JointMotion.torque must be a function of time or None, "
+                f"got {checks.shown(self.torque)}."
             )
         for name, value in (("joint_angles", angles), ("joint_rates", rates), ("t_end", t_end)):
             object.__setattr__(self, name, value)
@@ -58,9 +59,8 @@ class Scene:
         motions = tuple(checks.sequence(self.motions, "Scene.motions"))
         if not motions:
             raise ValueError("Scene.motions must hold at least one motion, got [].")
-        for motion in motions:
-            if not isinstance(motion, JointMotion):
-                raise ValueError(f"Scene.motions must hold JointMotion objects, got {motion!r}.")
+        for k, motion in enumerate(motions):
+            checks.instance(motion, f"Scene.motions[{k}]", JointMotion)
         object.__setattr__(self, "motions", motions)
         object.__setattr__(self, "name", checks.text(self.name, "Scene.name"))
 
@@ -108,6 +108,8 @@ class Cycloid:
 
 def bang_bang(torques: Numbers, pulse: float, t_end: float) -> JointMotion:
     """Straight arm at rest; constant torques [N m] for `pulse` [s], reversed as long, then none."""
+    pulse = checks.positive(pulse, "pulse", "s")
+    torques = checks.numbers(torques, "torques", unit="N m")
     signals = tuple(
         PiecewiseConstant(times=(0.0, pulse, 2.0 * pulse), values=(u, -u, 0.0)) for u in torques
     )
@@ -119,12 +121,15 @@ def bang_bang(torques: Numbers, pulse: float, t_end: float) -> JointMotion:
 
 def cycloid(torques: Numbers, duration: float, t_end: float) -> JointMotion:
     """Straight arm at rest; torques [N m] over one sine wave of `duration` [s], then none."""
+    duration = checks.positive(duration, "duration", "s")
+    torques = checks.numbers(torques, "torques", unit="N m")
     rest = (0.0,) * len(torques)
-    torque = Cycloid(amplitude=tuple(torques), duration=duration)
+    torque = Cycloid(amplitude=torques, duration=duration)
     return JointMotion(joint_angles=rest, joint_rates=rest, t_end=t_end, torque=torque)
 
 
 def release(joint_angles: Numbers, t_end: float) -> JointMotion:
     """No torque: the arm falls from rest at these joint angles [rad]."""
+    joint_angles = checks.numbers(joint_angles, "joint_angles", unit="rad")
     rest = (0.0,) * len(joint_angles)
     return JointMotion(joint_angles=joint_angles, joint_rates=rest, t_end=t_end)

@@ -2,25 +2,28 @@
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import BDF, DOP853, OdeSolver, Radau
 
-from dynamics import flight, stability
+from dynamics import checks, flight, stability
 from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
 from dynamics.stepper import Stepper
+from dynamics.trajectory import Trajectory
 from dynamics.validity import ValidityWarning, limits
 
 Array = NDArray[np.float64]
 TorqueSignal = Callable[[float], ArrayLike]
+Signal = Callable[[float], Array]  # checked
 
 REFERENCES = {"dop853": DOP853, "radau": Radau, "bdf": BDF}
 RTOL = 1e-10  # of a method with error control, unless the caller says
 CAREFUL = 0.1  # default dt of a fixed-step method, times the fastest rate of the arm
+MOST_STEPS = 1e9  # of a fixed-step method: hours
 FARTHEST = 1e8  # [rad], [rad/s] beyond which sine and cosine of an angle mean nothing
 WORTH = 100_000  # evaluations of DOP853, a few seconds, from which "auto" tries Radau's method
 TRIAL = 8000  # evaluations of each to tell which gets farther: decaying starts are slow for both
@@ -29,19 +32,6 @@ DEARER = 4.0  # an implicit method's evaluation, with its share of Jacobians and
 
 class Diverged(RuntimeError):
     """A simulation left the finite numbers."""
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """What `simulate` returns, one row per time."""
-
-    t: Array  # (N,) [s]
-    q: Array  # (N, n) [rad, m]
-    v: Array  # (N, n) [rad/s, m/s]
-    tip: Array  # (N, 3) [m]
-    base_position: Array | None = None  # (N, 3) [m] in the world; None of a fixed base
-    base_quaternion: Array | None = None  # (N, 4) w, x, y, z, without jumps of sign
-    integrator: str = ""  # that was used: what "auto" chose
 
 
 def simulate(
@@ -79,26 +69,27 @@ def simulate(
     Diverged : naming the time and the remedy.
     ValueError : for arguments of wrong size, or a step beyond the method's stability limit.
     """
-    base = model.arm.base
+    base = checks.instance(model, "model", Model).arm.base
     start = (_state(model, q, base.q, "q"), _state(model, v, base.v, "v"))
-    grid = np.asarray(times, dtype=np.float64)
-    if grid.ndim != 1 or grid.size < 1 or not np.all(np.isfinite(grid)):
-        raise ValueError(f"times must be a list of finite numbers, got shape {grid.shape}.")
-    if np.any(np.diff(grid) <= 0.0):
-        raise ValueError("times must increase.")
-    known = ["auto", *REFERENCES, *INTEGRATORS]
-    if integrator not in known:
-        raise ValueError(f"Unknown integrator {integrator!r}. Known: {known}.")
+    grid = checks.array(times, "times", (None,))
+    if grid.size < 1 or np.any(np.diff(grid) <= 0.0):
+        raise ValueError(f"times must hold one number at least, and increase, got {grid.size}.")
+    checks.known(integrator, "integrator", ["auto", *REFERENCES, *INTEGRATORS])
     signal, jumps = _signal(model, torque)
     if integrator not in INTEGRATORS:
         if dt is not None:
-            raise ValueError(f"dt ({dt!r} s) is for fixed-step methods; {integrator} takes rtol.")
-        motion = _Motion(model, start, signal, jumps, grid, RTOL if rtol is None else rtol)
+            raise ValueError(
+                f"dt ({checks.shown(dt)} s) is for fixed-step methods; {integrator} takes rtol."
+            )
+        accuracy = RTOL if rtol is None else checks.positive(rtol, "rtol", "-")
+        motion = _Motion(model, start, signal, jumps, grid, accuracy)
         integrator = motion.cheapest() if integrator == "auto" else integrator
         states = motion.solve(integrator)
     else:
         if rtol is not None:
-            raise ValueError(f"rtol ({rtol!r}) is for error control; {integrator} takes dt.")
+            raise ValueError(
+                f"rtol ({checks.shown(rtol)}) is for error control; {integrator} takes dt."
+            )
         states = _fixed_steps(model, start, signal, jumps, grid, integrator, dt)
     rates = states[:, model.n :]
     positions = states[:, : model.n]
@@ -114,24 +105,27 @@ def simulate(
 
 
 def _state(model: Model, x: ArrayLike, base: tuple[float, ...], name: str) -> Array:
-    array = np.array(x, dtype=np.float64)
+    array = checks.array(x, name, (None,))
     if array.shape == (model.n - len(base),):
         array = np.concatenate([base, array])
-    if array.shape != (model.n,) or not np.all(np.isfinite(array)):
-        raise ValueError(f"{name} must be {model.n} finite numbers, got {x!r}.")
-    return array
+    return checks.array(array, name, (model.n,))
 
 
 def _signal(
     model: Model, torque: TorqueSignal | ArrayLike | None
-) -> tuple[TorqueSignal | Array, list[float]]:
+) -> tuple[Signal | Array, list[float]]:
     """The torque as a function or a constant, and the times where it jumps."""
-    if callable(torque):
-        return torque, [float(t) for t in getattr(torque, "breakpoints", ())]
-    constant = np.zeros(model.n_joint) if torque is None else np.array(torque, dtype=np.float64)
-    if constant.shape != (model.n_joint,) or not np.all(np.isfinite(constant)):
-        raise ValueError(f"torque must be {model.n_joint} finite numbers, got {torque!r}.")
-    return constant, []
+    if torque is None:
+        return np.zeros(model.n_joint), []
+    numbers = partial(checks.array, shape=(model.n_joint,))
+    if not callable(torque):
+        return numbers(torque, "torque"), []
+
+    def checked(t: float) -> Array:
+        return numbers(torque(t), f"torque({t:.6g} s)")
+
+    jumps = checks.numbers(list(getattr(torque, "breakpoints", ())), "torque.breakpoints", unit="s")
+    return checked, list(jumps)
 
 
 class _Motion:
@@ -141,7 +135,7 @@ class _Motion:
         self,
         model: Model,
         start: tuple[Array, Array],
-        signal: TorqueSignal | Array,
+        signal: Signal | Array,
         jumps: list[float],
         times: Array,
         rtol: float,
@@ -157,7 +151,7 @@ class _Motion:
         """A jump belongs to the piece of motion that it starts."""
         if not callable(self.signal):
             return self.signal
-        return np.array(self.signal(min(max(t, begin), np.nextafter(end, begin))), dtype=float)
+        return self.signal(min(max(t, begin), np.nextafter(end, begin)))
 
     def _opened(self, q: Array) -> Array:
         """Coordinates that solvers integrate: of a free base, the attitude as a quaternion."""
@@ -231,7 +225,7 @@ class _Motion:
 def _fixed_steps(
     model: Model,
     start: tuple[Array, Array],
-    signal: TorqueSignal | Array,
+    signal: Signal | Array,
     jumps: list[float],
     times: Array,
     integrator: str,
@@ -239,10 +233,17 @@ def _fixed_steps(
 ) -> Array:
     """Equal steps of at most `dt` between output times and jumps."""
     fastest = stability.fastest(model, start[0])
-    largest = CAREFUL / fastest if fastest else float(np.ptp(times)) / 1000.0
-    largest = largest if dt is None else dt
-    if not (np.isfinite(largest) and largest > 0.0):
-        raise ValueError(f"dt must be positive and finite, got {dt!r}. Unit: [s].")
+    duration = float(np.ptp(times))
+    if dt is not None:
+        largest = checks.positive(dt, "dt", "s")
+    else:
+        largest = CAREFUL / fastest if fastest else duration / 1000.0 or 1.0
+    if duration > MOST_STEPS * largest:
+        raise ValueError(
+            f"dt must be at least {duration / MOST_STEPS:.3g} s, or {duration:.6g} s take more "
+            f"than {MOST_STEPS:g} steps, got {largest:.3g} s; take a larger dt, a shorter motion, "
+            "or a method with error control."
+        )
     limit = stability.largest_step(model, start[0], integrator, largest)
     if limit < largest:
         raise ValueError(
@@ -263,7 +264,7 @@ def _fixed_steps(
 
 
 def _march(
-    stepper: Stepper, signal: TorqueSignal | Array, begin: float, end: float, largest: float
+    stepper: Stepper, signal: Signal | Array, begin: float, end: float, largest: float
 ) -> None:
     """Equal steps from `begin` to `end`; a constant torque needs one call for all."""
     steps = max(1, int(np.ceil((end - begin) / largest - 1e-9)))
@@ -276,6 +277,8 @@ def _march(
         stepper.advance()
         if stepper.status[0]:
             raise _diverged(begin + (k + int(stepper.status[0])) * stepper.dt)
+        if max(np.abs(stepper.q).max(), np.abs(stepper.v).max()) > FARTHEST:
+            raise _diverged(begin + (k + 1) * stepper.substeps * stepper.dt)
 
 
 def _diverged(t: float) -> Diverged:

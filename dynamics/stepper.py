@@ -1,11 +1,23 @@
 """Many substeps, many environments, all cores: one compiled call."""
 
-import numpy as np
+from collections.abc import Callable
+from functools import cached_property
+from threading import Lock
+from typing import Any
 
-from dynamics.crew import Crew, worth
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dynamics import checks
+from dynamics.crew import Crew, in_use, worth
 from dynamics.integrators import INTEGRATORS
+from dynamics.kernels import direct
 from dynamics.model import Model
 from dynamics.sharing import turns
+
+MOST_ENVIRONMENTS = 1_000_000
+MOST_SUBSTEPS = 1_000_000_000
+MOST_THREADS = 1024
 
 
 class Stepper:
@@ -44,44 +56,71 @@ class Stepper:
         integrator: str = "rk4",
         threads: int = 1,
     ) -> None:
-        if integrator not in INTEGRATORS:
-            raise ValueError(f"Unknown integrator {integrator!r}. Known: {sorted(INTEGRATORS)}.")
-        for name, value in (("n_env", n_env), ("substeps", substeps), ("threads", threads)):
-            if not isinstance(value, int | np.integer) or value < 1:
-                raise ValueError(f"{name} must be a positive integer, got {value!r}.")
-        if not (np.isfinite(dt) and dt > 0.0):
-            raise ValueError(f"dt must be positive and finite, got {dt!r}. Unit: [s].")
-        self.model, self.n_env, self.integrator = model, int(n_env), integrator
-        self.dt, self.substeps = float(dt), int(substeps)
-        self.q = np.zeros((n_env, model.n))
-        self.v = np.zeros((n_env, model.n))
-        self.torque = np.zeros((n_env, model.n_joint))
-        self.parameters = np.tile(model.nominal_parameters, (n_env, 1))
-        self.status = np.zeros(n_env, dtype=np.int64)
-        self.measured = np.zeros((n_env, model.n_measure))
-        self._program = model.program(1 if n_env == 1 else model.lanes, integrator)
+        checks.instance(model, "model", Model)
+        checks.known(integrator, "integrator", INTEGRATORS)
+        self.n_env = checks.integer(n_env, "n_env", 1, MOST_ENVIRONMENTS)
+        self.substeps = checks.integer(substeps, "substeps", 1, MOST_SUBSTEPS)
+        self.dt = checks.positive(dt, "dt", "s")
+        threads = checks.integer(threads, "threads", 1, MOST_THREADS)
+        self.model, self.integrator = model, integrator
+        self._q, self._v = np.zeros((self.n_env, model.n)), np.zeros((self.n_env, model.n))
+        self._torque = np.zeros((self.n_env, model.n_joint))
+        self._parameters = np.tile(model.nominal_parameters, (self.n_env, 1))
+        self._status = np.zeros(self.n_env, dtype=np.int64)
+        self._measured = np.zeros((self.n_env, model.n_measure))
+        self._program = model.program(1 if self.n_env == 1 else model.lanes, integrator)
         evaluations = INTEGRATORS[integrator].evaluations(self.substeps)
         operations = self.n_env * evaluations * int(self._program.OPERATIONS)
-        self.threads = worth(int(threads), -(-self.n_env // model.lanes), operations)
+        self.threads = worth(threads, -(-self.n_env // model.lanes), operations)
         self._turns = turns(self.n_env, model.lanes, self.threads)
         self._rows = self._turns.copy()
         self._w = [model.workspace(self._program) for _ in range(self.threads)]
         self._crew = Crew(self.threads)
+        self._lock = Lock()
+
+    # compiled code takes the arrays as they are: none can be replaced by one of another shape
+    q = property(lambda self: self._q)
+    v = property(lambda self: self._v)
+    torque = property(lambda self: self._torque)
+    parameters = property(lambda self: self._parameters)
+    status = property(lambda self: self._status)
+    measured = property(lambda self: self._measured)
 
     def advance(self) -> None:
         """Step every environment `substeps` times, then measure. Allocates nothing."""
-        if self.threads == 1:
-            self._advance(0)
-        else:
-            self._rows[:] = self._turns
-            self._crew.run(self._advance)
+        if not self._lock.acquire(blocking=False):
+            raise in_use()
+        try:
+            if self.threads == 1:
+                self._advance(0)
+            else:
+                self._rows[:] = self._turns
+                self._compiled  # by one thread, before several need it  # noqa: B018
+                self._crew.run(self._advance)
+        finally:
+            self._lock.release()
 
     def _advance(self, thread: int) -> None:
-        self._program.advance(
-            self._rows, thread, self.q, self.v, self.torque, self.parameters, self.dt,
-            self.substeps, self._w[thread], self.status, self.measured,
+        self._compiled(
+            self._rows, thread, self._q, self._v, self._torque, self._parameters, self.dt,
+            self.substeps, self._w[thread], self._status, self._measured,
         )  # fmt: skip
 
-    def measure(self, q: np.ndarray, v: np.ndarray, out: np.ndarray) -> None:
+    @cached_property
+    def _compiled(self) -> Callable[..., Any]:
+        return direct(
+            self._program.advance, self._rows, 0, self._q, self._v, self._torque, self._parameters,
+            self.dt, self.substeps, self._w[0], self._status, self._measured,
+        )  # fmt: skip
+
+    def measure(self, q: ArrayLike, v: ArrayLike, out: NDArray[np.float64]) -> None:
         """Measurements (N, n_measure) of any states (N, n), by this stepper's compiled code."""
+        q, v = (checks.array(x, name, (None, self.model.n)) for x, name in ((q, "q"), (v, "v")))
+        shape = len(q), self.model.n_measure
+        checks.instance(out, "out", np.ndarray)
+        if v.shape != q.shape or out.shape != shape or out.dtype != np.float64:
+            raise ValueError(
+                f"v must have the shape {q.shape} of q, and out must be float64 of shape {shape}, "
+                f"got {v.shape} and {out.dtype} of shape {out.shape}."
+            )
         self._program.measure_states(q, v, self._w[0], out)

@@ -1,15 +1,12 @@
 """Where an assumed-modes model leaves what it assumes: small deflections, slow turning, damping."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from dynamics import checks
 from dynamics.arm import Arm
 from dynamics.fidelity import viscous_links
 from dynamics.model import Model
-
-if TYPE_CHECKING:
-    from dynamics.simulation import Trajectory
+from dynamics.trajectory import Trajectory
 
 LARGEST_DEFLECTION = 0.1  # [-] of the length of a link, or of a segment of it
 LARGEST_SLOPE = 0.15  # [rad] at its tip
@@ -20,12 +17,14 @@ class ValidityWarning(UserWarning):
     """A motion left what its model assumes: expect errors."""
 
 
-def limits(model: Model, trajectory: "Trajectory") -> tuple[str, ...]:
+def limits(model: Model, trajectory: Trajectory) -> tuple[str, ...]:
     """One sentence for every assumption that a motion of the arm leaves; empty if it keeps all."""
+    checks.instance(model, "model", Model)
+    checks.instance(trajectory, "trajectory", Trajectory)
     return (*_rates(model, trajectory), *_bending(model, trajectory), *_damping(model.arm))
 
 
-def _rates(model: Model, trajectory: "Trajectory") -> list[str]:
+def _rates(model: Model, trajectory: Trajectory) -> list[str]:
     joints = list(model.arm.joint_index)
     if model.arm.foreshortening or model.n == model.n_joint + model.arm.base.n:
         return []
@@ -49,7 +48,7 @@ def _damping(arm: Arm) -> list[str]:
     ]
 
 
-def _bending(model: Model, trajectory: "Trajectory") -> list[str]:
+def _bending(model: Model, trajectory: Trajectory) -> list[str]:
     parts = list(zip(model.chain.links, model.chain.split(list(trajectory.q.T)), strict=True))
     result = []
     for i, (link, place) in enumerate(zip(model.arm.links, model.bodies, strict=True), 1):

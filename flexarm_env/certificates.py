@@ -109,8 +109,7 @@ def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> 
     ValueError : for an unknown fidelity, or one beside a tolerance.
     RuntimeError : if no model is that true, see `dynamics.choose_model`.
     """
-    if fidelity not in FIDELITIES:
-        raise ValueError(f"Unknown fidelity {fidelity!r}. Known: {list(FIDELITIES)}.")
+    checks.known(fidelity, "fidelity", FIDELITIES)
     if tolerance is not None:
         if fidelity != "auto":
             raise ValueError(f"Give a tolerance ({tolerance!r} m) or a fidelity, not both.")

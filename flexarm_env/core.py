@@ -3,13 +3,13 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
-from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics import Arm, checks, load_arm
+from dynamics import checks, load_arm
+from dynamics.arm_file import ArmSource
 from dynamics.crew import Crew, worth
 from dynamics.integrators import INTEGRATORS
 from dynamics.kernels import direct
@@ -37,7 +37,6 @@ from flexarm_env.tasks import find_task
 
 Array = NDArray[np.float64]
 FASTEST = 1e12  # [rad/s] of a joint without a limit
-ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm
 
 
 class Core:
@@ -162,8 +161,8 @@ class Core:
         self._allocate()
 
     def _integration(self, integrator: str | None, substeps: int | None) -> tuple[str, int]:
-        if integrator is not None and integrator not in INTEGRATORS:
-            raise ValueError(f"Unknown integrator {integrator!r}. Known: {sorted(INTEGRATORS)}.")
+        if integrator is not None:
+            checks.known(integrator, "integrator", INTEGRATORS)
         if substeps is not None:
             require_whole("substeps", substeps, 1)
         entry = kept(self.arm, self.control_dt) if integrator is None else None

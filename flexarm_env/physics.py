@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics import checks
 from dynamics.arm import Arm
 from dynamics.gibbs_appell import mass_matrix
 from dynamics.integrators import INTEGRATORS
@@ -62,6 +63,11 @@ def physics(arm: Arm) -> Physics:
                 f"Environments take arms whose joints turn, but joint {i} is {link.joint.type}; "
                 "follow such an arm with dynamics.simulate."
             )
+    with checks.double_precision("The arm's frequencies and scales"):
+        return _derived(arm)
+
+
+def _derived(arm: Arm) -> Physics:
     model = Model(arm)
     joints = list(arm.joint_index)
     modal = [i for i in range(arm.n) if i not in joints]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics import checks
 from flexarm_env import kernels
 from flexarm_env.physics import MOVE
 
@@ -97,6 +98,4 @@ TASKS = {
 
 def find_task(name: str) -> Task:
     """The task of this name, or a sentence."""
-    if name not in TASKS:
-        raise ValueError(f"Unknown task {name!r}. Known: {sorted(TASKS)}.")
-    return TASKS[name]
+    return TASKS[checks.known(name, "task", TASKS)]

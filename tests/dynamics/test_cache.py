@@ -243,3 +243,15 @@ def load_from(folder: Path, name: str) -> bytes | None:
 def test_kept_text_is_built_once(folder: Path) -> None:
     texts = iter(["first", "second"])
     assert [kept("x", lambda: next(texts)) for _ in range(3)] == 3 * ["first"]
+
+
+def test_arms_with_the_same_equations_keep_their_own_compiled_code(folder: Path) -> None:
+    """Code refers to the module it was compiled in, which another process may never load."""
+    twin = replace(ARM, links=tuple(replace(link, EIy=1.0) for link in ARM.links))
+    answer()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", CacheWarning)
+        np.testing.assert_array_equal(answer(twin), EXPECTED)
+    texts = {load(path.name) for path in folder.glob("*.py")}
+    assert len(texts) == 1
+    assert len(list(folder.glob("*.py"))) == len(list(folder.glob("*.nbc"))) == 2

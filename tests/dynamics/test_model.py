@@ -338,7 +338,8 @@ def test_mass_matrix_and_bias_of_six_links_take_a_fifth_of_the_published_operati
 BAD = [
     ({"formulation": "newton"}, "Unknown formulation 'newton'"),
     ({"dtype": "float16"}, "Unknown dtype 'float16'"),
-    ({"free_parameters": ("colour",)}, r"Unknown free parameters \['colour'\]. Known: \["),
+    ({"free_parameters": ("colour",)}, r"Unknown free parameter 'colour'. Known: \["),
+    ({"free_parameters": "stiffness"}, "free_parameters must be a list, got 'stiffness'"),
 ]
 
 
@@ -358,7 +359,7 @@ def test_a_bad_question_is_refused_with_name_and_shape() -> None:
         (lambda: model.mass_matrix(np.zeros(2)), r"q must have shape \(3,\), got \(2,\)"),
         (lambda: model.bias(q, np.zeros((3, 1))), r"v must have shape \(3,\), got \(3, 1\)"),
         (lambda: model.accelerations(q, q, q), r"tau must have shape \(1,\), got \(3,\)"),
-        (lambda: model.strain(q, 1, 0.0), "link must be 0 to 0, got 1"),
+        (lambda: model.strain(q, 1, 0.0), "link must be between 0 and 0, got 1"),
         (lambda: model.strain(q, 0, 2.0), "x must be within the link, 0 to 1.2192 m, got 2.0"),
         (lambda: model.frequencies(q, joints="loose"), "joints must be .* got 'loose'"),
     ):

@@ -289,12 +289,14 @@ def test_a_pickled_model_is_the_same_model() -> None:
 
 
 BAD = [
-    ({"n_env": 0}, "n_env must be a positive integer, got 0."),
-    ({"n_env": 2.0}, "n_env must be a positive integer, got 2.0."),
-    ({"substeps": -1}, "substeps must be a positive integer, got -1."),
-    ({"threads": 0}, "threads must be a positive integer, got 0."),
-    ({"dt": 0.0}, "dt must be positive and finite, got 0.0. Unit: [s]."),
-    ({"dt": float("nan")}, "dt must be positive and finite, got nan. Unit: [s]."),
+    ({"n_env": 0}, "n_env must be between 1 and 1000000, got 0."),
+    ({"n_env": 2.0}, "n_env must be an int, got 2.0."),
+    ({"n_env": 10**12}, "n_env must be between 1 and 1000000, got 1000000000000."),
+    ({"substeps": -1}, "substeps must be between 1 and 1000000000, got -1."),
+    ({"threads": 0}, "threads must be between 1 and 1024, got 0."),
+    ({"dt": 0.0}, "dt must be positive, got 0.0. Unit: [s]."),
+    ({"dt": float("nan")}, "dt [s] must be a finite number, got nan."),
+    ({"model": "slim"}, "model must be a Model, got 'slim'."),
     ({"integrator": "leapfrog"}, f"Unknown integrator 'leapfrog'. Known: {sorted(INTEGRATORS)}."),
 ]
 
@@ -303,10 +305,10 @@ BAD = [
 def test_a_bad_argument_is_refused_with_name_and_value(
     change: dict[str, object], sentence: str
 ) -> None:
-    arguments = {"n_env": 2, "dt": 1e-3, "substeps": 1} | change
+    arguments = {"model": compiled(ARM), "n_env": 2, "dt": 1e-3, "substeps": 1} | change
 
     with pytest.raises(ValueError, match=f"^{re.escape(sentence)}$"):
-        Stepper(compiled(ARM), **arguments)
+        Stepper(**arguments)
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])

@@ -1,0 +1,313 @@
+"""Whatever is given to the physics, it is used or refused with a sentence, and no answer absurd."""
+
+import copy
+import json
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from dynamics import (
+    ARMS,
+    Arm,
+    Base,
+    Body,
+    Diverged,
+    Joint,
+    JointMotion,
+    Link,
+    Mode,
+    Payload,
+    Scene,
+    Stepper,
+    choose_model,
+    compile_arm,
+    graphs,
+    limits,
+    load_arm,
+    simulate,
+)
+from dynamics.arm import MOST_LINKS
+from dynamics.certificate import certify
+from dynamics.data_file import MOST_BYTES, MOST_NODES
+from dynamics.model import Model
+from dynamics.scene import bang_bang, cycloid, release
+from tests.refusal import NONSENSE, used_or_refused
+
+MODEL = compile_arm("slim")
+REST = np.zeros(3)
+STEPPER = Stepper(MODEL, 2, dt=1e-3, substeps=1)
+MEASURED = np.zeros((2, MODEL.n_measure))
+SCENE = Scene(motions=(bang_bang((0.1,), 0.1, 0.3),))
+SOLID = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def described(cls: Any, **base: Any) -> dict[str, Callable[[Any], Any]]:
+    """A call per field of a description."""
+    return {
+        f"{cls.__name__}.{field.name}": lambda x, name=field.name: cls(**{**base, name: x})
+        for field in fields(cls)
+    }
+
+
+def motion(torque: Any, integrator: str = "auto", **more: Any) -> Any:
+    return simulate(MODEL, REST, REST, torque, [0.0, 0.01], integrator=integrator, **more)
+
+
+CALLS: dict[str, Callable[[Any], Any]] = {
+    "load_arm": load_arm,
+    "compile_arm": compile_arm,
+    "compile_arm formulation": lambda x: compile_arm("slim", formulation=x),
+    "compile_arm dtype": lambda x: compile_arm("slim", dtype=x),
+    "compile_arm free_parameters": lambda x: compile_arm("slim", free_parameters=x),
+    "compile_arm free parameter": lambda x: compile_arm("slim", free_parameters=[x]),
+    "Stepper model": lambda x: Stepper(x, 2, dt=1e-3, substeps=1),
+    "Stepper n_env": lambda x: Stepper(MODEL, x, dt=1e-3, substeps=1),
+    "Stepper dt": lambda x: Stepper(MODEL, 2, dt=x, substeps=1),
+    "Stepper substeps": lambda x: Stepper(MODEL, 2, dt=1e-3, substeps=x),
+    "Stepper integrator": lambda x: Stepper(MODEL, 2, dt=1e-3, substeps=1, integrator=x),
+    "Stepper threads": lambda x: Stepper(MODEL, 2, dt=1e-3, substeps=1, threads=x),
+    "Stepper.measure q": lambda x: STEPPER.measure(x, STEPPER.v, MEASURED),
+    "Stepper.measure v": lambda x: STEPPER.measure(STEPPER.q, x, MEASURED),
+    "Stepper.measure out": lambda x: STEPPER.measure(STEPPER.q, STEPPER.v, x),
+    "strain q": lambda x: MODEL.strain(x, 0, 0.1),
+    "strain link": lambda x: MODEL.strain(REST, x, 0.1),
+    "strain x": lambda x: MODEL.strain(REST, 0, x),
+    "mass_matrix": MODEL.mass_matrix,
+    "bias": lambda x: MODEL.bias(REST, x),
+    "accelerations": lambda x: MODEL.accelerations(REST, REST, x),
+    "inverse_dynamics": lambda x: MODEL.inverse_dynamics(REST, REST, x),
+    "inverse_dynamics wrench": lambda x: MODEL.inverse_dynamics(REST, REST, REST, wrench=x),
+    "energy": lambda x: MODEL.energy(x, REST),
+    "momentum": lambda x: MODEL.momentum(REST, x),
+    "tip": MODEL.tip,
+    "tip_velocity": lambda x: MODEL.tip_velocity(REST, x),
+    "frequencies": MODEL.frequencies,
+    "frequencies joints": lambda x: MODEL.frequencies(REST, joints=x),
+    "linearize": lambda x: MODEL.linearize(REST, REST, x),
+    "christoffel": lambda x: MODEL.christoffel(x, REST),
+    "simulate model": lambda x: simulate(x, REST, REST, None, [0.0, 0.1]),
+    "simulate q": lambda x: simulate(MODEL, x, REST, None, [0.0, 0.1]),
+    "simulate torque": motion,
+    "simulate torque function": lambda x: motion(lambda t: x),
+    "simulate torque function, fixed steps": lambda x: motion(lambda t: x, "rk4"),
+    "simulate times": lambda x: simulate(MODEL, REST, REST, None, x),
+    "simulate integrator": lambda x: motion(None, x),
+    "simulate dt": lambda x: motion(None, "rk4", dt=x),
+    "simulate rtol": lambda x: motion(None, rtol=x),
+    "limits model": lambda x: limits(x, motion(None)),
+    "limits trajectory": lambda x: limits(MODEL, x),
+    "choose_model arm": lambda x: choose_model(x, SCENE, 0.1),
+    "choose_model scene": lambda x: choose_model("slim", x, 0.1),
+    "choose_model tolerance": lambda x: choose_model("slim", SCENE, x),
+    "certify integrator": lambda x: certify("slim", SCENE, x, 1e-3, 1e-3),
+    "certify dt": lambda x: certify("slim", SCENE, "rk4", x, 0.1),
+    "certify accuracy": lambda x: certify("slim", SCENE, "rk4", 1e-3, x),
+    "bang_bang torques": lambda x: bang_bang(x, 0.1, 1.0),
+    "bang_bang pulse": lambda x: bang_bang((0.1,), x, 1.0),
+    "cycloid": lambda x: cycloid((0.1,), x, 1.0),
+    "release": lambda x: release(x, 1.0),
+    **described(Scene, motions=SCENE.motions),
+    **described(JointMotion, joint_angles=(0.0,), joint_rates=(0.0,), t_end=1.0),
+    **described(Link, length=1.0, rho_A=1.0),
+    **described(Joint),
+    **described(Mode, kind="poly", index=1, direction="y"),
+    **described(Payload, mass=1.0),
+    **described(Body, mass=1.0),
+    **described(Base, type="free", mass=1.0, inertia=SOLID),
+    **described(Arm, links=(Link(length=1.0, rho_A=1.0),)),
+}
+
+
+@pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
+def test_nonsense_is_refused_with_a_sentence(call: Callable[[Any], Any]) -> None:
+    for value in NONSENSE:
+        with used_or_refused(Diverged, RuntimeError):
+            call(value)
+
+
+def test_a_torque_of_another_length_is_refused() -> None:
+    for integrator in ("rk4", "dop853", "radau"):
+        with pytest.raises(ValueError, match=r"torque\(0.* s\) must have shape \(1,\), got \(2,\)"):
+            motion(lambda t: [0.1, 0.2], integrator)
+
+
+def test_what_a_stepper_compiles_for_cannot_be_replaced() -> None:
+    """Compiled code would read beyond the end of a smaller array."""
+    for name in ("q", "v", "torque", "parameters", "status", "measured"):
+        with pytest.raises(AttributeError):
+            setattr(STEPPER, name, np.zeros(1))
+
+
+# ---- descriptions --------------------------------------------------------------------------------
+
+PLAIN = [arm.to_dict() for arm in ARMS.values() if arm.n <= 12]
+LINK_NUMBERS = ("length", "rho_A", "EIz", "EIy", "GJ", "EA", "rho_Ip", "tip_mass", "damping_beta")
+JOINT_NUMBERS = (
+    "rotor_inertia", "hub_inertia", "viscous", "coulomb", "coulomb_speed", "stiffness",
+    "spring_damping",
+)  # fmt: skip
+numbers = st.one_of(
+    st.sampled_from([0.0, -1.0, 1e30, 1e31, math.nan, math.inf]),
+    st.floats(-30.0, 30.0).map(lambda x: 10.0**x),
+    st.floats(-3.0, 3.0).map(lambda x: 10.0**x),
+)
+changes = st.tuples(
+    st.integers(0, 5),
+    st.one_of(
+        st.tuples(st.just("link"), st.sampled_from(LINK_NUMBERS)),
+        st.tuples(st.just("joint"), st.sampled_from(JOINT_NUMBERS)),
+        st.tuples(st.just("arm"), st.sampled_from(["gravity", "payload", "offset"])),
+    ),
+    numbers,
+)
+
+
+def changed(plain: dict[str, Any], what: list[Any]) -> dict[str, Any]:
+    """A description with other numbers."""
+    result = copy.deepcopy(plain)
+    for place, (owner, name), value in what:
+        link = result["links"][place % len(result["links"])]
+        joint = link.setdefault("joint", {})
+        if owner == "arm":
+            parts = {"gravity": [0, -value, 0], "payload": {"mass": value}, "offset": [value, 0, 0]}
+            (joint if name == "offset" else result)[name] = parts[name]
+        else:
+            (link if owner == "link" else joint)[name] = value
+        if name == "damping_beta":
+            link.pop("damping_ratio", None)
+    return result
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@given(plain=st.sampled_from(PLAIN), what=st.lists(changes, min_size=1, max_size=6))
+def test_a_description_is_refused_or_its_numbers_are_finite(
+    plain: dict[str, Any], what: list[Any]
+) -> None:
+    """Sixty orders of magnitude either way, several at once."""
+    with used_or_refused():
+        model = Model(load_arm(changed(plain, what)))
+        q = model.rigid(np.full(model.n, 0.3))
+        graphs.check_rest(model)
+        answers = [
+            model.mass_matrix(q), model.bias(q, q), model.energy(q, q), model.frequencies(),
+            model.tip(q),
+        ]  # fmt: skip
+        assert all(np.isfinite(answer).all() for answer in answers)
+
+
+json_values = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5)),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(plain=st.sampled_from(PLAIN), data=st.data())
+def test_any_value_anywhere_in_a_description_is_used_or_refused(
+    plain: dict[str, Any], data: st.DataObject
+) -> None:
+    result: Any = copy.deepcopy(plain)
+    place = result
+    while True:
+        keys = list(place) if isinstance(place, dict) else list(range(len(place)))
+        key = data.draw(st.sampled_from(keys))
+        if not isinstance(place[key], dict | list) or not place[key] or data.draw(st.booleans()):
+            break
+        place = place[key]
+    place[key] = data.draw(json_values)
+    with used_or_refused():
+        Model(load_arm(result))
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+
+def refused(path: Path, content: str | bytes) -> str:
+    """The sentence with which a file is refused, at once."""
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    begin = time.monotonic()
+    with pytest.raises(ValueError, match=path.name) as caught:
+        load_arm(path)
+    assert time.monotonic() - begin < 10.0
+    return str(caught.value)
+
+
+LINK = {"length": 1.0, "rho_A": 1.0}
+
+
+def test_limits_of_a_file_are_stated(tmp_path: Path) -> None:
+    for suffix, most in MOST_BYTES.items():
+        sentence = refused(tmp_path / f"arm{suffix}", " " * (most + 1))
+        assert f"at most {most} bytes" in sentence
+    links = json.dumps({"links": (MOST_LINKS + 1) * [LINK]})
+    assert "links must have at most 1000 entries, got 1001" in refused(tmp_path / "a.json", links)
+    modes = 201 * [{"kind": "poly", "index": 1, "direction": "y"}]
+    many = json.dumps({"links": [LINK | {"EIz": 1.0, "modes": modes}]})
+    assert "modes must have at most 200 entries, got 201" in refused(tmp_path / "a.json", many)
+    cut = [LINK | {"EIz": 1.0, "segments": 501, "modes": [*modes[:1], modes[0] | {"index": 2}]}]
+    sentence = refused(tmp_path / "a.json", json.dumps({"links": cut}))
+    assert "at most 1000 coordinates" in sentence
+    assert "got 1003" in sentence
+
+
+def test_aliases_count_as_what_they_stand_for(tmp_path: Path) -> None:
+    """Nine lists, each of nine times the one before, are a billion links."""
+    lines = ["a0: &a0 {length: 1.0, rho_A: 1.0}"]
+    lines += [f"a{k}: &a{k} [{', '.join(9 * [f'*a{k - 1}'])}]" for k in range(1, 10)]
+    bomb = "\n".join([*lines, "links: *a9"])
+    assert f"at most {MOST_NODES} values" in refused(tmp_path / "arm.yaml", bomb)
+    merged = [f"a{k}: &a{k} {{<<: [{', '.join(9 * [f'*a{k - 1}'])}]}}" for k in range(1, 10)]
+    assert "values" in refused(tmp_path / "arm.yaml", "\n".join([lines[0], *merged]))
+    assert "alias within" in refused(tmp_path / "arm.yaml", "links: &a [*a]")
+    flat = "links: [" + ", ".join(MOST_NODES * ["1"]) + "]"
+    assert "values" in refused(tmp_path / "arm.yaml", flat)
+    repeated = "x: &link {length: 1.0, rho_A: 1.0}\nlinks: [*link, *link]".replace("x:", "name:")
+    assert "Arm.name must be text" in refused(tmp_path / "arm.yaml", repeated)
+    (tmp_path / "arm.yaml").write_text("links: [&link {length: 1.0, rho_A: 1.0}, *link]")
+    assert load_arm(tmp_path / "arm.yaml").n_joint == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("deep.json", 100_000 * "["),
+        ("deep.yaml", 100_000 * "["),
+        ("digits.json", '{"gravity": [' + 5000 * "1" + "]}"),
+        ("digits.yaml", "gravity: [" + 5000 * "1" + "]"),
+        ("date.yaml", "name: 2001-99-99"),
+        ("tag.yaml", "name: !!python/object/apply:os.system ['touch canary']"),
+        ("keys.yaml", "{[1]: 2}"),
+        ("twice.json", '{"name": "a", "name": "b"}'),
+        ("bytes.json", b"\xff\xfe"),
+        ("list.json", "[]"),
+        ("empty.yaml", ""),
+        ("plain.txt", "{}"),
+    ],
+)
+def test_a_strange_file_is_refused_at_once(name: str, content: str | bytes, tmp_path: Path) -> None:
+    refused(tmp_path / name, content)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.json")
+    with pytest.raises(ValueError, match="not a regular file"):
+        load_arm(tmp_path / "pipe.json")
+
+
+@pytest.mark.parametrize("name", ["a\0b.json", 5000 * "a" + ".json", "\ud800.yaml"])
+def test_a_path_that_cannot_be_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=r"cannot read|no such file"):
+        load_arm(name)
