@@ -14,7 +14,7 @@ from dynamics.integrators import INTEGRATORS
 from dynamics.model import Model
 from dynamics.stepper import Stepper
 from dynamics.trajectory import Trajectory
-from dynamics.validity import ValidityWarning, limits
+from dynamics.validity import FARTHEST, ValidityWarning, limits
 
 Array = NDArray[np.float64]
 TorqueSignal = Callable[[float], ArrayLike]
@@ -24,7 +24,6 @@ REFERENCES = {"dop853": DOP853, "radau": Radau, "bdf": BDF}
 RTOL = 1e-10  # of a method with error control, unless the caller says
 CAREFUL = 0.1  # default dt of a fixed-step method, times the fastest rate of the arm
 MOST_STEPS = 1e9  # of a fixed-step method: hours
-FARTHEST = 1e8  # [rad], [rad/s] beyond which sine and cosine of an angle mean nothing
 WORTH = 100_000  # evaluations of DOP853, a few seconds, from which "auto" tries Radau's method
 TRIAL = 8000  # evaluations of each to tell which gets farther: decaying starts are slow for both
 DEARER = 4.0  # an implicit method's evaluation, with its share of Jacobians and linear algebra

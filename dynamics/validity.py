@@ -8,6 +8,7 @@ from dynamics.fidelity import viscous_links
 from dynamics.model import Model
 from dynamics.trajectory import Trajectory
 
+FARTHEST = 1e8  # [rad], [rad/s] beyond which sine and cosine of an angle mean nothing
 LARGEST_DEFLECTION = 0.1  # [-] of the length of a link, or of a segment of it
 LARGEST_SLOPE = 0.15  # [rad] at its tip
 LARGEST_RATE = 0.5  # [-] joint rate over the first clamped frequency, without foreshortening

@@ -218,7 +218,7 @@ def load_actuators(source: object, n_joint: int) -> tuple[Actuator, ...]:
     if not isinstance(source, Sequence) or len(source) != n_joint:
         raise ValueError(
             f"actuator must be a name, a dict, or a list of {n_joint} (one per joint), "
-            f"got {source!r}."
+            f"got {checks.shown(source)}."
         )
     return tuple(_load(entry) for entry in source)
 
@@ -227,12 +227,12 @@ def _load(source: object) -> Actuator:
     if isinstance(source, str):
         if source not in PRESETS:
             raise ValueError(
-                f"Unknown actuator {source!r}. Known: {sorted(PRESETS)}; or give a dict with a "
-                f'"type" of {sorted(ACTUATORS)}.'
+                f"Unknown actuator {checks.shown(source)}. Known: {sorted(PRESETS)}; or give a "
+                f'dict with a "type" of {sorted(ACTUATORS)}.'
             )
         return PRESETS[source]
     if not isinstance(source, Mapping):
-        raise ValueError(f"An actuator must be a name or a dict, got {source!r}.")
+        raise ValueError(f"An actuator must be a name or a dict, got {checks.shown(source)}.")
     kind = checks.choice(source.get("type"), 'actuator["type"]', ACTUATORS)
     known = fields(ACTUATORS[kind])
     data = checks.mapping(source, f"actuator {kind}", ["type", *(f.name for f in known)])
@@ -265,6 +265,6 @@ def refuse_beside_actuators(**keywords: Any) -> None:
     for name, value in keywords.items():
         if value is not None:
             raise ValueError(
-                f"{name} ({value!r}) is for ideal torque sources; leave it out beside actuator, "
-                "whose own data say what it gives."
+                f"{name} ({checks.shown(value)}) is for ideal torque sources; leave it out beside "
+                "actuator, whose own data say what it gives."
             )

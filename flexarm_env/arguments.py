@@ -1,59 +1,100 @@
 """Checks of an environment's keywords: each returns the clean value or raises one sentence."""
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics import Arm, checks
 from dynamics.free_parameters import FREE_PARAMETERS
 
 Array = NDArray[np.float64]
+
+CONTROL_DT = (1e-6, 10.0)  # [s]
+DEFLECTION_LIMITS = (1e-6, 1.0)  # [-]
+MOST_STEPS = 10_000_000  # of an episode: float32 counts no further than 1.6 times that
+MOST_SUBSTEPS, MOST_BY_RULE = 1_000_000, 5000  # per control step: given, and found by a rule
+MOST_DRAWN = 1e6  # of a free parameter: [kg] or times its nominal value
+FARTHEST_START = 1e4  # [rad], [m], [rad/s], [m/s] of a state or target: a thousand turns
+MOST_SEED = 2**128 - 1
 
 
 def torque_limits(given: float | Sequence[float] | None, default: tuple[float, ...]) -> Array:
     """(n_joint,) [N m] one number for all joints or one per joint; `default` for None."""
     if given is None:
         return np.array(default)
-    limit = np.asarray(given, dtype=np.float64)
-    if limit.shape not in ((), (len(default),)):
+    count = len(default)
+    limits = count * [given] if isinstance(given, Real) else checks.sequence(given, "torque_limit")
+    if len(limits) != count:
         raise ValueError(
-            f"torque_limit must be one number or {len(default)} (one per joint), "
-            f"got {given!r}. Unit: [N m]."
+            f"torque_limit must be one number or {count} (one per joint), "
+            f"got {checks.shown(given)}. Unit: [N m]."
         )
-    if not (np.isfinite(limit).all() and (limit > 0.0).all()):
-        raise ValueError(f"torque_limit must be positive, got {given!r}. Unit: [N m].")
-    return np.full(len(default), limit) if limit.shape == () else limit.copy()
+    return np.array([checks.positive(limit, "torque_limit", "N m") for limit in limits])
 
 
 def ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
     """Ranges (low, high) of free parameters by name."""
-    unknown = sorted(set(map(str, given)) - set(FREE_PARAMETERS))
-    if unknown:
-        raise ValueError(f"Unknown randomize {unknown}. Known: {sorted(FREE_PARAMETERS)}.")
+    if not isinstance(given, Mapping):
+        raise ValueError(
+            f"randomize must be a dict of (low, high) by free parameter, got {checks.shown(given)}."
+        )
+    result = {}
     for name, pair in given.items():
-        low, high = checked(f"randomize[{name!r}]", pair, 2, 1)
-        if not 0.0 <= low <= high:
+        checks.known(name, "randomize", FREE_PARAMETERS)
+        low, high = checks.numbers(pair, f"randomize[{name!r}]", 2)
+        if not 0.0 <= low <= high <= MOST_DRAWN:
             raise ValueError(
-                f"randomize[{name!r}] must be (low, high) with 0 <= low <= high, got {pair!r}."
+                f"randomize[{name!r}] must be (low, high) with 0 <= low <= high <= "
+                f"{MOST_DRAWN:g}, got {checks.shown(pair)}."
             )
-    return {name: (float(low), float(high)) for name, (low, high) in given.items()}
+        result[name] = (low, high)
+    return result
 
 
-def require_whole(name: str, value: Any, least: int) -> None:
-    """Refuse what is not a whole number, or too small."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} must be a whole number, at least {least}, got {value!r}.")
+def within(name: str, value: object, least: float, most: float, unit: str) -> float:
+    """A number between two bounds, both allowed."""
+    result = checks.number(value, name, unit)
+    if not least <= result <= most:
+        raise ValueError(
+            f"{name} must be between {least:g} and {most:g}, got {result!r}. Unit: [{unit}]."
+        )
+    return result
 
 
-def checked(name: str, values: Any, size: int, n_row: int) -> Array:
-    """Numbers for each of `n_row` environments, or a sentence; None means zeros."""
+def placements(options: Any, arm: Arm, n_row: int) -> dict[str, Array]:
+    """Options of a reset: what they put in place of drawn "q", "v" and "centre" (the target)."""
+    if not isinstance(options, Mapping):
+        raise ValueError(f"options must be a dict, got {checks.shown(options)}.")
+    unknown = sorted(set(map(str, options)) - {"state", "target"})
+    if unknown:
+        raise ValueError(f"Unknown reset options {unknown}. Known: ['state', 'target'].")
+    state, target = options.get("state"), options.get("target")
+    result = {}
+    if state is not None:
+        if not isinstance(state, Mapping) or not set(state) <= {"q", "v"}:
+            raise ValueError(
+                f"options['state'] must be a dict of 'q' and 'v', got {checks.shown(state)}."
+            )
+        for x in ("q", "v"):
+            result[x] = _coordinates(f"options['state'][{x!r}]", state.get(x), arm.n, n_row)
+    if target is not None:
+        result["centre"] = _coordinates("options['target']", target, arm.n_joint, n_row)
+    return result
+
+
+def _coordinates(name: str, values: Any, size: int, n_row: int) -> Array:
+    """(size,) or (n_row, size) numbers for all of `n_row` environments or each; None: zeros."""
     if values is None:
         return np.zeros(size)
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be {size} numbers, got {values!r}.") from None
-    if array.shape not in ((size,), (n_row, size)) or not np.isfinite(array).all():
-        raise ValueError(f"{name} must be {size} finite numbers, got {values!r}.")
-    return array
+    shape = (size,) if np.ndim(np.asarray(values, dtype=object)) < 2 else (n_row, size)
+    return checks.array(values, name, shape, FARTHEST_START)
+
+
+def whole_seed(seed: Any) -> int | None:
+    """A seed as Python's own integer, or None; NumPy's integers are seeds too."""
+    if seed is None:
+        return None
+    return checks.integer(seed, "seed", 0, MOST_SEED)

@@ -112,7 +112,9 @@ def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> 
     checks.known(fidelity, "fidelity", FIDELITIES)
     if tolerance is not None:
         if fidelity != "auto":
-            raise ValueError(f"Give a tolerance ({tolerance!r} m) or a fidelity, not both.")
+            raise ValueError(
+                f"Give a tolerance ({checks.shown(tolerance)} m) or a fidelity, not both."
+            )
         return _chosen(arm, control_dt, checks.positive(tolerance, "tolerance", "m"))
     if fidelity == "rigid":
         return Fitted(rigid(arm).arm(arm))

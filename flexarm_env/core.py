@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -10,15 +11,15 @@ from numpy.typing import NDArray
 
 from dynamics import checks, load_arm
 from dynamics.arm_file import ArmSource
-from dynamics.crew import Crew, worth
+from dynamics.crew import Crew, in_use, worth
 from dynamics.integrators import INTEGRATORS
 from dynamics.kernels import direct
 from dynamics.model import Model, compile_arm
 from dynamics.sharing import turns
+from dynamics.stepper import MOST_ENVIRONMENTS, MOST_THREADS
 from dynamics.validity import LARGEST_RATE
-from flexarm_env import kernels
+from flexarm_env import arguments, kernels
 from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
-from flexarm_env.arguments import checked, ranges, require_whole, torque_limits
 from flexarm_env.certificates import find, fit, kept
 from flexarm_env.drives import Drives
 from flexarm_env.observations import observation_layout
@@ -31,12 +32,13 @@ from flexarm_env.physics import (
     integration,
     physics,
 )
-from flexarm_env.report import Report
+from flexarm_env.report import FLAGS, LOST, Report
 from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.tasks import find_task
 
 Array = NDArray[np.float64]
 FASTEST = 1e12  # [rad/s] of a joint without a limit
+DIVERGED = FLAGS.index("diverged")
 
 
 class Core:
@@ -75,6 +77,7 @@ class Core:
         where this arm and step were never certified.
     q, v : (N, n) coordinates and rates, writable views.
     dt : [s] integration step.
+    lock : held while a thread steps or resets, see `claim`.
     turns : the shares that threads take of a step, see `dynamics.sharing.turns`.
     workspaces : one per thread.
     parameters : (N, n_free) values of the randomized parameters, a view.
@@ -109,22 +112,20 @@ class Core:
         described = mounted(described, actuators)
         if actuators:
             refuse_beside_actuators(torque_limit=torque_limit, tolerance=tolerance)
-        checks.positive(control_dt, "control_dt", "s")
-        checks.positive(deflection_limit, "deflection_limit", "-")
+        self.control_dt = arguments.within("control_dt", control_dt, *arguments.CONTROL_DT, "s")
+        deflection_limit = arguments.within(
+            "deflection_limit", deflection_limit, *arguments.DEFLECTION_LIMITS, "-"
+        )
         if described.base.n:
             raise ValueError(
                 f"Base.type must be 'fixed' for an environment, got {described.base.type!r}; "
                 "step a free base with dynamics.Stepper."
             )
-        for name, value, least in (
-            ("n_env", n_env, 1),
-            ("max_episode_steps", max_steps, 0),
-            ("threads", threads, 1),
-        ):
-            require_whole(name, value, least)
+        self.n_env = checks.integer(n_env, "num_envs", 1, MOST_ENVIRONMENTS)
+        self.threads = checks.integer(threads, "threads", 1, MOST_THREADS)
+        max_steps = checks.integer(max_steps, "max_episode_steps", 0, arguments.MOST_STEPS)
         self._outputs = SingleOutputs if single else BatchOutputs
-        self.n_env, self.threads, self.control_dt = int(n_env), int(threads), float(control_dt)
-        self.randomize = ranges(randomize or {})
+        self.randomize = arguments.ranges({} if randomize is None else randomize)
         fitted = fit(described, self.control_dt, fidelity, tolerance)
         self.arm, self.physics = fitted.arm, physics(fitted.arm)
         given = physics(described)  # what a task asks does not depend on the model of the arm
@@ -132,7 +133,7 @@ class Core:
         if self.drives:
             self.torque_limit = self.drives.torque_limit
         else:
-            self.torque_limit = torque_limits(torque_limit, given.torque_limit)
+            self.torque_limit = arguments.torque_limits(torque_limit, given.torque_limit)
         self.integrator, self.substeps = self._integration(
             fitted.integrator if integrator is None else integrator,
             fitted.substeps if substeps is None else substeps,
@@ -156,15 +157,13 @@ class Core:
             self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
         )
         self.report = Report(self.model, self.task.moving, self.layout, self.drives)
-        self._constants = self._fixed_numbers(weights, float(deflection_limit), int(max_steps))
+        self._constants = self._fixed_numbers(weights, deflection_limit, max_steps)
         self._start = self._episode_ranges()
         self._allocate()
 
     def _integration(self, integrator: str | None, substeps: int | None) -> tuple[str, int]:
         if integrator is not None:
             checks.known(integrator, "integrator", INTEGRATORS)
-        if substeps is not None:
-            require_whole("substeps", substeps, 1)
         entry = kept(self.arm, self.control_dt) if integrator is None else None
         if entry is not None:
             best = next(s for s in entry["steps"] if self._as_measured(s["integrator"]))
@@ -173,7 +172,15 @@ class Core:
             name, count = integration(self.arm, self.control_dt, integrator)
         if self.drives:
             count = max(count, self.drives.substeps(self.control_dt, name))
-        return name, count if substeps is None else int(substeps)
+        if substeps is not None:
+            return name, checks.integer(substeps, "substeps", 1, arguments.MOST_SUBSTEPS)
+        if count > arguments.MOST_BY_RULE:
+            raise ValueError(
+                f"control_dt ({self.control_dt:g} s) would take {count} steps of {name!r}, more "
+                f"than {arguments.MOST_BY_RULE}, for an arm of {self.physics.fastest:.3g} rad/s; "
+                "leave out modes of its stiffest links, take fidelity='rigid', or set substeps."
+            )
+        return name, count
 
     def _as_measured(self, integrator: str) -> bool:
         """Whether a method does here what it did where its error was measured.
@@ -204,7 +211,7 @@ class Core:
         if self.drives:
             values["command_limit"] = self.drives.command
             values["actuators"] = self.drives.constants(self.dt)
-        return np.concatenate([np.ravel(values[name]) for name in self.report.constants.sizes])
+        return self.report.constants.packed(values, self.model.dtype)
 
     def _rate_limit(self) -> float:
         """[rad/s] joint rate beyond which linear modes lose much of their stiffness."""
@@ -246,6 +253,7 @@ class Core:
         self.workspaces = [self._workspace() for _ in range(threads)]
         self._no_actions = np.zeros((0, self.arm.n_joint), np.float32)
         self._crew = Crew(threads)
+        self.lock = Lock()  # held by whoever steps or resets
 
     def _operations(self) -> int:
         """How many a control step of one environment takes, but for the method's own."""
@@ -271,6 +279,11 @@ class Core:
 
     # ---- stepping ----------------------------------------------------------------------------
 
+    def claim(self) -> None:
+        """Take the lock, or refuse: two threads would step one batch at once."""
+        if not self.lock.acquire(blocking=False):
+            raise in_use()
+
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, int]:
         """One control step of all: what it says, and how many ended."""
         out = self.outputs()
@@ -279,15 +292,16 @@ class Core:
                 self.turns, 0, self.substeps, self.dt, actions, self.state, self.workspaces[0],
                 out.obs, out.info, out.flags,
             )  # fmt: skip
-        elif np.isnan(actions.min()):  # must not find other environments stepped already
-            ended = -1
+        elif not np.isfinite((actions.min(), actions.max())).all():
+            ended = -1  # must not find other environments stepped already
         else:
+            self._control_step  # compiled by one thread, before several need it  # noqa: B018
             ended = sum(self._crew.run(partial(self._turn, self.turns.copy(), actions, out)))
         if ended < 0:
-            bad = int(np.flatnonzero(np.isnan(actions).any(axis=1))[0])
+            bad = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
             raise ValueError(
-                f"Actions must be numbers in [-1, 1], got {actions[bad].tolist()} for "
-                f"environment {bad}."
+                f"Actions must be finite numbers, of which [-1, 1] count, got "
+                f"{actions[bad].tolist()} for environment {bad}."
             )
         return out, ended
 
@@ -313,10 +327,15 @@ class Core:
     def restart(
         self, rows: NDArray[np.int64], out: Outputs, options: Mapping[str, Any] | None = None
     ) -> None:
-        """Start new episodes in the environments `rows`; their entries of the outputs."""
+        """Start new episodes in the environments `rows`; their entries of the outputs.
+
+        Options that are refused leave the environments as they were.
+        """
+        placed = {} if options is None else arguments.placements(options, self.arm, rows.size)
+        before = self.state[:, rows], self.streams[rows]
         kernels.begin(rows, *self._start, self.state, self.streams)
-        if options:
-            self._place(rows, options)
+        for name, values in placed.items():
+            self.state[self.report.state.slices[name]].T[rows] = values
         if self.drives:
             states = self.report.state.slices["actuator"]
             self.state[states, rows] = self.drives.at_rest(self.q[rows])
@@ -324,6 +343,12 @@ class Core:
         self._control_step(
             rows, 0, 0, self.dt, self._no_actions, self.state, w, out.obs, out.info, out.flags
         )
+        if placed and out.flags[DIVERGED, rows].any():
+            self.state[:, rows], self.streams[rows] = before
+            raise ValueError(
+                f"options['state'] must bend no link by more than {LOST:g} times the "
+                "deflection_limit, which no model of this arm can mean."
+            )
 
     def reset(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> Any:
         """Start new episodes in `rows` and report on them; the other rows are zero."""
@@ -336,23 +361,6 @@ class Core:
     def seed(self, row: int, generator: np.random.Generator) -> None:
         """Start environment `row`'s own stream of random numbers from one number of a generator."""
         self.streams[row] = generator.integers(1 << 63, dtype=np.int64)
-
-    def _place(self, rows: NDArray[np.int64], options: Mapping[str, Any]) -> None:
-        """Replace drawn states and targets by given ones."""
-        unknown = sorted(set(options) - {"state", "target"})
-        if unknown:
-            raise ValueError(f"Unknown reset options {unknown}. Known: ['state', 'target'].")
-        state = options.get("state")
-        if state is not None:
-            if not isinstance(state, Mapping) or not set(state) <= {"q", "v"}:
-                raise ValueError(f"options['state'] must be a dict of 'q' and 'v', got {state!r}.")
-            q = checked("options['state']['q']", state.get("q"), self.arm.n, rows.size)
-            v = checked("options['state']['v']", state.get("v"), self.arm.n, rows.size)
-            self.q[rows], self.v[rows] = q, v
-        target = options.get("target")
-        if target is not None:
-            angles = checked("options['target']", target, self.arm.n_joint, rows.size)
-            self.state[self.report.state.slices["centre"], :].T[rows] = angles
 
     # ---- reports -----------------------------------------------------------------------------
 

@@ -7,6 +7,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.checks import choice, shown
+from flexarm_env.arguments import whole_seed
 from flexarm_env.core import Array, Core
 from flexarm_env.observations import Layout
 
@@ -31,7 +33,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
                 raise ValueError(f"{name} is for a batch; this is a single environment.")
         self.render_mode = render_mode
         self.core = Core(single=True, **arguments)
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.core.control_dt)}
+        self.metadata = {**self.metadata, "render_fps": frames_per_second(self.core)}
         self.observation_space = observation_space(self.core.layout)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_joint,), np.float32)
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
@@ -67,11 +69,15 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """A new episode; `options` may hold "state" {"q", "v"} and "target" (joint angles)."""
-        super().reset(seed=seed)
-        if seed is not None or not self._seeded:
-            self.core.seed(0, self.np_random)
-            self._seeded = True
-        out = self.core.reset(_ONE, options)
+        super().reset(seed=whole_seed(seed))
+        self.core.claim()
+        try:
+            if seed is not None or not self._seeded:
+                self.core.seed(0, self.np_random)
+                self._seeded = True
+            out = self.core.reset(_ONE, options)
+        finally:
+            self.core.lock.release()
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":
@@ -82,22 +88,29 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step."""
+        self.core.claim()
         try:
-            if self._several and len(action) != self._action.size:  # one number would do for all
-                raise ValueError
-            self._action[...] = action
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"An action is {self._action.size} numbers in [-1, 1], got {action!r}."
-            ) from None
-        out, _ = self.core.step(self._action)
-        values, marks = out.values.tolist(), out.marks.tolist()
+            self._take(action)
+            out, _ = self.core.step(self._action)
+            values, marks = out.values.tolist(), out.marks.tolist()
+        finally:
+            self.core.lock.release()
         if self._renderer is not None:
             self._renderer.follow(self.core)
         if self.render_mode == "human":
             self.render()
         info = out.described(values, marks)
         return out.observation.copy(), values[0], marks[0], marks[1], info
+
+    def _take(self, action: Any) -> None:
+        try:
+            if self._several and len(action) != self._action.size:  # one number would do for all
+                raise ValueError
+            self._action[...] = action
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"An action is {self._action.size} numbers in [-1, 1], got {shown(action)}."
+            ) from None
 
     def render(self) -> NDArray[np.uint8] | None:
         """The arm now: an (H, W, 3) picture, or a window that shows it."""
@@ -126,8 +139,13 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
 
 def check_render_mode(mode: str | None) -> None:
     """Refuse unknown render modes with a sentence."""
-    if mode is not None and mode not in RENDER_MODES:
-        raise ValueError(f"render_mode must be one of {list(RENDER_MODES)}, got {mode!r}.")
+    if mode is not None:
+        choice(mode, "render_mode", RENDER_MODES)
+
+
+def frames_per_second(core: Core) -> int:
+    """Pictures of a film in real time, one per control step."""
+    return max(1, round(1.0 / core.control_dt))
 
 
 def observation_space(layout: Layout) -> Any:

@@ -19,8 +19,9 @@ WAVES = 2  # sines in the path of a joint
 
 # What a generated module adds to its arm's `accelerations(w)` and its task's `command(w)`,
 # `check(w)` and `report(w)`: one entry, because `report` takes long to compile. It takes turns at
-# `rows`, steps those environments, and says how many ended, or that an action of theirs is not a
-# number; without substeps it reports on all `rows`. #advance stands for what steps the arm.
+# `rows`, steps those environments, and says how many ended, or that an action of theirs is not
+# finite; without substeps it reports on all `rows`. An environment that is lost goes back to its
+# last state, and is reported there. #advance stands for what steps the arm.
 ENTRIES = """
 take, put, expect = lane_moves(int(LANES))
 gather, scatter = row_moves(int(LANES))
@@ -43,6 +44,8 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
                     w[BEFORE + j * LANES + b] = w[ACTION + j * LANES + b]
                 w[LOST + b] = 0.0
             report(w)
+            check(w)
+            report(w)
             for b in range(min(LANES, count - first)):
                 i = np.uint64(rows[first + b])
                 for j in range(N_JOINT):
@@ -60,7 +63,7 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
     while start < stop:
         for i in range(start, stop):
             for j in range(N_JOINT):
-                ended -= actions[i, j] != actions[i, j]
+                ended -= actions[i, j] - actions[i, j] != 0.0
         if ended < 0:
             return ended
         for column in range(start, stop, LANES):
@@ -78,14 +81,18 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
             gather(w, GIVEN, actions, column)
             command(w)
             #advance
+            report(w)
             check(w)
+            again = False
             for b in range(LANES):
                 if w[LOST + b] > 0.0:
+                    again = True
                     for k in range(N_STATE):
                         w[Q + k * LANES + b] = state[k, column + b]
                     for k in range(N_ACTUATOR):
                         w[ACTUATOR + k * LANES + b] = state[FIRST_ACTUATOR + k, column + b]
-            report(w)
+            if again:
+                report(w)
             for k in range(N_JOINT):
                 put(w, TARGET_NOW + k * LANES, w, TARGET + k * LANES)
             for k in range(N_STATE):

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics import checks
 from dynamics.arm import Arm
 from flexarm_env.physics import MOVE, Physics
 from flexarm_env.tasks import Task
@@ -90,8 +91,7 @@ def observation_layout(
 
     `torques` [N m] scale the torques at the joints; none: they are not observed.
     """
-    if kind not in MODES:
-        raise ValueError(f"obs must be one of {list(MODES)}, got {kind!r}.")
+    checks.choice(kind, "obs", MODES)
     joints, columns = range(arm.n_joint), curvature_columns(arm)
     modal = [i for i in range(arm.n) if i not in arm.joint_index]
     axes = [k for k in range(3) if (k or arm.n_joint > 1) and (k != 2 or not is_planar(arm))]

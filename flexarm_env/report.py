@@ -11,8 +11,13 @@ from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.checks import shown
 from dynamics.lowering import Addition, hash_of_files, render_function, render_lines
 from dynamics.model import Model
+from dynamics.validity import FARTHEST
 from flexarm_env.drives import DRIVEN, Drives
 from flexarm_env.kernels import ENTRIES, IDEAL, WAVES
 from flexarm_env.observations import Layout, curvature_columns
@@ -21,6 +26,7 @@ from flexarm_env.rewards import TERMS, Measured
 FLAGS = ("terminated", "truncated", "settled", "diverged", "invalid", "overspeed")
 NUMBERS = ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")  # one row of info each
 SETTLED_BAND = 0.02  # [-] tip error over reach
+FARTHEST_SINGLE = 1e5  # [rad], [rad/s] of a state in float32, as FARTHEST in float64
 LOST = 3.0  # [-] times the deflection limit: finite, but no longer a motion of this arm
 # the sources of what is compiled, besides those of dynamics; what they say when imported
 _TRACED = ("kernels", "report", "rewards", "drives")
@@ -48,6 +54,17 @@ class Rows:
     def total(self) -> int:
         """How many rows."""
         return sum(self.sizes.values())
+
+    def packed(self, values: Mapping[str, Any], dtype: str) -> NDArray[np.float64]:
+        """(total,) values by name, in the order of the rows."""
+        result = np.concatenate([np.ravel(values[name]) for name in self.sizes])
+        for name, rows in self.slices.items():
+            if not (np.abs(result[rows]) < np.finfo(dtype).max).all():
+                raise ValueError(
+                    f"{name} is beyond what {dtype} can hold, got {shown(result[rows])}: "
+                    "torque_limit, control_dt or the arm's numbers are too far apart."
+                )
+        return result
 
 
 class Report:
@@ -131,7 +148,7 @@ class Report:
         action = ca.fmin(ca.fmax(given, -1.0), 1.0)
         outputs = {
             "BEFORE": before, "ACTION": action, "TAU": action * torque_limit,
-            "ELAPSED": elapsed + 1.0,
+            "ELAPSED": elapsed + 1.0, "LOST": ca.SX(0.0),
         }  # fmt: skip
         graph = ca.Function(
             "command", [given, before, torque_limit, elapsed], [ca.vertcat(*outputs.values())]
@@ -141,15 +158,15 @@ class Report:
         return render_function("command", graph, inputs, slots)
 
     def _check(self, at: Mapping[str, int]) -> str:
-        """Text of `check(w)`: lost where the eighth power of the size of q and v is not finite.
-
-        What is larger would overflow on the way into a report.
-        """
-        lines = ["s = 0.0"]
+        """Text of `check(w)`: lost where the state is far off, or a reported number not finite."""
+        lines = ["s = 0.0", "r = 0.0"]
         for slot in (at[name] + k for name in ("Q", "V") for k in range(self.model.n)):
             lines += [f"x = w[{slot}]", "s = s + x * x"]
-        lines += [*2 * ["s = s * s"], "s = s - s"]
-        return render_lines("check", [*lines, f"w[{at['LOST']}] = 1.0 - at_most(abs(s), 0.0)"])
+        for name in ("reward", *NUMBERS):
+            lines.append(f"r = r + w[{at['INFO'] + self.info.slices[name].start}]")
+        farthest = FARTHEST if self.model.dtype == "float64" else FARTHEST_SINGLE
+        near, finite = f"at_most(s, {farthest**2!r})", "at_most(abs(r - r), 0.0)"
+        return render_lines("check", [*lines, f"w[{at['LOST']}] = 1.0 - {near} * {finite}"])
 
     @property
     def graph(self) -> Any:

@@ -7,11 +7,14 @@ give the same numbers to round-off.
 Terms are plain functions on any scalars: floats, or symbols where an environment is compiled.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, SupportsFloat
 
 import gymnasium as gym
+
+from dynamics import checks
+
+HEAVIEST = 1e9  # weight of a term
 
 
 class Measured(NamedTuple):
@@ -103,22 +106,24 @@ def resolve_weights(reward: str | Mapping[str, float]) -> dict[str, float]:
     if isinstance(reward, str):
         if reward not in REWARDS:
             raise ValueError(
-                f"Unknown reward {reward!r}. Known: {sorted(REWARDS)}; or give a dict of weights."
+                f"Unknown reward {checks.shown(reward)}. Known: {sorted(REWARDS)}; or give a dict "
+                "of weights."
             )
         return dict(REWARDS[reward])
     if not isinstance(reward, Mapping):
-        raise ValueError(f"reward must be a name or a dict of weights, got {reward!r}.")
+        raise ValueError(f"reward must be a name or a dict of weights, got {checks.shown(reward)}.")
     unknown = sorted(set(map(str, reward)) - set(TERMS))
     if unknown:
         raise ValueError(f"Unknown reward terms {unknown}. Known: {sorted(TERMS)}.")
-    for name, weight in reward.items():
-        if isinstance(weight, bool) or not isinstance(weight, int | float):
-            raise ValueError(f"The weight of {name!r} must be a number, got {weight!r}.")
-        if not math.isfinite(weight):
-            raise ValueError(f"The weight of {name!r} must be finite, got {weight!r}.")
-    if not any(reward.values()):
-        raise ValueError(f"At least one weight must differ from zero, got {dict(reward)!r}.")
-    return {name: float(weight) for name, weight in reward.items()}
+    weights = {name: checks.number(x, f"The weight of {name!r}") for name, x in reward.items()}
+    for name, weight in weights.items():
+        if abs(weight) > HEAVIEST:
+            raise ValueError(
+                f"The weight of {name!r} must be at most {HEAVIEST:g} in size, got {weight!r}."
+            )
+    if not any(weights.values()):
+        raise ValueError(f"At least one weight must differ from zero, got {weights!r}.")
+    return weights
 
 
 class _WeighedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):

@@ -36,11 +36,15 @@ class SB3VecEnv(VecEnv):
         """First observations; uses the seeds and options that `seed` and `set_options` left."""
         seeds = [None if seed is None else int(seed) for seed in self._seeds]
         given = any(seed is not None for seed in seeds)
-        self.envs.seed_streams(seeds if given else None)
-        out = self.core.reset(np.arange(self.num_envs))
-        for i, options in enumerate(self._options):
-            if options:
-                self.core.restart(np.array([i]), out, options)
+        self.core.claim()
+        try:
+            self.envs.seed_streams(seeds if given else None)
+            out = self.core.reset(np.arange(self.num_envs))
+            for i, options in enumerate(self._options):
+                if options:
+                    self.core.restart(np.array([i]), out, options)
+        finally:
+            self.core.lock.release()
         self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
@@ -52,6 +56,13 @@ class SB3VecEnv(VecEnv):
 
     def step_wait(self) -> Any:
         """One control step of all."""
+        self.core.claim()
+        try:
+            return self._stepped()
+        finally:
+            self.core.lock.release()
+
+    def _stepped(self) -> Any:
         out, ended = self.core.step(self._actions)
         reward = out.reward.astype(np.float32)
         self._returns += out.reward

@@ -1,6 +1,7 @@
 """A batch of environments with Gymnasium's vector interface: one compiled call steps them all."""
 
 from collections.abc import Mapping, Sequence
+from numbers import Integral
 from typing import Any
 
 import gymnasium as gym
@@ -10,8 +11,15 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from dynamics import checks
+from flexarm_env.arguments import whole_seed
 from flexarm_env.core import Array, Core
-from flexarm_env.env import RENDER_MODES, check_render_mode, observation_space
+from flexarm_env.env import (
+    RENDER_MODES,
+    check_render_mode,
+    frames_per_second,
+    observation_space,
+)
 from flexarm_env.outputs import BatchOutputs, masks
 
 Flags = NDArray[np.bool_]
@@ -44,24 +52,22 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     ) -> None:
         check_render_mode(render_mode)
         known = {mode.value: mode for mode in _AUTORESET}
-        mode = known.get(str(autoreset_mode), autoreset_mode)
-        if not isinstance(mode, AutoresetMode) or mode not in _AUTORESET:
-            raise ValueError(f"autoreset_mode must be one of {sorted(known)}, got {mode!r}.")
-        self.core = Core(
-            n_env=num_envs, single=False, max_steps=max_episode_steps or 0, **arguments
-        )
-        self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, mode
+        asked = getattr(autoreset_mode, "value", autoreset_mode)
+        mode = known[checks.choice(asked, "autoreset_mode", known)]
+        steps = 0 if max_episode_steps is None else max_episode_steps
+        self.core = Core(n_env=num_envs, single=False, max_steps=steps, **arguments)
+        self.num_envs, self.render_mode, self.autoreset_mode = self.core.n_env, render_mode, mode
         self.metadata = {
             **self.metadata,
-            "render_fps": round(1.0 / self.core.control_dt),
+            "render_fps": frames_per_second(self.core),
             "autoreset_mode": mode,
         }
         self.single_observation_space = observation_space(self.core.layout)
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_joint,), np.float32)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self._shape = (num_envs, self.core.arm.n_joint)
-        self._all = np.arange(num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._shape = (self.num_envs, self.core.arm.n_joint)
+        self._all = np.arange(self.num_envs)
         self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
         self._seeded = False
 
@@ -95,15 +101,22 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
                 for i in range(self.num_envs):
                     self.core.seed(i, self.np_random)
         else:
-            seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
-            if len(seeds) != self.num_envs:
-                raise ValueError(f"{self.num_envs} seeds are needed, got {len(seeds)}.")
-            for i, one in enumerate(seeds):
+            for i, one in enumerate(self._seeds(seed)):
                 if one is not None or not self._seeded:
                     self.core.seed(i, seeding.np_random(one)[0])
-            if isinstance(seed, int):
-                self._np_random, self._np_random_seed = seeding.np_random(seed)
+            if isinstance(seed, Integral):
+                self._np_random, self._np_random_seed = seeding.np_random(int(seed))
         self._seeded = True
+
+    def _seeds(self, seed: Any) -> list[int | None]:
+        """One per environment."""
+        if isinstance(seed, Integral):
+            first = whole_seed(seed) or 0
+            return [first + i for i in range(self.num_envs)]
+        seeds = checks.sequence(seed, "seed")
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"{self.num_envs} seeds are needed, got {len(seeds)}.")
+        return [whole_seed(one) for one in seeds]
 
     def reset(
         self,
@@ -112,9 +125,13 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """New episodes; env i gets `seed + i`, or `seed[i]`. Options as of `FlexArmEnv.reset`."""
-        self.seed_streams(seed)
-        out = self.core.reset(self._all, options)
-        self._pending = self._pending[:0]
+        self.core.claim()
+        try:
+            self.seed_streams(seed)
+            out = self.core.reset(self._all, options)
+            self._pending = self._pending[:0]
+        finally:
+            self.core.lock.release()
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":
@@ -126,7 +143,31 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
         What it returns stays as it is: arrays are filled again when nobody holds them any more.
         """
-        out, ended = self.core.step(self._actions(actions))
+        array = self._actions(actions)
+        self.core.claim()
+        try:
+            result = self._stepped(array)
+        finally:
+            self.core.lock.release()
+        if self._renderer is not None:
+            self._renderer.follow(self.core)
+        if self.render_mode == "human":
+            self.render()
+        return result
+
+    def _actions(self, actions: Any) -> NDArray[np.float32]:
+        try:
+            array = np.ascontiguousarray(actions, dtype=np.float32)
+        except (TypeError, ValueError):
+            raise ValueError(f"Actions must be numbers, got {checks.shown(actions)}.") from None
+        if array.shape != self._shape:
+            raise ValueError(f"Actions must have shape {self._shape}, got {array.shape}.")
+        return array
+
+    def _stepped(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
+        out, ended = self.core.step(actions)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             return self._restart_now(out, ended)
         if self._pending.size:
@@ -134,14 +175,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             ended = True
         if ended:
             self._pending = np.flatnonzero(out.terminated | out.truncated)
-        self._after_step()
         return out.obs, out.reward, out.terminated, out.truncated, out.marked()
-
-    def _actions(self, actions: Any) -> NDArray[np.float32]:
-        array = np.ascontiguousarray(actions, dtype=np.float32)
-        if array.shape != self._shape:
-            raise ValueError(f"Actions must have shape {self._shape}, got {array.shape}.")
-        return array
 
     def _restart_now(
         self, out: BatchOutputs, ended: int
@@ -163,7 +197,6 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
                 "_final_info": done.copy(),
             }
             self.core.restart(rows, out)
-        self._after_step()
         return out.obs, *outcome, out.marked() | final
 
     def _final_info(self, out: BatchOutputs, done: Flags) -> dict[str, Any]:
@@ -174,12 +207,6 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         copies["reward_terms"] = {name: values.copy() for name, values in terms.items()}
         copies["reward_terms"] |= masks(terms, done)
         return copies | masks(copies, done)
-
-    def _after_step(self) -> None:
-        if self._renderer is not None:
-            self._renderer.follow(self.core)
-        if self.render_mode == "human":
-            self.render()
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Pictures of the environments in rgb_array mode; a window with the first in human mode."""

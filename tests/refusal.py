@@ -13,7 +13,7 @@ import numpy as np
 SOURCES = str(Path(__file__).resolve().parents[1])
 
 NONSENSE: list[Any] = [
-    None, "", "x", "a\0b", "a" * 5000, b"x", 1j, math.nan, math.inf, -math.inf, -1, 0, 10**30,
+    None, "", "x", "a\0b", "a" * 1500, b"x", 1j, math.nan, math.inf, -math.inf, -1, 0, 10**30,
     1e300, True, [], [None], ["a"], [1, 2], [[1], [1, 2]], {}, {"a": 1}, {1: 2}, object(), type,
     np.zeros((2, 2)), np.array(1.0), np.array(["a"]), np.full(3, np.nan), lambda t: 0,
 ]  # fmt: skip

@@ -13,6 +13,7 @@ from numba import njit
 
 from dynamics import crew as module
 from dynamics.crew import Crew
+from dynamics.kernels import on_disk
 from dynamics.sharing import LINE, SIZE, take_turn, turns
 
 
@@ -209,3 +210,54 @@ def test_a_forked_process_hires_its_own_threads() -> None:
         done = chain(*crew.run(jobs(4)))
         os._exit(0 if sorted(done) == [0, 1, 2, 3] else 1)
     assert os.waitpid(child, 0)[1] == 0
+
+
+def test_what_threads_call_is_compiled_before_they_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two threads that import and compile at once can meet half-imported modules."""
+    compiled: list[bool] = []
+    start = threading.Thread.start
+
+    def watched(thread: threading.Thread) -> None:
+        compiled.append(bool(module.watch.signatures))
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", watched)
+    monkeypatch.setattr(module, "watch", on_disk(nogil=True)(module.watch.py_func))
+    assert sorted(chain(*Crew(2).run(jobs(3)))) == [0, 1, 2]
+    assert compiled == [True]
+
+
+def test_a_thread_that_dies_is_reported_and_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    crew = Crew(2)
+    with monkeypatch.context() as patch:
+        patch.setattr(module._Helper, "_sleep", lambda helper, number: 1 / 0)
+        patch.setattr(module, "LOOKS", 0)
+        crew.run(jobs(4))
+        for _ in range(1000):
+            if crew._helpers[0].failure:
+                break
+            time.sleep(1e-3)
+    with pytest.warns(RuntimeWarning, match="A worker thread ended .ZeroDivisionError"):
+        assert sorted(chain(*crew.run(jobs(4)))) == [0, 1, 2, 3]
+    assert sorted(chain(*crew.run(jobs(4)))) == [0, 1, 2, 3]
+
+
+def test_a_thread_that_dies_within_a_step_ends_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody knows what it has left undone."""
+    crew, begun = Crew(2), threading.Event()
+    watch = module.watch
+
+    def dying(post: np.ndarray, mine: int, number: int, *rest: int) -> bool:
+        if mine == module.DONE and number == 1:
+            raise OSError("gone")
+        return watch(post, mine, number, *rest)
+
+    def work(thread: int) -> None:
+        if thread == 0:
+            assert begun.wait(10.0)
+        begun.set()
+
+    monkeypatch.setattr(module, "direct", lambda *_: None)
+    monkeypatch.setattr(module, "watch", dying)
+    with pytest.raises(RuntimeError, match=r"within a step .OSError.'gone'.*reset the batch"):
+        crew.run(work)

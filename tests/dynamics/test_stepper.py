@@ -4,6 +4,7 @@ import itertools
 import math
 import pickle
 import re
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -319,3 +320,35 @@ def test_a_workspace_starts_with_a_cache_line(dtype: str) -> None:
     several = [model.workspace(program) for _ in range(20)]
     assert [w.ctypes.data % 64 for w in several] == [0] * 20
     assert {(w.size, w.dtype.name) for w in several} == {(program.SLOTS * model.lanes, dtype)}
+
+
+def test_a_batch_that_another_thread_steps_says_so() -> None:
+    """Four Python threads that step one batch: each step is whole, or refused."""
+    stepper = batch(compiled(ARM), 4000)
+    one = batch(compiled(ARM), 4000)
+    errors: list[BaseException | None] = []
+    ready = threading.Barrier(4)
+
+    def step() -> None:
+        ready.wait(10.0)
+        for _ in range(5):
+            try:
+                stepper.advance()
+                errors.append(None)
+            except RuntimeError as error:
+                errors.append(error)
+
+    threads = [threading.Thread(target=step) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+    done = errors.count(None)
+    refused = [str(error) for error in errors if error is not None]
+    assert done >= 5
+    assert done < 20, "they never met"
+    assert all("in use by another thread" in text for text in refused)
+    for _ in range(done):
+        one.advance()
+    assert np.array_equal(stepper.q, one.q)
