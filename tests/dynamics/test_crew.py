@@ -4,6 +4,7 @@ import gc
 import os
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from itertools import chain
 
@@ -239,7 +240,9 @@ def test_a_thread_that_dies_is_reported_and_replaced(monkeypatch: pytest.MonkeyP
             time.sleep(1e-3)
     with pytest.warns(RuntimeWarning, match="A worker thread ended .ZeroDivisionError"):
         assert sorted(chain(*crew.run(jobs(4)))) == [0, 1, 2, 3]
-    assert sorted(chain(*crew.run(jobs(4)))) == [0, 1, 2, 3]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert sorted(chain(*crew.run(jobs(4)))) == [0, 1, 2, 3]
 
 
 def test_a_thread_that_dies_within_a_step_ends_the_step(monkeypatch: pytest.MonkeyPatch) -> None:

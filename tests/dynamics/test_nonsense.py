@@ -204,6 +204,25 @@ def test_a_description_is_refused_or_its_numbers_are_finite(
         assert all(np.isfinite(answer).all() for answer in answers)
 
 
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {(0, "rho_A"): 1e-20, (0, "tip_mass"): 1e-10},
+        {(0, "rotor_inertia"): 1e-5, (1, "tip_mass"): 1e30},
+        {(0, "tip_mass"): 1.0, (1, "tip_mass"): 1e25},
+    ],
+)
+def test_an_arm_that_double_precision_cannot_hold_is_refused(numbers: dict[Any, float]) -> None:
+    """Its mass matrix is singular to round-off: accelerations would not be numbers."""
+    plain = copy.deepcopy(ARMS["korayem-two-link"].to_dict())
+    plain["links"][0]["EIz"] = 1e-10
+    for (place, name), value in numbers.items():
+        link = plain["links"][place]
+        (link.setdefault("joint", {}) if name == "rotor_inertia" else link)[name] = value
+    with pytest.raises(ValueError, match="too far apart"):
+        Stepper(compile_arm(plain), 1, dt=1e-3, substeps=1)
+
+
 json_values = st.recursive(
     st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5)),
     lambda inner: st.one_of(
