@@ -2,11 +2,14 @@
 
 import gc
 import os
+import subprocess
+import sys
 import threading
 import time
 import warnings
 from collections.abc import Callable
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +19,9 @@ from dynamics import crew as module
 from dynamics.crew import Crew
 from dynamics.kernels import on_disk
 from dynamics.sharing import LINE, SIZE, take_turn, turns
+
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def jobs(count: int) -> Callable[[int], list[int]]:
@@ -264,3 +270,35 @@ def test_a_thread_that_dies_within_a_step_ends_the_step(monkeypatch: pytest.Monk
     monkeypatch.setattr(module, "watch", dying)
     with pytest.raises(RuntimeError, match=r"within a step .OSError.'gone'.*reset the batch"):
         crew.run(work)
+
+
+FRESH = """
+import warnings
+warnings.simplefilter("error")
+import numpy as np
+from dynamics import Stepper, compile_arm, crew
+crew.WORTH_A_THREAD = 1e-9
+stepper = Stepper(compile_arm("slim"), 256, dt=1e-3, substeps=2, threads=2)
+stepper.torque[:] = np.linspace(-1.0, 1.0, 256)[:, None]
+for _ in range(20):
+    stepper.advance()
+print(stepper.threads, len(stepper._crew._helpers), stepper.q.sum().hex())
+"""
+
+
+def test_threads_of_fresh_processes_never_fail(tmp_path: Path) -> None:
+    """With an empty cache, and then four at once with a warm one: two threads, the same numbers."""
+    environment = os.environ | {"FLEXARM_CACHE": str(tmp_path)}
+    found = []
+    for together in (1, 4, 4):
+        started = [
+            subprocess.Popen(
+                [sys.executable, "-c", FRESH], cwd=ROOT, env=environment, text=True,
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            )
+            for _ in range(together)
+        ]  # fmt: skip
+        found += [process.communicate(timeout=300) for process in started]
+    assert found == 9 * [found[0]]
+    assert found[0][0].startswith("2 1 ")
+    assert found[0][1] == ""
