@@ -20,7 +20,6 @@ from dynamics.crew import Crew
 from dynamics.kernels import on_disk
 from dynamics.sharing import LINE, SIZE, take_turn, turns
 
-
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -1,0 +1,83 @@
+"""The registered environments, pinned: what a seed gives today it gave when this was written.
+
+    python -m tests.flexarm_env.test_digests   # pin them anew, after a change that is meant
+
+Equal to the last bit with the processor and compiler that wrote the digests, because they contract
+multiply-adds differently; elsewhere equal in nine digits.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numba
+import numpy as np
+import pytest
+from llvmlite import binding
+
+import flexarm_env
+
+STORE = Path(__file__).resolve().parents[1] / "reference" / "digests.json"
+KINDS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "sensors in float32": {"obs": "sensors", "dtype": "float32"},
+    "drawn parameters": {"randomize": {"payload_mass": (0.0, 0.1), "stiffness": (0.8, 1.2)}},
+}
+STEPS, BATCH = 60, 20
+
+
+def processor() -> str:
+    """The kind of processor that code is compiled for, and the compiler."""
+    return f"{binding.get_host_cpu_name()}, numba {numba.__version__}"
+
+
+def followed(env: Any, batch: bool) -> tuple[str, list[float]]:
+    """Digest of all that some steps of random torque give, and a few of the numbers."""
+    digest, rng = hashlib.sha256(), np.random.default_rng(0)
+    obs, _ = env.reset(seed=7)
+    given = [obs]
+    for _ in range(STEPS):
+        action = rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
+        obs, reward, terminated, truncated, info = env.step(action)
+        given += [obs, reward, terminated, truncated]
+        given += [
+            info[name] for name in ("tip_error", "tip_deflection", "root_curvature", "torque")
+        ]
+        if not batch and (terminated or truncated):
+            given.append(env.reset()[0])
+    for x in given:
+        digest.update(np.ascontiguousarray(x).tobytes())
+    few = [np.sum(reward), np.sum(info["tip_error"]), np.sum(info["tip_deflection"])]
+    return digest.hexdigest(), [float(x) for x in few]
+
+
+def pinned(env_id: str) -> dict[str, Any]:
+    """Digests and numbers of a batch and of a single environment, by kind."""
+    result: dict[str, Any] = {}
+    for kind, keywords in KINDS.items():
+        batch = gym.make_vec(env_id, num_envs=BATCH, **keywords)
+        single = gym.make(env_id, **keywords)
+        for name, env in (("batch", batch), ("single", single)):
+            digest, few = followed(env, name == "batch")
+            result[f"{kind}, {name}"] = {"digest": digest, "numbers": few}
+    return result
+
+
+@pytest.mark.parametrize("env_id", flexarm_env.IDS)
+def test_an_environment_gives_what_it_gave(env_id: str) -> None:
+    stored = json.loads(STORE.read_text(encoding="utf-8"))
+    found, expected = pinned(env_id), stored["environments"][env_id]
+    assert found.keys() == expected.keys()
+    for kind, entry in expected.items():
+        if stored["processor"] == processor():
+            assert found[kind]["digest"] == entry["digest"], kind
+        digits = 1e-3 if "float32" in kind else 1e-9
+        np.testing.assert_allclose(found[kind]["numbers"], entry["numbers"], rtol=digits)
+
+
+if __name__ == "__main__":
+    environments = {env_id: pinned(env_id) for env_id in flexarm_env.IDS}
+    text = json.dumps({"processor": processor(), "environments": environments}, indent=1)
+    STORE.write_text(text + "\n", encoding="utf-8")
