@@ -2,19 +2,33 @@
 
 import itertools
 import json
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
+
+from agents.arrays import Header, read_arrays
+from agents.files import written_whole
+from agents.sentences import one_line, shown
+from dynamics import checks
+from dynamics.arm_file import read_mapping
 
 Array = NDArray[Any]
 
 POLICY_FORMAT = "flexarm-policy-1"
 JSON_FILE, WEIGHTS_FILE = "policy.json", "weights.npz"
+KEYS = "format layer_sizes activation squashing observation_low observation_high action_low"
+KEYS += " action_high about"
+LARGEST_JSON = 2**20  # bytes
+LARGEST_LAYER = 2048  # units
+MOST_LAYERS = 10  # with the observation and the action
+ENDS = ("low", "high")
+OVERHEAD = 2**16  # bytes of an archive beside the numbers
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": np.tanh,
@@ -75,12 +89,15 @@ class Policy:
         if x.shape[-1:] != self.observation_low.shape:
             raise ValueError(
                 f"The policy takes {self.observation_low.size} observations, got shape {x.shape}. "
-                "It was trained on " + str(self.about.get("env_id")) + "."
+                f"It was trained on {shown(self.about.get('env_id'))}."
             )
         activation = ACTIVATIONS[self.activation]
-        for W, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            x = activation(x @ W.T + b)
-        x = SQUASHINGS[self.squashing](x @ self.weights[-1].T + self.biases[-1])
+        with np.errstate(over="ignore", invalid="ignore"):
+            for W, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
+                x = activation(x @ W.T + b)
+            x = SQUASHINGS[self.squashing](x @ self.weights[-1].T + self.biases[-1])
+        if np.isnan(x).any():
+            raise PolicyError("The policy's weights are so large that its action is no number.")
         return x.astype(np.float32), state
 
 
@@ -124,7 +141,6 @@ def save_policy(policy: Policy, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {f"W{i}": W for i, W in enumerate(policy.weights)}
     arrays |= {f"b{i}": b for i, b in enumerate(policy.biases)}
-    np.savez(folder / WEIGHTS_FILE, **arrays)
     sizes = [policy.weights[0].shape[1], *(W.shape[0] for W in policy.weights)]
     description = {
         "format": POLICY_FORMAT,
@@ -138,49 +154,85 @@ def save_policy(policy: Policy, folder: Path) -> None:
         "about": policy.about,
     }
     text = json.dumps(description, indent=2, allow_nan=False)
-    (folder / JSON_FILE).write_text(text + "\n", encoding="utf-8")
+    with written_whole(folder / WEIGHTS_FILE) as path:
+        np.savez(path, **arrays)
+    with written_whole(folder / JSON_FILE) as path:
+        path.write_text(text + "\n", encoding="utf-8")
 
 
 def load_policy(folder: str | Path) -> Policy:
-    """Read what `save_policy` wrote, from its folder or from the run that holds it."""
+    """Read what `save_policy` wrote, from its folder or from the run that holds it.
+
+    The files may be anybody's: sizes and types are checked before anything is allocated.
+    """
     folder = Path(folder)
     if not (folder / JSON_FILE).is_file() and (folder / "policy" / JSON_FILE).is_file():
         folder = folder / "policy"
+    if not all((folder / name).is_file() for name in (JSON_FILE, WEIGHTS_FILE)):
+        raise PolicyError(f"{folder}: holds no {JSON_FILE} with {WEIGHTS_FILE}.")
     try:
-        d = json.loads((folder / JSON_FILE).read_text(encoding="utf-8"))
-        if d["format"] != POLICY_FORMAT:
-            raise PolicyError(f"{folder}: format must be {POLICY_FORMAT!r}, got {d['format']!r}.")
-        sizes = d["layer_sizes"]
-        with np.load(folder / WEIGHTS_FILE, allow_pickle=False) as arrays:
-            weights = tuple(arrays[f"W{i}"] for i in range(len(sizes) - 1))
-            biases = tuple(arrays[f"b{i}"] for i in range(len(sizes) - 1))
-        policy = Policy(
-            weights=weights,
-            biases=biases,
-            activation=d["activation"],
-            squashing=d["squashing"],
-            observation_low=np.asarray(d["observation_low"], np.float32),
-            observation_high=np.asarray(d["observation_high"], np.float32),
-            about=d["about"],
-        )
-        shapes = [(W.shape, b.shape) for W, b in zip(weights, biases, strict=True)]
-    except PolicyError:
-        raise
-    except FileNotFoundError:
-        raise PolicyError(f"{folder}: holds no {JSON_FILE} with {WEIGHTS_FILE}.") from None
-    except (OSError, KeyError, TypeError, ValueError, BadZipFile) as error:
-        raise PolicyError(f"{folder}: is not a stored policy ({error}).") from None
-    if policy.activation not in ACTIVATIONS or policy.squashing not in SQUASHINGS:
-        raise PolicyError(
-            f"{folder}: unknown activation {policy.activation!r} or squashing "
-            f"{policy.squashing!r}; known: {sorted(ACTIVATIONS)}, {sorted(SQUASHINGS)}."
-        )
-    wanted = [((o, i), (o,)) for i, o in itertools.pairwise(sizes)]
-    if shapes != wanted or policy.observation_low.shape != (sizes[0],):
-        raise PolicyError(f"{folder}: weights do not have the stated layer sizes {sizes}.")
-    if not all(np.isfinite(array).all() for array in (*weights, *biases)):
-        raise PolicyError(f"{folder}: the weights are not finite; the training had diverged.")
-    return policy
+        d = read_description(folder / JSON_FILE)
+        arrays = read_weights(folder / WEIGHTS_FILE, d["layer_sizes"])
+    except OSError as error:
+        raise PolicyError(f"{folder}: cannot be read ({error.strerror}).") from None
+    except ValueError as error:
+        raise PolicyError(f"{folder}: {error}") from None
+    layers = range(len(d["layer_sizes"]) - 1)
+    return Policy(
+        weights=tuple(arrays[f"W{i}"] for i in layers),
+        biases=tuple(arrays[f"b{i}"] for i in layers),
+        activation=d["activation"],
+        squashing=d["squashing"],
+        observation_low=np.asarray(d["observation_low"], np.float32),
+        observation_high=np.asarray(d["observation_high"], np.float32),
+        about=d["about"],
+    )
+
+
+def read_description(path: Path) -> dict[str, Any]:
+    """The table in a `policy.json`, every field checked; ValueError says what is wrong."""
+    if path.stat().st_size > LARGEST_JSON:
+        raise ValueError(f"{path.name} must be at most {LARGEST_JSON:_} bytes.")
+    d: dict[str, Any] = checks.mapping(read_mapping(path), path.name, KEYS.split())
+    missing = sorted(set(KEYS.split()) - set(d))
+    if missing:
+        raise ValueError(f"{path.name} lacks {', '.join(missing)}.")
+    checks.choice(d["format"], "format", [POLICY_FORMAT])
+    checks.choice(d["activation"], "activation", ACTIVATIONS)
+    checks.choice(d["squashing"], "squashing", SQUASHINGS)
+    entries = checks.sequence(d["layer_sizes"], "layer_sizes")
+    if not 2 <= len(entries) <= MOST_LAYERS:
+        raise ValueError(f"layer_sizes must have 2 to {MOST_LAYERS} entries, got {len(entries)}.")
+    sizes = [checks.integer(n, "each of layer_sizes", 1, LARGEST_LAYER) for n in entries]
+    for name, size in (("observation", sizes[0]), ("action", sizes[-1])):
+        low, high = (checks.numbers(d[f"{name}_{end}"], f"{name}_{end}", size) for end in ENDS)
+        if not all(a <= b for a, b in zip(low, high, strict=True)):
+            raise ValueError(f"{name}_low must not be above {name}_high.")
+    if not isinstance(d["about"], dict):
+        raise ValueError(f"about must be a table, got {shown(d['about'])}.")
+    return d
+
+
+def read_weights(path: Path, sizes: list[int]) -> dict[str, Array]:
+    """Weights and biases of layers of these sizes; ValueError says what is wrong."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
+        shapes |= {f"W{i}": (n_out, n_in), f"b{i}": (n_out,)}
+    most = 8 * sum(math.prod(shape) for shape in shapes.values()) + OVERHEAD
+    if path.stat().st_size > most:
+        raise ValueError(f"{path.name} must be at most {most:_} bytes for layer sizes {sizes}.")
+
+    def check(headers: Mapping[str, Header]) -> None:
+        if {name: shape for name, (shape, _) in headers.items()} != shapes:
+            raise ValueError(f"weights and biases do not have the stated layer sizes {sizes}.")
+        types = {str(dtype) for _, dtype in headers.values()}
+        if not types <= {"float32", "float64"}:
+            raise ValueError(f"weights must be float32 or float64, got {', '.join(sorted(types))}.")
+
+    arrays = read_arrays(path, check)
+    if not all(np.isfinite(array).all() for array in arrays.values()):
+        raise ValueError("the weights are not finite; the training had diverged.")
+    return arrays
 
 
 def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
@@ -195,9 +247,23 @@ def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
 
     try:
         with ZipFile(path) as archive:
-            settings = json.loads(archive.read("data"))
-        algorithm = PPO if "n_epochs" in settings else SAC
-        model = algorithm.load(path, device="cpu")
-    except (OSError, KeyError, ValueError, BadZipFile) as error:
-        raise PolicyError(f"{path}: is not a stable-baselines3 zip ({error}).") from None
-    return export_policy(model, {"source": path.name})
+            name = algorithm(json.loads(archive.read("data")))
+        model = {"PPO": PPO, "SAC": SAC}[name].load(path, device="cpu")
+        return export_policy(model, {"source": path.name})
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from None
+    except Exception as error:  # a pickle raises whatever it likes
+        raise PolicyError(
+            f"{path}: cannot be loaded as a stable-baselines3 zip "
+            f"({type(error).__name__}: {one_line(error)})."
+        ) from None
+
+
+def algorithm(settings: Any) -> str:
+    """Algorithm of the settings in a stable-baselines3 zip, told without unpickling them."""
+    module = settings["policy_class"].get("__module__")
+    if module == "stable_baselines3.common.policies" and "n_epochs" in settings:
+        return "PPO"  # A2C has its policy, but no epochs
+    if module == "stable_baselines3.sac.policies":
+        return "SAC"
+    raise PolicyError(f"Only PPO and SAC can be loaded, got a policy of {shown(module)}.")
