@@ -1,12 +1,17 @@
 """Experiment files: one YAML each, read safely, checked key by key, kept as dataclasses."""
 
 import difflib
+import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
+from agents.environments import check_keywords
+from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS
+from agents.sentences import shown
+from dynamics.arm_file import read_mapping
+from flexarm_env import registered
 
 NUMBER = (int, float)
 SCHEDULE = (int, float, str)  # 3.0e-4, or "lin_3.0e-4": falls linearly to zero over the run
@@ -52,7 +57,36 @@ POLICY_KWARGS: dict[str, tuple[type, ...]] = {
     "ortho_init": (bool,),
     "n_critics": (int,),
 }
-ACTIVATIONS = ("tanh", "relu", "elu")
+# Smallest and largest value of a number, by its key; NUMBERS_BETWEEN for keys that are not here.
+LIMITS: dict[str, tuple[float, float]] = {
+    "total_steps": (1, 10**11),
+    "n_envs": (1, 65_536),
+    "seed": (0, 2**31 - 1),
+    "checkpoint_seconds": (1e-3, 1e6),
+    "episodes": (1, 10_000),
+    "learning_rate": (0.0, 10.0),
+    "batch_size": (1, 2**20),
+    "gamma": (0.0, 1.0),
+    "stats_window_size": (1, 10**6),
+    "n_steps": (1, 2**20),
+    "n_epochs": (1, 1000),
+    "gae_lambda": (0.0, 1.0),
+    "buffer_size": (1, 10**7),
+    "learning_starts": (0, 10**9),
+    "tau": (0.0, 1.0),
+    "train_freq": (1, 10**6),
+    "gradient_steps": (-1, 10**6),
+    "target_update_interval": (1, 10**9),
+    "n_critics": (1, 10),
+    "log_std_init": (-20.0, 10.0),
+}
+NUMBERS_BETWEEN = (-1e6, 1e6)
+TEXTS = {  # the texts that stand for a number of SAC
+    "ent_coef": re.compile(r"auto(_\d{1,6}(\.\d{1,9})?)?"),  # with its value at the start
+    "target_entropy": re.compile("auto"),
+}
+LARGEST_ROLLOUT = 2**24  # steps of all environments together
+FOLDER_NAME = re.compile(r"\w[\w .,()+=@-]{0,99}")
 
 # Where RL Zoo writes a setting, and where it stands here.
 ZOO_NAMES = {
@@ -139,29 +173,16 @@ SCHEMA: dict[str, dict[str, tuple[type, ...]]] = {
     "evaluation": {"episodes": (int,), "seed": (int,)},
 }
 REQUIRED = {"": ("env", "agent", "total_steps"), "env": ("id",), "agent": ("name",)}
-POSITIVE = {"total_steps", "n_envs", "episodes", "checkpoint_seconds", "batch_size", "n_steps"}
-POSITIVE |= {"n_epochs", "buffer_size", "train_freq", "n_critics"}
-NOT_NEGATIVE = {"seed", "learning_starts"}
 
 
 def load_config(path: str | Path) -> Config:
     """Read one YAML experiment file; refuse anything doubtful with a `ConfigError`."""
     path = Path(path)
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such file.")
     try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error}).") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: is not UTF-8 text.") from None
-    try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" near line {mark.line + 1}" if mark else ""
-        raise ConfigError(f"{path}: is not valid YAML{where}.") from None
-    try:
-        return config_from_dict(data, name=path.stem)
-    except ConfigError as error:
+        return config_from_dict(read_mapping(path), name=path.stem)
+    except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
@@ -172,19 +193,37 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
         checked(data.get(section, {}), section)
     agent = AgentConfig(**data["agent"])
     if agent.name not in AGENT_KWARGS:
-        raise ConfigError(f"agent.name must be one of {sorted(AGENT_KWARGS)}, got {agent.name!r}.")
+        raise ConfigError(
+            f"agent.name must be one of {sorted(AGENT_KWARGS)}, got {shown(agent.name)}."
+        )
     if agent.policy != "MlpPolicy":
-        raise ConfigError(f"agent.policy must be 'MlpPolicy', got {agent.policy!r}.")
+        raise ConfigError(f"agent.policy must be 'MlpPolicy', got {shown(agent.policy)}.")
     check_table(agent.kwargs, AGENT_KWARGS[agent.name], "agent.kwargs")
-    check_schedules(agent)
+    check_texts(agent)
     check_network(agent.kwargs.get("policy_kwargs", {}))
-    env = EnvConfig(**data["env"])
-    for term, weight in (env.reward or {}).items():
-        check_type(weight, NUMBER, f"env.reward.{term}")
+    env = checked_environment(EnvConfig(**data["env"]))
     check_batch(agent, env)
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
     rest = {k: v for k, v in data.items() if k not in ("env", "agent", "evaluation")}
-    return Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
+    config = Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
+    if not FOLDER_NAME.fullmatch(config.name):
+        raise ConfigError(
+            f"name must be the plain name of a folder, at most 100 characters, got "
+            f"{shown(config.name)}."
+        )
+    return config
+
+
+def checked_environment(env: EnvConfig) -> EnvConfig:
+    """The environment with its plain id; refuses foreign ids, keywords and weights."""
+    try:
+        plain = registered(env.id)
+        check_keywords(env.kwargs, "env.kwargs")
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    for term, weight in (env.reward or {}).items():
+        check_value(weight, NUMBER, f"env.reward.{term}")
+    return replace(env, id=plain)
 
 
 def checked(table: Any, section: str) -> None:
@@ -198,25 +237,23 @@ def checked(table: Any, section: str) -> None:
 def check_table(table: Any, known: Mapping[str, tuple[type, ...]], section: str) -> None:
     """Refuse unknown keys and wrong types in one table."""
     if not isinstance(table, Mapping):
-        raise ConfigError(f"{section or 'the file'} must be a table, got {table!r}.")
+        raise ConfigError(f"{section or 'the file'} must be a table, got {shown(table)}.")
     for key, value in table.items():
         if key not in known:
-            raise ConfigError(f"unknown key {dotted(section, str(key))!r}. {hint(key, known)}")
-        check_type(value, known[key], dotted(section, key))
-        if key in POSITIVE and not value > 0:
-            raise ConfigError(f"{dotted(section, key)} must be positive, got {value!r}.")
-        if key in NOT_NEGATIVE and not value >= 0:
-            raise ConfigError(f"{dotted(section, key)} must not be negative, got {value!r}.")
+            raise ConfigError(f"unknown key {shown(dotted(section, str(key)))}. {hint(key, known)}")
+        check_value(value, known[key], dotted(section, key))
 
 
-def check_type(value: Any, types: tuple[type, ...], where: str) -> None:
-    """Refuse a value of the wrong type; a bool is never a number."""
-    stray_bool = isinstance(value, bool) and bool not in types
-    nan = isinstance(value, float) and value != value
-    if isinstance(value, types) and not stray_bool and not nan:
-        return
-    wanted = "a number" if types == NUMBER else " or ".join(TYPE_NAMES[t] for t in types)
-    raise ConfigError(f"{where} must be {wanted}, got {value!r}{number_remedy(value, types)}.")
+def check_value(value: Any, types: tuple[type, ...], where: str) -> None:
+    """Refuse a value of the wrong type or size; a bool is never a number."""
+    if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
+        wanted = "a number" if types == NUMBER else " or ".join(TYPE_NAMES[t] for t in types)
+        remedy = number_remedy(value, types)
+        raise ConfigError(f"{where} must be {wanted}, got {shown(value)}{remedy}.")
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        low, high = LIMITS.get(where.rpartition(".")[2], NUMBERS_BETWEEN)
+        if not low <= value <= high:  # also refuses NaN
+            raise ConfigError(f"{where} must be between {low:_} and {high:_}, got {shown(value)}.")
 
 
 def number_remedy(value: Any, types: tuple[type, ...]) -> str:
@@ -251,21 +288,27 @@ def dotted(section: str, key: str) -> str:
     return f"{section}.{key}" if section else key
 
 
-def check_schedules(agent: AgentConfig) -> None:
-    """Text is allowed for a schedule only as 'lin_NUMBER'."""
+def check_texts(agent: AgentConfig) -> None:
+    """Text stands for a number only as 'lin_NUMBER', a schedule, or as 'auto'."""
+    for key, pattern in TEXTS.items():
+        value = agent.kwargs.get(key)
+        if isinstance(value, str) and not pattern.fullmatch(value):
+            raise ConfigError(
+                f"agent.kwargs.{key} must be a number or 'auto', for ent_coef also 'auto_NUMBER', "
+                f"got {shown(value)}."
+            )
     for key, types in AGENT_KWARGS[agent.name].items():
         value = agent.kwargs.get(key)
         if types == SCHEDULE and isinstance(value, str):
             start = value.removeprefix("lin_")
             where = f"agent.kwargs.{key}"
             try:
-                float(start)
+                number = float(start)
             except ValueError:
                 raise ConfigError(
-                    f"{where} must be a number or 'lin_NUMBER', got {value!r}."
+                    f"{where} must be a number or 'lin_NUMBER', got {shown(value)}."
                 ) from None
-            if start == value:
-                check_type(value, NUMBER, where)
+            check_value(number if start != value else value, NUMBER, where)
 
 
 def check_network(policy_kwargs: dict[str, Any]) -> None:
@@ -273,11 +316,20 @@ def check_network(policy_kwargs: dict[str, Any]) -> None:
     check_table(policy_kwargs, POLICY_KWARGS, "agent.kwargs.policy_kwargs")
     activation = policy_kwargs.get("activation_fn", "tanh")
     if activation not in ACTIVATIONS:
-        raise ConfigError(f"activation_fn must be one of {list(ACTIVATIONS)}, got {activation!r}.")
+        raise ConfigError(
+            f"activation_fn must be one of {list(ACTIVATIONS)}, got {shown(activation)}."
+        )
     net_arch = policy_kwargs.get("net_arch", [])
     for sizes in net_arch.values() if isinstance(net_arch, dict) else [net_arch]:
         if not isinstance(sizes, list) or not all(type(n) is int and n > 0 for n in sizes):
-            raise ConfigError(f"net_arch must list layer sizes such as [64, 64], got {sizes!r}.")
+            raise ConfigError(
+                f"net_arch must list layer sizes such as [64, 64], got {shown(sizes)}."
+            )
+        if len(sizes) > MOST_LAYERS - 2 or max(sizes, default=1) > LARGEST_LAYER:
+            raise ConfigError(
+                f"net_arch must have at most {MOST_LAYERS - 2} layers of at most {LARGEST_LAYER} "
+                f"units, got {shown(sizes)}."
+            )
 
 
 def check_batch(agent: AgentConfig, env: EnvConfig) -> None:
@@ -290,3 +342,5 @@ def check_batch(agent: AgentConfig, env: EnvConfig) -> None:
         raise ConfigError(
             f"agent.kwargs.batch_size ({batch}) must divide n_steps x n_envs ({rollout})."
         )
+    if rollout > LARGEST_ROLLOUT:
+        raise ConfigError(f"n_steps x n_envs must be at most {LARGEST_ROLLOUT:_}, got {rollout:_}.")

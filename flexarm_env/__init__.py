@@ -4,6 +4,7 @@ Importing this package registers FlexArm/{OneLink,TwoLink,SixLink}-{Reach,Track,
 `gym.make("flexarm_env:FlexArm/OneLink-Reach-v0")` does both at once.
 """
 
+import difflib
 from typing import Any
 
 import gymnasium as gym
@@ -23,6 +24,7 @@ __all__ = [
     "SB3VecEnv",
     "TipTrackingReward",
     "VibrationSuppressionReward",
+    "registered",
 ]
 
 SCENES: dict[str, tuple[str, float, int]] = {  # preset, control_dt [s], steps per episode
@@ -47,6 +49,19 @@ for _id, _spec in IDS.items():
             vector_entry_point="flexarm_env.vector:FlexArmVectorEnv",
             **_spec,
         )
+
+
+def registered(env_id: str) -> str:
+    """An id of this package, without the prefix `flexarm_env:`; any other is refused.
+
+    For ids that come from a file: Gymnasium would import whatever module stands before the colon.
+    """
+    plain = env_id.removeprefix("flexarm_env:")
+    if plain in IDS:
+        return plain
+    near = difflib.get_close_matches(plain, IDS, n=1)
+    remedy = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(IDS)}."
+    raise ValueError(f"{env_id[:80]!r} is not an environment of flexarm; {remedy}")
 
 
 def __getattr__(name: str) -> Any:

@@ -1,6 +1,7 @@
 """Experiment files are read strictly, and every refusal is a sentence that names key and value."""
 
 import inspect
+import os
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,49 @@ def test_shipped_configs_load_and_state_what_to_expect(path: Path) -> None:
         ("300_000", "3e5", r"total_steps must be an int, got '3e5' \(write 300_000\)\."),
         ("300_000", "1.5", r"total_steps must be an int, got 1\.5\."),
         ("300_000", "true", r"total_steps must be an int, got True\."),
-        ("300_000", "-5", r"total_steps must be positive, got -5\."),
+        ("300_000", "-5", r"total_steps must be between 1 and 100_000_000_000, got -5\."),
+        ("300_000", "1" + "0" * 30, r"total_steps must be between 1 and 100_000_000_000, got 1000"),
+        ("300_000", "0x" + "f" * 5000, "Exceeds the limit"),
+        ("n_envs: 4", "n_envs: 1000000000000", r"env\.n_envs must be between 1 and 65_536, got 1"),
+        ("n_steps: 64", "n_steps: 5_000_064", r"agent\.kwargs\.n_steps must be between 1 and 1_0"),
+        (
+            "n_steps: 64",
+            "n_steps: 64, gamma: .inf",
+            r"gamma must be between 0\.0 and 1\.0, got inf",
+        ),
+        ("lin_3.0e-4", "lin_inf", r"learning_rate must be between 0\.0 and 10\.0, got inf"),
+        ("lin_3.0e-4", "1.0e+300", r"learning_rate must be between 0\.0 and 10\.0, got 1e\+300"),
+        ("tracking: 1.0", "tracking: .inf", r"reward\.tracking must be between -1_000_000\.0 and"),
+        ("n_steps: 64", "n_steps: 64, vf_coef: -.inf", r"vf_coef must be between .* got -inf"),
+        (
+            "n_steps: 64",
+            "n_steps: 64, policy_kwargs: {net_arch: [1000000]}",
+            r"net_arch must have at most 8 layers of at most 2048 units, got \[1000000\]",
+        ),
+        (
+            "n_steps: 64",
+            "n_steps: 64, policy_kwargs: {net_arch: {pi: [8, 8, 8, 8, 8, 8, 8, 8, 8]}}",
+            r"net_arch must have at most 8 layers",
+        ),
+        (
+            "total_steps",
+            "seed: 4294967296\ntotal_steps",
+            "seed must be between 0 and 2_147_483_647",
+        ),
+        (
+            "total_steps",
+            "name: ../../tmp/x\ntotal_steps",
+            r"name must be the plain name of a folder",
+        ),
+        ("total_steps", "name: .hidden\ntotal_steps", r"name must be the plain name of a folder"),
+        ("total_steps", "name: $x$\ntotal_steps", r"name must be the plain name of a folder"),
+        ("total_steps", "total_steps: 1\ntotal_steps", r"total_steps.* stand twice"),
+        ("n_steps: 64", "n_steps: 64, n_steps: 64", r"n_steps.* stand twice"),
+        (
+            "name: ppo, kwargs: {n_steps: 64, batch_size: 128, learning_rate: lin_3.0e-4}",
+            "name: sac, kwargs: {ent_coef: auto_inf}",
+            r"ent_coef must be a number or 'auto', .* got 'auto_inf'",
+        ),
         ("total_steps", "n_timesteps", r"unknown key 'n_timesteps'\. Here it is total_steps\."),
         ("n_steps", "n_step", r"unknown key 'agent\.kwargs\.n_step'\. Did you mean 'n_steps'\?"),
         ("lin_3.0e-4", "3e-4", r"learning_rate must be a number, got '3e-4' .*write 3\.0e-4"),
@@ -53,7 +96,7 @@ def test_shipped_configs_load_and_state_what_to_expect(path: Path) -> None:
         ("name: ppo", "name: dqn", r"agent\.name must be one of \['ppo', 'sac'\], got 'dqn'"),
         ("id: FlexArm/OneLink-Reach-v0, ", "", r"env\.id is missing"),
         ("tracking: 1.0", "tracking: high", r"env\.reward\.tracking must be a number, got 'high'"),
-        ("agent: {", "agent: [", r"is not valid YAML near line"),
+        ("agent: {", "agent: [", r"is not valid YAML: .* line 3"),
     ],
 )
 def test_doubtful_files_are_refused(tmp_path: Path, old: str, new: str, sentence: str) -> None:
@@ -61,9 +104,15 @@ def test_doubtful_files_are_refused(tmp_path: Path, old: str, new: str, sentence
         load(tmp_path, GOOD.replace(old, new, 1))
 
 
+def test_a_rollout_beyond_memory_is_refused(tmp_path: Path) -> None:
+    text = GOOD.replace("n_envs: 4", "n_envs: 65536").replace("n_steps: 64", "n_steps: 512")
+    with pytest.raises(ConfigError, match="n_steps x n_envs must be at most 16_777_216, got 33_5"):
+        load(tmp_path, text)
+
+
 @pytest.mark.parametrize("text", ["", "[]", "5"])
 def test_other_yaml_is_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(ConfigError, match="must be a table"):
+    with pytest.raises(ConfigError, match="must hold a mapping at the top"):
         load(tmp_path, text)
 
 
@@ -75,8 +124,20 @@ def test_a_file_cannot_run_code(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="No such file"):
+    with pytest.raises(ConfigError, match="there is no such file"):
         load_config(tmp_path / "none.yaml")
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(ConfigError, match="there is no such file"):
+        load_config(tmp_path / "pipe.yaml")
+
+
+def test_a_sentence_shows_no_more_of_a_value_than_its_start(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load(tmp_path, GOOD.replace("300_000", "x" * 10_000))
+    assert len(str(caught.value).removeprefix(str(tmp_path))) < 200
 
 
 @pytest.mark.parametrize("name", sorted(AGENT_KWARGS))
