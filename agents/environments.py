@@ -5,6 +5,8 @@ import inspect
 import json
 from typing import Any
 
+import gymnasium as gym
+
 from agents.sentences import shown
 from flexarm_env.core import Core
 
@@ -12,6 +14,10 @@ OF_THE_BATCH = {"self", "task", "n_env", "single", "max_steps"}  # set by the id
 KEYWORDS = sorted(
     set(inspect.signature(Core.__init__).parameters) - OF_THE_BATCH | {"max_episode_steps"}
 )
+
+# Errors by which Gymnasium, an environment or a learner refuses what it is given.
+REFUSALS: tuple[type[Exception], ...] = (TypeError, ValueError, ArithmeticError, AssertionError)
+REFUSALS += (MemoryError, RecursionError, ImportError, gym.error.Error)
 
 
 def check_keywords(kwargs: Any, where: str) -> dict[str, Any]:

@@ -6,14 +6,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import yaml
 
+from agents.config import LIMITS
 from agents.controllers import CONTROLLERS
+from agents.environments import REFUSALS, check_keywords
 from agents.evaluation import make_batch
+from agents.files import FolderError, alone_in, check_folder
 from agents.policy import Controller, Policy, PolicyError, load_policy, load_zip
 from agents.report import compare
 from agents.runs import versions
+from agents.sentences import one_line, shown
+from agents.signals import Interrupted, signals_to, stop_at_once
+from flexarm_env import registered
 
 
 class UsageError(ValueError):
@@ -36,13 +41,37 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--trust", action="store_true", help="allow unpickling an SB3 zip")
     a = parser.parse_args(arguments)
     try:
-        if a.episodes < 1 or a.seed < 0:
-            raise UsageError("--episodes must be positive and --seed must not be negative.")
-        prepare_folder(a.out)
-        env_kwargs = parse_kwargs(a.env_kwargs)
-        policy = find_policy(a.subject, a.trust)
-        env_id, kwargs = find_env(policy, a.env, env_kwargs)
-        name, controller = make_controller(a.subject, policy, env_id, kwargs, a.seed)
+        with signals_to(stop_at_once):
+            evaluate(a)
+    except (UsageError, PolicyError, FolderError) as error:
+        print(f"agents.evaluate: {one_line(error)}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        reason = error.strerror or one_line(error)
+        print(f"agents.evaluate: writing to {a.out} failed ({reason}).", file=sys.stderr)
+        return 1
+    except Interrupted as error:
+        print("agents.evaluate: interrupted; start it again for the results.", file=sys.stderr)
+        return error.status
+    print(f"Everything is in {a.out}/")
+    return 0
+
+
+def evaluate(a: argparse.Namespace) -> None:
+    """Do what the command line asks for, once all of it is known to be possible."""
+    for name in ("episodes", "seed"):
+        low, high = LIMITS[name]
+        if not low <= getattr(a, name) <= high:
+            raise UsageError(
+                f"--{name} must be between {low:_} and {high:_}, got {getattr(a, name)}."
+            )
+    check_folder(a.out)
+    env_kwargs = parse_kwargs(a.env_kwargs)
+    policy = find_policy(a.subject, a.trust)
+    env_id, kwargs = find_env(policy, a.env, env_kwargs)
+    name, controller = make_controller(a.subject, policy, env_id, kwargs, a.seed)
+    a.out.mkdir(parents=True, exist_ok=True)
+    with alone_in(a.out):
         compare(
             {name: controller},
             env_id,
@@ -52,23 +81,6 @@ def main(arguments: list[str] | None = None) -> int:
             folder=a.out,
             about={"subject": a.subject, "versions": versions()["packages"]},
         )
-    except (UsageError, PolicyError, gym.error.Error) as error:
-        sentence = " ".join(str(error).split())
-        print(f"agents.evaluate: {sentence}", file=sys.stderr)
-        return 2
-    print(f"Everything is in {a.out}/")
-    return 0
-
-
-def prepare_folder(folder: Path) -> None:
-    """The folder to write to, checked before anything runs."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".writable"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise UsageError(f"--out {folder}: cannot be written to ({error.strerror}).") from None
 
 
 def parse_kwargs(text: str | None) -> dict[str, Any] | None:
@@ -76,12 +88,13 @@ def parse_kwargs(text: str | None) -> dict[str, Any] | None:
     if text is None:
         return None
     try:
-        kwargs = yaml.safe_load(text)
-    except yaml.YAMLError:
-        kwargs = None
-    if not isinstance(kwargs, dict) or not all(isinstance(key, str) for key in kwargs):
-        raise UsageError(f"--env-kwargs must be a YAML table such as '{{a: 1}}', got {text!r}.")
-    return kwargs
+        return check_keywords(yaml.safe_load(text), "--env-kwargs")
+    except (yaml.YAMLError, RecursionError):
+        raise UsageError(
+            f"--env-kwargs must be a YAML table such as '{{a: 1}}', got {shown(text)}."
+        ) from None
+    except ValueError as error:
+        raise UsageError(str(error)) from None
 
 
 def find_policy(subject: str, trust: bool) -> Policy | None:
@@ -100,14 +113,20 @@ def find_policy(subject: str, trust: bool) -> Policy | None:
 def find_env(
     policy: Policy | None, env_id: str | None, kwargs: dict[str, Any] | None
 ) -> tuple[str, dict[str, Any]]:
-    """What was asked for on the command line, else what the policy was trained on."""
+    """Id and keywords from the command line, else those that the policy was trained on.
+
+    A policy's file may name environments of this package only; a command line, any that exists.
+    """
     about: Mapping[str, Any] = {} if policy is None else policy.about
-    if env_id is None and about.get("env_id") is None:
+    own: str = about.get("env_id", "")
+    if env_id is None and not own:
         raise UsageError("--env is needed: this subject does not say what it was made for.")
-    if kwargs is None:
-        same = env_id in (None, about.get("env_id"))
-        kwargs = dict(about.get("env_kwargs", {})) if same else {}
-    return env_id or about["env_id"], kwargs
+    try:
+        if kwargs is None and env_id in (None, own):
+            kwargs = check_keywords(about.get("env_kwargs", {}), "about.env_kwargs")
+        return registered(own) if env_id is None else env_id, kwargs or {}
+    except ValueError as error:
+        raise UsageError(f"The policy names an environment that it may not: {error}") from None
 
 
 def make_controller(
@@ -116,8 +135,9 @@ def make_controller(
     """Name and controller, once its environment is known to exist and to fit."""
     try:
         env = make_batch(env_id, 1, kwargs)
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"{env_id} with {kwargs}: {error}") from None
+    except REFUSALS as error:
+        with_keywords = f" with {shown(kwargs)}" if kwargs else ""
+        raise UsageError(f"{env_id}{with_keywords}: {error}") from None
     try:
         if policy is None:
             return subject, CONTROLLERS[subject](env, env_id, kwargs, seed)

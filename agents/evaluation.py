@@ -11,7 +11,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from agents.files import written_whole
 from agents.policy import Array, Controller
+from flexarm_env import IDS, FlexArmVectorEnv
 
 SETTLED_BAND = 0.02  # [-] of the arm's reach
 HOLD = 0.25  # [s] in the band at the end of the episode, at least, to count as settled
@@ -57,10 +59,12 @@ class Recording:
 
 
 def make_batch(env_id: str, n_env: int, kwargs: Mapping[str, Any] | None = None) -> Any:
-    """A batch environment; its errors about ids and keywords pass through."""
-    import flexarm_env  # noqa: F401  (registers the ids)
-
-    return gym.make_vec(env_id, num_envs=n_env, **(kwargs or {}))
+    """A batch environment of this package; errors about ids and keywords pass through."""
+    envs = gym.make_vec(env_id, num_envs=n_env, **(kwargs or {}))
+    if not isinstance(envs.unwrapped, FlexArmVectorEnv):
+        envs.close()
+        raise ValueError(f"{env_id} is not an environment of flexarm; known: {', '.join(IDS)}.")
+    return envs
 
 
 def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording:
@@ -159,7 +163,8 @@ def without_infinities(value: Any) -> Any:
 def write_json(path: Path, data: Any) -> None:
     """Strict JSON: no NaN, no Infinity."""
     text = json.dumps(without_infinities(data), indent=2, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    with written_whole(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def write_results(
@@ -175,7 +180,10 @@ def write_results(
     }
     data = {"note": NOTE, **about, "seeds": list(seeds), "controllers": controllers}
     write_json(folder / "evaluation.json", data)
-    with open(folder / "evaluation.csv", "w", newline="", encoding="utf-8") as file:
+    with (
+        written_whole(folder / "evaluation.csv") as path,
+        open(path, "w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.writer(file)
         writer.writerow(["controller", "seed", *METRICS])
         for name, metrics in results.items():

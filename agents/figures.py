@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
 from agents.evaluation import SETTLED_BAND, Recording
+from agents.files import written_whole
 from agents.policy import Array, Controller
 
 COLOURS = ("#0072b2", "#d55e00", "#7f7f7f", "#009e73", "#cc79a7")  # told apart by everybody
@@ -24,6 +25,12 @@ def new_figure(width: float, height: float, dpi: int = 130) -> Figure:
     figure = Figure(figsize=(width, height), dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write the figure in the format that its name says."""
+    with written_whole(path) as temporary:
+        figure.savefig(temporary)
 
 
 def tidy(axes: Any) -> None:
@@ -49,7 +56,7 @@ def plot_learning_curve(path: Path, runs: Mapping[str, Sequence[Mapping[str, Any
     if len(runs) > 1:
         figure.axes[0].legend(frameon=False, fontsize=8)
     figure.axes[1].set_ylim(-3.0, 103.0)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str) -> None:
@@ -77,7 +84,7 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
     curvature.set_xlim(0.0, max(r.time[-1] for r in recordings.values()))
     for axes in (error, curvature):
         tidy(axes)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def film(
@@ -150,14 +157,15 @@ def write_gif(path: Path, films: Mapping[str, tuple[list[Array], Recording]]) ->
         sample.paste(image, (0, i * image.height))
     palette = sample.quantize(128, method=Image.Quantize.MAXCOVERAGE)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    images[0].save(
-        path,
-        save_all=True,
-        append_images=images[1:],
-        duration=int(1000 * GIF_SECONDS_PER_FRAME),
-        loop=0,
-        optimize=False,
-    )
+    with written_whole(path) as temporary:
+        images[0].save(
+            temporary,
+            save_all=True,
+            append_images=images[1:],
+            duration=int(1000 * GIF_SECONDS_PER_FRAME),
+            loop=0,
+            optimize=False,
+        )
 
 
 def scaled(frame: Array) -> Image.Image:

@@ -210,6 +210,7 @@ def read_description(path: Path) -> dict[str, Any]:
             raise ValueError(f"{name}_low must not be above {name}_high.")
     if not isinstance(d["about"], dict):
         raise ValueError(f"about must be a table, got {shown(d['about'])}.")
+    checks.text(d["about"].get("env_id", ""), "about.env_id")
     return d
 
 

@@ -6,12 +6,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
+import numpy as np
 import pytest
 import yaml
 
 import flexarm_env
 from agents.config import ConfigError, config_from_dict, load_config
 from agents.environments import KEYWORDS, check_keywords
+from agents.evaluate import main as evaluate
+from agents.evaluation import make_batch
+from agents.policy import Policy, save_policy
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 
@@ -100,3 +105,95 @@ def test_the_known_keywords_are_those_of_an_environment() -> None:
     assert {"arm", "obs", "reward", "max_episode_steps"} <= set(KEYWORDS)
     assert not {"self", "task", "n_env", "single", "max_steps", "num_envs"} & set(KEYWORDS)
     assert json.loads(json.dumps(check_keywords({"obs": "sensors"}, "x"))) == {"obs": "sensors"}
+
+
+def stored_policy(folder: Path, about: dict[str, Any]) -> Path:
+    """A policy that fits the one-link arm, with this to say about its environment."""
+    envs = make_batch(ENV_ID, 1)
+    n = envs.single_observation_space.shape[0]
+    envs.close()
+    policy = Policy(
+        weights=(np.zeros((1, n), np.float32),),
+        biases=(np.zeros(1, np.float32),),
+        activation="tanh",
+        squashing="clip",
+        observation_low=np.full(n, -1.0, np.float32),
+        observation_high=np.full(n, 1.0, np.float32),
+        about=about,
+    )
+    save_policy(policy, folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("about", "sentence"),
+    [
+        ({"env_id": f"evilmod:{ENV_ID}"}, "is not an environment of flexarm; did you mean"),
+        ({"env_id": "evilmod:Evil-v0", "env_kwargs": {}}, "is not an environment of flexarm"),
+        ({"env_id": ENV_ID, "env_kwargs": {"wrappers": []}}, "unknown key 'wrappers'"),
+        ({"env_id": ENV_ID, "env_kwargs": 5}, "about.env_kwargs must be a table"),
+        ({"env_id": ENV_ID, "env_kwargs": {"arm": "evil.yaml"}}, "evil.yaml"),
+        ({"env_id": ENV_ID, "env_kwargs": {"arm": {"links": []}}}, "links"),
+        ({"env_id": ENV_ID, "env_kwargs": {"reward": {"evil": 1.0}}}, "evil"),
+        ({}, "--env is needed"),
+    ],
+)
+def test_a_policy_imports_nothing(
+    about: dict[str, Any], sentence: str, canary: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = stored_policy(canary.parent / "policy", about)
+    assert evaluate([str(folder), "--out", str(canary.parent / "out")]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert error.count("\n") == 1
+    assert not canary.exists()
+    assert not (canary.parent / "out").exists()
+
+
+def test_a_policy_with_a_foreign_environment_serves_in_one_of_this_package(canary: Path) -> None:
+    folder = stored_policy(canary.parent / "policy", {"env_id": f"evilmod:{ENV_ID}"})
+    out = canary.parent / "out"
+    assert evaluate([str(folder), "--env", ENV_ID, "--episodes", "1", "--out", str(out)]) == 0
+    assert json.loads((out / "evaluation.json").read_text())["env"] == ENV_ID
+    assert not canary.exists()
+
+
+HOSTILE_NAME = 'x."""\nimport pathlib; pathlib.Path("made").touch()\n"""'
+
+
+def test_an_arm_inside_keywords_is_data(canary: Path) -> None:
+    """A name that would be code if it were pasted into the generated source."""
+    link = {"length": 1.0, "rho_A": 1.0, "EIz": 10.0, "modes": []}
+    arm = {"name": HOSTILE_NAME, "links": [link]}
+    config = config_from_dict(experiment({"id": ENV_ID, "kwargs": {"arm": arm}}))
+    envs = make_batch(config.env.id, 2, config.env.make_kwargs)
+    envs.reset(seed=0)
+    envs.step(np.zeros((2, 1), np.float32))
+    envs.close()
+    assert not canary.exists()
+
+
+def test_a_command_line_may_import_but_makes_environments_of_this_package_only(
+    canary: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module = canary.parent / "evilmod.py"
+    module.write_text(
+        module.read_text()
+        + "import gymnasium\n"
+        + "gymnasium.register('Mine/Slow-v0', max_episode_steps=9, "
+        + "vector_entry_point='flexarm_env.vector:FlexArmVectorEnv', "
+        + "entry_point='flexarm_env.env:FlexArmEnv', kwargs={'task': 'Reach', 'arm': 'slim'})\n"
+    )
+    out = ["--episodes", "1", "--out", str(canary.parent / "out")]
+    try:
+        assert evaluate(["zero", "--env", "evilmod:Mine/Slow-v0", *out]) == 0
+        assert canary.exists()
+    finally:
+        gym.registry.pop("Mine/Slow-v0", None)
+    for env_id in ("CartPole-v1", "Pendulum-v1"):
+        assert evaluate(["pd", "--env", env_id, *out]) == 2
+        assert f"{env_id} is not an environment of flexarm" in capsys.readouterr().err
+    assert evaluate(["pd", "--env", "nosuchmod:Mine/Slow-v0", *out]) == 2
+    error = capsys.readouterr().err
+    assert "nosuchmod" in error
+    assert error.count("\n") == 1

@@ -75,6 +75,7 @@ def refusal(folder: Path) -> str:
         ({"action_low": [-1.0, "low"]}, "must be a number"),
         ({"about": []}, "about must be a table, got []"),
         ({"about": None}, "about must be a table, got None"),
+        ({"about": {"env_id": ["a"]}}, "about.env_id must be text"),
         ({"code": "import os"}, "Unknown key 'code' in policy.json"),
     ],
 )

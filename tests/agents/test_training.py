@@ -84,8 +84,15 @@ def test_evaluation_repeats_itself_exactly(run: RunFolder, tmp_path: Path) -> No
         (["nothing", "--env", ENV_ID], "neither a run's folder nor a controller"),
         (["pd", "--env", "FlexArm/NoSuch-Reach-v0"], "NoSuch"),
         (["pd"], "--env is needed"),
-        (["pd", "--env", ENV_ID, "--episodes", "0"], "--episodes must be positive"),
-        (["pd", "--env", ENV_ID, "--env-kwargs", "{no_such: 1}"], "no_such"),
+        (
+            ["pd", "--env", ENV_ID, "--episodes", "0"],
+            "--episodes must be between 1 and 10_000, got 0",
+        ),
+        (["pd", "--env", ENV_ID, "--seed", "-1"], "--seed must be between 0 and"),
+        (["pd", "--env", ENV_ID, "--env-kwargs", "{no_such: 1}"], "unknown key 'no_such'"),
+        (["pd", "--env", ENV_ID, "--env-kwargs", "{obs: [}"], "--env-kwargs must be a YAML table"),
+        (["pd", "--env", ENV_ID, "--env-kwargs", "{obs: sensor}"], "sensor"),
+        (["pd", "--env", ENV_ID, "--env-kwargs", "[" * 9999], "--env-kwargs must be a YAML table"),
         ([str(ROOT / "configs"), "--env", ENV_ID], "holds no policy.json"),
         ([str(ROOT / "train.py"), "--env", ENV_ID], "--trust"),
     ],
@@ -112,7 +119,7 @@ def test_the_output_folder_is_checked_first(
 def test_training_refuses_bad_requests(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, sentence in (
         (["--resume", str(tmp_path)], "is not a run"),
-        (["--config", str(tmp_path / "none.yaml")], "No such file"),
+        (["--config", str(tmp_path / "none.yaml")], "there is no such file"),
         (["--steps", "0"], "--steps must be positive"),
         (["--resume", str(tmp_path), "--seed", "1"], "--resume goes with --steps only"),
     ):
