@@ -4,7 +4,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -35,7 +35,8 @@ class StopLater:
         if self.number is not None:
             raise Interrupted(number)
         self.number = number
-        os.write(2, NOTICE)  # print() may be what the signal has interrupted
+        with suppress(OSError):
+            os.write(2, NOTICE)  # print() may be what the signal has interrupted
 
     def now(self) -> None:
         """Stop if a signal has come: here is nothing to finish."""

@@ -1,46 +1,15 @@
 """A stored policy is arrays and JSON, and acts exactly as the network it came from."""
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from stable_baselines3 import A2C, PPO, SAC, TD3
+from stable_baselines3 import A2C, TD3
 
-from agents.checkpoints import CheckpointError, restore_checkpoint, save_checkpoint
-from agents.policy import (
-    PolicyError,
-    export_policy,
-    load_policy,
-    load_zip,
-    save_policy,
-)
-
-
-class Toy(gym.Env):
-    """Three numbers in, two out; no dynamics worth the name."""
-
-    observation_space = gym.spaces.Box(-5.0, 5.0, (3,), np.float32)
-    action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
-        super().reset(seed=seed)
-        return self.np_random.uniform(-1.0, 1.0, 3).astype(np.float32), {}
-
-    def step(self, action: Any) -> Any:
-        observation = self.np_random.uniform(-1.0, 1.0, 3).astype(np.float32)
-        return observation, -float(action @ action), False, bool(self.np_random.random() < 0.1), {}
-
-
-def build(name: str, seed: int = 0) -> Any:
-    if name == "ppo":
-        network = {"net_arch": [16, 8], "log_std_init": -0.5}
-        return PPO("MlpPolicy", Toy(), policy_kwargs=network, n_steps=32, batch_size=32, seed=seed)
-    network = {"net_arch": {"pi": [16], "qf": [16, 16]}}
-    return SAC("MlpPolicy", Toy(), policy_kwargs=network, learning_starts=10, seed=seed)
+from agents.policy import PolicyError, export_policy, load_policy, load_zip, save_policy
+from tests.agents.toys import Toy, build
 
 
 @pytest.fixture(scope="module", params=["ppo", "sac"])
@@ -129,30 +98,3 @@ def test_policies_refuse_what_they_cannot_do(model: Any) -> None:
         policy.predict(np.zeros(4))
     with pytest.raises(ValueError, match="mean action only"):
         policy.predict(np.zeros(3), deterministic=False)
-
-
-@pytest.mark.parametrize("name", ["ppo", "sac"])
-def test_a_checkpoint_restores_the_whole_learner(name: str, tmp_path: Path) -> None:
-    """Parameters, optimizer moments, loose tensors, counters and the replay buffer."""
-    trained, fresh = build(name), build(name, seed=1)
-    trained.learn(64)
-    folder = save_checkpoint(trained, tmp_path, {"session": 3})
-
-    assert restore_checkpoint(fresh, folder) == {"session": 3}
-
-    again = save_checkpoint(fresh, tmp_path / "again", {"session": 3})
-    assert (again / "state.json").read_text() == (folder / "state.json").read_text()
-    with np.load(folder / "arrays.npz") as a, np.load(again / "arrays.npz") as b:
-        assert a.files == b.files
-        for array in a.files:
-            np.testing.assert_array_equal(a[array], b[array])
-    assert any("exp_avg" in text for text in [(folder / "state.json").read_text()])
-
-
-def test_only_whole_checkpoints_of_the_same_kind_are_used(tmp_path: Path) -> None:
-    folder = save_checkpoint(build("ppo"), tmp_path, {})
-    with pytest.raises(CheckpointError, match="does not fit this run"):
-        restore_checkpoint(build("sac"), folder)
-    shutil.rmtree(folder)
-    with pytest.raises(CheckpointError, match="does not fit this run"):
-        restore_checkpoint(build("ppo"), folder)
