@@ -1,0 +1,76 @@
+"""The log of a training: one JSON row per line, appended whole, mended after a kill."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from agents.files import sync
+
+Row = dict[str, Any]
+COUNTS = ("session", "steps")  # whole numbers in every row
+LARGEST = 1e300  # of a number in a row
+
+
+def append_row(path: Path, row: Mapping[str, Any]) -> None:
+    """Add a row and bring it to the disk; a row that does not fit there is taken back."""
+    extend(path, json.dumps(row, allow_nan=False).encode() + b"\n")
+
+
+def extend(path: Path, rest: bytes) -> None:
+    """Add bytes to a file, all of them or none."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    try:
+        length = os.fstat(descriptor).st_size
+        try:
+            while rest:
+                rest = rest[os.write(descriptor, rest) :]
+            os.fsync(descriptor)
+        except BaseException:
+            os.ftruncate(descriptor, length)
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def read_rows(path: Path) -> tuple[list[Row], int]:
+    """Every row of the log, and the number of lines that are none."""
+    content = path.read_bytes() if path.exists() else b""
+    lines = [line for line in content.split(b"\n") if line]
+    rows = [row for row in map(parsed, lines) if row is not None]
+    return rows, len(lines) - len(rows)
+
+
+def parsed(line: bytes) -> Row | None:
+    """The row in a line; None if the line holds anything else."""
+    try:
+        row = json.loads(line.decode())
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(row, dict) or not all(type(row.get(name)) is int for name in COUNTS):
+        return None
+    return row if all(is_value(value) for value in row.values()) else None
+
+
+def is_value(value: Any) -> bool:
+    """Whether a row may hold a value: a finite number, or null for one that was not finite."""
+    return value is None or (type(value) in (int, float) and abs(value) < LARGEST)
+
+
+def mend_log(path: Path) -> str:
+    """End the last line before others follow: a whole row stays, a fragment is cut off.
+
+    Returns a sentence about the fragment, or nothing.
+    """
+    content = path.read_bytes() if path.exists() else b""
+    end = content.rfind(b"\n") + 1
+    fragment = content[end:]
+    if not fragment:
+        return ""
+    if parsed(fragment) is not None:
+        extend(path, b"\n")
+        return ""
+    os.truncate(path, end)
+    sync(path)
+    return f"{path}: cut off a last line of {len(fragment)} bytes that was never finished."
