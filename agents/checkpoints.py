@@ -22,7 +22,6 @@ ARRAYS, STATE, SUMS = "arrays.npz", "state.json", "SHA256SUMS"
 KEYS = ("parameters", "variables", "num_timesteps", "n_updates", "progress", "replay")
 LARGEST_COUNT = 10**12  # steps, updates or sessions
 MISFITS: tuple[type[Exception], ...] = (*REFUSALS, OSError, LookupError, AttributeError)
-MISFITS += (RuntimeError,)  # what torch says of sizes
 
 
 class CheckpointError(ValueError):

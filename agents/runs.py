@@ -1,12 +1,12 @@
 """A run's folder: what lies where, and the log that survives a kill."""
 
 import csv
-import json
-import os
+import itertools
 import platform
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -14,10 +14,14 @@ from typing import Any
 
 import yaml
 
-from agents.config import Config, ConfigError, load_config
+from agents.config import Config, load_config
 from agents.evaluation import without_infinities, write_json
+from agents.files import FolderError, check_folder, written_whole
+from agents.log import append_row, mend_log, read_rows
+from dynamics.arm_file import read_mapping
 
 PACKAGES = "flexarm numpy scipy numba casadi gymnasium stable_baselines3 torch matplotlib pillow"
+FINISHED = "finished_at_steps"  # key in versions.json, written last
 CURVE_COLUMNS = "session steps seconds episodes return tip_error settled failed steps_per_second"
 
 
@@ -31,6 +35,11 @@ class RunFolder:
     def config(self) -> Path:
         """The experiment as it was run."""
         return self.path / "config.yaml"
+
+    @property
+    def versions(self) -> Path:
+        """Versions of Python and packages; FINISHED stands in it once the run is."""
+        return self.path / "versions.json"
 
     @property
     def log(self) -> Path:
@@ -52,43 +61,57 @@ class RunFolder:
         """The same network before its first update."""
         return self.path / "untrained"
 
+    def require(self) -> None:
+        """Refuse a folder that holds no run."""
+        if not self.config.is_file():
+            raise FolderError(f"{self.path}: is not a run (it holds no config.yaml).")
+
     def read_config(self) -> Config:
         """The experiment of this run."""
-        if not self.config.is_file():
-            raise ConfigError(f"{self.path}: is not a run (it holds no config.yaml).")
         return load_config(self.config)
 
     def write_config(self, config: Config) -> None:
         """Keep the experiment, complete with its defaults."""
         text = yaml.safe_dump(config.to_dict(), sort_keys=False)
-        temporary = self.config.with_suffix(".tmp")
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, self.config)
+        with written_whole(self.config) as path:
+            path.write_text(text, encoding="utf-8")
 
-    def write_versions(self, **more: Any) -> None:
-        """What this run was made with."""
-        write_json(self.path / "versions.json", versions() | more)
+    def write_versions(self, more: Mapping[str, Any]) -> None:
+        """Keep the versions of all that the run is made with, and more about it."""
+        write_json(self.versions, versions() | dict(more))
+
+    def finished_at(self) -> int | None:
+        """Steps of a run that was trained and judged to its end; None before."""
+        try:
+            steps = read_mapping(self.versions).get(FINISHED)
+        except ValueError:
+            return None
+        return steps if type(steps) is int else None
+
+    def refuse_links(self) -> None:
+        """Refuse a folder from which writing would lead elsewhere."""
+        for path in self.path.rglob("*"):
+            if path.is_symlink() or not (path.is_file() or path.is_dir()):
+                raise FolderError(
+                    f"{path}: is a link or a device, and a run has files of its own only; put a "
+                    "copy in its place."
+                )
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Add one row to the log in a single write, so that a kill cannot tear it."""
-        line = json.dumps(without_infinities(row), allow_nan=False) + "\n"
-        descriptor = os.open(self.log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-        try:
-            os.write(descriptor, line.encode())
-        finally:
-            os.close(descriptor)
+        """Add one row to the log."""
+        append_row(self.log, without_infinities(row))
 
     def rows(self) -> list[dict[str, Any]]:
-        """Every row of the log; a last line torn by a power failure is passed over."""
-        if not self.log.exists():
-            return []
-        rows = []
-        for line in self.log.read_text(encoding="utf-8").splitlines():
-            try:
-                rows.append(json.loads(line))
-            except json.JSONDecodeError:
-                continue
-        return rows
+        """Every row of the log."""
+        return read_rows(self.log)[0]
+
+    def mend_log(self) -> list[str]:
+        """Make the log ready for more rows; returns a sentence about each thing that is wrong."""
+        sentences = [mend_log(self.log)]
+        strange = read_rows(self.log)[1]
+        if strange:
+            sentences.append(f"{self.log}: {strange} lines are no rows and are passed over.")
+        return [sentence for sentence in sentences if sentence]
 
     def curve(self) -> list[dict[str, Any]]:
         """The rows of the learning curve: where a resumed session repeats steps, the later one."""
@@ -101,25 +124,44 @@ class RunFolder:
 
     def write_curve(self) -> None:
         """`metrics.csv` beside the log, for spreadsheets."""
-        with open(self.path / "metrics.csv", "w", newline="", encoding="utf-8") as file:
+        with (
+            written_whole(self.path / "metrics.csv") as path,
+            open(path, "w", newline="", encoding="utf-8") as file,
+        ):
             writer = csv.DictWriter(file, CURVE_COLUMNS.split(), extrasaction="ignore")
             writer.writeheader()
             writer.writerows(self.curve())
 
 
+def check_out(out: Path | None) -> None:
+    """Refuse a folder that a new run cannot have, and make nothing."""
+    check_folder(out or Path("runs"))
+    if out is not None:
+        refuse_used(out)
+
+
+def refuse_used(out: Path) -> None:
+    """Refuse a folder with anything but hidden files, such as its lock."""
+    if out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
+        raise FolderError(f"{out}: is not empty; choose another --out, or --resume {out}.")
+
+
 def new_run(out: Path | None, config: Config) -> RunFolder:
-    """An empty folder for a run: `out`, or runs/NAME/seedN with a number if that is taken."""
-    if out is None:
-        base = Path("runs") / config.name
-        names = [f"seed{config.seed}"] + [f"seed{config.seed}-{i}" for i in range(2, 10_000)]
-        out = next(base / name for name in names if not (base / name).exists())
+    """The folder of a run: `out`, or runs/NAME/seedN with a number if that is taken."""
+    base = Path("runs") / config.name
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        if any(out.iterdir()):
-            raise ConfigError(f"{out}: is not empty; choose another --out, or --resume {out}.")
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            return RunFolder(out)
+        base.mkdir(parents=True, exist_ok=True)
+        for i in itertools.count(1):
+            path = base / f"seed{config.seed}{f'-{i}' if i > 1 else ''}"
+            with suppress(FileExistsError):  # also if another process makes it just now
+                path.mkdir()
+                break
+        return RunFolder(path)
     except OSError as error:
-        raise ConfigError(f"{out}: cannot be used as a run folder ({error.strerror}).") from None
-    return RunFolder(out)
+        raise FolderError(f"{out or base}: cannot be made ({error.strerror}).") from None
 
 
 def versions() -> dict[str, Any]:

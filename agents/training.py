@@ -1,38 +1,39 @@
 """Training from an experiment file: PPO or SAC, logged, resumable, judged at the end."""
 
 import argparse
+import shlex
 import sys
 import time
-from collections import deque
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
-from rich.console import Console
 
-from agents.checkpoints import (
-    CheckpointError,
-    list_checkpoints,
-    restore_checkpoint,
-    save_checkpoint,
-)
-from agents.config import AGENT_KWARGS, SCHEDULE, Config, ConfigError, load_config
+from agents.checkpoints import CheckpointError, newest_whole, restore_checkpoint
+from agents.config import AGENT_KWARGS, LIMITS, SCHEDULE, Config, ConfigError, load_config
 from agents.controllers import joint_pd, tune_pd
+from agents.environments import REFUSALS
 from agents.evaluation import make_batch, write_json
 from agents.figures import plot_learning_curve
-from agents.policy import Array, Controller, PolicyError, export_policy, load_policy, save_policy
+from agents.files import FolderError, alone_in
+from agents.keeper import Progress, errors_in_the_main_thread, make_keeper
+from agents.policy import Controller, PolicyError, export_policy, load_policy, save_policy
 from agents.report import compare
-from agents.runs import RunFolder, new_run, versions
+from agents.runs import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
+from agents.sentences import one_line, shown
+from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 
-CHECKPOINT_SHARE = 0.05  # of the training time at most, however long a checkpoint takes
-ROWS = 250  # about so many rows in the log of a whole run
 SESSION_STRIDE = 1_000_003  # seeds of a resumed session are new, not those of the first one
 DEFAULT_CONFIG = Path(__file__).resolve().parents[1] / "configs" / "one_link_reach_ppo.yaml"
 
 
-def build_model(config: Config, session: int) -> Any:
+class TrainingError(ValueError):
+    """A training that cannot go on; the message is one sentence for the user."""
+
+
+def build_model(config: Config) -> Any:
     """The stable-baselines3 model of the experiment on its batch environment."""
     import torch
     from stable_baselines3 import PPO, SAC
@@ -49,16 +50,34 @@ def build_model(config: Config, session: int) -> Any:
         value = kwargs.get(key)
         if types == SCHEDULE and isinstance(value, str):
             kwargs[key] = falling(float(value.removeprefix("lin_")))
-    env = SB3VecEnv(config.env.id, config.env.n_envs, **config.env.make_kwargs)
-    algorithm = {"ppo": PPO, "sac": SAC}[config.agent.name]
-    return algorithm(
-        config.agent.policy,
-        env,
-        policy_kwargs=policy_kwargs,
-        seed=config.seed + SESSION_STRIDE * session,
-        device="cpu",
-        **kwargs,
-    )
+    try:
+        env = SB3VecEnv(config.env.id, config.env.n_envs, **config.env.make_kwargs)
+    except REFUSALS as error:
+        keywords = shown(config.env.make_kwargs)
+        raise ConfigError(f"env: {config.env.id} refuses {keywords}: {error}") from None
+    try:
+        algorithm = {"ppo": PPO, "sac": SAC}[config.agent.name]
+        return algorithm(
+            config.agent.policy,
+            env,
+            policy_kwargs=policy_kwargs,
+            seed=config.seed,
+            device="cpu",
+            **kwargs,
+        )
+    except REFUSALS as error:
+        raise ConfigError(f"agent: {config.agent.name} refuses its keywords: {error}") from None
+
+
+def prepare(config: Config) -> None:
+    """Build the whole experiment and take one step, so that nothing is made for one that fails."""
+    begin = time.monotonic()
+    print(f"Preparing {config.env.id} (an arm is compiled at its first use, then cached) ...")
+    env = build_model(config).env
+    env.reset()
+    env.step(np.zeros((config.env.n_envs, *env.action_space.shape), np.float32))
+    env.close()
+    print(f"Ready after {time.monotonic() - begin:.1f} s.", flush=True)
 
 
 def falling(start: float) -> Any:
@@ -66,166 +85,70 @@ def falling(start: float) -> Any:
     return lambda remaining: start * remaining
 
 
-class EpisodeStatistics:
-    """Means over the latest episodes, from what every step of the batch returns."""
+def learn(run: RunFolder, config: Config) -> int:
+    """Train from the newest whole checkpoint, or from the start; leaves the policy.
 
-    def __init__(self, n_env: int) -> None:
-        self.running = np.zeros(n_env)  # return so far
-        self.episodes = 0
-        self.latest: deque[tuple[float, float, float, float]] = deque(maxlen=max(100, n_env))
-
-    def add(self, rewards: Array, dones: Array, infos: Any) -> None:
-        """Account for one step."""
-        self.running += rewards
-        for i in np.flatnonzero(dones):
-            info = infos[i]
-            failed = not info.get("TimeLimit.truncated", False)
-            self.latest.append(
-                (self.running[i], info["tip_error"], bool(info["settled"]) and not failed, failed)
-            )
-            self.running[i] = 0.0
-            self.episodes += 1
-
-    def means(self) -> dict[str, float | None]:
-        """Return, final tip error [m], share that ends on target, share that failed."""
-        names = ("return", "tip_error", "settled", "failed")
-        if not self.latest:
-            return dict.fromkeys(names)
-        return dict(zip(names, np.mean(self.latest, axis=0).tolist(), strict=True))
-
-
-def make_callback(run: RunFolder, config: Config, session: int, seconds_before: float) -> Any:
-    """The stable-baselines3 callback that logs, shows progress and writes checkpoints."""
-    from stable_baselines3.common.callbacks import BaseCallback
-
-    class Keeper(BaseCallback):
-        def _on_training_start(self) -> None:
-            self.statistics = EpisodeStatistics(config.env.n_envs)
-            self.started = self.checkpointed = time.monotonic()
-            self.first_step = self.logged = self.num_timesteps
-            self.checkpoint_cost = 0.0
-            self.bar = Progress(config.total_steps, self.num_timesteps)
-
-        def _on_step(self) -> bool:
-            s = self.locals
-            self.statistics.add(s["rewards"], s["dones"], s["infos"])
-            return True
-
-        def _on_rollout_end(self) -> None:
-            if self.num_timesteps - self.logged >= config.total_steps / ROWS:
-                self.log_row()
-
-        def _on_rollout_start(self) -> None:  # between updates: the state is consistent here
-            now = time.monotonic()
-            pause = max(config.checkpoint_seconds, self.checkpoint_cost / CHECKPOINT_SHARE)
-            if self.num_timesteps > self.first_step and now - self.checkpointed > pause:
-                self.checkpoint()
-
-        def _on_training_end(self) -> None:
-            if self.num_timesteps > self.logged:
-                self.log_row()
-            self.checkpoint()
-            self.bar.close()
-
-        def seconds(self) -> float:
-            return seconds_before + time.monotonic() - self.started
-
-        def checkpoint(self) -> None:
-            begin = time.monotonic()
-            progress = {"session": session, "seconds": self.seconds()}
-            save_checkpoint(self.model, run.checkpoints, progress)
-            self.checkpointed = time.monotonic()
-            self.checkpoint_cost = self.checkpointed - begin
-
-        def log_row(self) -> None:
-            means = self.statistics.means()
-            speed = (self.num_timesteps - self.first_step) / (time.monotonic() - self.started)
-            for name, value in means.items():
-                if value is not None:
-                    self.logger.record(f"rollout/{name}", value)
-            self.logger.record("time/steps_per_second", speed)
-            row: dict[str, Any] = {
-                "session": session,
-                "steps": self.num_timesteps,
-                "seconds": round(self.seconds(), 3),
-                "episodes": self.statistics.episodes,
-                "steps_per_second": round(speed, 1),
-            }
-            values = self.logger.name_to_value
-            losses = {k: float(v) for k, v in values.items() if k.startswith("train/")}
-            run.append(row | means | losses)
-            self.logger.dump(self.num_timesteps)
-            self.logged = self.num_timesteps
-            self.bar.update(self.num_timesteps, speed, means)
-
-    return Keeper()
-
-
-class Progress:
-    """A bar on a terminal, ten plain lines elsewhere."""
-
-    def __init__(self, total: int, done: int) -> None:
-        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as RichProgress
-
-        self.total, self.next_line = total, done
-        self.console = Console()
-        columns = ("{task.percentage:>3.0f} %", "{task.fields[note]}")
-        self.bar = RichProgress(
-            TextColumn("training"),
-            BarColumn(),
-            *(TextColumn(text) for text in columns),
-            TimeRemainingColumn(),
-            console=self.console,
-            disable=not self.console.is_terminal,
-        )
-        self.bar.start()
-        self.task = self.bar.add_task("training", total=total, completed=done, note="")
-
-    def update(self, steps: int, speed: float, means: dict[str, float | None]) -> None:
-        """Show where training stands."""
-        note = f"{steps:,} steps, {speed:,.0f} per s"
-        if means["return"] is not None and means["settled"] is not None:
-            note += f", return {means['return']:.2f}, on target {100 * means['settled']:.0f} %"
-        self.bar.update(self.task, completed=min(steps, self.total), note=note)
-        if not self.console.is_terminal and steps >= self.next_line:
-            print(f"training: {100 * steps / self.total:3.0f} %, {note}", flush=True)
-            self.next_line = steps + self.total // 10
-
-    def close(self) -> None:
-        """Leave the terminal as it was."""
-        self.bar.stop()
-
-
-def learn(run: RunFolder, config: Config) -> None:
-    """Train from the last checkpoint, or from the start if there is none; leaves the policy."""
+    Returns the steps that the policy has been trained for. A signal ends the training at the next
+    checkpoint, which it writes at once.
+    """
     from stable_baselines3.common.logger import configure
 
-    rows, found = run.rows(), list_checkpoints(run.checkpoints)
-    session = rows[-1]["session"] + 1 if rows else 0
-    begin = time.monotonic()
-    print(f"Preparing {config.env.id} (an arm is compiled at its first use, then cached) ...")
-    model = build_model(config, session)
-    print(f"Ready after {time.monotonic() - begin:.1f} s.", flush=True)
+    for sentence in run.mend_log():
+        print(sentence)
+    checkpoint, flaws = newest_whole(run.checkpoints)
+    for flaw in flaws:
+        print(f"Passed over {flaw}")
+    model = build_model(config)
     about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.make_kwargs}
     about |= {"config": config.name, "seed": config.seed, "versions": versions()["packages"]}
-    progress: dict[str, Any] = {"seconds": 0.0}
-    if found:
-        progress = restore_checkpoint(model, found[-1])
+    keep_untrained(run, model, about)
+    progress: dict[str, Any] = {"session": -1, "seconds": 0.0}
+    if checkpoint is not None:
+        progress = restore_checkpoint(model, checkpoint)
         print(f"Resuming at {model.num_timesteps:,} of {config.total_steps:,} steps.")
-    else:
-        save_policy(export_policy(model, about | {"steps": 0}), run.untrained)
-    model.set_logger(configure(str(run.path / "tensorboard"), ["tensorboard"]))
+    elif flaws or run.rows():
+        print("No checkpoint is whole: starting from the beginning.")
+    session = 1 + max([progress["session"], *(row["session"] for row in run.rows())])
+    if session > 0:
+        model.set_random_seed((config.seed + SESSION_STRIDE * session) % 2**32)
     remaining = config.total_steps - model.num_timesteps
     if remaining > 0:
-        callback = make_callback(run, config, session, progress["seconds"])
-        try:
-            model.learn(remaining, callback, log_interval=None, reset_num_timesteps=not found)
-        except KeyboardInterrupt:
-            callback.bar.close()
-            raise
+        stop = StopLater()
+        with (
+            signals_to(stop),
+            errors_in_the_main_thread(),
+            closing(Progress(config.total_steps, model.num_timesteps)) as bar,
+        ):
+            model.set_logger(configure(str(run.path / "tensorboard"), ["tensorboard"]))
+            keeper = make_keeper(run, config, session, progress["seconds"], bar, stop)
+            fresh = checkpoint is None
+            try:
+                model.learn(remaining, keeper, log_interval=None, reset_num_timesteps=fresh)
+            except ValueError:
+                refuse_divergence(model)
+                raise
+            model.logger.close()
+        stop.now()
     save_policy(export_policy(model, about | {"steps": model.num_timesteps}), run.policy)
     model.env.close()
+    return int(model.num_timesteps)
+
+
+def refuse_divergence(model: Any) -> None:
+    """Say so if numbers of the network are no longer finite; torch refuses those in many ways."""
+    if not all(parameter.isfinite().all() for parameter in model.policy.parameters()):
+        raise TrainingError(
+            "the training has diverged: weights of the network are not finite; start anew with a "
+            "smaller agent.kwargs.learning_rate."
+        ) from None
+
+
+def keep_untrained(run: RunFolder, model: Any, about: dict[str, Any]) -> None:
+    """Store the network as it was before its first update, unless the run holds it already."""
+    try:
+        load_policy(run.untrained)
+    except PolicyError:
+        save_policy(export_policy(model, about | {"steps": 0}), run.untrained)
 
 
 def judge(run: RunFolder, config: Config) -> None:
@@ -250,11 +173,39 @@ def train(run: RunFolder, config: Config) -> None:
     """The whole experiment in an existing run folder: learn, judge, leave the record."""
     begin = time.monotonic()
     run.write_config(config)
-    run.write_versions(seed=config.seed)
-    learn(run, config)
+    run.write_versions({"seed": config.seed})
+    steps = learn(run, config)
     judge(run, config)
-    run.write_versions(seed=config.seed, seconds=round(time.monotonic() - begin, 1))
-    print(f"Done in {time.monotonic() - begin:.0f} s. Everything is in {run.path}/")
+    seconds = round(time.monotonic() - begin, 1)
+    run.write_versions({"seed": config.seed, "seconds": seconds, FINISHED: steps})
+    print(f"Done in {seconds:.0f} s. Everything is in {run.path}/")
+
+
+def start(out: Path | None, config: Config) -> RunFolder:
+    """The folder of a new run, made once all that the run needs has been built."""
+    check_out(out)
+    prepare(config)
+    return new_run(out, config)
+
+
+def resume(run: RunFolder, steps: int | None) -> None:
+    """Go on with a run, if there is anything left to do."""
+    run.refuse_links()
+    config = with_overrides(run.read_config(), None, steps)
+    finished = run.finished_at()
+    if finished is not None and finished >= config.total_steps:
+        print(
+            f"{run.path} is finished at {finished:,} steps; to go on, give it more: "
+            f"{resume_command(run)} --steps {2 * finished}"
+        )
+        return
+    prepare(config)
+    train(run, config)
+
+
+def resume_command(run: RunFolder) -> str:
+    """The command that goes on with the run."""
+    return f"python train.py --resume {shlex.quote(str(run.path))}"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -266,33 +217,52 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder of the run (runs/NAME/seedN)")
     parser.add_argument("--resume", type=Path, metavar="RUN", help="continue this run")
     a = parser.parse_args(arguments)
+    run = None if a.resume is None else RunFolder(a.resume)
     try:
-        if a.resume is not None:
-            if a.config or a.out or a.seed is not None:
+        with signals_to(stop_at_once):
+            if run is None:
+                config = with_overrides(load_config(a.config or DEFAULT_CONFIG), a.seed, a.steps)
+                run = start(a.out, config)
+                with alone_in(run.path):
+                    refuse_used(run.path)
+                    print(f"Run folder: {run.path}", flush=True)
+                    train(run, config)
+            elif a.config or a.out or a.seed is not None:
                 raise ConfigError("--resume goes with --steps only: a run keeps its experiment.")
-            run = RunFolder(a.resume)
-            config = run.read_config()
-        else:
-            config = load_config(a.config or DEFAULT_CONFIG)
-        config = with_overrides(config, a.seed, a.steps)
-        if a.resume is None:
-            run = new_run(a.out, config)
-        print(f"Run folder: {run.path}")
-        train(run, config)
-    except (ConfigError, PolicyError, CheckpointError, gym.error.Error) as error:
-        print(f"train.py: {error}", file=sys.stderr)
+            else:
+                run.require()
+                with alone_in(run.path):
+                    resume(run, a.steps)
+    except (ConfigError, FolderError, PolicyError, CheckpointError) as error:
+        print(f"train.py: {one_line(error)}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print(f"\nInterrupted. Continue with: python train.py --resume {run.path}")
-        return 130
+    except TrainingError as error:
+        print(f"train.py: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        reason = error.strerror or one_line(error)
+        print(f"train.py: {place}{reason}; {go_on(run)}", file=sys.stderr)
+        return 1
+    except Interrupted as error:
+        print(f"\ntrain.py: interrupted; {go_on(run)}", file=sys.stderr)
+        return error.status
     return 0
+
+
+def go_on(run: RunFolder | None) -> str:
+    """The end of a sentence about work that was cut short."""
+    if run is None or not run.config.is_file():
+        return "there is no run to go on with yet."
+    return f"go on with: {resume_command(run)}"
 
 
 def with_overrides(config: Config, seed: int | None, steps: int | None) -> Config:
     """The experiment with the numbers given on the command line."""
-    if seed is not None and seed < 0:
-        raise ConfigError(f"--seed must not be negative, got {seed}.")
-    if steps is not None and steps < 1:
-        raise ConfigError(f"--steps must be positive, got {steps}.")
+    for name, value in (("seed", seed), ("total_steps", steps)):
+        low, high = LIMITS[name]
+        if value is not None and not low <= value <= high:
+            option = "--seed" if name == "seed" else "--steps"
+            raise ConfigError(f"{option} must be between {low:_} and {high:_}, got {value}.")
     seed = config.seed if seed is None else seed
     return replace(config, seed=seed, total_steps=config.total_steps if steps is None else steps)

@@ -2,39 +2,15 @@
 
 import csv
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
-import yaml
 
 from agents.checkpoints import list_checkpoints
 from agents.evaluate import main as evaluate
 from agents.runs import RunFolder
 from agents.training import main as train
-
-ROOT = Path(__file__).resolve().parents[2]
-ENV_ID = "FlexArm/OneLink-Reach-v0"
-PPO = {"n_steps": 16, "batch_size": 64, "n_epochs": 1}
-SAC = {"batch_size": 16, "learning_starts": 64, "buffer_size": 4096}
-
-
-def write_config(folder: Path, name: str, total_steps: int) -> Path:
-    """A small experiment with a checkpoint after every rollout or so."""
-    path = folder / f"tiny_{name}.yaml"
-    experiment = {
-        "env": {"id": ENV_ID, "n_envs": 8},
-        "agent": {"name": name, "kwargs": {"ppo": PPO, "sac": SAC}[name]},
-        "total_steps": total_steps,
-        "checkpoint_seconds": 0.1,
-        "evaluation": {"episodes": 3},
-    }
-    path.write_text(yaml.safe_dump(experiment), encoding="utf-8")
-    return path
+from tests.agents.tiny import ENV_ID, ROOT, train_py, wait_for_checkpoints, write_config
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +41,8 @@ def test_a_run_leaves_its_whole_record(run: RunFolder) -> None:
 
 def test_no_file_of_a_run_needs_unpickling(run: RunFolder) -> None:
     """Neither pickles nor zips of stable-baselines3: arrays and text only."""
-    suffixes = {f.suffix for f in run.path.rglob("*") if f.is_file() and "events" not in f.name}
+    files = [f for f in run.path.rglob("*") if f.is_file() and "events" not in f.name]
+    suffixes = {f.suffix for f in files if f.name not in (".lock", "SHA256SUMS")}
     assert suffixes <= {".yaml", ".json", ".jsonl", ".csv", ".npz", ".png", ".gif"}
 
 
@@ -120,11 +97,27 @@ def test_training_refuses_bad_requests(tmp_path: Path, capsys: pytest.CaptureFix
     for arguments, sentence in (
         (["--resume", str(tmp_path)], "is not a run"),
         (["--config", str(tmp_path / "none.yaml")], "there is no such file"),
-        (["--steps", "0"], "--steps must be positive"),
+        (["--steps", "0"], "--steps must be between 1 and 100_000_000_000, got 0"),
         (["--resume", str(tmp_path), "--seed", "1"], "--resume goes with --steps only"),
     ):
         assert train(arguments) == 2
         assert sentence in capsys.readouterr().err
+
+
+def test_a_finished_run_says_so_and_is_left_alone(
+    run: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def files() -> dict[Path, tuple[int, bytes]]:
+        paths = [path for path in run.path.rglob("*") if path.is_file() and path.name != ".lock"]
+        return {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in paths}
+
+    before = files()
+    for arguments in ([], ["--steps", "1024"], ["--steps", "5"]):
+        assert train(["--resume", str(run.path), *arguments]) == 0
+        said = capsys.readouterr().out
+        assert "is finished at 1,024 steps" in said
+        assert f"python train.py --resume {run.path} --steps 2048" in said
+    assert files() == before
 
 
 @pytest.mark.parametrize("name", ["ppo", "sac"])
@@ -134,21 +127,10 @@ def test_a_killed_run_resumes_and_loses_nothing(
     """SIGKILL in the middle of training, then --resume: every logged row is still there, the
     steps go on from the last checkpoint, and the run ends where it would have ended."""
     total = 6000 if name == "sac" else 120_000
-    config = write_config(tmp_path, name, total)
     run = RunFolder(tmp_path / "out")
-    command = [sys.executable, str(ROOT / "train.py")]
-    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
-    process = subprocess.Popen(
-        [*command, "--config", str(config), "--out", str(run.path)],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-    )
-    deadline = time.monotonic() + 120.0
-    while len(list_checkpoints(run.checkpoints)) < 2 and time.monotonic() < deadline:
-        assert process.poll() is None, process.stdout and process.stdout.read().decode()
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
+    process = train_py("--config", write_config(tmp_path, name, total), "--out", run.path)
+    wait_for_checkpoints(process, run, 2)
+    process.kill()
     process.communicate()
     before = run.log.read_text(encoding="utf-8")
     checkpoint = int(list_checkpoints(run.checkpoints)[-1].name.removeprefix("step_"))

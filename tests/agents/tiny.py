@@ -1,0 +1,54 @@
+"""Runs in miniature: their experiments, and the command that makes them."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from agents.checkpoints import list_checkpoints
+from agents.runs import RunFolder
+
+ROOT = Path(__file__).resolve().parents[2]
+ENV_ID = "FlexArm/OneLink-Reach-v0"
+KWARGS = {
+    "ppo": {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}},
+    "sac": {"batch_size": 16, "learning_starts": 64, "buffer_size": 4096},
+}
+
+
+def write_config(folder: Path, name: str, total_steps: int, **env: Any) -> Path:
+    """A small experiment with a checkpoint after every rollout or so."""
+    path = folder / f"tiny_{name}.yaml"
+    experiment = {
+        "env": {"id": ENV_ID, "n_envs": 8} | env,
+        "agent": {"name": name, "kwargs": KWARGS[name]},
+        "total_steps": total_steps,
+        "checkpoint_seconds": 0.1,
+        "evaluation": {"episodes": 3},
+    }
+    path.write_text(yaml.safe_dump(experiment), encoding="utf-8")
+    return path
+
+
+def train_py(*arguments: str | Path) -> subprocess.Popen[str]:
+    """`python train.py` with these arguments, in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, str(ROOT / "train.py"), *map(str, arguments)],
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for_checkpoints(process: subprocess.Popen[str], run: RunFolder, number: int) -> None:
+    """Return once the process has written so many checkpoints."""
+    deadline = time.monotonic() + 120.0
+    while len(list_checkpoints(run.checkpoints)) < number:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, "no checkpoints after two minutes"
+        time.sleep(0.01)
