@@ -20,7 +20,7 @@ KEPT = 2  # newest checkpoints that stay on disk
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 ARRAYS, STATE, SUMS = "arrays.npz", "state.json", "SHA256SUMS"
 KEYS = ("parameters", "variables", "num_timesteps", "n_updates", "progress", "replay")
-LARGEST_COUNT = 10**12  # steps, updates or sessions
+LARGEST_COUNT = 10**15  # steps, updates or sessions
 MISFITS: tuple[type[Exception], ...] = (*REFUSALS, OSError, LookupError, AttributeError)
 
 

@@ -9,7 +9,8 @@ from typing import Any
 from agents.files import sync
 
 Row = dict[str, Any]
-COUNTS = ("session", "steps")  # whole numbers in every row
+COUNTS = ("session", "steps")  # in every row
+LARGEST_COUNT = 10**12
 LARGEST = 1e300  # of a number in a row
 
 
@@ -48,9 +49,14 @@ def parsed(line: bytes) -> Row | None:
         row = json.loads(line.decode())
     except (ValueError, RecursionError):
         return None
-    if not isinstance(row, dict) or not all(type(row.get(name)) is int for name in COUNTS):
+    if not isinstance(row, dict) or not all(is_count(row.get(name)) for name in COUNTS):
         return None
     return row if all(is_value(value) for value in row.values()) else None
+
+
+def is_count(value: Any) -> bool:
+    """Whether a value counts something."""
+    return type(value) is int and 0 <= value <= LARGEST_COUNT
 
 
 def is_value(value: Any) -> bool:

@@ -100,7 +100,7 @@ def state(**values: Any) -> Callable[[Path], None]:
         (state(progress={}), "progress.session must be an int, got None"),
         (state(progress=None), "progress must be a table, got None"),
         (state(progress=[1]), "progress must be a table"),
-        (state(progress={"session": -1, "seconds": 1.0}), "between 0 and 1000000000000, got -1"),
+        (state(progress={"session": -1, "seconds": 1.0}), "between 0 and 1000000000000000, got -1"),
         (state(progress={"session": 0, "seconds": "1"}), "must be a number, got the text '1'"),
         (state(progress={"session": 0, "seconds": -1.0}), "must not be negative"),
         (state(progress={"session": 0, "seconds": float("nan")}), "must be a finite number"),

@@ -24,6 +24,8 @@ NO_ROWS = [
     b'{"session": 0, "steps": 1.5}',
     b'{"session": true, "steps": 1}',
     b'{"session": 0}',
+    b'{"session": 0, "steps": -1}',
+    b'{"session": 1000000000000000, "steps": 1}',
     b'{"session": 0, "steps": 1, "return": "high"}',
     b'{"session": 0, "steps": 1, "return": NaN}',
     b'{"session": 0, "steps": 1, "return": 1e999}',

@@ -27,7 +27,7 @@ def write_config(folder: Path, name: str, total_steps: int, **env: Any) -> Path:
         "env": {"id": ENV_ID, "n_envs": 8} | env,
         "agent": {"name": name, "kwargs": KWARGS[name]},
         "total_steps": total_steps,
-        "checkpoint_seconds": 0.1,
+        "checkpoint_seconds": 0.001,
         "evaluation": {"episodes": 3},
     }
     path.write_text(yaml.safe_dump(experiment), encoding="utf-8")
