@@ -1,5 +1,31 @@
-"""Small networks on shared processors: one torch thread, as in training."""
+"""Small networks on shared processors, and runs in miniature."""
 
+from pathlib import Path
+
+import pytest
 import torch
 
-torch.set_num_threads(1)
+from agents import training
+from agents.runs import RunFolder
+from agents.training import main as train
+from tests.agents.tiny import write_config
+
+torch.set_num_threads(1)  # as in training
+
+
+@pytest.fixture
+def unjudged(monkeypatch: pytest.MonkeyPatch) -> list[RunFolder]:
+    """Runs that came to their judgement, which takes too long here."""
+    judged: list[RunFolder] = []
+    monkeypatch.setattr(training, "judge", lambda run, config: judged.append(run))
+    return judged
+
+
+@pytest.fixture
+def run(tmp_path: Path, unjudged: list[RunFolder]) -> RunFolder:
+    """A run that ended at its first checkpoint, as a kill between two rollouts leaves it."""
+    run = RunFolder(tmp_path / "out")
+    config = write_config(tmp_path, "ppo", 256)
+    assert train(["--config", str(config), "--out", str(run.path)]) == 0
+    run.versions.unlink()  # where the end of a run is marked
+    return run

@@ -10,7 +10,7 @@ from agents.checkpoints import list_checkpoints
 from agents.evaluate import main as evaluate
 from agents.runs import RunFolder
 from agents.training import main as train
-from tests.agents.tiny import ENV_ID, ROOT, train_py, wait_for_checkpoints, write_config
+from tests.agents.tiny import ENV_ID, ROOT, train_py, wait_for_steps, write_config
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_a_killed_run_resumes_and_loses_nothing(
     total = 6000 if name == "sac" else 120_000
     run = RunFolder(tmp_path / "out")
     process = train_py("--config", write_config(tmp_path, name, total), "--out", run.path)
-    wait_for_checkpoints(process, run, 2)
+    wait_for_steps(process, run, 256)
     process.kill()
     process.communicate()
     before = run.log.read_text(encoding="utf-8")

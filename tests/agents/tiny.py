@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 
 from agents.checkpoints import list_checkpoints
@@ -45,10 +46,17 @@ def train_py(*arguments: str | Path) -> subprocess.Popen[str]:
     )
 
 
-def wait_for_checkpoints(process: subprocess.Popen[str], run: RunFolder, number: int) -> None:
-    """Return once the process has written so many checkpoints."""
+def wait_for_steps(process: subprocess.Popen[str], run: RunFolder, steps: int) -> None:
+    """Return once the process has written a checkpoint at so many steps or later."""
     deadline = time.monotonic() + 120.0
-    while len(list_checkpoints(run.checkpoints)) < number:
+    while not any(int(path.name[5:]) >= steps for path in list_checkpoints(run.checkpoints)):
         assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline, "no checkpoints after two minutes"
+        assert time.monotonic() < deadline, "no checkpoint after two minutes"
         time.sleep(0.01)
+
+
+def one_sentence(capsys: pytest.CaptureFixture[str]) -> str:
+    """What a command says of its failure."""
+    error = capsys.readouterr().err
+    assert error.strip().count("\n") == 0, error
+    return error
