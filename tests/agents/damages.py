@@ -18,6 +18,11 @@ def cut(data: bytes, rng: Rng) -> bytes:
     return data[: rng.integers(len(data) + 1)]
 
 
+def torn(data: bytes, rng: Rng) -> bytes:
+    """A file whose last few bytes are missing, perhaps only the end of its last line."""
+    return data[: len(data) - int(rng.choice([1, 2, 30]))]
+
+
 def emptied(data: bytes, rng: Rng) -> bytes:
     """A file of no bytes, as a full disk leaves it."""
     return b""
@@ -87,6 +92,7 @@ def replaced(tree: Any, rng: Rng) -> Any:
 
 DAMAGES: tuple[Damage, ...] = (
     cut,
+    torn,
     emptied,
     flipped,
     stuffed,

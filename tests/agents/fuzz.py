@@ -69,16 +69,40 @@ def template(folder: Path, name: str, *, finished: bool) -> RunFolder:
     return run
 
 
-def rows(log: Path) -> list[bytes]:
-    """Lines of the log that are rows."""
-    lines = log.read_bytes().split(b"\n") if log.is_file() else []
-    return [line for line in lines if parsed(line) is not None]
+def lines(log: Path, *, rows: bool = True) -> list[bytes]:
+    """Lines of the log that are rows, or those that are none."""
+    content = log.read_bytes().split(b"\n") if log.is_file() else []
+    return [line for line in content if line and (parsed(line) is not None) is rows]
 
 
-def is_kept(before: list[bytes], after: list[bytes]) -> bool:
-    """Whether all rows are still there, in their order."""
-    rest = iter(after)
-    return all(row in rest for row in before)
+def is_part(few: list[bytes], many: list[bytes]) -> bool:
+    """Whether all of the lines are among the others, in their order."""
+    rest = iter(many)
+    return all(line in rest for line in few)
+
+
+@dataclass(frozen=True)
+class Log:
+    """The log before something happened to it."""
+
+    path: Path
+    rows: list[bytes]
+    others: list[bytes]
+
+    def check(self, report: Report, case: str, ending: Ending) -> None:
+        """No row has gone, no line that is no row has come, and more lines can follow."""
+        kept = is_part(self.rows, lines(self.path))
+        report.require(kept, case, "with every row kept", ending)
+        clean = is_part(lines(self.path, rows=False), self.others)
+        report.require(clean, case, "without new lines that are no rows", ending)
+        if ending.status in (0, 1):
+            ended = self.path.read_bytes()[-1:] == b"\n"
+            report.require(ended, case, "with an end of the last line", ending)
+
+
+def log_of(run: RunFolder) -> Log:
+    """The log as it is now."""
+    return Log(run.log, lines(run.log), lines(run.log, rows=False))
 
 
 def check_ending(report: Report, case: str, ending: Ending) -> None:
@@ -98,6 +122,18 @@ def check_finished(report: Report, case: str, run: RunFolder, steps: int) -> Non
     report.require(whole, case, "a whole newest checkpoint at the end")
     report.require(load_policy(run.path).about["steps"] == finished, case, "the trained policy")
     report.require(not list(run.path.rglob(".partial*")), case, "free of partial files")
+
+
+def is_whole(run: RunFolder) -> bool:
+    """Whether every file that must be written whole is so."""
+    try:
+        run.read_config()
+        load_policy(run.policy)
+        load_policy(run.untrained)
+        json.loads(run.versions.read_text())
+    except (OSError, ValueError):
+        return False
+    return True
 
 
 def damage(run: RunFolder, rng: Rng) -> list[str]:
@@ -140,11 +176,11 @@ def fuzz_damages(report: Report, work: Path, runs: dict[str, RunFolder], n: int,
         done = damage(run, rng)
         report.counts.update(f"damage: {what.rpartition(' ')[0]}" for what in done)
         case = f"damage {i} of {kind} ({', '.join(done)})"
-        before, steps = rows(run.log), STEPS[name] + MORE[name] // 4
+        before, steps = log_of(run), STEPS[name] + MORE[name] // 4
         resume = ["--resume", run.path, "--steps", str(steps)]
         ending = forked(lambda arguments=resume: train(*arguments), work / "words")
         check_ending(report, case, ending)
-        report.require(is_kept(before, rows(run.log)), case, "with every row kept", ending)
+        before.check(report, case, ending)
         report.counts[f"damaged, status {ending.status}"] += 1
         if ending.status == 0:
             report.require(ending.output.count("Passed over") <= 2, case, "told in short", ending)
@@ -163,7 +199,7 @@ def fuzz_kills(report: Report, work: Path, runs: dict[str, RunFolder], n: int, r
         run = RunFolder(work / "killed" / "run")
         shutil.rmtree(work / "killed", ignore_errors=True)
         shutil.copytree(runs[name].path, run.path)
-        before, steps = rows(run.log), STEPS[name] + MORE[name]
+        before, steps = log_of(run), STEPS[name] + MORE[name]
         resume = ["--resume", run.path, "--steps", str(steps)]
         ending, place = killed_while(resume, work, rng)
         if ending.status != -9:
@@ -175,12 +211,13 @@ def fuzz_kills(report: Report, work: Path, runs: dict[str, RunFolder], n: int, r
         report.counts[f"killed {place.split(',')[0]}"] += 1
         newest, flaws = newest_whole(run.checkpoints)
         report.require(not flaws and newest is not None, case, "a whole newest checkpoint")
-        left = rows(run.log)
-        report.require(is_kept(before, left), case, "with every old row kept")
+        report.require(is_part(before.rows, lines(run.log)), case, "with every old row kept")
+        report.require(is_whole(run), case, "with whole files", ending)
+        before = log_of(run)
         ending = forked(lambda arguments=resume: train(*arguments), work / "words")
         check_ending(report, case, ending)
         report.require(ending.status == 0, case, "resumed", ending)
-        report.require(is_kept(left, rows(run.log)), case, "with every row kept", ending)
+        before.check(report, case, ending)
         at = int(newest.name[5:]) if newest else 0
         told = f"Resuming at {at:,} of" in ending.output and at >= STEPS[name]
         report.require(told or "is finished" in ending.output, case, "from its newest", ending)
@@ -194,7 +231,8 @@ def killed_while(arguments: list[Any], work: Path, rng: Rng) -> tuple[Ending, st
         return forked(lambda: train(*arguments), work / "words", after), f"at a time, {after:.2f} s"
     place = PLACES[rng.integers(len(PLACES))]
     times = ("before", "after", "amid") if place[3] else ("before", "after")
-    call, when = int(rng.integers(1, place[2] + 1)), times[rng.integers(len(times))]
+    last = 3 if rng.random() < 0.4 else place[2]  # the first calls are those of other files
+    call, when = int(rng.integers(1, last + 1)), times[rng.integers(len(times))]
 
     def dying() -> int:
         place_kill(place, call, when)
@@ -209,9 +247,11 @@ def fuzz_full(report: Report, work: Path, runs: dict[str, RunFolder], n: int, rn
         run = RunFolder(work / "full" / "run")
         shutil.rmtree(work / "full", ignore_errors=True)
         shutil.copytree(runs["ppo"].path, run.path)
-        limit, steps = int(rng.integers(2500, 12_000)), STEPS["ppo"] + MORE["ppo"]
+        amid_a_row = run.log.stat().st_size + int(rng.integers(1, 150))
+        limit = (amid_a_row, int(rng.integers(2500, 12_000)))[rng.integers(2)]
+        steps = STEPS["ppo"] + MORE["ppo"]
         case, resume = f"full {i} ({limit} bytes)", ["--resume", run.path, "--steps", str(steps)]
-        before = rows(run.log)
+        before = log_of(run)
 
         def limited(limit: int = limit, arguments: list[Any] = resume) -> int:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
@@ -223,7 +263,8 @@ def fuzz_full(report: Report, work: Path, runs: dict[str, RunFolder], n: int, rn
         newest, flaws = newest_whole(run.checkpoints)
         report.require(newest is not None and not flaws, case, "an intact checkpoint", ending)
         report.require(not list(run.path.rglob(".partial*")), case, "free of partial files", ending)
-        report.require(is_kept(before, rows(run.log)), case, "with every row kept", ending)
+        before.check(report, case, ending)
+        report.require(is_whole(run), case, "with whole files", ending)
         ending = forked(lambda arguments=resume: train(*arguments), work / "words")
         report.require(ending.status == 0, case, "resumed", ending)
         check_finished(report, case, run, steps)
