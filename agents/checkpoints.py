@@ -97,7 +97,7 @@ def prune(folder: Path, newest: Path) -> None:
 
 def list_checkpoints(folder: Path) -> list[Path]:
     """Checkpoints in the folder, whole or not, oldest first."""
-    return sorted(path for path in folder.glob("step_*") if path.is_dir())
+    return sorted(path for path in folder.glob(f"step_{12 * '[0-9]'}") if path.is_dir())
 
 
 def newest_whole(folder: Path) -> tuple[Path | None, list[str]]:

@@ -124,6 +124,14 @@ def test_a_damaged_checkpoint_is_passed_over_with_a_sentence(
     assert "\n" not in flaws[0]
 
 
+def test_what_is_named_otherwise_is_no_checkpoint(tmp_path: Path) -> None:
+    for name in ("step_last", "step_0000000000100", "step_\x1b[31m", "x_step_000000000020"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "step_000000000030").touch()
+    assert list_checkpoints(tmp_path) == []
+    assert newest_whole(tmp_path) == (None, [])
+
+
 def test_nothing_is_found_where_nothing_is_whole(tmp_path: Path) -> None:
     assert newest_whole(tmp_path / "none") == (None, [])
     for path in saved(tmp_path, 10, 20):
