@@ -12,9 +12,8 @@ import numpy as np
 from agents.arrays import read_arrays
 from agents.environments import REFUSALS
 from agents.files import sync
-from agents.sentences import shown
 from dynamics import checks
-from dynamics.arm_file import read_mapping
+from dynamics.data_file import read_mapping
 
 KEPT = 2  # newest checkpoints that stay on disk
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -133,7 +132,7 @@ def verified(folder: Path) -> dict[str, Any]:
             checks.integer(state.get(name), name, 0, LARGEST_COUNT)
         progress = state.get("progress")
         if not isinstance(progress, dict):
-            raise ValueError(f"progress must be a table, got {shown(progress)}.")
+            raise ValueError(f"progress must be a table, got {checks.shown(progress)}.")
         checks.integer(progress.get("session"), "progress.session", 0, LARGEST_COUNT)
         checks.nonnegative(progress.get("seconds"), "progress.seconds", "s")
         return state

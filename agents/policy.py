@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from agents.arrays import Header, read_arrays
 from agents.files import written_whole
-from agents.sentences import one_line, shown
+from agents.sentences import one_line
 from dynamics import checks
-from dynamics.arm_file import read_mapping
+from dynamics.data_file import read_mapping
 
 Array = NDArray[Any]
 
@@ -89,7 +89,7 @@ class Policy:
         if x.shape[-1:] != self.observation_low.shape:
             raise ValueError(
                 f"The policy takes {self.observation_low.size} observations, got shape {x.shape}. "
-                f"It was trained on {shown(self.about.get('env_id'))}."
+                f"It was trained on {checks.shown(self.about.get('env_id'))}."
             )
         activation = ACTIVATIONS[self.activation]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -209,7 +209,7 @@ def read_description(path: Path) -> dict[str, Any]:
         if not all(a <= b for a, b in zip(low, high, strict=True)):
             raise ValueError(f"{name}_low must not be above {name}_high.")
     if not isinstance(d["about"], dict):
-        raise ValueError(f"about must be a table, got {shown(d['about'])}.")
+        raise ValueError(f"about must be a table, got {checks.shown(d['about'])}.")
     checks.text(d["about"].get("env_id", ""), "about.env_id")
     return d
 
@@ -267,4 +267,4 @@ def algorithm(settings: Any) -> str:
         return "PPO"  # A2C has its policy, but no epochs
     if module == "stable_baselines3.sac.policies":
         return "SAC"
-    raise PolicyError(f"Only PPO and SAC can be loaded, got a policy of {shown(module)}.")
+    raise PolicyError(f"Only PPO and SAC can be loaded, got a policy of {checks.shown(module)}.")

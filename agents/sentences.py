@@ -1,14 +1,4 @@
-"""Text of error sentences: short, on one line, harmless to a terminal."""
-
-from typing import Any
-
-LONGEST = 80  # characters of a value in a sentence
-
-
-def shown(value: Any) -> str:
-    """A value as it stands in a sentence."""
-    text = repr(value)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+"""Sentences for the user, on one line and harmless to a terminal."""
 
 
 def one_line(error: BaseException) -> str:

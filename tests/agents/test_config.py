@@ -46,7 +46,7 @@ def test_shipped_configs_load_and_state_what_to_expect(path: Path) -> None:
         ("300_000", "true", r"total_steps must be an int, got True\."),
         ("300_000", "-5", r"total_steps must be between 1 and 100_000_000_000, got -5\."),
         ("300_000", "1" + "0" * 30, r"total_steps must be between 1 and 100_000_000_000, got 1000"),
-        ("300_000", "0x" + "f" * 5000, "Exceeds the limit"),
+        ("300_000", "0x" + "f" * 5000, "total_steps must be between .* got a"),
         ("n_envs: 4", "n_envs: 1000000000000", r"env\.n_envs must be between 1 and 65_536, got 1"),
         ("n_steps: 64", "n_steps: 5_000_064", r"agent\.kwargs\.n_steps must be between 1 and 1_0"),
         (

@@ -1,15 +1,33 @@
-"""A stored policy is arrays and JSON, and acts exactly as the network it came from."""
+"""A stored policy is arrays and JSON, and acts exactly as the network it came from.
 
+Its files may be anybody's: whatever is wrong is one sentence, and costs neither time nor memory.
+"""
+
+import io
 import json
+import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 import pytest
+from numpy.lib import format as npy
 from stable_baselines3 import A2C, TD3
 
-from agents.policy import PolicyError, export_policy, load_policy, load_zip, save_policy
+from agents.policy import (
+    Policy,
+    PolicyError,
+    export_policy,
+    load_policy,
+    load_zip,
+    save_policy,
+)
+from tests.agents.damages import Damage, cut, flipped, stuffed
 from tests.agents.toys import Toy, build
+
+GIB = 2**30
 
 
 @pytest.fixture(scope="module", params=["ppo", "sac"])
@@ -98,3 +116,228 @@ def test_policies_refuse_what_they_cannot_do(model: Any) -> None:
         policy.predict(np.zeros(4))
     with pytest.raises(ValueError, match="mean action only"):
         policy.predict(np.zeros(3), deterministic=False)
+
+
+# ---- files of strangers ----------------------------------------------------------------------
+
+
+def small_policy() -> Policy:
+    rng = np.random.default_rng(0)
+    layers = [(3, 16), (16, 2)]
+    return Policy(
+        weights=tuple(rng.normal(size=(o, i)).astype(np.float32) for i, o in layers),
+        biases=tuple(rng.normal(size=o).astype(np.float32) for _, o in layers),
+        activation="tanh",
+        squashing="clip",
+        observation_low=np.full(3, -5.0, np.float32),
+        observation_high=np.full(3, 5.0, np.float32),
+        about={"env_id": "FlexArm/OneLink-Reach-v0"},
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A stored policy that is whole."""
+    save_policy(small_policy(), tmp_path)
+    return tmp_path
+
+
+def refusal(folder: Path) -> str:
+    """The sentence with which the policy is refused, without its folder."""
+    with pytest.raises(PolicyError) as caught:
+        load_policy(folder)
+    sentence = str(caught.value)
+    assert sentence.startswith(str(folder))
+    assert "\n" not in sentence
+    return sentence.removeprefix(str(folder))
+
+
+@pytest.mark.parametrize(
+    ("damage", "sentence"),
+    [
+        ({"format": "other"}, "format must be one of"),
+        ({"layer_sizes": []}, "layer_sizes must have 2 to 10 entries, got 0"),
+        ({"layer_sizes": [3]}, "layer_sizes must have 2 to 10 entries, got 1"),
+        ({"layer_sizes": [3] * 11}, "layer_sizes must have 2 to 10 entries, got 11"),
+        ({"layer_sizes": "three"}, "layer_sizes must be a list"),
+        ({"layer_sizes": {"3": 2}}, "layer_sizes must be a list"),
+        ({"layer_sizes": None}, "layer_sizes must be a list"),
+        ({"layer_sizes": [3, 10**12, 2]}, "must be between 1 and 2048, got 10000"),
+        ({"layer_sizes": [3, -16, 2]}, "must be between 1 and 2048, got -16"),
+        ({"layer_sizes": [3, True, 2]}, "must be an int, got True"),
+        ({"layer_sizes": [3, 16.0, 2]}, "must be an int, got 16.0"),
+        ({"layer_sizes": [3, 17, 2]}, "do not have the stated layer sizes [3, 17, 2]"),
+        ({"activation": "system"}, "activation must be one of"),
+        ({"activation": ["tanh"]}, "activation must be one of"),
+        ({"squashing": None}, "squashing must be one of"),
+        ({"observation_low": [0.0]}, "observation_low must have 3 numbers, got 1"),
+        ({"observation_low": "low"}, "observation_low must be a list"),
+        ({"observation_high": [1.0, 2.0, float("inf")]}, "must be a finite number"),
+        ({"observation_high": [-9.0, 5.0, 5.0]}, "must not be above observation_high"),
+        ({"action_low": [-1.0, "low"]}, "must be a number"),
+        ({"about": []}, "about must be a table, got []"),
+        ({"about": None}, "about must be a table, got None"),
+        ({"about": {"env_id": ["a"]}}, "about.env_id must be text"),
+        ({"code": "import os"}, "Unknown key 'code' in policy.json"),
+    ],
+)
+def test_wrong_fields_are_refused(folder: Path, damage: dict[str, Any], sentence: str) -> None:
+    path = folder / "policy.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | damage))
+    assert sentence in refusal(folder)
+
+
+@pytest.mark.parametrize("name", ["format", "layer_sizes", "action_high", "about"])
+def test_a_missing_field_is_named(folder: Path, name: str) -> None:
+    path = folder / "policy.json"
+    description = json.loads(path.read_text())
+    del description[name]
+    path.write_text(json.dumps(description))
+    assert f"policy.json lacks {name}" in refusal(folder)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"", "is not valid JSON"),
+        (b"null", "must hold a mapping"),
+        (b"[]", "must hold a mapping"),
+        (b'{"format": ', "is not valid JSON"),
+        (b"\xff\xfe\x00", "must be UTF-8 text"),
+        (b"[" * 100_000, "nested too deep"),
+        (b'{"a":' * 100_000, "nested too deep"),
+        (b'{"format": "' + b"x" * 2**20 + b'"}', "policy.json must be at most 1_048_576 bytes"),
+        (b'{"format": 1' + b"0" * 5000 + b"}", "Exceeds the limit"),
+    ],
+)
+def test_other_json_is_refused(folder: Path, content: bytes, sentence: str) -> None:
+    (folder / "policy.json").write_bytes(content)
+    assert sentence in refusal(folder)
+
+
+def stored(array: Any) -> bytes:
+    file = io.BytesIO()
+    npy.write_array(file, np.asarray(array))
+    return file.getvalue()
+
+
+def archive(folder: Path, **changed: bytes | None) -> None:
+    """Write the weights anew with some members changed, or left out where None."""
+    policy = small_policy()
+    members: dict[str, bytes | None] = {f"W{i}": stored(W) for i, W in enumerate(policy.weights)}
+    members |= {f"b{i}": stored(b) for i, b in enumerate(policy.biases)}
+    with ZipFile(folder / "weights.npz", "w") as file:
+        for name, data in (members | changed).items():
+            if data is not None:
+                file.writestr(f"{name}.npy", data)
+
+
+def claiming(shape: tuple[int, ...], descr: str = "<f4") -> bytes:
+    """A header that claims an array of this shape, and a few bytes of it."""
+    file = io.BytesIO()
+    npy.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": shape})
+    return file.getvalue() + bytes(64)
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"b0": claiming((10**10,))}, "claims 40000000000 bytes of numbers, but holds 64"),
+        ({"b0": claiming((-16,))}, "claims -64 bytes"),
+        ({"b0": stored(np.zeros(16, "M8[s]"))}, "must hold plain numbers, got datetime64"),
+        ({"b0": stored(np.zeros(16, "S4"))}, "must hold plain numbers"),
+        ({"b0": stored(np.zeros(16, "f4,f4"))}, "must hold plain numbers"),
+        ({"b0": stored(np.zeros(16, complex))}, "must hold plain numbers"),
+        ({"b0": stored(np.zeros(16, np.float16))}, "must be float32 or float64, got float16"),
+        ({"b0": stored(np.zeros(16, int))}, "must be float32 or float64, got float32, int64"),
+        ({"b0": stored(np.zeros(16, ">f4"))}, "must be float32 or float64"),
+        ({"b0": stored(np.zeros(15, np.float32))}, "do not have the stated layer sizes"),
+        ({"b0": stored(np.zeros((16, 1), np.float32))}, "do not have the stated layer sizes"),
+        ({"b0": stored(np.full(16, np.nan, np.float32))}, "not finite"),
+        ({"b0": None}, "do not have the stated layer sizes"),
+        ({"extra": stored(np.zeros(1))}, "do not have the stated layer sizes"),
+        ({"b0": b""}, "does not start with the header"),
+        ({"b0": b"\x93NUMPY\x02\x00" + b"\xff" * 200}, "does not start with the header"),
+        ({"b0": b"\x93NUMPY\x01\x00\x00\x10" + b"(" * 4096}, "does not start with the header"),
+        ({"b0": b"\x93NUMPY\x01\x00\x00\x0f" + b"-" * 3840 + b"1"}, "does not start with"),
+        ({"extra": bytes(2**17)}, "must be at most 66_320 bytes for layer sizes [3, 16, 2]"),
+    ],
+)
+def test_wrong_arrays_are_refused(
+    folder: Path, changed: dict[str, bytes | None], sentence: str
+) -> None:
+    archive(folder, **changed)
+    assert sentence in refusal(folder)
+
+
+def test_two_arrays_of_one_name_are_refused(folder: Path) -> None:
+    with ZipFile(folder / "weights.npz", "a") as file, pytest.warns(UserWarning, match="Duplicate"):
+        file.writestr("b0.npy", stored(np.ones(16, np.float32)))
+    assert "two arrays have one name" in refusal(folder)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x05\x06", b"no archive", b"\x93NUMPY" + bytes(99)])
+def test_other_archives_are_refused(folder: Path, content: bytes) -> None:
+    (folder / "weights.npz").write_bytes(content)
+    assert "is no whole archive of arrays" in refusal(folder)
+
+
+def test_a_bomb_is_refused_before_it_is_inflated(folder: Path) -> None:
+    """A gibibyte of zeros in a megabyte: neither its time nor its memory is spent."""
+    with (
+        ZipFile(folder / "weights.npz", "w", ZIP_DEFLATED, compresslevel=9) as file,
+        file.open("W0.npy", "w", force_zip64=True) as member,
+    ):
+        npy.write_array_header_1_0(
+            member, {"descr": "<f4", "fortran_order": False, "shape": (GIB // 4,)}
+        )
+        for _ in range(GIB // 2**24):
+            member.write(bytes(2**24))
+    assert (folder / "weights.npz").stat().st_size < 2**21
+    description = json.loads((folder / "policy.json").read_text())
+    description["layer_sizes"] = [3, 2048, 2048, 2]  # so that a file of this size is allowed
+    (folder / "policy.json").write_text(json.dumps(description))
+
+    tracemalloc.start()
+    begin = time.process_time()
+    sentence = refusal(folder)
+    seconds, (_, peak) = time.process_time() - begin, tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert "'W0.npy' is compressed" in sentence
+    assert seconds < 0.5
+    assert peak < 2**25  # a limit of 16 MiB on JSON is a buffer of as much
+
+
+def test_weights_without_proportion_end_with_a_sentence(folder: Path) -> None:
+    """Finite numbers whose products are none."""
+    archive(
+        folder,
+        W0=stored(np.full((16, 3), 3e38, np.float32)),
+        W1=stored(np.array([[3e38, -3e38] * 8] * 2, np.float32)),
+        b0=stored(np.zeros(16, np.float32)),
+    )
+    (folder / "policy.json").write_text(
+        (folder / "policy.json").read_text().replace("tanh", "relu")
+    )
+    policy = load_policy(folder)
+    with pytest.raises(PolicyError, match="so large that its action is no number"):
+        policy.predict(np.ones(3))
+
+
+@pytest.mark.parametrize("damage", [cut, flipped, stuffed])
+@pytest.mark.parametrize("name", ["policy.json", "weights.npz"])
+def test_a_randomly_damaged_policy_loads_or_is_refused(
+    folder: Path, name: str, damage: Damage
+) -> None:
+    """Nothing but a policy or a PolicyError comes of 300 random damages."""
+    path, rng = folder / name, np.random.default_rng(0)
+    whole = path.read_bytes()
+    refused = 0
+    for _ in range(300):
+        path.write_bytes(damage(whole, rng))
+        try:
+            assert load_policy(folder).weights[0].shape == (16, 3)
+        except PolicyError:
+            refused += 1
+    assert refused > 150

@@ -66,7 +66,7 @@ def test_evaluation_repeats_itself_exactly(run: RunFolder, tmp_path: Path) -> No
             "--episodes must be between 1 and 10_000, got 0",
         ),
         (["pd", "--env", ENV_ID, "--seed", "-1"], "--seed must be between 0 and"),
-        (["pd", "--env", ENV_ID, "--env-kwargs", "{no_such: 1}"], "unknown key 'no_such'"),
+        (["pd", "--env", ENV_ID, "--env-kwargs", "{no_such: 1}"], "Unknown key 'no_such'"),
         (["pd", "--env", ENV_ID, "--env-kwargs", "{obs: [}"], "--env-kwargs must be a YAML table"),
         (["pd", "--env", ENV_ID, "--env-kwargs", "{obs: sensor}"], "sensor"),
         (["pd", "--env", ENV_ID, "--env-kwargs", "[" * 9999], "--env-kwargs must be a YAML table"),
