@@ -33,8 +33,11 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def sync(path: Path) -> None:
-    """Bring a file, or the names in a folder, to the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
+    """Bring a file, or the names in a folder, to the disk; Windows does the latter by itself."""
+    folder = path.is_dir()
+    if folder and os.name == "nt":
+        return
+    descriptor = os.open(path, os.O_RDONLY if folder else os.O_RDWR)
     try:
         os.fsync(descriptor)
     finally:
@@ -60,6 +63,8 @@ def alone_in(folder: Path) -> Iterator[None]:
     """Hold the folder's lock, which the system frees however the process ends."""
     lock = FileLock(folder / LOCK, timeout=0)
     try:
+        if (folder / LOCK).is_symlink():
+            raise FolderError(f"{folder / LOCK}: is a link; remove it.")
         lock.acquire()
     except Timeout:
         raise FolderError(

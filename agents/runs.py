@@ -17,7 +17,7 @@ import yaml
 from agents.config import Config, load_config
 from agents.evaluation import without_infinities, write_json
 from agents.files import FolderError, check_folder, written_whole
-from agents.log import append_row, mend_log, read_rows
+from agents.log import append_row, is_count, mend_log, read_rows
 from dynamics.data_file import read_mapping
 
 PACKAGES = "flexarm numpy scipy numba casadi gymnasium stable_baselines3 torch matplotlib pillow"
@@ -86,7 +86,7 @@ class RunFolder:
             steps = read_mapping(self.versions).get(FINISHED)
         except ValueError:
             return None
-        return steps if type(steps) is int else None
+        return steps if is_count(steps) else None
 
     def refuse_links(self) -> None:
         """Refuse a folder from which writing would lead elsewhere."""
@@ -110,7 +110,7 @@ class RunFolder:
         sentences = [mend_log(self.log)]
         strange = read_rows(self.log)[1]
         if strange:
-            sentences.append(f"{self.log}: {strange} lines are no rows and are passed over.")
+            sentences.append(f"{self.log}: passed over lines that are no rows ({strange} of them).")
         return [sentence for sentence in sentences if sentence]
 
     def curve(self) -> list[dict[str, Any]]:

@@ -89,50 +89,70 @@ def falling(start: float) -> Any:
 def learn(run: RunFolder, config: Config) -> int:
     """Train from the newest whole checkpoint, or from the start; leaves the policy.
 
-    Returns the steps that the policy has been trained for. A signal ends the training at the next
-    checkpoint, which it writes at once.
+    Returns the steps that the policy has been trained for.
     """
-    from stable_baselines3.common.logger import configure
-
     for sentence in run.mend_log():
         print(sentence)
-    checkpoint, flaws = newest_whole(run.checkpoints)
-    for flaw in flaws:
-        print(f"Passed over {flaw}")
     model = build_model(config)
     about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.make_kwargs}
     about |= {"config": config.name, "seed": config.seed, "versions": versions()["packages"]}
     keep_untrained(run, model, about)
-    progress: dict[str, Any] = {"session": -1, "seconds": 0.0}
-    if checkpoint is not None:
-        progress = restore_checkpoint(model, checkpoint)
-        print(f"Resuming at {model.num_timesteps:,} of {config.total_steps:,} steps.")
-    elif flaws or run.rows():
-        print("No checkpoint is whole: starting from the beginning.")
-    session = 1 + max([progress["session"], *(row["session"] for row in run.rows())])
-    if session > 0:
-        model.set_random_seed((config.seed + SESSION_STRIDE * session) % 2**32)
-    remaining = config.total_steps - model.num_timesteps
-    if remaining > 0:
-        stop = StopLater()
-        with (
-            signals_to(stop),
-            errors_in_the_main_thread(),
-            closing(Progress(config.total_steps, model.num_timesteps)) as bar,
-        ):
-            model.set_logger(configure(str(run.path / "tensorboard"), ["tensorboard"]))
-            keeper = make_keeper(run, config, session, progress["seconds"], bar, stop)
-            fresh = checkpoint is None
-            try:
-                model.learn(remaining, keeper, log_interval=None, reset_num_timesteps=fresh)
-            except ValueError:
-                refuse_divergence(model)
-                raise
-            model.logger.close()
-        stop.now()
+    progress = restore_newest(run, config, model)
+    if model.num_timesteps < config.total_steps:
+        hold_session(run, config, model, progress)
     save_policy(export_policy(model, about | {"steps": model.num_timesteps}), run.policy)
     model.env.close()
     return int(model.num_timesteps)
+
+
+def keep_untrained(run: RunFolder, model: Any, about: dict[str, Any]) -> None:
+    """Store the network as it was before its first update, unless the run holds it already."""
+    try:
+        load_policy(run.untrained)
+    except PolicyError:
+        save_policy(export_policy(model, about | {"steps": 0}), run.untrained)
+
+
+def restore_newest(run: RunFolder, config: Config, model: Any) -> dict[str, Any]:
+    """Put the newest whole checkpoint into the model; returns how far the run has come."""
+    checkpoint, flaws = newest_whole(run.checkpoints)
+    for flaw in flaws:
+        print(f"Passed over {flaw}")
+    if checkpoint is not None:
+        progress = restore_checkpoint(model, checkpoint)
+        print(f"Resuming at {model.num_timesteps:,} of {config.total_steps:,} steps.")
+        return progress
+    if flaws or run.rows():
+        print("No checkpoint is whole: starting from the beginning.")
+    return {"session": -1, "seconds": 0.0}
+
+
+def hold_session(run: RunFolder, config: Config, model: Any, progress: dict[str, Any]) -> None:
+    """Train to the end in a session with seeds of its own.
+
+    A signal ends it at the next checkpoint, which is written at once.
+    """
+    from stable_baselines3.common.logger import configure
+
+    session = 1 + max([progress["session"], *(row["session"] for row in run.rows())])
+    if session > 0:
+        model.set_random_seed((config.seed + SESSION_STRIDE * session) % 2**32)
+    remaining, fresh = config.total_steps - model.num_timesteps, progress["session"] < 0
+    stop = StopLater()
+    with (
+        signals_to(stop),
+        errors_in_the_main_thread(),
+        closing(Progress(config.total_steps, model.num_timesteps)) as bar,
+    ):
+        model.set_logger(configure(str(run.path / "tensorboard"), ["tensorboard"]))
+        keeper = make_keeper(run, config, session, progress["seconds"], bar, stop)
+        try:
+            model.learn(remaining, keeper, log_interval=None, reset_num_timesteps=fresh)
+        except ValueError:
+            refuse_divergence(model)
+            raise
+        model.logger.close()
+    stop.now()
 
 
 def refuse_divergence(model: Any) -> None:
@@ -142,14 +162,6 @@ def refuse_divergence(model: Any) -> None:
             "the training has diverged: weights of the network are not finite; start anew with a "
             "smaller agent.kwargs.learning_rate."
         ) from None
-
-
-def keep_untrained(run: RunFolder, model: Any, about: dict[str, Any]) -> None:
-    """Store the network as it was before its first update, unless the run holds it already."""
-    try:
-        load_policy(run.untrained)
-    except PolicyError:
-        save_policy(export_policy(model, about | {"steps": 0}), run.untrained)
 
 
 def judge(run: RunFolder, config: Config) -> None:

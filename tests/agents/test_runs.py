@@ -169,7 +169,7 @@ def test_strange_lines_of_the_log_are_counted_in_a_sentence(
     capsys.readouterr()
     assert train(["--resume", str(run.path), "--steps", "512"]) == 0
     said = capsys.readouterr().out
-    assert "4 lines are no rows and are passed over" in said
+    assert "passed over lines that are no rows (4 of them)" in said
     assert "cut off a last line of 15 bytes that was never finished" in said
     assert run.rows()[: len(rows)] == rows
     assert len(run.rows()) > len(rows)
@@ -254,3 +254,11 @@ def test_a_lock_that_cannot_be_made_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / ".lock").mkdir()
     with pytest.raises(FolderError, match="cannot be locked"), alone_in(tmp_path):
         pass
+
+
+def test_a_lock_that_is_a_link_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("x")
+    (tmp_path / ".lock").symlink_to(tmp_path / "precious")
+    with pytest.raises(FolderError, match="is a link"), alone_in(tmp_path):
+        pass
+    assert (tmp_path / "precious").read_text() == "x"
