@@ -1,6 +1,6 @@
 """Random damages, kills and full disks, each followed by `--resume`; prints what came of them.
 
-    python -m tests.agents.fuzz --damages 200 --kills 100 --full 40 --seed 0
+    python -m tests.agents.fuzz --damages 200 --kills 100 --starts 30 --full 40 --seed 0
 
 A run may refuse to go on with one sentence, but never end with a traceback or lose a row.
 """
@@ -241,6 +241,29 @@ def killed_while(arguments: list[Any], work: Path, rng: Rng) -> tuple[Ending, st
     return forked(dying, work / "words"), f"{when} {place[1]}, call {call}"
 
 
+def fuzz_starts(report: Report, work: Path, n: int, rng: Rng) -> None:
+    """Kill a run that begins; give the same command again, or go on if there is a run."""
+    killed = 0
+    while killed < n:
+        shutil.rmtree(work / "started", ignore_errors=True)
+        run = RunFolder(work / "started" / "run")
+        run.path.parent.mkdir()
+        config = write_config(run.path.parent, "ppo", STEPS["ppo"])
+        begin = ["--config", config, "--out", run.path]
+        ending, place = killed_while(begin, work, rng)
+        if ending.status != -9:
+            continue
+        killed += 1
+        begun = run.config.is_file()
+        report.counts[f"killed at the start, {'with' if begun else 'without'} a run"] += 1
+        case, before = f"start {killed} ({place})", log_of(run)
+        again = ["--resume", run.path] if begun else begin
+        ending = forked(lambda arguments=again: train(*arguments), work / "words")
+        check_ending(report, case, ending)
+        before.check(report, case, ending)
+        check_finished(report, case, run, STEPS["ppo"])
+
+
 def fuzz_full(report: Report, work: Path, runs: dict[str, RunFolder], n: int, rng: Rng) -> None:
     """Let no file grow beyond a limit, as on a full disk; then resume without it."""
     for i in range(n):
@@ -275,6 +298,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--damages", type=int, default=200)
     parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--starts", type=int, default=30)
     parser.add_argument("--full", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     a = parser.parse_args()
@@ -286,6 +310,7 @@ def main() -> int:
         runs["finished"] = template(work / "finished", "ppo", finished=True)
         fuzz_damages(report, work, runs, a.damages, rng)
         fuzz_kills(report, work, runs, a.kills, rng)
+        fuzz_starts(report, work, a.starts, rng)
         fuzz_full(report, work, runs, a.full, rng)
     print(json.dumps({"counts": dict(sorted(report.counts.items())), "faults": report.faults}))
     return 1 if report.faults else 0
