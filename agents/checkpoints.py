@@ -112,7 +112,7 @@ def newest_whole(folder: Path) -> tuple[Path | None, list[str]]:
 
 
 def is_whole(folder: Path) -> bool:
-    """Whether a checkpoint can be verified."""
+    """True for a checkpoint that can be verified."""
     try:
         verified(folder)
     except CheckpointError:

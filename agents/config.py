@@ -261,7 +261,7 @@ def check_value(value: Any, types: tuple[type, ...], where: str) -> None:
 
 
 def number_remedy(value: Any, types: tuple[type, ...]) -> str:
-    """What to write when YAML 1.1 has read a number as text, or a float stands for an int."""
+    """Remedy for when YAML 1.1 has read a number as text, or a float stands for an int."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -278,7 +278,7 @@ def number_remedy(value: Any, types: tuple[type, ...]) -> str:
 
 
 def hint(key: Any, known: Mapping[str, Any]) -> str:
-    """Where an RL Zoo name belongs, the closest known key, or all of them."""
+    """Remedy for an unknown key: its place here, the closest known key, or all of them."""
     if key in ZOO_NAMES:
         return f"Here it is {ZOO_NAMES[key]}."
     if any(key in kwargs for kwargs in AGENT_KWARGS.values()) and "env" in known:

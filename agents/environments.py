@@ -21,7 +21,7 @@ REFUSALS += (MemoryError, RuntimeError, ImportError, gym.error.Error)
 def check_keywords(kwargs: Any, where: str) -> dict[str, Any]:
     """Keywords of an environment from a file or a command line, or a ValueError.
 
-    Whatever else `gymnasium.make_vec` takes, such as wrappers, comes from a program only.
+    All else that `gymnasium.make_vec` takes, such as wrappers, comes from a program only.
     """
     keywords: dict[str, Any] = checks.mapping(kwargs, where, KEYWORDS)
     try:

@@ -150,7 +150,7 @@ def summarise(metrics: Mapping[str, Array]) -> dict[str, float]:
 
 
 def without_infinities(value: Any) -> Any:
-    """The same tree with null for every number that strict JSON cannot write."""
+    """A copy of the tree with null for every number that strict JSON cannot write."""
     if isinstance(value, Mapping):
         return {str(k): without_infinities(v) for k, v in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

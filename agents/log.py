@@ -55,12 +55,12 @@ def parsed(line: bytes) -> Row | None:
 
 
 def is_count(value: Any) -> bool:
-    """Whether a value counts something."""
+    """True for a whole number that counts something."""
     return type(value) is int and 0 <= value <= LARGEST_COUNT
 
 
 def is_value(value: Any) -> bool:
-    """Whether a row may hold a value: a finite number, or null for one that was not finite."""
+    """True for what a row may hold: a finite number, or null for one that was not finite."""
     return value is None or (type(value) in (int, float) and abs(value) < LARGEST)
 
 

@@ -48,7 +48,7 @@ class PolicyError(ValueError):
 
 
 class Controller(Protocol):
-    """Whatever can act: trained policies and classical controllers alike."""
+    """Anything that can act: trained policies and classical controllers alike."""
 
     def predict(
         self,

@@ -58,7 +58,7 @@ class RunFolder:
 
     @property
     def untrained(self) -> Path:
-        """The same network before its first update."""
+        """The network before its first update."""
         return self.path / "untrained"
 
     def require(self) -> None:

@@ -76,7 +76,7 @@ def lines(log: Path, *, rows: bool = True) -> list[bytes]:
 
 
 def is_part(few: list[bytes], many: list[bytes]) -> bool:
-    """Whether all of the lines are among the others, in their order."""
+    """True if all of the lines are among the others, in their order."""
     rest = iter(many)
     return all(line in rest for line in few)
 
@@ -125,7 +125,7 @@ def check_finished(report: Report, case: str, run: RunFolder, steps: int) -> Non
 
 
 def is_whole(run: RunFolder) -> bool:
-    """Whether every file that must be written whole is so."""
+    """True if every file that must be written whole is so."""
     try:
         run.read_config()
         load_policy(run.policy)

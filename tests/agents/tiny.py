@@ -56,7 +56,7 @@ def wait_for_steps(process: subprocess.Popen[str], run: RunFolder, steps: int) -
 
 
 def one_sentence(capsys: pytest.CaptureFixture[str]) -> str:
-    """What a command says of its failure."""
+    """The sentence with which a command has failed."""
     error = capsys.readouterr().err
     assert error.strip().count("\n") == 0, error
     return error
