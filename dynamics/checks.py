@@ -157,8 +157,8 @@ def double_precision(what: str) -> Iterator[None]:
             yield
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         raise ValueError(
-            f"{what} cannot be computed in double precision ({error}): the arm's lengths, masses "
-            "and stiffnesses are too far apart."
+            f"{what} cannot be computed in double precision ({error}): lengths, masses, "
+            "stiffnesses or times are too far apart."
         ) from None
 
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics import Arm
+from dynamics import Arm, checks
 from dynamics.gibbs_appell import mass_matrix
 from dynamics.integrators import INTEGRATORS
 from dynamics.lowering import render_function
@@ -225,8 +225,9 @@ def _discrete(law: Law, h: float) -> dict[str, Any]:
     flow = np.zeros((2 * k + 3, 2 * k + 3))  # of x, u, w, h dw/dt and the integral of x
     flow[:k, :k], flow[k + 3 :, :k] = A, np.eye(k)
     flow[:k, k], flow[:k, k + 1], flow[k + 1, k + 2] = law.B, law.E, 1.0 / h
-    end = expm(h * flow)
-    step, mean = end[:k], C @ end[k + 3 :] / h
+    with checks.double_precision("The actuator's motion within a substep"):
+        end = expm(h * flow)
+        step, mean = end[:k], C @ end[k + 3 :] / h
     values: dict[str, Any] = {
         "step": step[:, :k], "step_u": step[:, k], "step_w0": step[:, k + 1] - step[:, k + 2],
         "step_w1": step[:, k + 2],

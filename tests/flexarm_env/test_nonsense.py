@@ -5,7 +5,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from typing import Any
 
 import gymnasium as gym
@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import flexarm_env
 from dynamics import ARMS
+from flexarm_env.actuators import ACTUATORS
 from flexarm_env.core import Core
 from tests.dynamics.test_nonsense import PLAIN, changed, changes
 from tests.refusal import NONSENSE, used_or_refused
@@ -199,6 +200,24 @@ def test_any_arm_is_refused_or_has_finite_scales(plain: dict[str, Any], what: li
     with used_or_refused(), uncompiled():
         arm = changed(plain, what)
         Core(task="Reach", arm=arm)
+
+
+@st.composite
+def actuators(draw: Any) -> dict[str, Any]:
+    """Numbers of any size for each field of an actuator, or none where it may be left out."""
+    kind = draw(st.sampled_from(sorted(ACTUATORS)))
+    result: dict[str, Any] = {"type": kind}
+    for field in fields(ACTUATORS[kind]):
+        if field.default is MISSING or draw(st.booleans()):
+            result[field.name] = 10.0 ** draw(st.floats(-28.0, 28.0) | st.floats(-3.0, 3.0))
+    return result
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(actuator=actuators(), dtype=st.sampled_from(["float64", "float32"]))
+def test_any_actuator_is_refused_or_gives_finite_numbers(actuator: Any, dtype: str) -> None:
+    with used_or_refused():
+        sound(gym.make_vec(ONE, num_envs=3, actuator=actuator, dtype=dtype), 6, seed=0)
 
 
 @contextmanager
