@@ -12,8 +12,8 @@ import numpy as np
 from agents.arrays import read_arrays
 from agents.environments import REFUSALS
 from agents.files import sync
-from dynamics import checks
-from dynamics.data_file import read_mapping
+from dynamics.description import validate
+from dynamics.description.data_file import read_mapping
 
 KEPT = 2  # newest checkpoints that stay on disk
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -127,14 +127,14 @@ def verified(folder: Path) -> dict[str, Any]:
         names = (ARRAYS, STATE)
         if sums != "".join(f"{digest(folder / name)}  {name}\n" for name in names).encode():
             raise ValueError(f"its files do not have the sums in {SUMS}.")
-        state = checks.mapping(read_mapping(folder / STATE), STATE, KEYS)
+        state = validate.mapping(read_mapping(folder / STATE), STATE, KEYS)
         for name in ("num_timesteps", "n_updates"):
-            checks.integer(state.get(name), name, 0, LARGEST_COUNT)
+            validate.integer(state.get(name), name, 0, LARGEST_COUNT)
         progress = state.get("progress")
         if not isinstance(progress, dict):
-            raise ValueError(f"progress must be a table, got {checks.shown(progress)}.")
-        checks.integer(progress.get("session"), "progress.session", 0, LARGEST_COUNT)
-        checks.nonnegative(progress.get("seconds"), "progress.seconds", "s")
+            raise ValueError(f"progress must be a table, got {validate.shown(progress)}.")
+        validate.integer(progress.get("session"), "progress.session", 0, LARGEST_COUNT)
+        validate.nonnegative(progress.get("seconds"), "progress.seconds", "s")
         return state
     except OSError as error:
         raise CheckpointError(f"{folder}: is not whole ({error.strerror or error}).") from None

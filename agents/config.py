@@ -9,8 +9,8 @@ from typing import Any
 
 from agents.environments import check_keywords
 from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS
-from dynamics import checks
-from dynamics.data_file import read_mapping
+from dynamics.description import validate
+from dynamics.description.data_file import read_mapping
 from flexarm_env import registered
 
 NUMBER = (int, float)
@@ -194,10 +194,10 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     agent = AgentConfig(**data["agent"])
     if agent.name not in AGENT_KWARGS:
         raise ConfigError(
-            f"agent.name must be one of {sorted(AGENT_KWARGS)}, got {checks.shown(agent.name)}."
+            f"agent.name must be one of {sorted(AGENT_KWARGS)}, got {validate.shown(agent.name)}."
         )
     if agent.policy != "MlpPolicy":
-        raise ConfigError(f"agent.policy must be 'MlpPolicy', got {checks.shown(agent.policy)}.")
+        raise ConfigError(f"agent.policy must be 'MlpPolicy', got {validate.shown(agent.policy)}.")
     check_table(agent.kwargs, AGENT_KWARGS[agent.name], "agent.kwargs")
     check_texts(agent)
     check_network(agent.kwargs.get("policy_kwargs", {}))
@@ -209,7 +209,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     if not FOLDER_NAME.fullmatch(config.name):
         raise ConfigError(
             f"name must be the plain name of a folder, at most 100 characters, got "
-            f"{checks.shown(config.name)}."
+            f"{validate.shown(config.name)}."
         )
     return config
 
@@ -237,11 +237,11 @@ def checked(table: Any, section: str) -> None:
 def check_table(table: Any, known: Mapping[str, tuple[type, ...]], section: str) -> None:
     """Refuse unknown keys and wrong types in one table."""
     if not isinstance(table, Mapping):
-        raise ConfigError(f"{section or 'the file'} must be a table, got {checks.shown(table)}.")
+        raise ConfigError(f"{section or 'the file'} must be a table, got {validate.shown(table)}.")
     for key, value in table.items():
         if key not in known:
             raise ConfigError(
-                f"unknown key {checks.shown(dotted(section, str(key)))}. {hint(key, known)}"
+                f"unknown key {validate.shown(dotted(section, str(key)))}. {hint(key, known)}"
             )
         check_value(value, known[key], dotted(section, key))
 
@@ -251,12 +251,12 @@ def check_value(value: Any, types: tuple[type, ...], where: str) -> None:
     if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
         wanted = "a number" if types == NUMBER else " or ".join(TYPE_NAMES[t] for t in types)
         remedy = number_remedy(value, types)
-        raise ConfigError(f"{where} must be {wanted}, got {checks.shown(value)}{remedy}.")
+        raise ConfigError(f"{where} must be {wanted}, got {validate.shown(value)}{remedy}.")
     if isinstance(value, int | float) and not isinstance(value, bool):
         low, high = LIMITS.get(where.rpartition(".")[2], NUMBERS_BETWEEN)
         if not low <= value <= high:  # also refuses NaN
             raise ConfigError(
-                f"{where} must be between {low:_} and {high:_}, got {checks.shown(value)}."
+                f"{where} must be between {low:_} and {high:_}, got {validate.shown(value)}."
             )
 
 
@@ -299,7 +299,7 @@ def check_texts(agent: AgentConfig) -> None:
         if isinstance(value, str) and not pattern.fullmatch(value):
             raise ConfigError(
                 f"agent.kwargs.{key} must be a number or 'auto', for ent_coef also 'auto_NUMBER', "
-                f"got {checks.shown(value)}."
+                f"got {validate.shown(value)}."
             )
     for key, types in AGENT_KWARGS[agent.name].items():
         value = agent.kwargs.get(key)
@@ -310,7 +310,7 @@ def check_texts(agent: AgentConfig) -> None:
                 number = float(start)
             except ValueError:
                 raise ConfigError(
-                    f"{where} must be a number or 'lin_NUMBER', got {checks.shown(value)}."
+                    f"{where} must be a number or 'lin_NUMBER', got {validate.shown(value)}."
                 ) from None
             check_value(number if start != value else value, NUMBER, where)
 
@@ -321,18 +321,18 @@ def check_network(policy_kwargs: dict[str, Any]) -> None:
     activation = policy_kwargs.get("activation_fn", "tanh")
     if activation not in ACTIVATIONS:
         raise ConfigError(
-            f"activation_fn must be one of {list(ACTIVATIONS)}, got {checks.shown(activation)}."
+            f"activation_fn must be one of {list(ACTIVATIONS)}, got {validate.shown(activation)}."
         )
     net_arch = policy_kwargs.get("net_arch", [])
     for sizes in net_arch.values() if isinstance(net_arch, dict) else [net_arch]:
         if not isinstance(sizes, list) or not all(type(n) is int and n > 0 for n in sizes):
             raise ConfigError(
-                f"net_arch must list layer sizes such as [64, 64], got {checks.shown(sizes)}."
+                f"net_arch must list layer sizes such as [64, 64], got {validate.shown(sizes)}."
             )
         if len(sizes) > MOST_LAYERS - 2 or max(sizes, default=1) > LARGEST_LAYER:
             raise ConfigError(
                 f"net_arch must have at most {MOST_LAYERS - 2} layers of at most {LARGEST_LAYER} "
-                f"units, got {checks.shown(sizes)}."
+                f"units, got {validate.shown(sizes)}."
             )
 
 

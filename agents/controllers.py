@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from agents.evaluation import episode_metrics, make_batch, record, summarise
-from agents.policy import Array, Controller
+from agents.policy import Controller
+from dynamics.types import AnyArray
 
 # Gains in the arm's own measures, so that one grid suits every arm; see `joint_pd`. Fine enough
 # that twice as many points gain no more than a tenth: a coarse grid flatters its rivals.
@@ -25,19 +26,19 @@ TUNING_EPISODES = 16
 class JointPD:
     """tau = -stiffness (q - q_target) - damping (v - v_target) per joint, within the limits."""
 
-    stiffness: Array  # (n_joint,) or one row per environment (n_env, n_joint) [N m/rad]
-    damping: Array  # same shape [N m s/rad]
-    torque_limit: Array  # (n_joint,) [N m]
+    stiffness: AnyArray  # (n_joint,) or one row per environment (n_env, n_joint) [N m/rad]
+    damping: AnyArray  # same shape [N m s/rad]
+    torque_limit: AnyArray  # (n_joint,) [N m]
     slices: Mapping[str, slice]  # where the observation holds "joint_error" and "joint_rate"
-    scales: Mapping[str, Array]  # physical value = observation x scale
+    scales: Mapping[str, AnyArray]  # physical value = observation x scale
 
     def predict(
         self,
-        observation: Array,
+        observation: AnyArray,
         state: Any = None,
-        episode_start: Array | None = None,
+        episode_start: AnyArray | None = None,
         deterministic: bool = True,
-    ) -> tuple[Array, Any]:
+    ) -> tuple[AnyArray, Any]:
         """Actions from the measured joint angles and rates."""
         x = np.asarray(observation, float)
         error = x[..., self.slices["joint_error"]] * self.scales["joint_error"]
@@ -56,11 +57,11 @@ class Zero:
 
     def predict(
         self,
-        observation: Array,
+        observation: AnyArray,
         state: Any = None,
-        episode_start: Array | None = None,
+        episode_start: AnyArray | None = None,
         deterministic: bool = True,
-    ) -> tuple[Array, Any]:
+    ) -> tuple[AnyArray, Any]:
         """Zero actions."""
         return np.zeros((*np.shape(observation)[:-1], self.n_joint)), state
 
@@ -74,16 +75,18 @@ class Random:
 
     def predict(
         self,
-        observation: Array,
+        observation: AnyArray,
         state: Any = None,
-        episode_start: Array | None = None,
+        episode_start: AnyArray | None = None,
         deterministic: bool = True,
-    ) -> tuple[Array, Any]:
+    ) -> tuple[AnyArray, Any]:
         """Actions drawn from [-1, 1]."""
         return self.rng.uniform(-1.0, 1.0, (*np.shape(observation)[:-1], self.n_joint)), state
 
 
-def joint_pd(env: Any, frequency_ratio: Array | float, damping_ratio: Array | float) -> JointPD:
+def joint_pd(
+    env: Any, frequency_ratio: AnyArray | float, damping_ratio: AnyArray | float
+) -> JointPD:
     """A JointPD for this environment's arm from dimensionless gains.
 
     stiffness = I (r w)^2, damping = 2 z I (r w): I the inertia about each joint of the straight

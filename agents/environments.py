@@ -6,7 +6,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from dynamics import checks
+from dynamics.description import validate
 from flexarm_env.core import Core
 
 OF_THE_BATCH = {"self", "task", "n_env", "single", "max_steps"}  # set by the id and the batch
@@ -23,12 +23,12 @@ def check_keywords(kwargs: Any, where: str) -> dict[str, Any]:
 
     All else that `gymnasium.make_vec` takes, such as wrappers, comes from a program only.
     """
-    keywords: dict[str, Any] = checks.mapping(kwargs, where, KEYWORDS)
+    keywords: dict[str, Any] = validate.mapping(kwargs, where, KEYWORDS)
     try:
         json.dumps(keywords, allow_nan=False)
     except (TypeError, ValueError, RecursionError):
         raise ValueError(
             f"{where} must hold finite numbers, text, lists and tables only, got "
-            f"{checks.shown(kwargs)}."
+            f"{validate.shown(kwargs)}."
         ) from None
     return keywords

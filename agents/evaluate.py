@@ -18,7 +18,7 @@ from agents.report import compare
 from agents.runs import versions
 from agents.sentences import one_line
 from agents.signals import Interrupted, signals_to, stop_at_once
-from dynamics import checks
+from dynamics.description import validate
 from flexarm_env import registered
 
 
@@ -92,7 +92,7 @@ def parse_kwargs(text: str | None) -> dict[str, Any] | None:
         return check_keywords(yaml.safe_load(text), "--env-kwargs")
     except (yaml.YAMLError, RecursionError):
         raise UsageError(
-            f"--env-kwargs must be a YAML table such as '{{a: 1}}', got {checks.shown(text)}."
+            f"--env-kwargs must be a YAML table such as '{{a: 1}}', got {validate.shown(text)}."
         ) from None
     except ValueError as error:
         raise UsageError(str(error)) from None
@@ -137,7 +137,7 @@ def make_controller(
     try:
         env = make_batch(env_id, 1, kwargs)
     except REFUSALS as error:
-        with_keywords = f" with {checks.shown(kwargs)}" if kwargs else ""
+        with_keywords = f" with {validate.shown(kwargs)}" if kwargs else ""
         raise UsageError(f"{env_id}{with_keywords}: {error}") from None
     try:
         if policy is None:

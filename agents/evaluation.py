@@ -12,7 +12,8 @@ import gymnasium as gym
 import numpy as np
 
 from agents.files import written_whole
-from agents.policy import Array, Controller
+from agents.policy import Controller
+from dynamics.types import AnyArray
 from flexarm_env import IDS, FlexArmVectorEnv
 
 SETTLED_BAND = 0.02  # [-] of the arm's reach
@@ -48,13 +49,13 @@ NOTE = (
 class Recording:
     """Episodes side by side: T samples of N episodes; NaN after an episode's end."""
 
-    time: Array  # (T,) [s]
-    tip_error: Array  # (T, N) [m]
-    tip_deflection: Array  # (T, N) [m]
-    root_curvature: Array  # (T, N, n_curvature) [1/m]
-    torque: Array  # (T, N, n_joint) [N m]; the first sample is zero
-    action: Array  # (T, N, n_joint) [-]; the first sample is zero
-    failed: Array  # (N,) bool: terminated before the time limit
+    time: AnyArray  # (T,) [s]
+    tip_error: AnyArray  # (T, N) [m]
+    tip_deflection: AnyArray  # (T, N) [m]
+    root_curvature: AnyArray  # (T, N, n_curvature) [1/m]
+    torque: AnyArray  # (T, N, n_joint) [N m]; the first sample is zero
+    action: AnyArray  # (T, N, n_joint) [-]; the first sample is zero
+    failed: AnyArray  # (N,) bool: terminated before the time limit
     reach: float  # [m]
 
 
@@ -96,7 +97,7 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
     return Recording(time=time, failed=failed, reach=float(base.reach), **stacked)
 
 
-def episode_metrics(recording: Recording) -> dict[str, Array]:
+def episode_metrics(recording: Recording) -> dict[str, AnyArray]:
     """Every metric of METRICS for every episode; infinite where the episode failed."""
     r = recording
     time = r.time
@@ -123,7 +124,7 @@ def episode_metrics(recording: Recording) -> dict[str, Array]:
     return {"success": np.isfinite(values["settling_time"]).astype(float)} | values
 
 
-def settling_time(time: Array, error: Array, band: float) -> float:
+def settling_time(time: AnyArray, error: AnyArray, band: float) -> float:
     """First time [s] from which the error stays inside the band for good; inf if it does not.
 
     It must hold for HOLD seconds at least: an error that happens to cross zero at the last sample
@@ -140,7 +141,7 @@ def settling_time(time: Array, error: Array, band: float) -> float:
     return float(time[first])
 
 
-def summarise(metrics: Mapping[str, Array]) -> dict[str, float]:
+def summarise(metrics: Mapping[str, AnyArray]) -> dict[str, float]:
     """Success rate, and the median of every other metric with failures counted as infinite."""
     summary = {"success_rate": float(np.mean(metrics["success"]))}
     for name, values in metrics.items():
@@ -169,7 +170,7 @@ def write_json(path: Path, data: Any) -> None:
 
 def write_results(
     folder: Path,
-    results: Mapping[str, Mapping[str, Array]],
+    results: Mapping[str, Mapping[str, AnyArray]],
     seeds: Sequence[int],
     about: Mapping[str, Any],
 ) -> None:
@@ -191,7 +192,7 @@ def write_results(
                 writer.writerow([name, seed, *(float(metrics[m][i]) for m in METRICS)])
 
 
-def print_table(results: Mapping[str, Mapping[str, Array]]) -> None:
+def print_table(results: Mapping[str, Mapping[str, AnyArray]]) -> None:
     """The comparison a reader wants first."""
     from rich.console import Console
     from rich.table import Table

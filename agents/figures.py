@@ -12,7 +12,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from agents.evaluation import SETTLED_BAND, Recording
 from agents.files import written_whole
-from agents.policy import Array, Controller
+from agents.policy import Controller
+from dynamics.types import AnyArray
 
 COLOURS = ("#0072b2", "#d55e00", "#7f7f7f", "#009e73", "#cc79a7")  # told apart by everybody
 GIF_SECONDS_PER_FRAME = 0.04
@@ -89,7 +90,7 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
 
 def film(
     env_id: str, kwargs: Mapping[str, Any], controller: Controller, seed: int
-) -> tuple[list[Array], Recording]:
+) -> tuple[list[AnyArray], Recording]:
     """One episode on one environment: its rendered frames, and what was measured."""
     import flexarm_env  # noqa: F401  (registers the ids)
 
@@ -98,7 +99,7 @@ def film(
         base: Any = env.unwrapped
         observation, info = env.reset(seed=seed)
         every = max(1, round(GIF_SECONDS_PER_FRAME / base.control_dt))
-        frames: list[Array] = [np.asarray(env.render())]
+        frames: list[AnyArray] = [np.asarray(env.render())]
         samples: dict[str, list[Any]] = {name: [info[name]] for name in SAMPLED}
         actions = [np.zeros(base.action_space.shape, np.float32)]
         state, ended, failed, step = None, False, False, 0
@@ -130,7 +131,7 @@ def film(
 SAMPLED = ("tip_error", "tip_deflection", "root_curvature", "torque")
 
 
-def write_gif(path: Path, films: Mapping[str, tuple[list[Array], Recording]]) -> None:
+def write_gif(path: Path, films: Mapping[str, tuple[list[AnyArray], Recording]]) -> None:
     """The arms side by side above strips of tip error and root curvature with a moving cursor."""
     n_frames = max(len(frames) for frames, _ in films.values())
     pictures = {name: [scaled(f) for f in frames] for name, (frames, _) in films.items()}
@@ -168,7 +169,7 @@ def write_gif(path: Path, films: Mapping[str, tuple[list[Array], Recording]]) ->
         )
 
 
-def scaled(frame: Array) -> Image.Image:
+def scaled(frame: AnyArray) -> Image.Image:
     """A rendered frame at the GIF's height."""
     image = Image.fromarray(np.asarray(frame, np.uint8))
     size = (round(image.width * GIF_HEIGHT / image.height), GIF_HEIGHT)

@@ -12,9 +12,9 @@ from rich.console import Console
 
 from agents.checkpoints import save_checkpoint
 from agents.config import Config
-from agents.policy import Array
 from agents.runs import RunFolder
 from agents.signals import StopLater
+from dynamics.types import AnyArray
 
 CHECKPOINT_SHARE = 0.05  # of the training time at most, however long a checkpoint takes
 ROWS = 250  # about so many rows in the log of a whole run
@@ -28,7 +28,7 @@ class EpisodeStatistics:
         self.episodes = 0
         self.latest: deque[tuple[float, float, float, float]] = deque(maxlen=max(100, n_env))
 
-    def add(self, rewards: Array, dones: Array, infos: Any) -> None:
+    def add(self, rewards: AnyArray, dones: AnyArray, infos: Any) -> None:
         """Account for one step."""
         self.running += rewards
         for i in np.flatnonzero(dones):

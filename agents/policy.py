@@ -10,15 +10,13 @@ from typing import Any, Protocol
 from zipfile import ZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.arrays import Header, read_arrays
 from agents.files import written_whole
 from agents.sentences import one_line
-from dynamics import checks
-from dynamics.data_file import read_mapping
-
-Array = NDArray[Any]
+from dynamics.description import validate
+from dynamics.description.data_file import read_mapping
+from dynamics.types import AnyArray
 
 POLICY_FORMAT = "flexarm-policy-1"
 JSON_FILE, WEIGHTS_FILE = "policy.json", "weights.npz"
@@ -30,13 +28,13 @@ MOST_LAYERS = 10  # with the observation and the action
 ENDS = ("low", "high")
 OVERHEAD = 2**16  # bytes of an archive beside the numbers
 
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
+ACTIVATIONS: dict[str, Callable[[AnyArray], AnyArray]] = {
     "tanh": np.tanh,
     "relu": lambda x: np.maximum(x, np.float32(0.0)),
     "elu": lambda x: np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0))),
 }
 SQUASHINGS: dict[
-    str, Callable[[Array], Array]
+    str, Callable[[AnyArray], AnyArray]
 ] = {  # what turns the last layer's output into an action in [-1, 1]
     "clip": lambda x: np.clip(x, -1.0, 1.0),  # PPO: mean of an unbounded Gaussian
     "tanh": np.tanh,  # SAC: mean of a squashed Gaussian
@@ -52,11 +50,11 @@ class Controller(Protocol):
 
     def predict(
         self,
-        observation: Array,
+        observation: AnyArray,
         state: Any = None,
-        episode_start: Array | None = None,
+        episode_start: AnyArray | None = None,
         deterministic: bool = True,
-    ) -> tuple[Array, Any]:
+    ) -> tuple[AnyArray, Any]:
         """Actions in [-1, 1] for one observation or a batch of them, and the next state."""
         ...
 
@@ -65,21 +63,21 @@ class Controller(Protocol):
 class Policy:
     """A multilayer perceptron from observation to action, evaluated with numpy in float32."""
 
-    weights: tuple[Array, ...]  # each (n_out, n_in)
-    biases: tuple[Array, ...]  # each (n_out,)
+    weights: tuple[AnyArray, ...]  # each (n_out, n_in)
+    biases: tuple[AnyArray, ...]  # each (n_out,)
     activation: str
     squashing: str
-    observation_low: Array  # (n_observation,) bounds the policy was trained within
-    observation_high: Array
+    observation_low: AnyArray  # (n_observation,) bounds the policy was trained within
+    observation_high: AnyArray
     about: dict[str, Any]  # env id and keywords, algorithm, steps, versions: plain JSON
 
     def predict(
         self,
-        observation: Array,
+        observation: AnyArray,
         state: Any = None,
-        episode_start: Array | None = None,
+        episode_start: AnyArray | None = None,
         deterministic: bool = True,
-    ) -> tuple[Array, Any]:
+    ) -> tuple[AnyArray, Any]:
         """The policy's mean action, shape (..., n_action); stateless."""
         if not deterministic:
             raise ValueError(
@@ -89,7 +87,7 @@ class Policy:
         if x.shape[-1:] != self.observation_low.shape:
             raise ValueError(
                 f"The policy takes {self.observation_low.size} observations, got shape {x.shape}. "
-                f"It was trained on {checks.shown(self.about.get('env_id'))}."
+                f"It was trained on {validate.shown(self.about.get('env_id'))}."
             )
         activation = ACTIVATIONS[self.activation]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -193,28 +191,28 @@ def read_description(path: Path) -> dict[str, Any]:
     """The table in a `policy.json`, every field checked; ValueError says what is wrong."""
     if path.stat().st_size > LARGEST_JSON:
         raise ValueError(f"{path.name} must be at most {LARGEST_JSON:_} bytes.")
-    d: dict[str, Any] = checks.mapping(read_mapping(path), path.name, KEYS.split())
+    d: dict[str, Any] = validate.mapping(read_mapping(path), path.name, KEYS.split())
     missing = sorted(set(KEYS.split()) - set(d))
     if missing:
         raise ValueError(f"{path.name} lacks {', '.join(missing)}.")
-    checks.choice(d["format"], "format", [POLICY_FORMAT])
-    checks.choice(d["activation"], "activation", ACTIVATIONS)
-    checks.choice(d["squashing"], "squashing", SQUASHINGS)
-    entries = checks.sequence(d["layer_sizes"], "layer_sizes")
+    validate.choice(d["format"], "format", [POLICY_FORMAT])
+    validate.choice(d["activation"], "activation", ACTIVATIONS)
+    validate.choice(d["squashing"], "squashing", SQUASHINGS)
+    entries = validate.sequence(d["layer_sizes"], "layer_sizes")
     if not 2 <= len(entries) <= MOST_LAYERS:
         raise ValueError(f"layer_sizes must have 2 to {MOST_LAYERS} entries, got {len(entries)}.")
-    sizes = [checks.integer(n, "each of layer_sizes", 1, LARGEST_LAYER) for n in entries]
+    sizes = [validate.integer(n, "each of layer_sizes", 1, LARGEST_LAYER) for n in entries]
     for name, size in (("observation", sizes[0]), ("action", sizes[-1])):
-        low, high = (checks.numbers(d[f"{name}_{end}"], f"{name}_{end}", size) for end in ENDS)
+        low, high = (validate.numbers(d[f"{name}_{end}"], f"{name}_{end}", size) for end in ENDS)
         if not all(a <= b for a, b in zip(low, high, strict=True)):
             raise ValueError(f"{name}_low must not be above {name}_high.")
     if not isinstance(d["about"], dict):
-        raise ValueError(f"about must be a table, got {checks.shown(d['about'])}.")
-    checks.text(d["about"].get("env_id", ""), "about.env_id")
+        raise ValueError(f"about must be a table, got {validate.shown(d['about'])}.")
+    validate.text(d["about"].get("env_id", ""), "about.env_id")
     return d
 
 
-def read_weights(path: Path, sizes: list[int]) -> dict[str, Array]:
+def read_weights(path: Path, sizes: list[int]) -> dict[str, AnyArray]:
     """Weights and biases of layers of these sizes; ValueError says what is wrong."""
     shapes: dict[str, tuple[int, ...]] = {}
     for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
@@ -267,4 +265,4 @@ def algorithm(settings: Any) -> str:
         return "PPO"  # A2C has its policy, but no epochs
     if module == "stable_baselines3.sac.policies":
         return "SAC"
-    raise PolicyError(f"Only PPO and SAC can be loaded, got a policy of {checks.shown(module)}.")
+    raise PolicyError(f"Only PPO and SAC can be loaded, got a policy of {validate.shown(module)}.")

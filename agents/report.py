@@ -13,7 +13,8 @@ from agents.evaluation import (
     write_results,
 )
 from agents.figures import film, plot_recordings, write_gif
-from agents.policy import Array, Controller
+from agents.policy import Controller
+from dynamics.types import AnyArray
 
 
 def compare(
@@ -26,7 +27,7 @@ def compare(
     folder: Path,
     filmed: int = 2,
     about: Mapping[str, Any] | None = None,
-) -> dict[str, dict[str, Array]]:
+) -> dict[str, dict[str, AnyArray]]:
     """Judge the controllers on the episodes seed, seed + 1, ... and leave everything in the folder.
 
     `evaluation.json`, `evaluation.csv`, `trajectories.png`, and `arm.gif` with the first `filmed`

@@ -18,7 +18,7 @@ from agents.config import Config, load_config
 from agents.evaluation import without_infinities, write_json
 from agents.files import FolderError, check_folder, written_whole
 from agents.log import append_row, is_count, mend_log, read_rows
-from dynamics.data_file import read_mapping
+from dynamics.description.data_file import read_mapping
 
 PACKAGES = "flexarm numpy scipy numba casadi gymnasium stable_baselines3 torch matplotlib pillow"
 FINISHED = "finished_at_steps"  # key in versions.json, written last

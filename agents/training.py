@@ -24,7 +24,7 @@ from agents.report import compare
 from agents.runs import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
 from agents.sentences import one_line
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
-from dynamics import checks
+from dynamics.description import validate
 
 SESSION_STRIDE = 1_000_003  # seeds of a resumed session are new, not those of the first one
 DEFAULT_CONFIG = Path(__file__).resolve().parents[1] / "configs" / "one_link_reach_ppo.yaml"
@@ -54,7 +54,7 @@ def build_model(config: Config) -> Any:
     try:
         env = SB3VecEnv(config.env.id, config.env.n_envs, **config.env.make_kwargs)
     except REFUSALS as error:
-        keywords = checks.shown(config.env.make_kwargs)
+        keywords = validate.shown(config.env.make_kwargs)
         raise ConfigError(f"env: {config.env.id} refuses {keywords}: {error}") from None
     try:
         algorithm = {"ppo": PPO, "sac": SAC}[config.agent.name]

@@ -28,8 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the
 from benchmarks.model_choice import ACROSS
 from benchmarks.output import provenance, save_figure, save_results
 from dynamics import Arm, Joint, Link, Mode, Stepper, compile_arm
-from dynamics.checks import IDENTITY
-from dynamics.lowering import operations
+from dynamics.description.validate import IDENTITY
+from dynamics.tracing.ssa import operations
 from flexarm_env.timing import cpu_seconds
 
 DEFAULT_ARMS = ("slim", "deluca-siciliano", "six-link")

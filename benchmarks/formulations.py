@@ -15,16 +15,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.operations import Case, given_arm
 from benchmarks.output import provenance, save_results
 from dynamics import ARMS, Arm, compile_arm, simulate
-from dynamics.formulations import FORMULATIONS, why_not
-from dynamics.kinematics import Chain
+from dynamics.formulations.kinematics import Chain
+from dynamics.formulations.table import FORMULATIONS, why_not
+from dynamics.types import Array
 
-Array = NDArray[np.float64]
 RESULT = Path(__file__).resolve().parents[1] / "docs" / "results" / "formulations.json"
 ROTATIONS = ("exp", "linear")
 SLOPES = (0.001, 0.01, 0.1)  # [rad] largest tip slope

@@ -22,13 +22,13 @@ from scipy.integrate import solve_ivp
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.output import provenance, save_results
 from dynamics import Arm, Choice, Joint, Link, Mode, Scene, choose_model, compile_arm, simulate
-from dynamics.fidelity import everything
-from dynamics.scene import JointMotion, bang_bang, cycloid, release
+from dynamics.accuracy.fidelity import everything
+from dynamics.accuracy.scene import JointMotion, bang_bang, cycloid, release
+from dynamics.types import Array
 
 ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))  # next joint axis perpendicular
 TRUTH = Path(__file__).parents[1] / "tests" / "reference" / "model_choice_truth.json"
 TRUTH_SAMPLES = 97
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

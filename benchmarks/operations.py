@@ -20,10 +20,10 @@ import casadi as ca
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.output import provenance, save_results
 from dynamics import ARMS, Arm, Mode, compile_arm
-from dynamics.formulations import FORMULATIONS
-from dynamics.kinematics import Chain
-from dynamics.lowering import operations
-from dynamics.modes import LinkConstants, chain_constants
+from dynamics.formulations.kinematics import Chain
+from dynamics.formulations.link_constants import LinkConstants, chain_constants
+from dynamics.formulations.table import FORMULATIONS
+from dynamics.tracing.ssa import operations
 
 Counts = dict[str, int]
 RESULT = Path(__file__).resolve().parents[1] / "docs" / "results" / "operations.json"

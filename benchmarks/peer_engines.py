@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.peer_lines import Run
-from benchmarks.peer_scenes import HELD, Array, PeerScene
+from benchmarks.peer_scenes import HELD, PeerScene
+from dynamics.types import Array
 
 setattr(sys, "exudynFast", True)  # Exudyn's build without range checks  # noqa: B010
 try:

@@ -13,7 +13,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from benchmarks.output import save_figure
-from benchmarks.peer_scenes import SCENES, Array, PeerScene
+from benchmarks.peer_scenes import SCENES, PeerScene
+from dynamics.types import Array
 
 BATCH = 1024
 OURS, BATCHED = "ours, one environment", f"ours, per environment in a batch of {BATCH}"

@@ -11,13 +11,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.model_choice import S1, SpinUp
 from dynamics import Arm, Joint, Link
-from dynamics.scene import JointMotion, bang_bang, release
+from dynamics.accuracy.scene import JointMotion, bang_bang, release
+from dynamics.types import Array
 
-Array = NDArray[np.float64]
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
 
 HELD = 1e9  # [kg m^2] a rotor that no link can move: its joint turns as prescribed

@@ -39,7 +39,7 @@ from benchmarks.peer_lines import (
 )
 from benchmarks.peer_scenes import REFERENCE, SCENES, PeerScene
 from dynamics import Arm, Mode, Model, Stepper, compile_arm
-from dynamics.integrators import INTEGRATORS
+from dynamics.integrators.table import INTEGRATORS
 
 RATES = (
     *(Fraction(1, k) for k in (10, 5, 4, 3, 2)),

@@ -11,7 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from benchmarks.output import save_figure
-from dynamics.integrators import INTEGRATORS
+from dynamics.integrators.table import INTEGRATORS
 
 TARGETS = (1e-2, 1e-3, 1e-4)  # of the reach
 SMALL = 0.3  # of a model's error: an integration error below leaves the model's to be seen

@@ -11,16 +11,14 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.model_choice import S1, SpinUp
 from dynamics import ARMS, Arm, Joint, JointMotion, Link, Mode, Model
-from dynamics.fidelity import Fidelity, everything
-from dynamics.scene import bang_bang, release
+from dynamics.accuracy.fidelity import Fidelity, everything
+from dynamics.accuracy.scene import bang_bang, release
+from dynamics.types import Array
 from flexarm_env import SCENES
 from flexarm_env.physics import physics
-
-Array = NDArray[np.float64]
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference"
 HELD = 1e8  # [kg m^2] a rotor that no link can move: its joint turns as prescribed

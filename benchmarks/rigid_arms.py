@@ -21,11 +21,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.output import provenance, save_figure, save_results
-from dynamics import ARMS, Arm, compile_arm, denavit_hartenberg, simulate
-from dynamics.denavit_hartenberg import Row
-from dynamics.lowering import operations
-from dynamics.newton_euler import inverse_dynamics, rigid_links
-from dynamics.nominal import Cycloidal, NominalTorque
+from dynamics import ARMS, Arm, compile_arm, simulate
+from dynamics.description import denavit_hartenberg
+from dynamics.description.denavit_hartenberg import Row
+from dynamics.formulations.newton_euler import inverse_dynamics, rigid_links
+from dynamics.simulation.nominal_motion import Cycloidal, NominalTorque
+from dynamics.tracing.ssa import operations
 
 SIXTY = np.pi / 3.0
 DURATION = 10.0  # [s] printed, both arms

@@ -24,14 +24,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics import Arm, checks, load_arm
-from dynamics.data_file import read_mapping
-from dynamics.newton_euler import inverse_dynamics
-from dynamics.nominal import Cycloidal, NominalTorque
+from dynamics import Arm, load_arm
+from dynamics.description import validate
+from dynamics.description.data_file import read_mapping
+from dynamics.formulations.newton_euler import inverse_dynamics
+from dynamics.simulation.nominal_motion import Cycloidal, NominalTorque
+from dynamics.types import Array
 
-Array = NDArray[np.float64]
 KEYS = (
     "title", "about", "arm", "keep", "flexible", "links", "payload", "initial", "torque", "t_end",
     "n_out",
@@ -115,23 +115,23 @@ def load_scenario(path: Path) -> Scenario:
 
 def scenario_from_dict(data: Mapping[str, object]) -> Scenario:
     """A scenario from plain lists, numbers and text; every unknown key is refused."""
-    values = checks.mapping(data, "the scenario", KEYS)
+    values = validate.mapping(data, "the scenario", KEYS)
     for key in ("title", "about", "arm", "t_end"):
         if key not in values:
             raise ValueError(f"{key} is missing.")
     arm = _arm(values)
-    initial = checks.mapping(values.get("initial", {}), "initial", ("q", "qd"))
+    initial = validate.mapping(values.get("initial", {}), "initial", ("q", "qd"))
     coordinates = arm.names[arm.base.n :]
     q, qd = (_named(initial.get(key, {}), f"initial.{key}", coordinates) for key in ("q", "qd"))
     return Scenario(
-        title=checks.text(values["title"], "title"),
-        about=checks.text(values["about"], "about"),
+        title=validate.text(values["title"], "title"),
+        about=validate.text(values["about"], "about"),
         arm=arm,
         q=q,
         qd=qd,
         torque=None if values.get("torque") is None else _torque(values["torque"], arm, q, qd),
-        t_end=checks.positive(values["t_end"], "t_end", "s"),
-        n_out=checks.integer(values.get("n_out", N_OUT), "n_out", 2, 100_001),
+        t_end=validate.positive(values["t_end"], "t_end", "s"),
+        n_out=validate.integer(values.get("n_out", N_OUT), "n_out", 2, 100_001),
     )
 
 
@@ -142,12 +142,12 @@ def _arm(values: Mapping[str, object]) -> Arm:
         raise ValueError(f"arm must be a preset's name or an arm file's mapping, got {source!r}.")
     data = load_arm(source).to_dict()
     links = data.get("links", [])
-    kept = checks.sequence(values.get("keep", list(range(1, len(links) + 1))), "keep")
-    links = [links[checks.integer(k, "keep", 1, len(links)) - 1] for k in kept]
+    kept = validate.sequence(values.get("keep", list(range(1, len(links) + 1))), "keep")
+    links = [links[validate.integer(k, "keep", 1, len(links)) - 1] for k in kept]
     flexible = _mapping(values.get("flexible", {}), "flexible")
     links = [merged(link, flexible) if link.get("modes") else link for link in links]
     for number, change in _mapping(values.get("links", {}), "links").items():
-        k = checks.integer(number, "a key of links", 1, len(links)) - 1
+        k = validate.integer(number, "a key of links", 1, len(links)) - 1
         links[k] = merged(links[k], _mapping(change, f"links.{number}"))
     if "payload" in values:
         data["payload"] = values["payload"]
@@ -174,16 +174,16 @@ def _named(data: object, name: str, known: tuple[str, ...]) -> dict[str, float]:
     values = _mapping(data, name)
     if not known and values:
         raise ValueError(f"{name} must be empty for an arm without joints, got {dict(values)!r}.")
-    named = checks.mapping(values, name, known) if known else {}
-    return {key: checks.number(value, f"{name}.{key}") for key, value in named.items()}
+    named = validate.mapping(values, name, known) if known else {}
+    return {key: validate.number(value, f"{name}.{key}") for key, value in named.items()}
 
 
 def _torque(
     data: object, arm: Arm, q: Mapping[str, float], qd: Mapping[str, float]
 ) -> Callable[[float], Array]:
     """The torque signal of one of TORQUES."""
-    kind = checks.choice(_mapping(data, "torque").get("type"), "torque.type", TORQUES)
-    values = checks.mapping(data, "torque", ("type", *TORQUES[kind]))
+    kind = validate.choice(_mapping(data, "torque").get("type"), "torque.type", TORQUES)
+    values = validate.mapping(data, "torque", ("type", *TORQUES[kind]))
     for key in TORQUES[kind]:
         if key not in values:
             raise ValueError(f"torque.{key} is missing.")
@@ -211,5 +211,5 @@ def _nominal(
     goal = _named(values["goal"], "torque.goal", joints)
     start = tuple(q.get(joint, 0.0) for joint in joints)
     end = tuple(goal.get(joint, begin) for joint, begin in zip(joints, start, strict=True))
-    duration = checks.positive(values["duration"], "torque.duration", "s")
+    duration = validate.positive(values["duration"], "torque.duration", "s")
     return Nominal(NominalTorque(arm, Cycloidal(start=start, goal=end, duration=duration)))

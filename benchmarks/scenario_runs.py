@@ -8,13 +8,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from benchmarks.scenario_file import Array, Scenario
+from benchmarks.scenario_file import Scenario
 from dynamics import Arm, compile_arm, simulate
-from dynamics.algebra import add, matvec
-from dynamics.kinematics import Frame, outward
+from dynamics.formulations.algebra import add, matvec
+from dynamics.formulations.kinematics import Frame, outward
 from dynamics.model import Model
-from dynamics.nominal import stiffened
-from dynamics.trajectory import Trajectory
+from dynamics.simulation.nominal_motion import stiffened
+from dynamics.simulation.trajectory import Trajectory
+from dynamics.types import Array
 
 RTOL = 1e-9
 DEGREE = np.pi / 180.0

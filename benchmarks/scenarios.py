@@ -22,9 +22,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.output import provenance, save_figure
-from benchmarks.scenario_file import Array, Scenario, load_scenario
+from benchmarks.scenario_file import Scenario, load_scenario
 from benchmarks.scenario_runs import DEGREE, Run, figures, twins
-from dynamics.attitude import to_euler
+from dynamics.description.rotations import to_euler
+from dynamics.types import Array
 
 FOLDER = Path(__file__).resolve().parents[1] / "configs" / "scenarios"
 ORDER = (  # of the page; any other stands behind

@@ -26,9 +26,12 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics import ARMS, Stepper, compile_arm
-from dynamics.kernels import LANES
-from dynamics.lowering import cached_module, fingerprint, render_lines
-from dynamics.sharing import STOP
+from dynamics.backends.numba_llvm.module_text import straight_line_text
+from dynamics.backends.numba_llvm.program import cached_module, fingerprint
+from dynamics.backends.numba_llvm.stepper_entries import LANES
+from dynamics.runtime.work_queue import STOP
+from dynamics.tracing.function import written
+from dynamics.tracing.ssa import Code
 from flexarm_env import FlexArmVectorEnv
 from flexarm_env.certificates import kept
 
@@ -93,15 +96,16 @@ def _seconds(call: Callable[[], Any], times: int) -> float:
 
 def multiply_adds(width: int) -> tuple[Callable[[], Any], float]:
     """A call that does independent chains of fused multiply-adds, and how many operations."""
-    chains = range(CHAINS)
-    lines = ["a = w[0]", "b = w[1]", *(f"x{k} = w[{2 + k}]" for k in chains)]
-    lines += [f"x{k} = x{k} * a + b" for _ in range(ROUNDS) for k in chains]
-    lines += [f"w[{2 + k}] = x{k}" for k in chains]
+    code = Code()
+    factor, term, *chains = (code.load(slot) for slot in range(2 + CHAINS))
+    for _ in range(ROUNDS):
+        chains = [code.emit("+", code.emit("*", x, factor), term) for x in chains]
+    rounds = written("rounds", code, dict(enumerate(chains, 2)))
     text = "\n".join([
-        "from dynamics.emission import straight_line",
-        "from dynamics.kernels import outermost",
+        "from dynamics.backends.numba_llvm.vector_code import straight_line",
+        "from dynamics.runtime.jit import outermost",
         f"LANES = {width}",
-        render_lines("rounds", lines),
+        straight_line_text(rounds),
         "@outermost",
         "def often(w, times):",
         "    for _ in range(times):",

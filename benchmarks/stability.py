@@ -25,11 +25,11 @@ from scipy.linalg import expm
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.output import save_figure
 from dynamics import Arm, Joint, Link, Mode, Model, Payload, Stepper, compile_arm
-from dynamics.integrators import INTEGRATORS
-from dynamics.linear import linear_arm
-from dynamics.stability import GROWS, amplification
+from dynamics.formulations.linearized import linear_arm
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.simulation.step_limits import GROWS, amplification
+from dynamics.types import Array
 
-Array = NDArray[np.float64]
 GROWTH = 10.0  # [-] an amplitude that grows by more than this has left
 HELD = 1e6  # [kg m^2] a rotor that no link can move: the joint turns at a given rate
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from dynamics import ARMS, Arm
-from dynamics.published import alone, hertz
+from dynamics.arms.measures import alone, hertz
 
 SLIM = {1: 2.096, 2: 13.989, 4: 81.225, 5: 136.352}  # [Hz] held, printed
 SHUTTLE = (0.35, 0.46, 3.554, 4.228)  # [Hz] straight, held, unloaded

@@ -13,20 +13,19 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 from scipy.optimize import fsolve
 
 from benchmarks.precision_scenes import SETTINGS, Level
 from benchmarks.validation_entries import Number, Table, relatively
 from dynamics import Arm, Joint, Link, Mode, compile_arm, simulate
-from dynamics.published import hertz
+from dynamics.arms.measures import hertz
+from dynamics.types import Array
 
 CHAPTER = "Beam theory and long links"
 NOTES = {
     CHAPTER: "Classical problems; *theirs* are converged solutions of the exact beam, or closed "
     "forms."
 }
-Array = NDArray[np.float64]
 ROTATING = {  # Omega sqrt(rho_A L^4 / EI): first flap and lag frequency times the same root
     0.0: "3.516015 3.516015",
     1.0: "3.681647 3.543236",

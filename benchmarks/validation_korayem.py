@@ -14,8 +14,9 @@ import numpy as np
 import scipy.linalg
 
 from benchmarks.validation_entries import Number, Table, as_printed, relatively
-from dynamics import ARMS, Arm, Mode, Model, Payload, compile_arm, gibbs_appell, simulate
-from dynamics.published import alone, hertz
+from dynamics import ARMS, Arm, Mode, Model, Payload, compile_arm, simulate
+from dynamics.arms.measures import alone, hertz
+from dynamics.formulations import gibbs_appell
 
 CHAPTER = "Korayem and Shafei 2009: two hanging links"
 NOTES = {

@@ -22,8 +22,9 @@ from benchmarks.validation_entries import (
     relatively,
 )
 from dynamics import ARMS, Arm, Mode, Model, Payload
-from dynamics.linear import Array, inertia
-from dynamics.published import hertz
+from dynamics.arms.measures import hertz
+from dynamics.formulations.linearized import inertia
+from dynamics.types import Array
 
 RALF = "Yuan, Book and Huggins 1993: RALF"
 SHUTTLE = "The Shuttle's arm, Cyril's subject: public data, none of them his"

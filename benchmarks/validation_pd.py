@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from benchmarks.precision_scenes import undamped
 from benchmarks.validation_entries import Number, Table
 from benchmarks.validation_slim import BEAM, HALF, SLIM, held, on_hub
 from dynamics import ARMS, Arm, Model, compile_arm
+from dynamics.types import Array
 
 CHAPTER = "Yuan, Book and Huggins 1993: joint PD control"
 NOTES = {
@@ -28,7 +28,6 @@ NOTES = {
     "without gains; ours are chosen, and *theirs* is what the theorem says."
 }
 SECONDS = 1.4  # printed length of the plots
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,8 @@ import numpy as np
 
 from benchmarks.validation_entries import Table, as_printed, relatively
 from dynamics import ARMS, Joint, compile_arm
-from dynamics.checks import ZEROS
-from dynamics.published import alone, carried_inertia, hertz
+from dynamics.arms.measures import alone, carried_inertia, hertz
+from dynamics.description.validate import ZEROS
 
 CHAPTER = "Yuan, Book and Huggins 1993: SLIM"
 NOTES = {

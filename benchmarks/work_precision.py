@@ -30,11 +30,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks import precision_charts
 from benchmarks.output import provenance
-from benchmarks.precision_scenes import GOOD, SETTINGS, Array, Level, Setting
+from benchmarks.precision_scenes import GOOD, SETTINGS, Level, Setting
 from dynamics import Arm, Diverged, Model, Stepper, compile_arm, simulate
-from dynamics.integrators import INTEGRATORS
-from dynamics.lowering import operations
-from dynamics.stepping import LONGEST
+from dynamics.backends.numba_llvm.methods import LONGEST
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.tracing import graphs
+from dynamics.tracing.ssa import operations
+from dynamics.types import Array
 from flexarm_env.certificates import stored
 from flexarm_env.core import Core
 from flexarm_env.timing import cpu_seconds
@@ -285,7 +287,9 @@ def compile_one(program: tuple[Arm, str]) -> None:
 
 def compiles(model: Model, method: str) -> bool:
     """Whether the method's code for this model is short enough."""
-    return INTEGRATORS[method].aid != "jacobian" or model.jacobian_graph.n_instructions() <= LONGEST
+    if INTEGRATORS[method].aid != "jacobian":
+        return True
+    return bool(graphs.state_jacobian(model.traced).n_instructions() <= LONGEST)
 
 
 def front(points: list[Row]) -> list[Row]:

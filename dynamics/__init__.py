@@ -8,18 +8,21 @@ a `Stepper` steps many at once. The physics knows nothing of environments or lea
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from dynamics.arm import Arm, Base, Body, Joint, Link, Mode, Payload
-from dynamics.arm_file import load_arm
 from dynamics.arms import ARMS
+from dynamics.description.arm import Arm, Base, Payload
+from dynamics.description.joint import Joint
+from dynamics.description.link import Body, Link
+from dynamics.description.mode_shapes import Mode
+from dynamics.load import load_arm
 
 if TYPE_CHECKING:
-    from dynamics.choice import Choice, choose_model
+    from dynamics.accuracy.model_choice import Choice, choose_model
+    from dynamics.accuracy.scene import JointMotion, Scene
     from dynamics.model import Model, compile_arm
-    from dynamics.scene import JointMotion, Scene
-    from dynamics.simulation import Diverged, simulate
-    from dynamics.stepper import Stepper
-    from dynamics.trajectory import Trajectory
-    from dynamics.validity import ValidityWarning, limits
+    from dynamics.simulation.simulate import Diverged, simulate
+    from dynamics.simulation.stepper import Stepper
+    from dynamics.simulation.trajectory import Trajectory
+    from dynamics.simulation.validity import ValidityWarning, limits
 
 __all__ = [
     "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "Joint", "JointMotion", "Link", "Mode",
@@ -28,10 +31,12 @@ __all__ = [
 ]  # fmt: skip
 
 _LATE = {  # these import numba: only when asked for
-    "Model": "model", "compile_arm": "model", "Stepper": "stepper",
-    "Choice": "choice", "choose_model": "choice", "JointMotion": "scene", "Scene": "scene",
-    "Diverged": "simulation", "Trajectory": "trajectory", "simulate": "simulation",
-    "ValidityWarning": "validity", "limits": "validity",
+    "Model": "model", "compile_arm": "model",
+    "Stepper": "simulation.stepper", "Trajectory": "simulation.trajectory",
+    "Diverged": "simulation.simulate", "simulate": "simulation.simulate",
+    "ValidityWarning": "simulation.validity", "limits": "simulation.validity",
+    "Choice": "accuracy.model_choice", "choose_model": "accuracy.model_choice",
+    "JointMotion": "accuracy.scene", "Scene": "accuracy.scene",
 }  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.arms import ARMS
-from dynamics.case import Case, Motion, load_case
+from dynamics.simulation.case_file import Case, Motion, load_case
 
 BAD_INPUT = 2  # exit status: the file cannot be evaluated as it stands
 DIVERGED = 3  # exit status: the motion left the finite numbers
@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         case = load_case(options.case)
     except ValueError as error:
         return _fail(error, BAD_INPUT)
-    from dynamics.simulation import Diverged  # late: a wrong file is refused at once
+    from dynamics.simulation.simulate import Diverged
 
     try:
         text = _json(evaluate(case))
@@ -108,7 +108,7 @@ def write(path: Path, text: str) -> None:
 
 
 def _follow(model: Any, motion: Motion) -> dict[str, Any]:
-    from dynamics.simulation import simulate
+    from dynamics.simulation.simulate import simulate
 
     start = np.array(motion.q), np.array(motion.qd)
     with warnings.catch_warnings(record=True) as caught:

@@ -14,7 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from typing import Any, ClassVar, Protocol
 
-from dynamics import Arm, checks
+from dynamics import Arm
+from dynamics.description import validate
 
 Vector = tuple[float, ...]
 _INCH, _POUND = 0.0254, 4.4482216  # [m], [N]
@@ -52,7 +53,7 @@ def _clean(actuator: Any, **units: str) -> None:
         value = getattr(actuator, name)
         if value is not None:
             what = f"actuator {actuator.type}.{name}"
-            object.__setattr__(actuator, name, checks.positive(value, what, unit))
+            object.__setattr__(actuator, name, validate.positive(value, what, unit))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +106,7 @@ class DCMotor:
         for name, unit in (
             ("rotor_inertia", "kg m^2"), ("viscous", "N m s/rad"), ("coulomb", "N m"),
         ):  # fmt: skip
-            value = checks.nonnegative(getattr(self, name), f"actuator {self.type}.{name}", unit)
+            value = validate.nonnegative(getattr(self, name), f"actuator {self.type}.{name}", unit)
             object.__setattr__(self, name, value)
         if self.efficiency > 1.0:
             raise ValueError(
@@ -218,7 +219,7 @@ def load_actuators(source: object, n_joint: int) -> tuple[Actuator, ...]:
     if not isinstance(source, Sequence) or len(source) != n_joint:
         raise ValueError(
             f"actuator must be a name, a dict, or a list of {n_joint} (one per joint), "
-            f"got {checks.shown(source)}."
+            f"got {validate.shown(source)}."
         )
     return tuple(_load(entry) for entry in source)
 
@@ -227,15 +228,15 @@ def _load(source: object) -> Actuator:
     if isinstance(source, str):
         if source not in PRESETS:
             raise ValueError(
-                f"Unknown actuator {checks.shown(source)}. Known: {sorted(PRESETS)}; or give a "
+                f"Unknown actuator {validate.shown(source)}. Known: {sorted(PRESETS)}; or give a "
                 f'dict with a "type" of {sorted(ACTUATORS)}.'
             )
         return PRESETS[source]
     if not isinstance(source, Mapping):
-        raise ValueError(f"An actuator must be a name or a dict, got {checks.shown(source)}.")
-    kind = checks.choice(source.get("type"), 'actuator["type"]', ACTUATORS)
+        raise ValueError(f"An actuator must be a name or a dict, got {validate.shown(source)}.")
+    kind = validate.choice(source.get("type"), 'actuator["type"]', ACTUATORS)
     known = fields(ACTUATORS[kind])
-    data = checks.mapping(source, f"actuator {kind}", ["type", *(f.name for f in known)])
+    data = validate.mapping(source, f"actuator {kind}", ["type", *(f.name for f in known)])
     missing = [f.name for f in known if f.default is MISSING and f.name not in data]
     if missing:
         raise ValueError(f"actuator {kind} needs {missing}; got {sorted(data)}.")
@@ -265,6 +266,6 @@ def refuse_beside_actuators(**keywords: Any) -> None:
     for name, value in keywords.items():
         if value is not None:
             raise ValueError(
-                f"{name} ({checks.shown(value)}) is for ideal torque sources; leave it out beside "
-                "actuator, whose own data say what it gives."
+                f"{name} ({validate.shown(value)}) is for ideal torque sources; leave it out "
+                "beside actuator, whose own data say what it gives."
             )

@@ -5,12 +5,11 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics import Arm, checks
-from dynamics.free_parameters import FREE_PARAMETERS
-
-Array = NDArray[np.float64]
+from dynamics import Arm
+from dynamics.description import validate
+from dynamics.formulations.free_parameters import FREE_PARAMETERS
+from dynamics.types import Array
 
 CONTROL_DT = (1e-6, 10.0)  # [s]
 DEFLECTION_LIMITS = (1e-6, 1.0)  # [-]
@@ -26,29 +25,32 @@ def torque_limits(given: float | Sequence[float] | None, default: tuple[float, .
     if given is None:
         return np.array(default)
     count = len(default)
-    limits = count * [given] if isinstance(given, Real) else checks.sequence(given, "torque_limit")
+    limits = (
+        count * [given] if isinstance(given, Real) else validate.sequence(given, "torque_limit")
+    )
     if len(limits) != count:
         raise ValueError(
             f"torque_limit must be one number or {count} (one per joint), "
-            f"got {checks.shown(given)}. Unit: [N m]."
+            f"got {validate.shown(given)}. Unit: [N m]."
         )
-    return np.array([checks.positive(limit, "torque_limit", "N m") for limit in limits])
+    return np.array([validate.positive(limit, "torque_limit", "N m") for limit in limits])
 
 
 def ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
     """Ranges (low, high) of free parameters by name."""
     if not isinstance(given, Mapping):
         raise ValueError(
-            f"randomize must be a dict of (low, high) by free parameter, got {checks.shown(given)}."
+            "randomize must be a dict of (low, high) by free parameter, got "
+            f"{validate.shown(given)}."
         )
     result = {}
     for name, pair in given.items():
-        checks.known(name, "randomize", FREE_PARAMETERS)
-        low, high = checks.numbers(pair, f"randomize[{name!r}]", 2)
+        validate.known(name, "randomize", FREE_PARAMETERS)
+        low, high = validate.numbers(pair, f"randomize[{name!r}]", 2)
         if not 0.0 <= low <= high <= MOST_DRAWN:
             raise ValueError(
                 f"randomize[{name!r}] must be (low, high) with 0 <= low <= high <= "
-                f"{MOST_DRAWN:g}, got {checks.shown(pair)}."
+                f"{MOST_DRAWN:g}, got {validate.shown(pair)}."
             )
         result[name] = (low, high)
     return result
@@ -56,7 +58,7 @@ def ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, f
 
 def within(name: str, value: object, least: float, most: float, unit: str) -> float:
     """A number between two bounds, both allowed."""
-    result = checks.number(value, name, unit)
+    result = validate.number(value, name, unit)
     if not least <= result <= most:
         raise ValueError(
             f"{name} must be between {least:g} and {most:g}, got {result!r}. Unit: [{unit}]."
@@ -67,7 +69,7 @@ def within(name: str, value: object, least: float, most: float, unit: str) -> fl
 def placements(options: Any, arm: Arm, n_row: int) -> dict[str, Array]:
     """Options of a reset: what they put in place of drawn "q", "v" and "centre" (the target)."""
     if not isinstance(options, Mapping):
-        raise ValueError(f"options must be a dict, got {checks.shown(options)}.")
+        raise ValueError(f"options must be a dict, got {validate.shown(options)}.")
     unknown = sorted(set(map(str, options)) - {"state", "target"})
     if unknown:
         raise ValueError(f"Unknown reset options {unknown}. Known: ['state', 'target'].")
@@ -76,7 +78,7 @@ def placements(options: Any, arm: Arm, n_row: int) -> dict[str, Array]:
     if state is not None:
         if not isinstance(state, Mapping) or not set(state) <= {"q", "v"}:
             raise ValueError(
-                f"options['state'] must be a dict of 'q' and 'v', got {checks.shown(state)}."
+                f"options['state'] must be a dict of 'q' and 'v', got {validate.shown(state)}."
             )
         for x in ("q", "v"):
             result[x] = _coordinates(f"options['state'][{x!r}]", state.get(x), arm.n, n_row)
@@ -90,11 +92,11 @@ def _coordinates(name: str, values: Any, size: int, n_row: int) -> Array:
     if values is None:
         return np.zeros(size)
     shape = (size,) if np.ndim(np.asarray(values, dtype=object)) < 2 else (n_row, size)
-    return checks.array(values, name, shape, FARTHEST_START)
+    return validate.array(values, name, shape, FARTHEST_START)
 
 
 def whole_seed(seed: Any) -> int | None:
     """A seed as Python's own integer, or None; NumPy's integers are seeds too."""
     if seed is None:
         return None
-    return checks.integer(seed, "seed", 0, MOST_SEED)
+    return validate.integer(seed, "seed", 0, MOST_SEED)

@@ -12,14 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from dynamics import cache, checks
-from dynamics.arm import Arm
-from dynamics.arm_file import load_arm
-from dynamics.case import PiecewiseConstant, Torque
-from dynamics.choice import choose_model
-from dynamics.fidelity import everything, rigid
-from dynamics.lowering import fingerprint
-from dynamics.scene import JointMotion, Scene
+from dynamics import cache
+from dynamics.accuracy.fidelity import everything, rigid
+from dynamics.accuracy.model_choice import choose_model
+from dynamics.accuracy.scene import JointMotion, Scene
+from dynamics.backends.numba_llvm.program import fingerprint
+from dynamics.description import validate
+from dynamics.description.arm import Arm
+from dynamics.load import load_arm
+from dynamics.simulation.case_file import PiecewiseConstant, Torque
 from flexarm_env.physics import physics
 
 STORE = Path(__file__).with_name("certificates.json")
@@ -109,13 +110,13 @@ def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> 
     ValueError : for an unknown fidelity, or one beside a tolerance.
     RuntimeError : if no model is that true, see `dynamics.choose_model`.
     """
-    checks.known(fidelity, "fidelity", FIDELITIES)
+    validate.known(fidelity, "fidelity", FIDELITIES)
     if tolerance is not None:
         if fidelity != "auto":
             raise ValueError(
-                f"Give a tolerance ({checks.shown(tolerance)} m) or a fidelity, not both."
+                f"Give a tolerance ({validate.shown(tolerance)} m) or a fidelity, not both."
             )
-        return _chosen(arm, control_dt, checks.positive(tolerance, "tolerance", "m"))
+        return _chosen(arm, control_dt, validate.positive(tolerance, "tolerance", "m"))
     if fidelity == "rigid":
         return Fitted(rigid(arm).arm(arm))
     if fidelity == "reference":

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.arm_file import load_arm
-from dynamics.certificate import Certificate, certify
-from dynamics.integrators import INTEGRATORS
+from dynamics.accuracy.certificate import Certificate, certify
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.load import load_arm
 from flexarm_env import SCENES
 from flexarm_env.certificates import RANDOM_SHARE, STORE, scene, stored
 from flexarm_env.core import Core

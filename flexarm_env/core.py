@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics import checks, load_arm
-from dynamics.arm_file import ArmSource
-from dynamics.crew import Crew, in_use, worth
-from dynamics.integrators import INTEGRATORS
-from dynamics.kernels import direct
+from dynamics import load_arm
+from dynamics.description import validate
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.load import ArmSource
 from dynamics.model import Model, compile_arm
-from dynamics.sharing import turns
-from dynamics.stepper import MOST_ENVIRONMENTS, MOST_THREADS
-from dynamics.validity import LARGEST_RATE
+from dynamics.runtime.jit import direct
+from dynamics.runtime.thread_pool import Crew, in_use, worth
+from dynamics.runtime.work_queue import turns
+from dynamics.simulation.stepper import MOST_ENVIRONMENTS, MOST_THREADS
+from dynamics.simulation.validity import LARGEST_RATE
+from dynamics.types import Array
 from flexarm_env import arguments, kernels
 from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
 from flexarm_env.certificates import find, fit, kept
@@ -36,7 +38,6 @@ from flexarm_env.report import FLAGS, LOST, Report
 from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.tasks import find_task
 
-Array = NDArray[np.float64]
 FASTEST = 1e12  # [rad/s] of a joint without a limit
 DIVERGED = FLAGS.index("diverged")
 
@@ -78,7 +79,7 @@ class Core:
     q, v : (N, n) coordinates and rates, writable views.
     dt : [s] integration step.
     lock : held while a thread steps or resets, see `claim`.
-    turns : the shares that threads take of a step, see `dynamics.sharing.turns`.
+    turns : the shares that threads take of a step, see `dynamics.runtime.work_queue.turns`.
     workspaces : one per thread.
     parameters : (N, n_free) values of the randomized parameters, a view.
     """
@@ -121,9 +122,9 @@ class Core:
                 f"Base.type must be 'fixed' for an environment, got {described.base.type!r}; "
                 "step a free base with dynamics.Stepper."
             )
-        self.n_env = checks.integer(n_env, "num_envs", 1, MOST_ENVIRONMENTS)
-        self.threads = checks.integer(threads, "threads", 1, MOST_THREADS)
-        max_steps = checks.integer(max_steps, "max_episode_steps", 0, arguments.MOST_STEPS)
+        self.n_env = validate.integer(n_env, "num_envs", 1, MOST_ENVIRONMENTS)
+        self.threads = validate.integer(threads, "threads", 1, MOST_THREADS)
+        max_steps = validate.integer(max_steps, "max_episode_steps", 0, arguments.MOST_STEPS)
         self._outputs = SingleOutputs if single else BatchOutputs
         self.randomize = arguments.ranges({} if randomize is None else randomize)
         fitted = fit(described, self.control_dt, fidelity, tolerance)
@@ -163,7 +164,7 @@ class Core:
 
     def _integration(self, integrator: str | None, substeps: int | None) -> tuple[str, int]:
         if integrator is not None:
-            checks.known(integrator, "integrator", INTEGRATORS)
+            validate.known(integrator, "integrator", INTEGRATORS)
         entry = kept(self.arm, self.control_dt) if integrator is None else None
         if entry is not None:
             best = next(s for s in entry["steps"] if self._as_measured(s["integrator"]))
@@ -173,7 +174,7 @@ class Core:
         if self.drives:
             count = max(count, self.drives.substeps(self.control_dt, name))
         if substeps is not None:
-            return name, checks.integer(substeps, "substeps", 1, arguments.MOST_SUBSTEPS)
+            return name, validate.integer(substeps, "substeps", 1, arguments.MOST_SUBSTEPS)
         if count > arguments.MOST_BY_RULE:
             raise ValueError(
                 f"control_dt ({self.control_dt:g} s) would take {count} steps of {name!r}, more "

@@ -14,19 +14,17 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics import Arm, checks
-from dynamics.gibbs_appell import mass_matrix
-from dynamics.integrators import INTEGRATORS
-from dynamics.lowering import render_function
+from dynamics import Arm
+from dynamics.description import validate
+from dynamics.formulations.gibbs_appell import mass_matrix
+from dynamics.formulations.link_constants import chain_constants
+from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
-from dynamics.modes import chain_constants
+from dynamics.tracing.function import Function, traced
+from dynamics.types import Array, Symbols
 from flexarm_env.actuators import Actuator, Law
 from flexarm_env.physics import SAFE, physics
-
-Array = NDArray[np.float64]
-Symbols = Mapping[str, Any]
 
 UNLIMITED = 1e30  # [N m]
 REFUSED = "rosenbrock"  # its Jacobian would have to know the actuator
@@ -131,8 +129,8 @@ class Drives:
         """[N m] at the joints now, of "action", "actuator", "actuators" (constants), "q", "v"."""
         return self._each(s, _now)
 
-    def functions(self, at: Mapping[str, int], constants: int) -> list[str]:
-        """Text of `mark(w)`, `drive(w)` and `follow(w)`; `constants` is the slot of theirs."""
+    def functions(self, at: Mapping[str, int], constants: int) -> list[Function]:
+        """`mark(w)`, `drive(w)` and `follow(w)`; `constants` is the slot of theirs."""
         import casadi as ca
 
         n, m = self.slip.shape[1], len(self.laws)
@@ -148,11 +146,16 @@ class Drives:
         if not self.states:
             outputs["follow"] = (ca.SX(0, 1), at["ACTUATOR"])
         return [
-            render_function(name, ca.Function(name, list(s.values()), [ca.cse(value)]),
-                            [*slots, constants], slot)
-            if value.numel() else f"@compiled\ndef {name}(w):\n    return\n"
+            traced(
+                name,
+                ca.Function(name, list(s.values()), [ca.cse(value)]),
+                [*slots, constants],
+                slot,
+            )
+            if value.numel()
+            else Function(name)
             for name, (value, slot) in outputs.items()
-        ]  # fmt: skip
+        ]
 
     def _each(self, s: Symbols, function: Any) -> Any:
         """`function(constants, joint)` of all joints, stacked; "before" may be missing."""
@@ -225,7 +228,7 @@ def _discrete(law: Law, h: float) -> dict[str, Any]:
     flow = np.zeros((2 * k + 3, 2 * k + 3))  # of x, u, w, h dw/dt and the integral of x
     flow[:k, :k], flow[k + 3 :, :k] = A, np.eye(k)
     flow[:k, k], flow[:k, k + 1], flow[k + 1, k + 2] = law.B, law.E, 1.0 / h
-    with checks.double_precision("The actuator's motion within a substep"):
+    with validate.double_precision("The actuator's motion within a substep"):
         end = expm(h * flow)
         step, mean = end[:k], C @ end[k + 3 :] / h
     values: dict[str, Any] = {

@@ -7,9 +7,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.checks import choice, shown
+from dynamics.description.validate import choice, shown
+from dynamics.types import Array
 from flexarm_env.arguments import whole_seed
-from flexarm_env.core import Array, Core
+from flexarm_env.core import Core
 from flexarm_env.observations import Layout
 
 RENDER_MODES = ("human", "rgb_array")

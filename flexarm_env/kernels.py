@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from dynamics.kernels import on_disk
+from dynamics.runtime.jit import on_disk
 
 fast = on_disk(nogil=True, error_model="numpy")
 

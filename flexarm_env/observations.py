@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics import checks
-from dynamics.arm import Arm
+from dynamics.description import validate
+from dynamics.description.arm import Arm
+from dynamics.types import Array
 from flexarm_env.physics import MOVE, Physics
 from flexarm_env.tasks import Task
-
-Array = NDArray[np.float64]
 
 BOUND = 10.0  # [-] every scaled element is clipped to this
 MODES = ("state", "sensors")
@@ -91,7 +89,7 @@ def observation_layout(
 
     `torques` [N m] scale the torques at the joints; none: they are not observed.
     """
-    checks.choice(kind, "obs", MODES)
+    validate.choice(kind, "obs", MODES)
     joints, columns = range(arm.n_joint), curvature_columns(arm)
     modal = [i for i in range(arm.n) if i not in arm.joint_index]
     axes = [k for k in range(3) if (k or arm.n_joint > 1) and (k != 2 or not is_planar(arm))]

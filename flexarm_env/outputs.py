@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.types import AnyArray
 from flexarm_env.report import FLAGS, NUMBERS, Rows
 from flexarm_env.rewards import TERMS
 
-Array = NDArray[Any]
 WIDE = ("root_curvature", "torque", "command")  # of info, as far as there: several rows each
 SETTLED = 2  # first row of flags that info tells
 SPARE = 3  # sets kept: with the caller, being filled, and one that the caller copied late
@@ -70,7 +70,7 @@ class BatchOutputs(Outputs):
     def unused(self) -> bool:
         return sum(map(getrefcount, self._arrays)) == self._alone
 
-    def _views(self, n_env: int, names: Rows) -> list[Array]:
+    def _views(self, n_env: int, names: Rows) -> list[AnyArray]:
         values, marks = list(self.info[:, :n_env]), list(self.flags[:, :n_env])
         self.reward, self.terminated, self.truncated = values[0], marks[0], marks[1]
         named = {name: names.slices[name] for name in WIDE if name in names.slices}
@@ -97,7 +97,7 @@ class BatchOutputs(Outputs):
         return marked
 
 
-def _describer(names: Rows, wide: Mapping[str, Array]) -> Callable[..., dict[str, Any]]:
+def _describer(names: Rows, wide: Mapping[str, AnyArray]) -> Callable[..., dict[str, Any]]:
     """A function of values and marks that makes a dict of info, with copies of what is wide.
 
     It is written out, entry by entry: a single environment's step feels how a dict is made.

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynamics.validity import LARGEST_RATE
+from dynamics.simulation.validity import LARGEST_RATE
 from flexarm_env import IDS, REWARDS, TASKS, TERMS
 from flexarm_env.certificates import kept
 from flexarm_env.certify import EPISODES, TIP_ERROR

@@ -8,17 +8,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics import checks
-from dynamics.arm import Arm
-from dynamics.gibbs_appell import mass_matrix
-from dynamics.integrators import INTEGRATORS
-from dynamics.linear import damping, friction
+from dynamics.description import validate
+from dynamics.description.arm import Arm
+from dynamics.formulations.gibbs_appell import mass_matrix
+from dynamics.formulations.linearized import damping, friction
+from dynamics.formulations.link_constants import chain_constants
+from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
-from dynamics.modes import chain_constants
-
-Array = NDArray[np.float64]
+from dynamics.types import Array
 
 DEFLECTION_LIMIT = 0.1  # [-] tip deflection of a link over its length; beyond, the model is invalid
 SLOPE_PER_DEFLECTION = 1.6  # [rad] a beam whose tip deflects in its first shape by all of its
@@ -63,7 +61,7 @@ def physics(arm: Arm) -> Physics:
                 f"Environments take arms whose joints turn, but joint {i} is {link.joint.type}; "
                 "follow such an arm with dynamics.simulate."
             )
-    with checks.double_precision("The arm's frequencies and scales"):
+    with validate.double_precision("The arm's frequencies and scales"):
         return _derived(arm)
 
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dynamics.modes import chain_constants, deflection, parts
-from flexarm_env.core import Array, Core
+from dynamics.formulations.link_constants import chain_constants, deflection, parts
+from dynamics.types import Array
+from flexarm_env.core import Core
 from flexarm_env.observations import is_planar
 
 SIZE = (640, 480)  # [px]

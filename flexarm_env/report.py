@@ -14,10 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.checks import shown
-from dynamics.lowering import Addition, hash_of_files, render_function, render_lines
+from dynamics.backends.numba_llvm.module_text import Addition
+from dynamics.backends.numba_llvm.program import hash_of_files
+from dynamics.description.validate import shown
 from dynamics.model import Model
-from dynamics.validity import FARTHEST
+from dynamics.simulation.validity import FARTHEST
+from dynamics.tracing import graphs
+from dynamics.tracing.function import Function, traced, written
+from dynamics.tracing.ssa import Code
+from dynamics.types import Symbols
 from flexarm_env.drives import DRIVEN, Drives
 from flexarm_env.kernels import ENTRIES, IDEAL, WAVES
 from flexarm_env.observations import Layout, curvature_columns
@@ -31,8 +36,6 @@ LOST = 3.0  # [-] times the deflection limit: finite, but no longer a motion of 
 # the sources of what is compiled, besides those of dynamics; what they say when imported
 _TRACED = ("kernels", "report", "rewards", "drives")
 _SOURCES = hash_of_files(Path(__file__).with_name(f"{name}.py") for name in _TRACED)
-
-Symbols = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -119,9 +122,9 @@ class Report:
         lines = [f"{name} = np.uint64({count})" for name, count in counts.items()]
         parts = [(part.name, part.entries, part.bound) for part in self.layout.parts]
 
-        def functions(at: Mapping[str, int]) -> list[str]:
+        def functions(at: Mapping[str, int]) -> list[Function]:
             inputs = [at["Q"], at["V"], at["ACTION"], at["BEFORE"], at["LOST"], at["CONSTANTS"]]
-            report = render_function("report", self.graph, inputs, at["TARGET_NOW"])
+            report = traced("report", self.graph, inputs, at["TARGET_NOW"])
             return [self._command(at), self._check(at), report, *self._driving(at)]
 
         return Addition(
@@ -132,14 +135,14 @@ class Report:
             marks=DRIVEN if self.drives else IDEAL,
         )
 
-    def _driving(self, at: Mapping[str, int]) -> list[str]:
-        """Text of what actuators compute within a control step."""
+    def _driving(self, at: Mapping[str, int]) -> list[Function]:
+        """What actuators compute within a control step."""
         if self.drives is None:
             return []
         return self.drives.functions(at, at["CONSTANTS"] + self.constants.slices["actuators"].start)
 
-    def _command(self, at: Mapping[str, int]) -> str:
-        """Text of `command(w)`: the given actions, clipped, as torques; and time goes on."""
+    def _command(self, at: Mapping[str, int]) -> Function:
+        """`command(w)`: the given actions, clipped, as torques; and time goes on."""
         import casadi as ca
 
         m, limit = self.model.n_joint, self.constants.slices["torque_limit"].start
@@ -155,18 +158,24 @@ class Report:
         )
         inputs = [at["GIVEN"], at["ACTION"], at["CONSTANTS"] + limit, at["ELAPSED"]]
         slots = [at[name] + k for name, x in outputs.items() for k in range(x.numel())]
-        return render_function("command", graph, inputs, slots)
+        return traced("command", graph, inputs, slots)
 
-    def _check(self, at: Mapping[str, int]) -> str:
-        """Text of `check(w)`: lost where the state is far off, or a reported number not finite."""
-        lines = ["s = 0.0", "r = 0.0"]
+    def _check(self, at: Mapping[str, int]) -> Function:
+        """`check(w)`: lost where the state is far off, or a reported number is not finite."""
+        code = Code()
+        squares = reported = code.constant(0.0)
         for slot in (at[name] + k for name in ("Q", "V") for k in range(self.model.n)):
-            lines += [f"x = w[{slot}]", "s = s + x * x"]
+            x = code.load(slot)
+            squares = code.emit("+", squares, code.emit("*", x, x))
         for name in ("reward", *NUMBERS):
-            lines.append(f"r = r + w[{at['INFO'] + self.info.slices[name].start}]")
+            x = code.load(at["INFO"] + self.info.slices[name].start)
+            reported = code.emit("+", reported, x)
         farthest = FARTHEST if self.model.dtype == "float64" else FARTHEST_SINGLE
-        near, finite = f"at_most(s, {farthest**2!r})", "at_most(abs(r - r), 0.0)"
-        return render_lines("check", [*lines, f"w[{at['LOST']}] = 1.0 - {near} * {finite}"])
+        near = code.emit("at_most", squares, code.constant(farthest**2))
+        zero = code.emit("abs", code.emit("-", reported, reported))
+        finite = code.emit("at_most", zero, code.constant(0.0))
+        lost = code.emit("-", code.constant(1.0), code.emit("*", near, finite))
+        return written("check", code, {at["LOST"]: lost})
 
     @property
     def graph(self) -> Any:
@@ -207,7 +216,7 @@ class Report:
         return s["centre"] + ramp * value, ramp * rate + slope * value
 
     def _measured(self, q: Any, v: Any) -> dict[str, Any]:
-        values = self.model.measure_graph(q, v)
+        values = graphs.measure(self.model.traced)(q, v)
         return {name: values[rows] for name, rows in self.model.measurements.items()}
 
     def _straight(self, joints: Any) -> Any:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, SupportsFloat
 
 import gymnasium as gym
 
-from dynamics import checks
+from dynamics.description import validate
 
 HEAVIEST = 1e9  # weight of a term
 
@@ -106,16 +106,18 @@ def resolve_weights(reward: str | Mapping[str, float]) -> dict[str, float]:
     if isinstance(reward, str):
         if reward not in REWARDS:
             raise ValueError(
-                f"Unknown reward {checks.shown(reward)}. Known: {sorted(REWARDS)}; or give a dict "
-                "of weights."
+                f"Unknown reward {validate.shown(reward)}. Known: {sorted(REWARDS)}; or give a "
+                "dict of weights."
             )
         return dict(REWARDS[reward])
     if not isinstance(reward, Mapping):
-        raise ValueError(f"reward must be a name or a dict of weights, got {checks.shown(reward)}.")
+        raise ValueError(
+            f"reward must be a name or a dict of weights, got {validate.shown(reward)}."
+        )
     unknown = sorted(set(map(str, reward)) - set(TERMS))
     if unknown:
         raise ValueError(f"Unknown reward terms {unknown}. Known: {sorted(TERMS)}.")
-    weights = {name: checks.number(x, f"The weight of {name!r}") for name, x in reward.items()}
+    weights = {name: validate.number(x, f"The weight of {name!r}") for name, x in reward.items()}
     for name, weight in weights.items():
         if abs(weight) > HEAVIEST:
             raise ValueError(

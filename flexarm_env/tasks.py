@@ -8,13 +8,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics import checks
+from dynamics.description import validate
+from dynamics.types import Array
 from flexarm_env import kernels
 from flexarm_env.physics import MOVE
-
-Array = NDArray[np.float64]
 
 Range = tuple[float, float]
 
@@ -98,4 +96,4 @@ TASKS = {
 
 def find_task(name: str) -> Task:
     """The task of this name, or a sentence."""
-    return TASKS[checks.known(name, "task", TASKS)]
+    return TASKS[validate.known(name, "task", TASKS)]

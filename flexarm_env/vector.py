@@ -11,9 +11,10 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from dynamics import checks
+from dynamics.description import validate
+from dynamics.types import Array
 from flexarm_env.arguments import whole_seed
-from flexarm_env.core import Array, Core
+from flexarm_env.core import Core
 from flexarm_env.env import (
     RENDER_MODES,
     check_render_mode,
@@ -53,7 +54,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         check_render_mode(render_mode)
         known = {mode.value: mode for mode in _AUTORESET}
         asked = getattr(autoreset_mode, "value", autoreset_mode)
-        mode = known[checks.choice(asked, "autoreset_mode", known)]
+        mode = known[validate.choice(asked, "autoreset_mode", known)]
         steps = 0 if max_episode_steps is None else max_episode_steps
         self.core = Core(n_env=num_envs, single=False, max_steps=steps, **arguments)
         self.num_envs, self.render_mode, self.autoreset_mode = self.core.n_env, render_mode, mode
@@ -113,7 +114,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         if isinstance(seed, Integral):
             first = whole_seed(seed) or 0
             return [first + i for i in range(self.num_envs)]
-        seeds = checks.sequence(seed, "seed")
+        seeds = validate.sequence(seed, "seed")
         if len(seeds) != self.num_envs:
             raise ValueError(f"{self.num_envs} seeds are needed, got {len(seeds)}.")
         return [whole_seed(one) for one in seeds]
@@ -159,7 +160,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         try:
             array = np.ascontiguousarray(actions, dtype=np.float32)
         except (TypeError, ValueError):
-            raise ValueError(f"Actions must be numbers, got {checks.shown(actions)}.") from None
+            raise ValueError(f"Actions must be numbers, got {validate.shown(actions)}.") from None
         if array.shape != self._shape:
             raise ValueError(f"Actions must have shape {self._shape}, got {array.shape}.")
         return array

@@ -5,12 +5,13 @@ import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-SOURCES = str(Path(__file__).resolve().parents[1])
+from tests.paths import ROOT
+
+SOURCES = str(ROOT)
 
 NONSENSE: list[Any] = [
     None, "", "x", "a\0b", "a" * 1500, b"x", 1j, math.nan, math.inf, -math.inf, -1, 0, 10**30,

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.paths import ROOT
+
 LAYERS = ("dynamics", "flexarm_env", "agents")  # each may import those before it, never those after
 LONGEST_FILE = 400  # lines
 FORBIDDEN = {

@@ -1,4 +1,4 @@
-"""Preset arms by name: every file beside this one holds an ARM, its sources and its CHECKS.
+"""Preset arms by name: every file in `presets` holds an ARM, its sources and its CHECKS.
 
 A new file, named as its arm, is found without a second place to edit, and read when asked for.
 """
@@ -8,10 +8,14 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
 
-from dynamics.arm import Arm
-from dynamics.published import Check
+from dynamics.arms import presets
+from dynamics.arms.checks import Check
+from dynamics.description.arm import Arm
 
-_FILES = {file.name.replace("_", "-"): f"{__name__}.{file.name}" for file in iter_modules(__path__)}
+_FILES = {
+    file.name.replace("_", "-"): f"{presets.__name__}.{file.name}"
+    for file in iter_modules(presets.__path__)
+}
 
 
 class _Each(Mapping[str, Any]):

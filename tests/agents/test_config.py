@@ -9,8 +9,9 @@ import pytest
 import stable_baselines3
 
 from agents.config import AGENT_KWARGS, Config, ConfigError, config_from_dict, load_config
+from tests.paths import ROOT
 
-CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs").glob("*.yaml"))
+CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
 GOOD = """
 env: {id: FlexArm/OneLink-Reach-v0, n_envs: 4, reward: {tracking: 1.0}}
 agent: {name: ppo, kwargs: {n_steps: 64, batch_size: 128, learning_rate: lin_3.0e-4}}

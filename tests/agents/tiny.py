@@ -12,8 +12,8 @@ import yaml
 
 from agents.checkpoints import list_checkpoints
 from agents.runs import RunFolder
+from tests.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 KWARGS = {
     "ppo": {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}},

@@ -2,17 +2,15 @@
 
 import importlib.util
 import json
-from pathlib import Path
 from types import ModuleType
 
 import casadi as ca
 import pytest
 
 from dynamics import ARMS, compile_arm
-from dynamics.formulations import FORMULATIONS
-from dynamics.lowering import operations
-
-ROOT = Path(__file__).parents[2]
+from dynamics.formulations.table import FORMULATIONS
+from dynamics.tracing.ssa import operations
+from tests.paths import ROOT
 
 
 @pytest.fixture(scope="module")

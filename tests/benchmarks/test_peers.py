@@ -3,16 +3,15 @@
 import subprocess
 import sys
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.peer_lines import BATCHED, ENGINES, OURS, Family, Point, best, front, steady
-from benchmarks.peer_scenes import SCENES, Array
-
-ROOT = Path(__file__).resolve().parents[2]
+from benchmarks.peer_scenes import SCENES
+from dynamics.types import Array
+from tests.paths import ROOT
 
 
 def a_point(error: float, cost: float) -> Point:

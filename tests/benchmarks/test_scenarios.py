@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,13 @@ from scipy.integrate import solve_ivp
 
 from benchmarks import scenario_file, scenario_runs, scenarios
 from dynamics import ARMS, Arm
-from dynamics.kinematics import outward, poses
+from dynamics.arms.measures import hertz
+from dynamics.formulations.kinematics import outward, poses
 from dynamics.model import Model
-from dynamics.nominal import Cycloidal, NominalTorque, stiffened
-from dynamics.published import hertz
+from dynamics.simulation.nominal_motion import Cycloidal, NominalTorque, stiffened
+from tests.paths import ROOT
 
-PAGE = Path(__file__).parents[2] / "docs" / "scenarios.md"
+PAGE = ROOT / "docs" / "scenarios.md"
 BARE: dict[str, Any] = {
     "title": "t", "about": "a", "arm": "korayem-two-link", "t_end": 1.0,
 }  # fmt: skip

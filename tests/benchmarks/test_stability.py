@@ -1,18 +1,18 @@
 """Here it fails, here it holds: the stability maps in a short form, both sides of each boundary."""
 
 import importlib.util
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 
-from dynamics.integrators import INTEGRATORS
+from dynamics.integrators.table import INTEGRATORS
+from tests.paths import ROOT
 
 
 @pytest.fixture(scope="module")
 def stability() -> ModuleType:
-    path = Path(__file__).parents[2] / "benchmarks" / "stability.py"
+    path = ROOT / "benchmarks" / "stability.py"
     spec = importlib.util.spec_from_file_location("stability", path)
     assert spec is not None
     assert spec.loader is not None

@@ -20,7 +20,7 @@ from benchmarks.validation_entries import Number, Table, as_printed
 from benchmarks.validation_page import HONESTY, page
 from benchmarks.validation_pd import STEPS, Step
 from dynamics import compile_arm
-from dynamics.published import alone, hertz
+from dynamics.arms.measures import alone, hertz
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ import flexarm_env  # noqa: F401  (registers the ids)
 from benchmarks import cost, precision_charts, work_precision
 from benchmarks.precision_scenes import SETTINGS, Level, undamped
 from dynamics import compile_arm
-from dynamics.integrators import INTEGRATORS
-from dynamics.lowering import operations
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.tracing.ssa import operations
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import Arm, Body, Joint, Link, Mode
-from dynamics.checks import ZEROS
-from dynamics.shapes import Shape, shape
-
-Array = NDArray[np.float64]
+from dynamics.description.mode_shapes import Shape, shape
+from dynamics.description.validate import ZEROS
+from dynamics.types import Array
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)  # round-off up to the third mode
 X, Y, Z = np.eye(3)

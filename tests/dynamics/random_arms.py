@@ -5,13 +5,12 @@ from functools import cache
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dynamics import Arm, Base, Joint, Link, Mode, Model, Payload, compile_arm
-from dynamics.shapes import shape
+from dynamics.description.mode_shapes import shape
+from dynamics.types import Array
 
-Array = NDArray[np.float64]
 Matrix = tuple[tuple[float, ...], ...]
 
 KINDS = {

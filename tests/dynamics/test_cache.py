@@ -14,8 +14,8 @@ import pytest
 
 from dynamics import ARMS, Arm, compile_arm
 from dynamics.cache import CacheWarning, kept, load, store
+from tests.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 ARM = replace(ARMS["slim"], name="plain")
 CANARY = 'open("canary", "w").close()'
 HOSTILE = {

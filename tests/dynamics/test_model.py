@@ -8,10 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from dynamics import ARMS, Arm, Link, Mode, Model, Payload, compile_arm, load_arm, simulate
-from dynamics.checks import ZEROS
-from dynamics.free_parameters import FREE_PARAMETERS
+from dynamics.description.validate import ZEROS
+from dynamics.formulations.free_parameters import FREE_PARAMETERS
+from dynamics.types import Array
 from tests.dynamics.random_arms import (
-    Array,
     compiled,
     random_arm,
     random_state,
@@ -19,8 +19,8 @@ from tests.dynamics.random_arms import (
     torque_matrix,
     two_link_spatial,
 )
+from tests.paths import REFERENCE
 
-REFERENCE = Path(__file__).parent.parent / "reference"
 HANGING = -np.pi / 2
 
 

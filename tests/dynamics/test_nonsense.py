@@ -30,16 +30,16 @@ from dynamics import (
     Stepper,
     choose_model,
     compile_arm,
-    graphs,
     limits,
     load_arm,
     simulate,
 )
-from dynamics.arm import MOST_LINKS
-from dynamics.certificate import certify
-from dynamics.data_file import MOST_BYTES, MOST_NODES
+from dynamics.accuracy.certificate import certify
+from dynamics.accuracy.scene import bang_bang, cycloid, release
+from dynamics.description.arm import MOST_LINKS
+from dynamics.description.data_file import MOST_BYTES, MOST_NODES
 from dynamics.model import Model
-from dynamics.scene import bang_bang, cycloid, release
+from dynamics.tracing import graphs
 from tests.refusal import NONSENSE, used_or_refused
 
 MODEL = compile_arm("slim")
@@ -196,7 +196,7 @@ def test_a_description_is_refused_or_its_numbers_are_finite(
     with used_or_refused():
         model = Model(load_arm(changed(plain, what)))
         q = model.rigid(np.full(model.n, 0.3))
-        graphs.check_rest(model)
+        graphs.check_rest(model.traced)
         answers = [
             model.mass_matrix(q), model.bias(q, q), model.energy(q, q), model.frequencies(),
             model.tip(q),

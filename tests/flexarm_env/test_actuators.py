@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -18,6 +17,7 @@ from dynamics.model import Model
 from flexarm_env.actuators import ACTUATORS, PRESETS, load_actuators, mounted
 from flexarm_env.drives import Drives
 from flexarm_env.physics import physics
+from tests.paths import ROOT
 
 ENV = "FlexArm/OneLink-Reach-v0"
 INERTIA = 0.05  # [kg m^2]
@@ -325,7 +325,7 @@ def test_bad_actuators_get_a_sentence(keywords: dict[str, Any], sentence: str) -
 
 
 def test_the_page_tells_every_actuator_and_the_presets_numbers() -> None:
-    text = (Path(__file__).parents[2] / "docs/actuators.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/actuators.md").read_text(encoding="utf-8")
     for name, kind in ACTUATORS.items():
         assert f"`{name}`" in text
         for key in kind.__dataclass_fields__:

@@ -10,8 +10,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import flexarm_env
-from dynamics import crew, load_arm
-from dynamics.integrators import INTEGRATORS
+from dynamics import load_arm
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.runtime import thread_pool
 from flexarm_env.certificates import stored
 
 TASKS = ("Reach", "Track", "Damp")
@@ -86,7 +87,7 @@ def test_results_do_not_depend_on_batch_size_or_threads(
     task: str, n_env: int, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Bit for bit, over restarts; so few would be left to one thread."""
-    monkeypatch.setattr(crew, "WORTH_A_THREAD", 1e-9)
+    monkeypatch.setattr(thread_pool, "WORTH_A_THREAD", 1e-9)
     env_id = f"FlexArm/OneLink-{task}-v0"
     actions = random_actions(60, 40, 1)
     reference = gym.make_vec(env_id, num_envs=33, max_episode_steps=25)
@@ -210,7 +211,7 @@ def test_a_bad_action_finds_no_environment_stepped(
     row: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whichever thread's environment it is for."""
-    monkeypatch.setattr(crew, "WORTH_A_THREAD", 1e-9)
+    monkeypatch.setattr(thread_pool, "WORTH_A_THREAD", 1e-9)
     envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=40, threads=2)
     core = envs.unwrapped.core
     assert len(core.workspaces) > 1

@@ -9,7 +9,7 @@ import pytest
 
 import flexarm_env
 from dynamics import compile_arm, load_arm, simulate
-from dynamics.case import Torque
+from dynamics.simulation.case_file import Torque
 from flexarm_env.certificates import RANDOM_STEPS, fit, scene, stored
 from flexarm_env.certify import TIP_ERROR, WORTH, best_first, measure, strayed
 

@@ -14,9 +14,10 @@ from dynamics import ARMS
 from flexarm_env.core import Core
 from flexarm_env.pages import file_name, index, page
 from flexarm_env.rendering import SIZE, STEEL, Renderer
+from tests.paths import ROOT
 
 TURNING = [n for n, arm in ARMS.items() if all(k.joint.type == "revolute" for k in arm.links)]
-PAGES = Path(__file__).resolve().parents[2] / "docs" / "envs"
+PAGES = ROOT / "docs" / "envs"
 
 
 @pytest.mark.parametrize("scene", flexarm_env.SCENES)

@@ -1,0 +1,1 @@
+"""Errors of models against the nonlinear beam, and models chosen by their error."""

@@ -1,0 +1,182 @@
+"""How much of an arm a model keeps: modes per link and direction, foreshortening, segments.
+
+A damping ratio belongs to the modes that are described, not to the beam: other shapes would be
+damped otherwise, and segments, whose own modes are fast, hardly at all. Models of all kinds damp a
+link as Kelvin and Voigt do, C = beta K, by what its first mode has: see `viscous`.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dynamics.description.arm import Arm, Payload
+from dynamics.description.link import Link
+from dynamics.description.mode_shapes import STIFFNESS, Mode
+from dynamics.formulations.link_constants import link_constants
+
+DIRECTIONS = ("y", "z", "x")  # bending, bending, torsion
+MOST_MODES = 4  # per link and direction on the ladder
+MOST_SEGMENTS = 8
+_NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass"}
+_POLYNOMIAL = {"x": "torsion-poly", "y": "poly", "z": "poly"}
+_FIRST = range(1, 6)  # polynomials that give a beam's first frequency to 1e-7
+
+Counts = tuple[int, int, int]  # modes along y, z, x
+Change = tuple[int, str]  # link, direction or "segments"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fidelity:
+    """A rung: what is kept of every link."""
+
+    counts: tuple[Counts, ...]  # per link
+    segments: tuple[int, ...]  # per link
+    foreshortening: bool = False
+    polynomial: bool = False  # polynomial shapes; else the arm's own, or natural ones
+
+    @property
+    def rigid(self) -> bool:
+        """Whether no link has modes."""
+        return not any(map(any, self.counts))
+
+    def arm(self, arm: Arm) -> Arm:
+        """The arm with just so much, its links' damping as `viscous` has it."""
+        links = tuple(
+            replace(link, modes=tuple(self._modes(link, counts)), segments=segments)
+            for link, counts, segments in zip(
+                viscous_links(arm), self.counts, self.segments, strict=True
+            )
+        )
+        return replace(arm, links=links, foreshortening=self.foreshortening)
+
+    def _modes(self, link: Link, counts: Counts) -> Iterator[Mode]:
+        for direction, count in zip(DIRECTIONS, counts, strict=True):
+            own = link.in_direction(direction)
+            kind = own[0].kind if own else _NATURAL[direction]
+            kind = _POLYNOMIAL[direction] if self.polynomial else kind
+            for index in range(1, count + 1):
+                yield Mode(kind=kind, index=index, direction=direction)
+
+    def richer(self, most: tuple[Counts, ...], most_segments: int) -> dict[Change, "Fidelity"]:
+        """Every model with one mode more, or one link cut into twice as many segments."""
+        result = {}
+        for i, counts in enumerate(self.counts):
+            for d, name in enumerate(DIRECTIONS):
+                if counts[d] < most[i][d]:
+                    result[i, name] = self._with_modes(i, d, counts[d] + 1)
+            if any(counts) and 2 * self.segments[i] <= most_segments:
+                result[i, "segments"] = self._with_segments(i, 2 * self.segments[i])
+        return result
+
+    def thicker(self, most: tuple[Counts, ...]) -> "Fidelity":
+        """One mode more everywhere at once, where there is room."""
+        counts = tuple(
+            (min(y + 1, a), min(z + 1, b), min(x + 1, c))
+            for (y, z, x), (a, b, c) in zip(self.counts, most, strict=True)
+        )
+        return replace(self, counts=counts)
+
+    def poorer(self) -> dict[Change, "Fidelity"]:
+        """Every model with one mode less, or one link cut into half as many segments."""
+        result = {}
+        for i, counts in enumerate(self.counts):
+            for d, name in enumerate(DIRECTIONS):
+                if counts[d]:
+                    result[i, name] = self._with_modes(i, d, counts[d] - 1)
+            if self.segments[i] > 1:
+                result[i, "segments"] = self._with_segments(i, self.segments[i] // 2)
+        return result
+
+    def _with_modes(self, link: int, direction: int, count: int) -> "Fidelity":
+        row = list(self.counts[link])
+        row[direction] = count
+        counts = (*self.counts[:link], (row[0], row[1], row[2]), *self.counts[link + 1 :])
+        segments = self.segments if any(row) else _set(self.segments, link, 1)
+        return replace(self, counts=counts, segments=segments)
+
+    def _with_segments(self, link: int, segments: int) -> "Fidelity":
+        return replace(self, segments=_set(self.segments, link, segments))
+
+    def __str__(self) -> str:
+        if self.rigid:
+            return "rigid links"
+        alike: dict[str, list[int]] = {}
+        for i, kept in enumerate(zip(self.counts, self.segments, strict=True), 1):
+            alike.setdefault(_named(*kept), []).append(i)
+        texts = [f"{_listed(links)}: {kept}" for kept, links in alike.items()]
+        shapes = ", polynomial" if self.polynomial else ""
+        return "; ".join(texts) + shapes + (", foreshortened" if self.foreshortening else "")
+
+
+def viscous_links(arm: Arm) -> tuple[Link, ...]:
+    """The arm's links, each as `viscous` has it."""
+    return tuple(map(viscous, arm.links, arm.carried))
+
+
+def viscous(link: Link, payload: Payload | None = None) -> Link:
+    """The link with `damping_beta` in place of a damping ratio, which its first mode keeps.
+
+    That is the lowest bending mode of the link alone, clamped, with its tip mass and payload.
+    """
+    directions = [d for d in "yz" if _yields(link, d)]
+    if not (link.damping_ratio and directions):
+        return link
+    from scipy.linalg import eigh
+
+    shapes = tuple(Mode(kind="poly", index=k, direction=d) for d in directions for k in _FIRST)
+    alone = link_constants(replace(link, modes=shapes, segments=1), payload)
+    tip = np.array(alone.tip_phi)
+    mass = np.array(alone.s) + alone.tip_mass * tip @ tip.T
+    first = math.sqrt(eigh(np.array(alone.K), mass, eigvals_only=True)[0])
+    return replace(link, damping_ratio=0.0, damping_beta=2.0 * link.damping_ratio / first)
+
+
+def rigid(arm: Arm, foreshortening: bool = False, polynomial: bool = False) -> Fidelity:
+    """No modes at all."""
+    n = arm.n_joint
+    return Fidelity(
+        counts=((0, 0, 0),) * n,
+        segments=(1,) * n,
+        foreshortening=foreshortening,
+        polynomial=polynomial,
+    )
+
+
+def everything(arm: Arm, bending: int, torsion: int) -> tuple[Counts, ...]:
+    """So many modes per link wherever it has a stiffness, and an inertia to twist."""
+    return tuple(_possible(arm, i, bending, torsion) for i in range(arm.n_joint))
+
+
+def _possible(arm: Arm, i: int, bending: int, torsion: int) -> Counts:
+    link = arm.links[i]
+    y, z, x = (_yields(link, d) for d in DIRECTIONS)
+    payload = arm.payload.inertia[0][0] if arm.payload else 0.0
+    inertia = link.rho_Ip + link.tip_inertia[0][0] + payload
+    twists = x and (i < arm.n_joint - 1 or inertia > 0.0)
+    return bending * y, bending * z, (torsion if link.rho_Ip else min(torsion, 1)) * twists
+
+
+def _yields(link: Link, direction: str) -> bool:
+    return link.body is None and bool(getattr(link, STIFFNESS[direction]))
+
+
+def _named(counts: Counts, segments: int) -> str:
+    if not any(counts):
+        return "rigid"
+    modes = " + ".join(f"{n} {d}" for n, d in zip(counts, DIRECTIONS, strict=True) if n)
+    return f"{segments} x ({modes})" if segments > 1 else modes
+
+
+def _listed(links: list[int]) -> str:
+    """As "link 2", "links 1, 2" or "links 1 to 4, 6"."""
+    starts = [i for i in links if i - 1 not in links]
+    ends = [i for i in links if i + 1 not in links]
+    runs = zip(starts, ends, strict=True)
+    texts = [f"{a} to {b}" if b > a + 1 else ", ".join(map(str, range(a, b + 1))) for a, b in runs]
+    return f"link{'s' * (len(links) > 1)} {', '.join(texts)}"
+
+
+def _set(values: tuple[int, ...], place: int, value: int) -> tuple[int, ...]:
+    return (*values[:place], value, *values[place + 1 :])

@@ -1,0 +1,135 @@
+"""Scenes: motions in joint space that any model of an arm can follow.
+
+They hold joint angles, joint rates and joint torques, nothing of modes: every link starts straight
+and at rest in its own frame. `choose_model` compares models of an arm on them.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dynamics.description import validate
+from dynamics.description.arm import Arm
+from dynamics.simulation.case_file import Numbers, PiecewiseConstant, Torque
+
+TorqueSignal = Callable[[float], ArrayLike]  # (n_joint,) [N m]; jumps listed in `.breakpoints`
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointMotion:
+    """One motion: where the joints start and what drives them."""
+
+    joint_angles: Numbers  # (n_joint,) [rad]
+    joint_rates: Numbers  # (n_joint,) [rad/s]
+    t_end: float  # [s]
+    torque: TorqueSignal | None = None  # None: no torque
+
+    def __post_init__(self) -> None:
+        angles = validate.numbers(self.joint_angles, "JointMotion.joint_angles", unit="rad")
+        rates = validate.numbers(self.joint_rates, "JointMotion.joint_rates", len(angles), "rad/s")
+        t_end = validate.positive(self.t_end, "JointMotion.t_end", "s")
+        if not angles:
+            raise ValueError("JointMotion.joint_angles must hold one angle per joint, got [].")
+        if self.torque is not None and not callable(self.torque):
+            raise ValueError(
+                "JointMotion.torque must be a function of time or None, "
+                f"got {validate.shown(self.torque)}."
+            )
+        for name, value in (("joint_angles", angles), ("joint_rates", rates), ("t_end", t_end)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def knots(self) -> Numbers:
+        """Times [s] between which the torque is smooth, both ends included."""
+        jumps = {float(t) for t in getattr(self.torque, "breakpoints", ())}
+        return (0.0, *sorted(t for t in jumps if 0.0 < t < self.t_end), self.t_end)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What an arm is for: the motions on which a model of it must be right."""
+
+    motions: tuple[JointMotion, ...]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        motions = tuple(validate.sequence(self.motions, "Scene.motions"))
+        if not motions:
+            raise ValueError("Scene.motions must hold at least one motion, got [].")
+        for k, motion in enumerate(motions):
+            validate.instance(motion, f"Scene.motions[{k}]", JointMotion)
+        object.__setattr__(self, "motions", motions)
+        object.__setattr__(self, "name", validate.text(self.name, "Scene.name"))
+
+    def check(self, arm: Arm) -> None:
+        """Refuse an arm with another number of joints, on a free base, or driven in parallel."""
+        if arm.base.n:
+            raise ValueError(
+                f"Base.type must be 'fixed' for a scene, got {arm.base.type!r}: joint motions do "
+                "not say how a base moves."
+            )
+        for i, link in enumerate(arm.links, 1):
+            if link.joint.parallel:
+                raise ValueError(
+                    f"Joint.parallel of link {i} must be false for a scene, got True: references "
+                    "cut links into segments, and the one before it stays in one piece."
+                )
+        for k, motion in enumerate(self.motions):
+            shapes = {"joint_angles": (len(motion.joint_angles),)}
+            if motion.torque is not None:
+                shapes["torque"] = np.shape(motion.torque(0.0))
+            for name, shape in shapes.items():
+                if shape != (arm.n_joint,):
+                    raise ValueError(
+                        f"Scene.motions[{k}].{name} must have shape ({arm.n_joint},), one number "
+                        f"per joint of the arm, got {shape}."
+                    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cycloid:
+    """Torques amplitude sin(2 pi t / duration), then none: a smooth move and stop."""
+
+    amplitude: Numbers  # (n_joint,) [N m]
+    duration: float  # [s]
+
+    def __call__(self, t: float) -> np.ndarray:
+        wave = math.sin(2.0 * math.pi * t / self.duration) if t < self.duration else 0.0
+        return wave * np.array(self.amplitude)
+
+    @property
+    def breakpoints(self) -> Numbers:
+        """When the torque ends [s]."""
+        return (self.duration,)
+
+
+def bang_bang(torques: Numbers, pulse: float, t_end: float) -> JointMotion:
+    """Straight arm at rest; constant torques [N m] for `pulse` [s], reversed as long, then none."""
+    pulse = validate.positive(pulse, "pulse", "s")
+    torques = validate.numbers(torques, "torques", unit="N m")
+    signals = tuple(
+        PiecewiseConstant(times=(0.0, pulse, 2.0 * pulse), values=(u, -u, 0.0)) for u in torques
+    )
+    rest = (0.0,) * len(torques)
+    return JointMotion(
+        joint_angles=rest, joint_rates=rest, t_end=t_end, torque=Torque(signals=signals)
+    )
+
+
+def cycloid(torques: Numbers, duration: float, t_end: float) -> JointMotion:
+    """Straight arm at rest; torques [N m] over one sine wave of `duration` [s], then none."""
+    duration = validate.positive(duration, "duration", "s")
+    torques = validate.numbers(torques, "torques", unit="N m")
+    rest = (0.0,) * len(torques)
+    torque = Cycloid(amplitude=torques, duration=duration)
+    return JointMotion(joint_angles=rest, joint_rates=rest, t_end=t_end, torque=torque)
+
+
+def release(joint_angles: Numbers, t_end: float) -> JointMotion:
+    """No torque: the arm falls from rest at these joint angles [rad]."""
+    joint_angles = validate.numbers(joint_angles, "joint_angles", unit="rad")
+    rest = (0.0,) * len(joint_angles)
+    return JointMotion(joint_angles=joint_angles, joint_rates=rest, t_end=t_end)

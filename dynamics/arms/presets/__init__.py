@@ -1,0 +1,1 @@
+"""One file per preset arm: its ARM, sources and CHECKS."""

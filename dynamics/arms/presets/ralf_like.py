@@ -1,0 +1,52 @@
+"""An arm like RALF, the large two-link arm of Yuan, Book and Huggins (1993), as far as they say.
+
+Printed are two hollow cylindrical links of 10 ft and about 70 lb in all, and a parallel drive of
+the second joint: neither turning nor bending link 1 turns link 2. Their section is lost, so the
+mass is spread evenly, the drive link has none, and EI is tuned: at the chosen posture, elbow at 90
+degrees and joints held, the first frequency is the measured 6.37 Hz. The second is then 14.4 Hz,
+not the measured 12.0 Hz. Not here: the hydraulic springs and their lag, which are actuators'.
+"""
+
+from dataclasses import replace
+from math import pi
+
+from dynamics.arms.checks import Check
+from dynamics.arms.measures import mass, mode_of_arm
+from dynamics.description.arm import Arm
+from dynamics.description.joint import Joint
+from dynamics.description.link import Link
+from dynamics.description.mode_shapes import Mode
+
+_SOURCE = "Yuan, Book and Huggins, 'Dynamics of flexible manipulator arms', 1993"
+_LENGTH = 3.048  # [m] 10 ft, printed
+_MASS = 31.75  # [kg] printed: about 70 lb
+_ELBOW = 0.5 * pi  # [rad] chosen posture
+_LINK = Link(
+    length=_LENGTH,
+    rho_A=_MASS / (2.0 * _LENGTH),
+    EIz=2.9683e5,  # tuned to 6.37 Hz: benchmarks/tune_presets.py
+    modes=tuple(Mode(kind="poly", index=index, direction="y") for index in (1, 2)),
+    damping_ratio=0.02,  # printed as about 0.2 or 0.02, illegible; motions of 2 s need 0.02
+)
+
+ARM = Arm(
+    name="ralf-like",
+    description=(
+        "Two 10 ft links with the mass of RALF, the arm of Yuan, Book and Huggins, 1993, and its "
+        "parallel drive of joint 2; EI tuned to its first frequency; without hydraulic springs."
+    ),
+    gravity=(0.0, -9.81, 0.0),
+    links=(_LINK, replace(_LINK, joint=Joint(parallel=True))),
+)
+
+CHECKS = (
+    Check(
+        quantity="first frequency, elbow at 90 degrees, joints held (EI tuned to it)", unit="Hz",
+        expected=6.37, tolerance=1e-3, source=_SOURCE + ", table 7.1, measured without actuators",
+        measure=mode_of_arm(1, angles=(0.0, _ELBOW)),
+    ),
+    Check(
+        quantity="mass of the structure", unit="kg", expected=31.75, tolerance=1e-3,
+        source=_SOURCE, measure=mass,
+    ),
+)  # fmt: skip

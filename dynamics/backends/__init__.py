@@ -1,0 +1,1 @@
+"""Targets that traced functions are compiled for, one package each."""

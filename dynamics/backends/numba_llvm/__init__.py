@@ -1,0 +1,1 @@
+"""Generated modules that numba compiles, straight-line functions through LLVM."""

@@ -1,0 +1,84 @@
+"""Text of a generated module: straight-line functions, constants, entry points."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from dynamics.tracing.function import Function
+
+_IMPORTS = """
+import numpy as np
+from dynamics.backends.numba_llvm.free_base_entries import enter, leave, turn
+from dynamics.runtime.jit import compiled, outermost
+from dynamics.backends.numba_llvm.methods import INTEGRATORS
+from dynamics.backends.numba_llvm.moves import lane_moves, row_moves
+from dynamics.backends.numba_llvm.vector_code import straight_line
+from dynamics.runtime.work_queue import first_turn, take_turn
+from dynamics.integrators.exponential import FrozenModes
+from dynamics.integrators.slots import Slots
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Addition:
+    """Contents of a generated module beside an arm's accelerations and its integrator."""
+
+    key: str  # tells it from other additions to the same arm
+    sizes: Mapping[str, int]  # further slots of the workspace: name -> how many
+    functions: Callable[[Mapping[str, int]], list[Function]]  # of the workspace, from all slots
+    entries: str  # text of the functions that Python calls
+    marks: Mapping[str, Sequence[str]] = field(default_factory=dict)  # lines its marks stand for
+
+
+def straight_line_text(function: Function) -> str:
+    """Definition of a function for `vector_code.straight_line` to compile."""
+    loose = ", loose=True" if function.loose else ""
+    name = function.name
+    head, end = f'{name} = straight_line("{name}", LANES, """', f'"""{loose})\n'
+    return "\n".join([head, *function.lines, end])
+
+
+def module_text(
+    title: str,
+    lanes: int,
+    slots: int,
+    operations: tuple[int, int],
+    constants: Mapping[str, int],
+    functions: Sequence[str],
+    entries: str,
+) -> str:
+    """The whole module.
+
+    Parameters
+    ----------
+    title : any text; a description's name is in it.
+    slots : number of slots of the workspace.
+    operations : of an evaluation of the accelerations, and of the addition.
+    constants : slots by name; in the module they are offsets, lanes counted.
+    functions, entries : text of the functions of the workspace, and of those that Python calls.
+    """
+    head = [
+        '"""Generated code of one arm; see dynamics/backends/numba_llvm."""',
+        f"TITLE = {title!a}",  # no other text of a description becomes source
+        _IMPORTS,
+        f"LANES = {lanes}",
+        f"SLOTS = {slots}",
+        f"OPERATIONS = {operations[0]}",
+        f"FURTHER_OPERATIONS = {operations[1]}",
+    ]
+    offsets = [f"{name} = np.uint64({slot * lanes})" for name, slot in constants.items()]
+    lines = [f"LANES = np.uint64({lanes})", *offsets]
+    return "\n\n".join(["\n".join(head), *functions, "\n".join(lines), entries])
+
+
+def expanded(text: str, marks: Mapping[str, Sequence[str]]) -> str:
+    """Text with other lines, which may be marks again, in place of those that are marks."""
+    lines = []
+    for line in text.splitlines():
+        mark = line.lstrip()
+        if mark in marks:
+            indent = line[: len(line) - len(mark)]
+            own = expanded("\n".join(marks[mark]), marks)
+            lines += [indent + other for other in own.splitlines()]
+        else:
+            lines.append(line)
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,137 @@
+"""Compiled moves of values between the workspace and a caller's arrays."""
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core.cgutils import for_range, unpack_tuple
+from numba.extending import intrinsic
+
+from dynamics.backends.numba_llvm.vector_code import WORD, once, vector
+from dynamics.runtime.jit import CACHE_LINE
+
+_BYTES = ir.IntType(8).as_pointer()
+_FETCH, _TO_WRITE = "llvm.prefetch.p0i8", (1, 3, 1)  # to write, into the nearest cache, data
+
+
+def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
+    """Functions `take` and `put`: all lanes of a slot from, and to, consecutive array elements.
+
+    `take(w, at, array, first)` and `put(w, at, array, first)`; offsets count elements of the flat
+    array. Numbers are converted; in an array of flags all but zero is true. `expect(array, first)`
+    says that such elements will soon be written: the processor fetches their lines of the cache
+    meanwhile.
+    """
+
+    def pointer(context, builder, kind, array, offset):  # type: ignore[no-untyped-def]
+        data = context.make_array(kind)(context, builder, array).data
+        address = builder.gep(data, [offset])
+        return builder.bitcast(address, vector(address.type.pointee, lanes).as_pointer())
+
+    def convert(builder, value, number):  # type: ignore[no-untyped-def]
+        kind = vector(number, lanes)
+        if isinstance(number, ir.IntType):
+            zero = ir.Constant(value.type, [0.0] * lanes if lanes > 1 else 0.0)
+            return builder.zext(builder.fcmp_unordered("!=", value, zero), kind)
+        return _converted(builder, value, kind)
+
+    def move(inwards: bool) -> Any:
+        @intrinsic
+        def lanes_moved(typingctx, w, at, array, first):  # type: ignore[no-untyped-def]
+            def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+                slot = pointer(context, builder, signature.args[0], args[0], args[1])
+                place = pointer(context, builder, signature.args[2], args[2], args[3])
+                source, target = (place, slot) if inwards else (slot, place)
+                number = context.get_data_type(signature.args[0 if inwards else 2].dtype)
+                size = context.get_abi_sizeof(context.get_data_type(w.dtype))
+                other = context.get_abi_sizeof(context.get_data_type(array.dtype))
+                aligns = (other, size) if inwards else (size, other)
+                value = convert(builder, builder.load(source, align=aligns[0]), number)
+                builder.store(value, target, align=aligns[1])
+                return context.get_dummy_value()
+
+            return types.void(w, at, array, first), codegen
+
+        return lanes_moved
+
+    @intrinsic
+    def expect(typingctx, array, first):  # type: ignore[no-untyped-def]
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            data = context.make_array(signature.args[0])(context, builder, args[0]).data
+            size = context.get_abi_sizeof(data.type.pointee)
+            place = builder.bitcast(builder.gep(data, [args[1]]), _BYTES)
+            kind = ir.FunctionType(ir.VoidType(), [_BYTES, *3 * [ir.IntType(32)]])
+            fetch = builder.module.globals.get(_FETCH) or ir.Function(builder.module, kind, _FETCH)
+            for byte in range(0, lanes * size, CACHE_LINE):
+                line = builder.gep(place, [WORD(byte)])
+                builder.call(fetch, [line, *map(ir.IntType(32), _TO_WRITE)])
+            return context.get_dummy_value()
+
+        return types.void(array, first), codegen
+
+    return move(inwards=True), move(inwards=False), expect
+
+
+def row_moves(lanes: int) -> tuple[Any, Any]:
+    """Functions `gather` and `scatter`: lanes of adjoining slots from, and to, rows of an array.
+
+    `gather(w, at, rows, first)` fills a slot per column, from offset `at` on, with a row per lane;
+    the last row stands in for missing ones. `scatter(w, at, rows, row)` writes the lane at offset
+    `at` of every slot into a row. Numbers are converted.
+    """
+
+    def gathered(builder, slots, data, count, columns, down, along, first):  # type: ignore[no-untyped-def]
+        last = builder.sub(count, WORD(1))
+        offsets = []
+        for b in range(lanes):
+            row = builder.add(first, WORD(b))
+            row = builder.select(builder.icmp_unsigned("<", row, last), row, last)
+            offsets.append(builder.mul(row, down))
+        with for_range(builder, columns) as loop:
+            place = builder.mul(loop.index, along)
+            slot = builder.gep(slots, [builder.mul(loop.index, WORD(lanes))])
+            for b, offset in enumerate(offsets):
+                value = builder.load(_element(builder, data, builder.add(offset, place)))
+                value = _converted(builder, value, slots.type.pointee)
+                builder.store(value, builder.gep(slot, [WORD(b)]))
+
+    def scattered(builder, slots, data, count, columns, down, along, row):  # type: ignore[no-untyped-def]
+        start = builder.mul(row, down)
+        with for_range(builder, columns) as loop:
+            slot = builder.gep(slots, [builder.mul(loop.index, WORD(lanes))])
+            value = _converted(builder, builder.load(slot), data.type.pointee)
+            place = builder.add(start, builder.mul(loop.index, along))
+            builder.store(value, _element(builder, data, place))
+
+    def move(body: Callable[..., None]) -> Any:
+        @intrinsic
+        def rows_moved(typingctx, w, at, rows, row):  # type: ignore[no-untyped-def]
+            def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+                slots = context.make_array(signature.args[0])(context, builder, args[0]).data
+                array = context.make_array(signature.args[2])(context, builder, args[2])
+                sizes = [*unpack_tuple(builder, array.shape), *unpack_tuple(builder, array.strides)]
+                given = [builder.gep(slots, [args[1]]), array.data, *sizes, args[3]]
+                name = f"{body.__name__}_{slots.type.pointee}_{array.data.type.pointee}"
+                builder.call(once(builder.module, name, given, body), given)
+                return context.get_dummy_value()
+
+            return types.void(w, at, rows, row), codegen
+
+        return rows_moved
+
+    return move(gathered), move(scattered)
+
+
+def _element(builder: ir.IRBuilder, data: ir.Value, offset: ir.Value) -> ir.Value:
+    """Address so many bytes on."""
+    bytes_ = builder.bitcast(data, ir.IntType(8).as_pointer())
+    return builder.bitcast(builder.gep(bytes_, [offset]), data.type)
+
+
+def _converted(builder: ir.IRBuilder, value: ir.Value, kind: ir.Type) -> ir.Value:
+    """A number, or a vector of them, in another precision."""
+    if value.type == kind:
+        return value
+    narrower = isinstance(getattr(kind, "element", kind), ir.FloatType)
+    return builder.fptrunc(value, kind) if narrower else builder.fpext(value, kind)

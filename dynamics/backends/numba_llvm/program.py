@@ -1,0 +1,168 @@
+"""Generated modules: written once, kept in the cache, run from verified text.
+
+A module is named by a hash of all that determines it: a warm start neither traces nor imports
+CasADi, and a changed recursion has another hash, so that it cannot run stale.
+"""
+
+import hashlib
+import json
+import sys
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from importlib.metadata import version
+from itertools import accumulate
+from pathlib import Path
+from types import ModuleType
+
+from dynamics import cache
+from dynamics.backends.numba_llvm.methods import method_text
+from dynamics.backends.numba_llvm.module_text import (
+    Addition,
+    expanded,
+    module_text,
+    straight_line_text,
+)
+from dynamics.backends.numba_llvm.stepper_entries import ENTRIES, FREE_BASE, STEPS
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.runtime.jit import DIGEST
+from dynamics.tracing import graphs
+from dynamics.tracing.function import Function, finite_check, traced
+from dynamics.tracing.traced_arm import TracedArm
+
+PACKAGE = Path(__file__).resolve().parents[2]
+GENERATING = ("description", "integrators", "formulations", "tracing", "backends", "runtime")
+_importing = threading.RLock()
+
+
+def hash_of_files(paths: Iterable[Path]) -> str:
+    """Hash of the contents of files."""
+    digest = hashlib.sha256()
+    for path in sorted(paths):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def sources(rooms: Iterable[str]) -> list[Path]:
+    """Python files of some rooms of the package."""
+    return [path for room in rooms for path in (PACKAGE / room).rglob("*.py")]
+
+
+# as imported: a file edited later does not speak for the code in memory
+_SOURCES = hash_of_files(sources(GENERATING))
+
+
+def fingerprint(*parts: str) -> str:
+    """Hash of a description, of the sources that generate code and the versions that compile it."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part.encode() + b"\0")
+    digest.update(_SOURCES.encode())
+    for package in ("numba", "casadi", "numpy"):
+        digest.update(version(package).encode())
+    digest.update(sys.version.encode())
+    return digest.hexdigest()[:20]
+
+
+def program(
+    arm: TracedArm, dtype: str, lanes: int, integrator: str, addition: Addition | None = None
+) -> ModuleType:
+    """The generated module of an arm for a number of lanes and a method.
+
+    `addition` replaces the stepper's measurements and entry points by others.
+    """
+    added = addition or stepping(arm)
+    described = json.dumps(arm.arm.to_dict(), sort_keys=True)
+    free = ",".join(arm.free_parameters)
+    key = fingerprint(described, free, str(lanes), integrator, dtype, arm.formulation, added.key)
+    return cached_module(key, lambda: generate(arm, dtype, lanes, integrator, added))
+
+
+def generate(arm: TracedArm, dtype: str, lanes: int, integrator: str, added: Addition) -> str:
+    """Text of the module of `program`."""
+    method = INTEGRATORS[integrator]
+    if arm.arm.base.n and method.kept(arm.n):
+        others = [name for name, other in INTEGRATORS.items() if not other.kept(arm.n)]
+        raise ValueError(
+            f"integrator {integrator!r} remembers earlier steps, but a free base has new "
+            f"coordinates after every step; take one of {others}."
+        )
+    graphs.check_rest(arm)
+    sizes = {
+        **({"ATTITUDE": 4} if arm.arm.base.n else {}),
+        "Q": arm.n, "V": arm.n, "TAU": arm.n_joint,
+        "PARAMETERS": len(arm.free_parameters) + arm.n_gravity,
+        "IMPLICIT": 2 + arm.n, "ACC": arm.n, "H": 1, "SCRATCH": method.scratch(arm.n),
+        **added.sizes,
+    }  # fmt: skip
+    starts = list(accumulate(sizes.values(), initial=0))
+    at = dict(zip(sizes, starts, strict=False))
+    inputs = [at[name] for name in ("Q", "V", "TAU", "PARAMETERS", "IMPLICIT")]
+    graph = graphs.accelerations(arm, method.implicit)
+    own = traced("accelerations", graph, inputs, at["ACC"])
+    further = added.functions(at)
+    stepped = method_text(integrator, arm, at, inputs)
+    free_base = FREE_BASE if arm.arm.base.n else dict.fromkeys(FREE_BASE, ())
+    marks = {
+        "#evaluate": ["accelerations(w)"], **STEPS, **stepped.marks, **free_base, **added.marks,
+    }  # fmt: skip
+    return module_text(
+        title=f"{arm.arm.name or 'arm'}, {lanes} lanes, {integrator}, {dtype}",
+        lanes=lanes,
+        slots=starts[-1],
+        operations=(len(own.lines), sum(len(function.lines) for function in further)),
+        constants=at | {"N": arm.n},
+        functions=[
+            straight_line_text(function)
+            for function in (own, *further, *_renewal(arm, at), *stepped.functions)
+        ],
+        entries=expanded("\n".join([*stepped.setting, added.entries]), marks),
+    )
+
+
+def stepping(arm: TracedArm) -> Addition:
+    """A stepper's part: measurements, and a check for numbers that are not finite."""
+
+    def functions(at: Mapping[str, int]) -> list[Function]:
+        inputs = [at[name] for name in ("Q", "V", "ATTITUDE") if name in at]
+        state = range(at.get("ATTITUDE", at["Q"]), at["V"] + arm.n)
+        return [
+            traced("measure", graphs.measure(arm), inputs, at["MEASURED"]),
+            finite_check(state, at["CHECK"], at["GOOD"]),
+        ]
+
+    sizes = {"CHECK": 1, "GOOD": 1, "MEASURED": arm.n_measure}
+    return Addition(key="stepper", sizes=sizes, functions=functions, entries=ENTRIES)
+
+
+def _renewal(arm: TracedArm, at: Mapping[str, int]) -> list[Function]:
+    """The function that follows every step with a free base."""
+    if not arm.arm.base.n:
+        return []
+    places = {**at, "GRAVITY": at["PARAMETERS"] + len(arm.free_parameters)}
+    graph, sizes = graphs.renewal(arm.arm.gravity)
+    inputs = [places[name] for name in list(sizes)[:3]]
+    outputs = [places[name] + i for name, size in sizes.items() for i in range(size)]
+    return [traced("renew", graph, inputs, outputs)]
+
+
+def cached_module(key: str, build: Callable[[], str]) -> ModuleType:
+    """The generated module of this key; `build` writes its text where the cache has none."""
+    name = f"flexarm_generated_{key}"
+    with _importing:
+        if name not in sys.modules:
+            sys.modules[name] = _executed(name, cache.kept(f"{name}.py", build))
+        return sys.modules[name]
+
+
+def _executed(name: str, text: str) -> ModuleType:
+    """A module made of this very text, which was verified; Python's own cache of code was not."""
+    module = ModuleType(name)
+    module.__file__ = str(cache.cache_folder() / f"{name}.py")
+    module.__dict__[DIGEST] = hashlib.sha256(text.encode()).hexdigest()
+    sys.modules[name] = module  # numba looks there for the module of a function
+    try:
+        exec(compile(text, module.__file__, "exec"), module.__dict__)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module

@@ -1,0 +1,100 @@
+"""Entry points of a stepper's module: loops over blocks of environments, as templates.
+
+They are text because numba compiles functions of a module, and what they call (the arm's own
+functions, the integrator's stretches) differs from module to module. A line that is a mark, such as
+`#step`, stands for the lines that `module_text.expanded` puts in its place.
+"""
+
+LANES = 16  # of a batch's blocks in float64; twice as many fit the same registers in float32
+LANES_OF = {"float64": LANES, "float32": 2 * LANES}
+
+# w[H] is the length of the steps that w is prepared for, and zero at first
+STEPS = {
+    "#steps": [
+        "h = w.dtype.type(dt)", "if w[H] != h:", "    for b in range(LANES):",
+        "        w[H + b] = h", "    #prepare",
+    ],
+}  # fmt: skip
+# What a stepper's module adds to its arm's `accelerations(w)`, `measure(w)` and `check(w)`. Lines
+# that are marks stand for others: #steps, a method's #start and #step, the rest of a free base.
+ENTRIES = """
+gather, scatter = row_moves(int(LANES))
+
+
+@outermost
+def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, measured):
+    #steps
+    start, stop = first_turn(rows, thread)
+    while start < stop:
+        for first in range(start, stop, LANES):
+            gather(w, Q, q, first)
+            gather(w, V, v, first)
+            gather(w, TAU, torque, first)
+            gather(w, PARAMETERS, parameters, first)
+            #enter
+            for b in range(LANES):
+                w[CHECK + b] = 0.0
+                w[GOOD + b] = 0.0
+            #start
+            for _ in range(substeps):
+                #step
+                #renew
+                check(w)
+            measure(w)
+            #leave
+            for b in range(min(LANES, stop - first)):
+                row = first + b
+                good = np.int64(w[GOOD + b])
+                if good == substeps:
+                    status[row] = 0
+                    scatter(w, Q + b, q, row)
+                    scatter(w, V + b, v, row)
+                    scatter(w, MEASURED + b, measured, row)
+                else:
+                    status[row] = good + 1
+        start, stop = take_turn(rows, thread)
+
+
+@outermost
+def measure_states(q, v, w, out):
+    rows = np.uint64(q.shape[0])
+    for block in range((rows + LANES - np.uint64(1)) // LANES):
+        first = block * LANES
+        gather(w, Q, q, first)
+        gather(w, V, v, first)
+        #enter
+        measure(w)
+        for b in range(min(LANES, rows - first)):
+            scatter(w, MEASURED + b, out, first + b)
+
+
+@outermost
+def evaluate_states(q, v, torque, parameters, w, out):
+    rows = np.uint64(q.shape[0])
+    for at in range(IMPLICIT, ACC):
+        w[at] = 0.0
+    for block in range((rows + LANES - np.uint64(1)) // LANES):
+        first = block * LANES
+        gather(w, Q, q, first)
+        gather(w, V, v, first)
+        gather(w, TAU, torque, first)
+        gather(w, PARAMETERS, parameters, first)
+        #enter
+        accelerations(w)
+        #result
+        for b in range(min(LANES, rows - first)):
+            scatter(w, ACC + b, out, first + b)
+
+
+@outermost
+def evaluate_often(w, times):
+    for _ in range(times):
+        accelerations(w)
+"""
+# of an arm whose base is free; its module has a `renew(w)`: see formulations/free_base.py
+FREE_BASE = {
+    "#enter": ["enter(w, LANES, Q, V, ATTITUDE)", "renew(w)"],
+    "#renew": ["renew(w)"],
+    "#leave": ["leave(w, LANES, Q, V, ATTITUDE)"],
+    "#result": ["turn(w, LANES, ACC, ATTITUDE, 1.0)"],
+}

@@ -1,0 +1,225 @@
+"""An arm: links on a base, and a payload at the last tip. SI units; a description checks itself."""
+
+import math
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any
+
+from dynamics.description import parallel_drive, validate
+from dynamics.description.link import Body, Link
+from dynamics.description.rotations import Quaternion, to_rotation_vector
+from dynamics.description.validate import ZEROS, clean
+from dynamics.types import Matrix3, Vector3
+
+ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # word in a file -> meaning
+MOST_LINKS = 1000
+MOST_COORDINATES = 1000  # they compile in minutes
+BASE_NAMES = ("base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Payload:
+    """A rigid body held at the last link's tip; it joins that link's tip mass and inertia.
+
+    It does not change the assumed shapes, so one arm can carry many payloads.
+    """
+
+    mass: float  # [kg]
+    inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
+
+    def __post_init__(self) -> None:
+        clean(
+            self,
+            mass=validate.nonnegative(self.mass, "Payload.mass", "kg"),
+            inertia=validate.inertia(self.inertia, "Payload.inertia"),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Base:
+    """What the first joint stands on: the ground, or a rigid body that flies freely.
+
+    A free base has its own frame: the first joint's offset and rotation, centre of mass and
+    inertia are given in it. Where it starts is part of the description.
+    """
+
+    type: str = "fixed"  # | "free"
+    mass: float = 0.0  # [kg]
+    com: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of mass
+    inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the centre of mass
+    position: Vector3 = (0.0, 0.0, 0.0)  # [m] of the frame's origin in the world
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z: from the frame to the world
+    velocity: Vector3 = (0.0, 0.0, 0.0)  # [m/s] of the origin in the world
+    angular_velocity_body: Vector3 = (0.0, 0.0, 0.0)  # [rad/s] in the frame
+
+    def __post_init__(self) -> None:
+        kind = validate.choice(self.type, "Base.type", ("fixed", "free"))
+        values: dict[str, object] = {
+            "mass": validate.nonnegative(self.mass, "Base.mass", "kg"),
+            "com": validate.vector(self.com, "Base.com", "m"),
+            "inertia": validate.inertia(self.inertia, "Base.inertia"),
+            "position": validate.vector(self.position, "Base.position", "m"),
+            "quaternion": validate.quaternion(self.quaternion, "Base.quaternion"),
+            "velocity": validate.vector(self.velocity, "Base.velocity", "m/s"),
+            "angular_velocity_body": validate.vector(
+                self.angular_velocity_body, "Base.angular_velocity_body", "rad/s"
+            ),
+        }
+        clean(self, **values)
+        if kind == "free":
+            validate.positive(self.mass, "Base.mass", "kg")
+            validate.solid(self.inertia, "Base.inertia")
+            return
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name != "type" and value != entry.default:
+                raise ValueError(
+                    f'Base.{entry.name} ({value!r}) is of a free base; give type "free", or '
+                    "leave it out."
+                )
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates: position and attitude."""
+        return len(BASE_NAMES) if self.type == "free" else 0
+
+    @property
+    def q(self) -> tuple[float, ...]:
+        """(n,) [m], [rad] position and rotation vector at the start."""
+        return (*self.position, *to_rotation_vector(self.quaternion))[: self.n]
+
+    @property
+    def v(self) -> tuple[float, ...]:
+        """(n,) [m/s], [rad/s] velocity in the world, angular velocity in the base's own frame."""
+        return (*self.velocity, *self.angular_velocity_body)[: self.n]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm:
+    """A serial chain of links on a base."""
+
+    links: tuple[Link, ...]
+    name: str = ""
+    description: str = ""
+    gravity: Vector3 = (0.0, 0.0, 0.0)  # [m/s^2] in the world frame
+    rotation: str = "exp"  # of a bent end: "exp" is a true rotation, "linear" is 1 + theta~
+    foreshortening: bool = False  # u = -1/2 int (y'^2 + z'^2): fast spins stiffen
+    base: Base = field(default_factory=Base)
+    payload: Payload | None = None
+
+    def __post_init__(self) -> None:
+        links: tuple[Any, ...] = tuple(validate.sequence(self.links, "Arm.links", MOST_LINKS))
+        if not links and not (isinstance(self.base, Base) and self.base.n):
+            raise ValueError("Arm.links must hold at least one link on a fixed base, got [].")
+        for i, link in enumerate(links):
+            validate.instance(link, f"Arm.links[{i}]", Link)
+        count = sum(1 + link.joint.elastic + link.segments * len(link.modes) for link in links)
+        if count > MOST_COORDINATES:
+            raise ValueError(
+                f"Arm.links must have at most {MOST_COORDINATES} coordinates (joints, springs, "
+                f"modes of every segment), got {count}; use fewer Link.segments or Link.modes."
+            )
+        validate.boolean(self.foreshortening, "Arm.foreshortening")
+        validate.instance(self.base, "Arm.base", Base)
+        if self.payload is not None:
+            validate.instance(self.payload, "Arm.payload", Payload)
+        clean(
+            self,
+            links=links,
+            name=validate.text(self.name, "Arm.name"),
+            description=validate.text(self.description, "Arm.description"),
+            gravity=validate.vector(self.gravity, "Arm.gravity", "m/s^2"),
+            rotation=ROTATIONS[validate.choice(self.rotation, "Arm.rotation", ROTATIONS)],
+        )
+        parallel_drive.check(self.links)
+        if not links:
+            if self.payload is not None:
+                raise ValueError(f"Arm.payload ({self.payload!r}) needs a link that holds it.")
+            return
+        last = self.links[-1]
+        if not _moved(last, self.payload) > 0.0:
+            raise ValueError(
+                "The last link has no inertia that its joint could move (the mass matrix would be "
+                f"singular), got Link.body = {last.body!r}; give mass off the axis or inertia."
+            )
+        polar = last.rho_Ip + last.tip_inertia[0][0]
+        polar += self.payload.inertia[0][0] if self.payload else 0.0
+        if last.in_direction("x") and polar == 0.0:
+            raise ValueError(
+                "The last link has a torsion mode but no inertia about x (the mass matrix would be "
+                "singular), got Link.rho_Ip = 0.0 and Link.tip_inertia[0][0] = 0.0; give one."
+            )
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates: base, joint angles, twists of joint springs, modal amplitudes."""
+        return len(self.names)
+
+    @property
+    def n_joint(self) -> int:
+        """Number of joints, one per link."""
+        return len(self.links)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """A free base's six, then link by link, inside out: "q1", "d1_1", "d1_2", ..., "q2", ...
+
+        q is the rotor of an elastic joint; the twist of its spring follows it: "q1", "s1", "d1_1".
+        """
+        return BASE_NAMES[: self.base.n] + tuple(
+            name
+            for i, link in enumerate(self.links, 1)
+            for modes in [range(1, link.segments * len(link.modes) + 1)]
+            for twist in [() if not link.joint.elastic else (f"s{i}",)]
+            for name in (f"q{i}", *twist, *(f"d{i}_{j}" for j in modes))
+        )
+
+    @property
+    def joint_index(self) -> tuple[int, ...]:
+        """(n_joint,) place of each joint angle among the coordinates."""
+        return tuple(k for k, name in enumerate(self.names) if name.startswith("q"))
+
+    @property
+    def reach(self) -> float:
+        """Length of the stretched arm, joint offsets included [m]."""
+        return sum(link.length + math.hypot(*link.joint.offset) for link in self.links)
+
+    @property
+    def carried(self) -> tuple[Payload | None, ...]:
+        """(n_joint,) what each link carries beyond its own tip mass: the last one the payload."""
+        return (*len(self.links) * (None,), self.payload)[1:]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The arm as plain lists, numbers and text, defaults left out; `load_arm` reads it back."""
+        return _plain(self)
+
+
+def _moved(link: Link, payload: Payload | None) -> float:
+    """Inertia about the joint axis, or mass, that a last link's joint moves [kg m^2 or kg]."""
+    tip_mass, tip_inertia = link.tip_mass, link.tip_inertia[2][2]
+    if payload is not None:
+        tip_mass, tip_inertia = tip_mass + payload.mass, tip_inertia + payload.inertia[2][2]
+    rotor = link.joint.rotor_inertia if link.joint.stiffness is None else 0.0
+    body = link.body or Body(mass=0.0)
+    if link.joint.type == "prismatic":
+        return rotor + link.rho_A * link.length + body.mass + tip_mass
+    turned = link.rho_A * link.length + tip_mass  # at a distance, if the link has a length
+    own = body.inertia[2][2] + body.mass * math.hypot(*body.com[:2]) + tip_inertia
+    return rotor + link.joint.hub_inertia + own + turned * link.length
+
+
+def _plain(value: Any) -> Any:
+    """A description as JSON would hold it."""
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    if not hasattr(value, "__dataclass_fields__"):
+        return value
+    return {
+        entry.name: _plain(getattr(value, entry.name))
+        for entry in fields(value)
+        if getattr(value, entry.name) != _default(entry)
+    }
+
+
+def _default(entry: Any) -> object:
+    """Default of a dataclass field; MISSING equals no value."""
+    return entry.default if entry.default_factory is MISSING else entry.default_factory()

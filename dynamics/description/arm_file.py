@@ -1,0 +1,86 @@
+"""An arm from the plain data of an arm file; `Arm.to_dict` is the way back."""
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any
+
+from dynamics.description import denavit_hartenberg, validate
+from dynamics.description.arm import MOST_LINKS, Arm, Base, Payload
+from dynamics.description.joint import Joint
+from dynamics.description.link import MOST_MODES, Body, Link
+from dynamics.description.mode_shapes import Mode
+from dynamics.description.rotations import from_euler
+
+TABLE = "denavit_hartenberg"  # instead of links: rows of a table, see that module
+ARM_KEYS = (*(entry.name for entry in fields(Arm)), "units", TABLE)
+CASE_KEYS = (  # what an arm file may hold besides the arm: a motion and what is known of it
+    "initial",
+    "torque",
+    "t_end",
+    "n_out",
+    "states",
+    "expected",
+    "conventions",
+    "checks",
+)
+
+
+def arm_from_dict(data: Mapping[str, Any]) -> Arm:
+    """An arm from plain lists, numbers and text; every unknown key is refused."""
+    keys = validate.mapping(data, "the arm", (*ARM_KEYS, *CASE_KEYS))
+    if keys.get("units", "SI") != "SI":
+        raise ValueError(f'units must be "SI", got {validate.shown(keys["units"])}.')
+    values = {key: keys[key] for key in ARM_KEYS if key in keys and key not in ("units", TABLE)}
+    if values.get("base") is not None:
+        values["base"] = _base(values["base"])
+    else:
+        values.pop("base", None)
+    if values.get("payload") is not None:
+        values["payload"] = _build(Payload, values["payload"], "payload")
+    if TABLE in keys:
+        if "links" in keys:
+            raise ValueError(f"links and {TABLE} exclude each other; give one.")
+        values["links"] = denavit_hartenberg.links(denavit_hartenberg.rows(keys[TABLE]))
+        return Arm(**values)  # type: ignore[arg-type]
+    links = validate.sequence(values.get("links", []), "links", MOST_LINKS)
+    values["links"] = [_link(entry, f"links[{i}]") for i, entry in enumerate(links)]
+    return Arm(**values)  # type: ignore[arg-type]
+
+
+def _link(data: object, where: str) -> Link:
+    values = validate.mapping(data, where, [entry.name for entry in fields(Link)])
+    if "joint" in values:
+        values["joint"] = _build(Joint, values["joint"], f"{where}.joint")
+    if values.get("body") is not None:
+        values["body"] = _build(Body, values["body"], f"{where}.body")
+    if "modes" in values:
+        modes = validate.sequence(values["modes"], f"{where}.modes", MOST_MODES)
+        values["modes"] = [_build(Mode, m, f"{where}.modes[{j}]") for j, m in enumerate(modes)]
+    link: Link = _build(Link, values, where)
+    return link
+
+
+def _base(data: object) -> Base:
+    """A base; 3-2-1 Euler angles (theta about 3, phi about 2, psi about 1) may stand for it."""
+    names = [entry.name for entry in fields(Base)]
+    values = validate.mapping(data, "base", [*names, "euler"])
+    if "euler" in values:
+        if "quaternion" in values:
+            raise ValueError("base: euler and quaternion exclude each other; give one.")
+        angles = validate.vector(values.pop("euler"), "base.euler", "rad")
+        values["quaternion"] = from_euler(angles)
+    base: Base = _build(Base, values, "base")
+    return base
+
+
+def _build(cls: Any, data: object, where: str) -> Any:
+    """A description from a mapping; errors say where in the file it stands."""
+    values = validate.mapping(data, where, [entry.name for entry in fields(cls)])
+    for entry in fields(cls):
+        required = entry.default is MISSING and entry.default_factory is MISSING
+        if required and entry.name not in values:
+            raise ValueError(f"{where}: {cls.__name__}.{entry.name} is missing.")
+    try:
+        return cls(**values)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None

@@ -1,0 +1,180 @@
+"""Functions of bending beams: exponentials and sines of one wave number, and powers.
+
+A beam shape is s = a e^(b (x/l - 1)) + d e^(-b x/l) + c cos(b x/l) + s sin(b x/l): growing and
+decaying exponentials that never exceed one, so that high modes do not cancel as they would in
+cosh - sigma sinh.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dynamics.types import Array
+
+_BRACKETS = {  # (tip mass, tip inertia) -> root k lies between (k + these) pi
+    (0.0, 0.0): (-1.0, 0.0),  # free
+    (math.inf, 0.0): (0.0, 0.5),  # pinned
+    (0.0, math.inf): (-0.5, 0.0),  # slope held
+    (math.inf, math.inf): (0.0, 1.0),  # clamped
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeamShape:
+    """Exponentials and sines of one wave number."""
+
+    length: float  # [m]
+    beta: float  # [-] wave number times length
+    grow: float = 0.0  # coefficient of e^(beta (x/l - 1))
+    decay: float = 0.0  # coefficient of e^(-beta x/l)
+    cos: float = 0.0
+    sin: float = 0.0
+
+    def value(self, x: Array | float) -> Array:
+        """s(x)."""
+        return self._terms(x, 1.0, self.cos, self.sin)
+
+    def slope(self, x: Array | float) -> Array:
+        """s'(x)."""
+        return self._terms(x, -1.0, self.sin, -self.cos) * (self.beta / self.length)
+
+    def curvature(self, x: Array | float) -> Array:
+        """s''(x)."""
+        return self._terms(x, 1.0, -self.cos, -self.sin) * (self.beta / self.length) ** 2
+
+    def scaled(self, factor: float) -> "BeamShape":
+        """The same shape, larger."""
+        return replace(
+            self,
+            grow=factor * self.grow,
+            decay=factor * self.decay,
+            cos=factor * self.cos,
+            sin=factor * self.sin,
+        )
+
+    def _terms(self, x: Array | float, sign: float, cos: float, sin: float) -> Array:
+        phase = self.beta * (np.asarray(x, dtype=np.float64) / self.length)
+        result: Array = (
+            self.grow * np.exp(phase - self.beta)
+            + sign * self.decay * np.exp(-phase)
+            + cos * np.cos(phase)
+            + sin * np.sin(phase)
+        )
+        return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class PowerShape:
+    """s = factor (x/l)^power."""
+
+    length: float  # [m]
+    power: int
+    factor: float = 1.0
+
+    def value(self, x: Array | float) -> Array:
+        """s(x)."""
+        return self._term(x, 1.0, 0)
+
+    def slope(self, x: Array | float) -> Array:
+        """s'(x)."""
+        return self._term(x, self.power / self.length, 1)
+
+    def curvature(self, x: Array | float) -> Array:
+        """s''(x)."""
+        return self._term(x, self.power * (self.power - 1) / self.length**2, 2)
+
+    def scaled(self, factor: float) -> "PowerShape":
+        """The same shape, larger."""
+        return replace(self, factor=factor * self.factor)
+
+    def _term(self, x: Array | float, coefficient: float, order: int) -> Array:
+        xi = np.asarray(x, dtype=np.float64) / self.length
+        result: Array = self.factor * coefficient * xi ** max(self.power - order, 0)
+        return result
+
+
+Shape = BeamShape | PowerShape
+
+
+def clamped_root(index: int, mass: float, inertia: float) -> float:
+    """Wave number beta l of a cantilever with a body at its tip.
+
+    Adding a mass lowers every root, but not below the root before it of the beam held there
+    (infinite mass); likewise for the rotary inertia. These bounds leave one root in each bracket.
+
+    Parameters
+    ----------
+    mass : [-] tip mass over beam mass; infinite: tip pinned.
+    inertia : [-] tip inertia over (rho_A l^3); infinite: tip slope held.
+    """
+    if (mass, inertia) in _BRACKETS:
+        low, high = ((index + bound) * math.pi for bound in _BRACKETS[mass, inertia])
+    elif inertia in (0.0, math.inf):
+        low = clamped_root(index - 1, math.inf, inertia) if index > 1 else 0.0
+        high = clamped_root(index, 0.0, inertia)
+    else:
+        low = clamped_root(index - 1, mass, math.inf) if index > 1 else 0.0
+        high = clamped_root(index, mass, 0.0)
+    if low == 0.0 and mass < math.inf:  # Dunkerley's bound from below
+        alone = mass / 3.0 + inertia if inertia < math.inf else mass / 12.0
+        low = 0.99 * (1.0 / 1.85**4 + alone) ** -0.25
+    return _bisect(lambda beta: _clamped_determinant(beta, mass, inertia), low, high)
+
+
+def clamped(beta: float, mass: float, inertia: float, length: float) -> BeamShape:
+    """s = s' = 0 at the root, s = cosh - cos - sigma (sinh - sin)."""
+    moment, force = _tip_conditions(beta, mass, inertia)
+    # Either condition fixes the ratio; the larger one does so without cancelling.
+    row = max((moment, force), key=lambda pair: abs(pair[0]) + abs(pair[1]))
+    grow, decay = -row[1], row[0]
+    end = math.exp(-beta)
+    size = decay + grow * end  # the coefficient of -cos becomes one
+    grow, decay = grow / size, decay / size
+    return BeamShape(
+        length=length, beta=beta, grow=grow, decay=decay, cos=-1.0, sin=decay - grow * end
+    )
+
+
+def _tip_conditions(
+    beta: float, mass: float, inertia: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Moment and force at the tip of the two functions that are clamped at the root.
+
+    f = e^(b(xi - 1)) - e^-b (cos b xi + sin b xi),   g = e^(-b xi) - cos b xi + sin b xi;
+    moment: s'' - inertia b^4 s' = 0, force: s''' + mass b^4 s = 0, derivatives in xi.
+    """
+    end, c, s = math.exp(-beta), math.cos(beta), math.sin(beta)
+    f = (1.0 - end * (c + s), 1.0 + end * (s - c), 1.0 + end * (c + s), 1.0 - end * (s - c))
+    g = (end - c + s, -end + s + c, end + c - s, -end - s - c)
+    p, q = _shares(inertia * beta**3)
+    u, w = _shares(mass * beta)
+    return (
+        (p * f[2] - q * f[1], p * g[2] - q * g[1]),
+        (u * f[3] + w * f[0], u * g[3] + w * g[0]),
+    )
+
+
+def _shares(ratio: float) -> tuple[float, float]:
+    """(1, ratio), scaled to sum one; also for an infinite ratio."""
+    return (0.0, 1.0) if ratio == math.inf else (1.0 / (1.0 + ratio), ratio / (1.0 + ratio))
+
+
+def _clamped_determinant(beta: float, mass: float, inertia: float) -> float:
+    moment, force = _tip_conditions(beta, mass, inertia)
+    return moment[0] * force[1] - moment[1] * force[0]
+
+
+def _bisect(function: Callable[[float], float], low: float, high: float) -> float:
+    """The one root in a bracket, to the last bit; an end that is a root to round-off counts."""
+    low, high = low * (1.0 - 1e-12), high * (1.0 + 1e-12)
+    at_low, at_high = function(low), function(high)
+    if (at_low > 0.0) == (at_high > 0.0):
+        return low if abs(at_low) < abs(at_high) else high
+    while low < (middle := 0.5 * (low + high)) < high:
+        if (function(middle) > 0.0) == (at_low > 0.0):
+            low = middle
+        else:
+            high = middle
+    return high

@@ -1,0 +1,106 @@
+"""JSON and YAML files of strangers: read as data, within stated limits, never guessed at."""
+
+import json
+import stat
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dynamics.description.validate import shown
+
+MOST_BYTES = {".json": 16_777_216, ".yaml": 1_048_576, ".yml": 1_048_576}
+MOST_NODES = 50_000  # values of a YAML file, each alias counted as all that it stands for
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """The mapping in a JSON or YAML file; a key given twice is refused.
+
+    Raises
+    ------
+    ValueError : one sentence on why the file cannot be read.
+    """
+    content = _text(path)
+    try:
+        if path.suffix == ".json":
+            data = json.loads(content, object_pairs_hook=_unique)
+        else:
+            data = yaml.load(content, _Loader)  # a SafeLoader
+    except json.JSONDecodeError as error:
+        raise ValueError(
+            f"is not valid JSON: {error.msg} at line {error.lineno}, column {error.colno}."
+        ) from None
+    except yaml.YAMLError as error:
+        raise ValueError(f"is not valid YAML: {' '.join(str(error).split())}.") from None
+    except RecursionError:
+        raise ValueError("is nested too deeply.") from None
+    except (TypeError, OverflowError) as error:  # PyYAML's, of odd keys, dates and numbers
+        raise ValueError(f"holds a value that cannot be read: {error}.") from None
+    if not isinstance(data, dict):
+        raise ValueError(f"must hold a mapping at the top, got a {type(data).__name__}.")
+    return data
+
+
+def _text(path: Path) -> str:
+    if path.suffix not in MOST_BYTES:
+        raise ValueError(f"must end in .json, .yaml or .yml, got {shown(path.suffix)}.")
+    most = MOST_BYTES[path.suffix]
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):  # a pipe would be waited for
+            raise OSError("not a regular file")
+        with open(path, "rb") as file:
+            content = file.read(most + 1)
+    except FileNotFoundError:
+        raise ValueError(f"no such file: {path}.") from None
+    except (OSError, ValueError) as error:  # a ValueError of a path with a zero byte
+        raise ValueError(f"cannot read {shown(str(path))}: {error}.") from None
+    if len(content) > most:
+        raise ValueError(f"must have at most {most} bytes, got more.")
+    try:
+        return content.decode()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"must be UTF-8 text ({error.reason} at byte {error.start}).") from None
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; a key given twice is refused."""
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        names = [name for name, _ in pairs]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        raise ValueError(f"the keys {repeated} stand twice in one object; keep one of each.")
+    return result
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML's safe loader, with limits, and without its silence about two equal keys."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._sizes: dict[int, int] = {}  # by node, its values and those within it
+        self._count = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Count values; an alias counts as all that it stands for."""
+        alias = self.check_event(yaml.AliasEvent)
+        node: Any = super().compose_node(parent, index)
+        if alias and id(node) not in self._sizes:
+            raise ValueError("must not hold an alias within what it stands for.")
+        if not alias:
+            within = (self._sizes[id(child)] for child in _children(node))
+            self._sizes[id(node)] = 1 + sum(within)
+        self._count += self._sizes[id(node)] if alias else 1
+        if self._count > MOST_NODES:
+            raise ValueError(f"must hold at most {MOST_NODES} values, aliases written out.")
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        pairs = [(str(self.construct_object(key, deep=True)), None) for key, _ in node.value]
+        _unique(pairs)
+        return super().construct_mapping(node, deep=deep)
+
+
+def _children(node: yaml.Node) -> list[Any]:
+    if isinstance(node, yaml.MappingNode):
+        return [part for pair in node.value for part in pair]
+    return node.value if isinstance(node, yaml.SequenceNode) else []

@@ -1,0 +1,157 @@
+"""A link: beam, joint and tip body, with the shapes it may bend in."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from dynamics.description import validate
+from dynamics.description.joint import Joint
+from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, are_independent, shape
+from dynamics.description.validate import ZEROS, clean
+from dynamics.types import Matrix3, Vector3
+
+MOST_MODES = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """The mass of a rigid link of any form, in the frame of the link."""
+
+    mass: float  # [kg]
+    com: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of mass
+    inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the centre of mass
+
+    def __post_init__(self) -> None:
+        clean(
+            self,
+            mass=validate.nonnegative(self.mass, "Body.mass", "kg"),
+            com=validate.vector(self.com, "Body.com", "m"),
+            inertia=validate.inertia(self.inertia, "Body.inertia"),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """A slender link behind a joint; flexible if it has modes, rigid if it has none.
+
+    A rigid link may have a `body` instead of a mass per unit length, or both, and with a body the
+    length may be zero.
+    """
+
+    length: float  # [m] joint axis to tip
+    rho_A: float = 0.0  # [kg/m] mass per unit length
+    EIz: float | None = None  # [N m^2] flexural rigidity for deflection along y
+    EIy: float | None = None  # [N m^2] flexural rigidity for deflection along z
+    GJ: float | None = None  # [N m^2] torsional rigidity
+    EA: float | None = None  # [N] axial rigidity
+    rho_Ip: float = 0.0  # [kg m] polar rotary inertia per unit length
+    tip_mass: float = 0.0  # [kg] point mass at the tip
+    tip_inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
+    modes: tuple[Mode, ...] = ()
+    damping_ratio: float = 0.0  # [-] the same for every bending mode, of a segment's own
+    damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
+    segments: int = 1  # equal welded parts, each with all the modes: for large deflections
+    joint: Joint = field(default_factory=Joint)
+    body: Body | None = None  # of a rigid link
+
+    def __post_init__(self) -> None:
+        at_least = validate.positive if self.body is None else validate.nonnegative
+        clean(
+            self,
+            length=at_least(self.length, "Link.length", "m"),
+            rho_A=at_least(self.rho_A, "Link.rho_A", "kg/m"),
+            rho_Ip=validate.nonnegative(self.rho_Ip, "Link.rho_Ip", "kg m"),
+            tip_mass=validate.nonnegative(self.tip_mass, "Link.tip_mass", "kg"),
+            tip_inertia=validate.inertia(self.tip_inertia, "Link.tip_inertia"),
+            damping_ratio=validate.nonnegative(self.damping_ratio, "Link.damping_ratio", "-"),
+            damping_beta=validate.nonnegative(self.damping_beta, "Link.damping_beta", "s"),
+            segments=validate.integer(self.segments, "Link.segments", 1, 1000),
+            modes=tuple(validate.sequence(self.modes, "Link.modes", MOST_MODES)),
+        )
+        for name in STIFFNESS.values():
+            value = getattr(self, name)
+            if value is not None:
+                unit = "N" if name == "EA" else "N m^2"
+                clean(self, **{name: validate.nonnegative(value, f"Link.{name}", unit)})
+        if self.segments > 1 and any(mode.kind == "pinned-free" for mode in self.modes):
+            raise ValueError(
+                f"Link.segments ({self.segments!r}) must be 1 with pinned-free modes: "
+                "inner segments are welded at their roots."
+            )
+        if self.damping_ratio > 0.0 and self.damping_beta > 0.0:
+            raise ValueError(
+                f"Link.damping_ratio ({self.damping_ratio!r}) and Link.damping_beta "
+                f"({self.damping_beta!r}) exclude each other; give one."
+            )
+        validate.instance(self.joint, "Link.joint", Joint)
+        self._check_body()
+        self._check_modes()
+
+    def _check_body(self) -> None:
+        if self.joint.type == "prismatic" and any(m.kind == "pinned-free" for m in self.modes):
+            raise ValueError(
+                "Link.modes must not hold pinned-free with a prismatic joint: it would not turn "
+                "their root."
+            )
+        if self.body is None:
+            return
+        validate.instance(self.body, "Link.body", Body)
+        if self.modes or self.segments > 1:
+            raise ValueError(
+                f"Link.body is for a rigid link in one piece, got {len(self.modes)} modes and "
+                f"{self.segments} segments; use rho_A and tip_mass."
+            )
+
+    def _check_modes(self) -> None:
+        for j, mode in enumerate(self.modes):
+            validate.instance(mode, f"Link.modes[{j}]", Mode)
+            stiffness = getattr(self, STIFFNESS[mode.direction])
+            if stiffness is None or not stiffness > 0.0:
+                raise ValueError(
+                    f"Link.{STIFFNESS[mode.direction]} must be positive for the mode along "
+                    f"{mode.direction!r} ({mode.kind} {mode.index}), got {stiffness!r}. "
+                    f"Unit: [{'N' if mode.direction == 'axial' else 'N m^2'}]."
+                )
+        repeated = Counter((mode.kind, mode.index, mode.direction) for mode in self.modes)
+        for (kind, index, direction), count in repeated.items():
+            if count > 1:
+                raise ValueError(
+                    f"Link.modes holds {kind} {index} along {direction!r} {count} times; "
+                    "list each mode once."
+                )
+        torsion = self.in_direction("x")
+        if len(torsion) > 1 and self.rho_Ip == 0.0:
+            raise ValueError(
+                f"Link.rho_Ip must be positive for {len(torsion)} torsion modes, got 0.0: "
+                "a tip inertia alone carries only one."
+            )
+        polar = self.rho_Ip + self.tip_inertia[0][0]
+        if polar == 0.0 and any(mode.norm == "mass" for mode in torsion):
+            raise ValueError(
+                "Mode.norm 'mass' of a torsion mode needs Link.rho_Ip or Link.tip_inertia about x, "
+                'got 0.0 for both; use "tip-unit".'
+            )
+        for mode in self.modes:
+            shape(mode, self.beam)  # refuses what it cannot shape
+        for direction in STIFFNESS:
+            modes = self.in_direction(direction)
+            if not are_independent(modes, self.beam):
+                named = [f"{mode.kind} {mode.index}" for mode in modes]
+                raise ValueError(
+                    f"Link.modes along {direction!r} are linearly dependent ({', '.join(named)}); "
+                    "leave out the shape that repeats another."
+                )
+
+    @property
+    def beam(self) -> Beam:
+        """The beam that the shapes of the modes belong to."""
+        return Beam(
+            length=self.length,
+            rho_A=self.rho_A,
+            rho_Ip=self.rho_Ip,
+            tip_mass=self.tip_mass,
+            tip_inertia=self.tip_inertia,
+        )
+
+    def in_direction(self, direction: str) -> tuple[Mode, ...]:
+        """The link's modes along "x" (torsion), "y" or "z" (bending), or "axial"."""
+        return tuple(mode for mode in self.modes if mode.direction == direction)

@@ -1,0 +1,265 @@
+"""Checks of single values at the boundary: each returns the clean value or raises one sentence."""
+
+import difflib
+import math
+import reprlib
+import sys
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from numbers import Integral, Real
+from typing import TypeVar
+
+import numpy as np
+
+from dynamics.types import Matrix3, Vector3
+
+T = TypeVar("T")
+
+ZEROS: Matrix3 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+IDENTITY: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+_REPR = reprlib.Repr()  # visits few entries of what is large or nested
+_REPR.maxlist = _REPR.maxtuple = _REPR.maxdict = 12
+_REPR.maxstring = _REPR.maxother = _REPR.maxlong = 80
+_LARGEST = 1e30  # in any SI unit; beyond it, and for a length below its inverse, floats overflow
+_ORTHONORMAL = 1e-9  # [-] largest entry of R'R - 1 of a mounting rotation
+_ROUND_OFF = 1e-15  # [-] of a length that is one
+_UNIT = 1e-6  # [-] largest error of a quaternion's length
+_SYMMETRIC = 1e-9  # [-] largest asymmetry of an inertia, relative to its largest entry
+
+
+def number(value: object, name: str, unit: str = "") -> float:
+    """A finite float; booleans and text are not numbers."""
+    what = f"{name}{f' [{unit}]' if unit else ''}"
+    if isinstance(value, str):
+        remedy = "remove the quotes; YAML reads 3e-4 as text, write 3.0e-4"
+        raise ValueError(f"{what} must be a number, got the text {shown(value)} ({remedy}).")
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise ValueError(f"{what} must be a number, got {shown(value)}.")
+    try:
+        result = float(value)
+    except OverflowError:
+        result = math.inf
+    if not math.isfinite(result):
+        raise ValueError(f"{what} must be a finite number, got {shown(value)}.")
+    if abs(result) > _LARGEST:
+        raise ValueError(f"{what} must be at most {_LARGEST:g} in size, got {result!r}.")
+    return result
+
+
+def positive(value: object, name: str, unit: str) -> float:
+    """A finite float above zero."""
+    result = number(value, name, unit)
+    if not result > 0.0:
+        raise ValueError(f"{name} must be positive, got {result!r}. Unit: [{unit}].")
+    if result < 1.0 / _LARGEST:
+        raise ValueError(f"{name} [{unit}] must be at least {1.0 / _LARGEST:g}, got {result!r}.")
+    return result
+
+
+def nonnegative(value: object, name: str, unit: str) -> float:
+    """A finite float, zero or above."""
+    result = number(value, name, unit)
+    if not result >= 0.0:
+        raise ValueError(f"{name} must not be negative, got {result!r}. Unit: [{unit}].")
+    return result
+
+
+def integer(value: object, name: str, least: int, most: int) -> int:
+    """An int between two bounds, both allowed; 2.0 is not an int."""
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise ValueError(f"{name} must be an int, got {shown(value)}.")
+    result = int(value)
+    if not least <= result <= most:
+        raise ValueError(f"{name} must be between {least} and {most}, got {shown(result)}.")
+    return result
+
+
+def choice(value: object, name: str, known: Collection[str]) -> str:
+    """One of a few words."""
+    if not isinstance(value, str) or value not in known:
+        raise ValueError(f"{name} must be one of {sorted(known)}, got {shown(value)}.")
+    return value
+
+
+def clean(described: object, **values: object) -> None:
+    """Store checked values in a frozen dataclass."""
+    for name, value in values.items():
+        object.__setattr__(described, name, value)
+
+
+def instance(value: object, name: str, kind: type[T]) -> T:
+    """An object of a class."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be a {kind.__name__}, got {shown(value)}.")
+    return value
+
+
+def known(value: object, noun: str, names: Collection[str]) -> str:
+    """One of the names in a table."""
+    if not isinstance(value, str) or value not in names:
+        raise ValueError(f"Unknown {noun} {shown(value)}. Known: {sorted(names)}.")
+    return value
+
+
+def boolean(value: object, name: str) -> bool:
+    """True or false, and not a number that stands for it."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} must be true or false, got {shown(value)}.")
+    return value
+
+
+def text(value: object, name: str) -> str:
+    """A string."""
+    if not isinstance(value, str):
+        raise ValueError(f"{name} must be text, got {shown(value)}.")
+    return value
+
+
+def numbers(value: object, name: str, size: int | None = None, unit: str = "") -> tuple[float, ...]:
+    """(size,) finite floats from a list, tuple or array."""
+    entries = sequence(value, name)
+    if size is not None and len(entries) != size:
+        raise ValueError(f"{name} must have {size} numbers, got {len(entries)}: {shown(value)}.")
+    return tuple(number(entry, f"{name}[{k}]", unit) for k, entry in enumerate(entries))
+
+
+def array(
+    value: object, name: str, shape: tuple[int | None, ...], most: float = sys.float_info.max
+) -> np.ndarray:
+    """A float64 array of finite numbers, a copy; None in the shape stands for any length."""
+    try:
+        given = np.asarray(value)
+        result = np.array(given, dtype=np.float64) if given.dtype.kind in "iufO" else None
+    except (TypeError, ValueError, OverflowError):
+        result = None
+    if result is None:
+        raise ValueError(f"{name} must hold numbers, got {shown(value)}.")
+    lengths = zip(result.shape, shape, strict=False)
+    if result.ndim != len(shape) or any(b not in (None, a) for a, b in lengths):
+        wanted = str(shape).replace("None", "N")
+        raise ValueError(f"{name} must have shape {wanted}, got {result.shape}.")
+    if not (np.abs(result) <= most).all():
+        size = f" of at most {most:g} in size" if most < sys.float_info.max else ""
+        raise ValueError(f"{name} must hold finite numbers{size}, got {shown(value)}.")
+    return result
+
+
+def finite(values: np.ndarray, name: str) -> np.ndarray:
+    """Answers about a state, all finite."""
+    if not np.isfinite(values).all():
+        raise ValueError(
+            f"{name} at this state must be finite: its deflections or rates are beyond what the "
+            "model can mean."
+        )
+    return values
+
+
+@contextmanager
+def double_precision(what: str) -> Iterator[None]:
+    """Refuse an arm whose computation overflows, divides by zero or meets a singular matrix."""
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            yield
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        raise ValueError(
+            f"{what} cannot be computed in double precision ({error}): lengths, masses, "
+            "stiffnesses or times are too far apart."
+        ) from None
+
+
+def vector(value: object, name: str, unit: str) -> Vector3:
+    """(3,) finite floats."""
+    x, y, z = numbers(value, name, 3, unit)
+    return (x, y, z)
+
+
+def matrix(value: object, name: str, unit: str) -> Matrix3:
+    """(3, 3) finite floats, row by row."""
+    rows = sequence(value, name)
+    if len(rows) != 3:
+        raise ValueError(f"{name} must have 3 rows of 3 numbers, got {len(rows)} rows.")
+    a, b, c = (vector(row, f"{name}[{k}]", unit) for k, row in enumerate(rows))
+    return (a, b, c)
+
+
+def inertia(value: object, name: str) -> Matrix3:
+    """A symmetric, positive semidefinite inertia matrix (3, 3) [kg m^2]; zero is allowed."""
+    result = matrix(value, name, "kg m^2")
+    entries = np.array(result)
+    largest = float(np.abs(entries).max())
+    if np.abs(entries - entries.T).max() > _SYMMETRIC * largest:
+        raise ValueError(f"{name} must be symmetric, got {shown(value)}.")
+    least = float(np.linalg.eigvalsh(entries)[0])
+    if least < -_SYMMETRIC * largest:
+        raise ValueError(
+            f"{name} must have no negative principal moment, got {least:.6g} in {shown(value)}."
+        )
+    return result
+
+
+def solid(value: Matrix3, name: str) -> None:
+    """Refuse an inertia (3, 3) that no body with extent has."""
+    least, middle, most = (float(x) for x in np.linalg.eigvalsh(np.array(value)))
+    if not least > _SYMMETRIC * most or most > (1.0 + _SYMMETRIC) * (least + middle):
+        raise ValueError(
+            f"{name} must be positive definite, no principal moment above the sum of the others, "
+            f"got the moments {least:.6g}, {middle:.6g}, {most:.6g}. Unit: [kg m^2]."
+        )
+
+
+def quaternion(value: object, name: str) -> tuple[float, float, float, float]:
+    """A unit quaternion [w, x, y, z]; rounding is taken back."""
+    w, x, y, z = numbers(value, name, 4)
+    size = math.hypot(w, x, y, z)
+    if abs(size - 1.0) > _UNIT:
+        raise ValueError(
+            f"{name} must have length 1 [w, x, y, z], got length {size:.6g} in {shown(value)}; "
+            "divide by it."
+        )
+    if abs(size - 1.0) < _ROUND_OFF:  # normalised before: leave it
+        return (w, x, y, z)
+    return (w / size, x / size, y / size, z / size)
+
+
+def rotation(value: object, name: str) -> Matrix3:
+    """A proper rotation matrix (3, 3): orthonormal, determinant +1."""
+    result = matrix(value, name, "-")
+    entries = np.array(result)
+    determinant = float(np.linalg.det(entries))
+    if np.abs(entries.T @ entries - np.eye(3)).max() > _ORTHONORMAL or determinant < 0.0:
+        raise ValueError(
+            f"{name} must be a rotation (orthonormal, determinant +1), got determinant "
+            f"{determinant:.6g} in {shown(value)}."
+        )
+    return result
+
+
+def sequence(value: object, name: str, most: int | None = None) -> list[object]:
+    """The entries of a list, tuple or array, `most` of them at most."""
+    if not isinstance(value, list | tuple | np.ndarray) or getattr(value, "ndim", 1) == 0:
+        raise ValueError(f"{name} must be a list, got {shown(value)}.")
+    if most is not None and len(value) > most:
+        raise ValueError(f"{name} must have at most {most} entries, got {len(value)}.")
+    return list(value)
+
+
+def mapping(value: object, name: str, known: Collection[str]) -> dict[str, object]:
+    """A mapping whose keys are all known."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be a mapping of keys to values, got {shown(value)}.")
+    for key in value:
+        if key not in known:
+            near = difflib.get_close_matches(str(key), sorted(known), n=1, cutoff=0.0)
+            raise ValueError(f"Unknown key {shown(key)} in {name}; nearest known: {near[0]!r}.")
+    return dict(value)
+
+
+def shown(value: object) -> str:
+    """A value as it looks in an error sentence: one line, not too long."""
+    plain = value.tolist() if isinstance(value, np.ndarray) and value.size < 20 else value
+    try:
+        text = " ".join(_REPR.repr(plain).split())
+    except Exception:  # of an object that cannot be shown
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= 80 else f"{text[:77]}..."

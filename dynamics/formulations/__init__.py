@@ -1,0 +1,1 @@
+"""Equations of motion of chains of flexible links."""

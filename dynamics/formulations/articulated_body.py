@@ -1,0 +1,182 @@
+"""Accelerations in O(n): each link's modes and joint are eliminated on the way inward.
+
+The same blocks as the mass matrix of gibbs_appell.py, solved link by link, as articulated-body
+algorithms do with rigid links; over any scalar type.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from dynamics.formulations.algebra import (
+    ZERO,
+    Scalar,
+    add,
+    combine,
+    cross,
+    dot,
+    is_zero,
+    minus,
+    msub,
+    mul,
+    plus,
+    scale,
+    sub,
+    symmetric,
+    tmatvec,
+)
+from dynamics.formulations.gibbs_appell import (
+    NOTHING,
+    Block,
+    Inertia,
+    Wrench,
+    block_of,
+    joint_first,
+    load_of,
+)
+from dynamics.formulations.kinematics import Chain, Frame, outward
+from dynamics.formulations.link_constants import LinkConstants
+
+
+class Implicit(NamedTuple):
+    """Linear forces taken implicitly: (M + W) a = B tau - h + W guess, W = stiffness K + damping C.
+
+    `guess` are the accelerations with which q and v were extrapolated (integrators.py).
+    """
+
+    stiffness: Scalar = 0.0  # [s^2]
+    damping: Scalar = 0.0  # [s]
+    guess: Sequence[Scalar] = ()  # (n,) accelerations
+
+
+def accelerations(
+    chain: Chain,
+    q: Sequence[Scalar],
+    v: Sequence[Scalar],
+    tau: Sequence[Scalar],
+    implicit: Implicit | None = None,
+) -> list[Scalar]:
+    """(n,) accelerations in O(n): each link's modes and joint are eliminated on the way inward."""
+    frames = outward(chain, q, v)
+    rates = chain.split(v)
+    guesses = chain.split(implicit.guess) if implicit else [(0.0, ())] * len(frames)
+    torques = iter(reversed(list(tau)))
+    solved = []
+    outer, load = NOTHING, Wrench(ZERO, ZERO)
+    for i in reversed(range(len(frames))):
+        f = frames[i]
+        wrench, forces = load_of(f, rates[i][0], load)
+        block = block_of(f, outer)
+        torque = next(torques) if f.link.driven else 0.0
+        drive = [*(mul(s, torque) for s in f.link.root_slope), torque]
+        residual = [minus(t, h) for t, h in zip(drive, forces, strict=False)]
+        if implicit:
+            take_implicitly(f.link, block.D, residual, implicit, guesses[i])
+        pivots = _eliminate(block, residual)
+        solved.append((block, residual, pivots))
+        if i:
+            held = f.link.rotor_inertia  # what resists the joint but does not load the link before
+            if implicit:
+                held = plus(held, mul(implicit.damping, f.link.viscous))
+                held = plus(held, mul(implicit.stiffness, f.link.spring))
+            inertia = _reduced(f.link, block, pivots, held)
+            outer = inertia.turned(f.R).moved(f.offset)
+            push = [mul(e, p) for e, p in zip(residual, pivots, strict=True)]
+            load = Wrench(
+                add(wrench.force, combine(push, [c.force for c in block.columns])),
+                add(wrench.moment, combine(push, [c.moment for c in block.columns])),
+            ).from_next(f.R, f.offset)
+    return _outward_solution(frames, solved[::-1])
+
+
+def take_implicitly(
+    link: LinkConstants,
+    D: list[list[Scalar]],
+    residual: list[Scalar],
+    implicit: Implicit,
+    guess: tuple[Scalar, Sequence[Scalar]],
+) -> None:
+    """Add stiffness K + damping C to one link's block, and what of them the guess has taken."""
+    m = len(link.K)
+    slopes = [*link.root_slope, 1.0]
+    values = [*guess[1], guess[0]][: len(D)]
+    for j in range(len(D)):
+        row: list[Scalar] = []
+        for k in range(len(D)):
+            both = slopes[j] * slopes[k]
+            C, K = mul(link.viscous, both), mul(link.spring, both)
+            if j < m and k < m:
+                C, K = plus(C, link.damping[j][k]), plus(K, link.K[j][k])
+            row.append(plus(mul(implicit.damping, C), mul(implicit.stiffness, K)))
+            D[j][k] = plus(D[j][k], row[k])
+        residual[j] = plus(residual[j], dot(row, values))
+
+
+def _eliminate(block: Block, residual: list[Scalar]) -> list[Scalar]:
+    """LDL' of one link's coordinates, modes first: inverse pivots; columns and D are reduced."""
+    D, columns = block.D, block.columns
+    pivots = []
+    for c in range(len(columns)):
+        inverse = 1.0 / D[c][c]
+        pivots.append(inverse)
+        for d in range(c + 1, len(columns)):
+            factor = mul(D[c][d], inverse)
+            if is_zero(factor):
+                continue
+            columns[d] = Wrench(
+                sub(columns[d].force, scale(factor, columns[c].force)),
+                sub(columns[d].moment, scale(factor, columns[c].moment)),
+            )
+            for e in range(d, len(columns)):
+                D[d][e] = minus(D[d][e], mul(factor, D[c][e]))
+            residual[d] = minus(residual[d], mul(factor, residual[c]))
+            D[c][d] = factor
+    return pivots
+
+
+def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar], held: Scalar) -> Inertia:
+    """Articulated inertia: what is left at the joint once the link's coordinates move freely."""
+    A, B, D = block.inertia
+    for column, pivot in zip(block.columns, pivots, strict=True):
+        F, N = column
+        pF, pN = scale(pivot, F), scale(pivot, N)
+        A = symmetric(lambda i, j, A=A, pF=pF, F=F: minus(A[i][j], mul(pF[i], F[j])))
+        B = msub(B, tuple(tuple(mul(pN[i], F[j]) for j in range(3)) for i in range(3)))
+        D = symmetric(lambda i, j, D=D, pN=pN, N=N: minus(D[i][j], mul(pN[i], N[j])))
+    loose = any(link.root_slope) and not is_zero(held)
+    if link.welded or link.bypassed or loose:
+        return Inertia(A, B, D)
+    # along the free axis only what holds the joint resists: exactly zero without it
+    keep = mul(held, pivots[-1])
+    z = Wrench(*(scale(keep, u) for u in block.columns[-1]))
+    if link.prismatic:
+        A = symmetric(lambda i, j, A=A: z.force[i] if j == 2 else A[i][j])
+        return Inertia(A, tuple((row[0], row[1], z.moment[i]) for i, row in enumerate(B)), D)
+    B = (B[0], B[1], z.force)
+    D = symmetric(lambda i, j, D=D: z.moment[i] if j == 2 else D[i][j])
+    return Inertia(A, B, D)
+
+
+def _outward_solution(
+    frames: list[Frame], solved: list[tuple[Block, list[Scalar], list[Scalar]]]
+) -> list[Scalar]:
+    """Back substitution from base to tip."""
+    result: list[Scalar] = []
+    a, w_dot = ZERO, ZERO  # at the tip of the link before, beyond the bias accelerations
+    for f, (block, residual, pivots) in zip(frames, solved, strict=True):
+        a = tmatvec(f.R, add(a, cross(w_dot, f.offset)))
+        w_dot = tmatvec(f.R, w_dot)
+        u: list[Scalar] = [0.0] * len(pivots)
+        for c in reversed(range(len(pivots))):
+            F, N = block.columns[c]
+            driven = minus(residual[c], plus(dot(F, a), dot(N, w_dot)))
+            u[c] = minus(mul(driven, pivots[c]), dot(block.D[c][c + 1 :], u[c + 1 :]))
+        result += joint_first(f.link, u)
+        modal = u[: len(f.delta)]
+        turning = w_dot
+        if not f.link.welded:
+            along = (0.0, 0.0, u[-1])
+            a, turning = (add(a, along), w_dot) if f.link.prismatic else (a, add(w_dot, along))
+        a = add(a, cross(turning, f.r), combine(modal, f.tip_phi))
+        if not f.link.bypassed:
+            w_dot = add(turning, combine(modal, f.tip_theta))
+    return result

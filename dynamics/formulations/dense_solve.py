@@ -1,0 +1,103 @@
+"""What formulations without an elimination of their own share: M factored whole, and plain forces.
+
+Over any scalar type. Whatever is linear in the coordinates of one link alone (elasticity, damping,
+friction, a rotor on the joint) is the same in every formulation of the equations of motion.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from dynamics.formulations.algebra import Scalar, dot, is_zero, minus, mul, plus
+from dynamics.formulations.articulated_body import Implicit, take_implicitly
+from dynamics.formulations.gibbs_appell import friction_torque
+from dynamics.formulations.kinematics import Chain
+from dynamics.formulations.link_constants import LinkConstants
+
+
+class Equations(Protocol):
+    """M and h of M qdd + h = B tau: what a module of a formulation must have."""
+
+    def mass_matrix(self, chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
+        """(n, n) M."""
+
+    def bias(self, chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]:
+        """(n,) h."""
+
+
+def resistance(
+    link: LinkConstants, rate: Scalar, delta: Sequence[Scalar], rates: Sequence[Scalar]
+) -> tuple[list[Scalar], Scalar]:
+    """Elastic, dissipative and friction forces of one link: on its modes, on its joint."""
+    friction = friction_torque(link, plus(rate, dot(link.root_slope, rates)))
+    modal = [
+        plus(dot(K, delta), dot(C, rates), mul(slope, friction))
+        for K, C, slope in zip(link.K, link.damping, link.root_slope, strict=True)
+    ]
+    return modal, friction
+
+
+def add_rotor(chain: Chain, M: list[list[Scalar]]) -> None:
+    """Add the rotors, which turn with their joints' slip, to a mass matrix."""
+    start = 0
+    for link in chain.links:
+        if not link.welded:
+            slip = (1.0, *link.root_slope)
+            for j, s_j in enumerate(slip, start):
+                for k, s_k in enumerate(slip, start):
+                    M[j][k] = plus(M[j][k], mul(link.rotor_inertia, mul(s_j, s_k)))
+        start += len(link.K) + (not link.welded)
+
+
+def accelerations(
+    equations: Equations,
+    chain: Chain,
+    q: Sequence[Scalar],
+    v: Sequence[Scalar],
+    tau: Sequence[Scalar],
+    implicit: Implicit | None = None,
+) -> list[Scalar]:
+    """(n,) accelerations from the whole M, factored as L D L'."""
+    M = [list(row) for row in equations.mass_matrix(chain, q)]
+    residual = [minus(0.0, h) for h in equations.bias(chain, q, v)]
+    torques, start = iter(tau), 0
+    guesses = chain.split(implicit.guess) if implicit else [(0.0, ())] * len(chain.links)
+    for link, guess in zip(chain.links, guesses, strict=True):
+        stop = start + len(link.K) + (not link.welded)
+        places = list(range(start, stop))  # modes, then any joint
+        if not link.welded:
+            places = [*places[1:], start]
+            torque = next(torques)
+            for place, slope in zip(places, (*link.root_slope, 1.0), strict=True):
+                residual[place] = plus(residual[place], mul(slope, torque))
+        if implicit:
+            block = [[M[j][k] for k in places] for j in places]
+            forces = [residual[j] for j in places]
+            take_implicitly(link, block, forces, implicit, guess)
+            for j, row, force in zip(places, block, forces, strict=True):
+                residual[j] = force
+                for k, value in zip(places, row, strict=True):
+                    M[j][k] = value
+        start = stop
+    return solve(M, residual)
+
+
+def solve(M: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
+    """x of M x = b, M symmetric and positive: Cholesky's factors without roots, M = L D L'.
+
+    The lower triangle of M is overwritten.
+    """
+    n, x = len(b), list(b)
+    pivots, L = [], [[0.0] * n for _ in range(n)]
+    for k in range(n):
+        pivots.append(1.0 / M[k][k])
+        for i in range(k + 1, n):
+            L[i][k] = factor = mul(M[i][k], pivots[k])
+            if is_zero(factor):
+                continue
+            for j in range(k + 1, i + 1):
+                M[i][j] = minus(M[i][j], mul(factor, M[j][k]))
+            x[i] = minus(x[i], mul(factor, x[k]))
+    for k in reversed(range(n)):
+        beyond = dot([L[i][k] for i in range(k + 1, n)], x[k + 1 :])
+        x[k] = minus(mul(x[k], pivots[k]), beyond)
+    return x

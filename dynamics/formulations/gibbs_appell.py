@@ -1,0 +1,315 @@
+"""The recursive Gibbs-Appell equations of an arm with flexible links, over any scalar type.
+
+Equation numbers are those of Korayem & Shafei, "Inverse/forward dynamics of flexible-link arms by
+recursive Gibbs-Appell formulation and assumed modes" (2009); docs/theory.md lists the corrections.
+Every vector of link i lives in the frame of link i: origin at its joint, x along the undeformed
+link, z the joint axis. Run on floats this is the plain reference; run on symbols it is the
+expression graph of one arm.
+
+`mass_matrix` and `bias` are the composite form, as in the paper; elimination.py solves for the
+accelerations link by link, from the same blocks.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from dynamics.formulations.algebra import (
+    ZERO,
+    ZEROS,
+    Matrix,
+    Scalar,
+    Vector,
+    add,
+    combine,
+    congruence,
+    cross,
+    dot,
+    is_zero,
+    madd,
+    matmul,
+    matvec,
+    mcombine,
+    minus,
+    mul,
+    plus,
+    rotate,
+    scale,
+    skew,
+    symmetric,
+    tanh,
+    tmatvec,
+    transpose,
+)
+from dynamics.formulations.kinematics import Chain, Frame, outward, stretch
+from dynamics.formulations.link_constants import LinkConstants
+
+
+class Inertia(NamedTuple):
+    """Inertia seen at a point: force = A a + B' alpha, moment = B a + D alpha."""
+
+    A: Matrix
+    B: Matrix
+    D: Matrix
+
+    def moved(self, r: Vector) -> "Inertia":
+        """The same inertia seen at a point from which this one lies at `r`."""
+        if all(is_zero(x) for x in r):
+            return self
+        B = madd(self.B, matmul(skew(r), self.A))
+        Br, rB = matmul(B, skew(r)), matmul(skew(r), transpose(self.B))
+        D = symmetric(lambda i, j: plus(self.D[i][j], minus(rB[i][j], Br[i][j])))
+        return Inertia(self.A, B, D)
+
+    def turned(self, R: Matrix) -> "Inertia":
+        """The same inertia in a frame turned by R, which may be no rotation."""
+        A, D = (congruence(R, X, rotation=False) for X in (self.A, self.D))
+        return Inertia(A, rotate(R, self.B), D)
+
+    def turned_composite(self, R: Matrix) -> "Inertia":
+        """The same with a rotation R: A = m 1 does not turn; of B = b~ the vector turns."""
+        b = (self.B[2][1], self.B[0][2], self.B[1][0])
+        return Inertia(self.A, skew(matvec(R, b)), congruence(R, self.D))
+
+
+def friction_torque(link: LinkConstants, rate: Scalar) -> Scalar:
+    """Joint friction torque [N m]: viscous, and Coulomb smoothed by tanh."""
+    viscous = mul(link.viscous, rate)
+    if is_zero(link.coulomb):
+        return viscous
+    return plus(viscous, mul(link.coulomb, tanh(mul(1.0 / link.coulomb_speed, rate))))
+
+
+def _own_bias(f: Frame) -> tuple[Vector, Vector, list[Scalar]]:
+    """Force, moment and modal forces of a link alone, second derivatives zero: (96), (97), (102).
+
+    The link itself between joint and tip, and the body at its tip (returned at the joint).
+    """
+    link, w, shape = f.link, f.w, f.shape
+    eps_dot = combine(shape.x_dot, link.epsilon)
+    B8w = matvec(mcombine(shape.x_dot, f.beta), w)
+    force = add(
+        scale(link.mass, f.a),
+        matvec(f.Phi, f.rho),
+        scale(2.0, cross(w, eps_dot)),
+        combine(shape.bias, link.epsilon),
+    )
+    moment = add(
+        cross(f.rho, f.a),
+        scale(2.0, B8w),
+        matvec(f.B9, f.w_dot),
+        cross(w, matvec(f.B9, w)),
+        combine(shape.bias, f.alpha),
+    )
+    modal = []
+    for j, beta in enumerate(f.beta):
+        gyroscopic = plus(
+            mul(2.0, dot(w, combine(shape.x_dot, link.c_jk[j]))), dot(w, matvec(beta, w))
+        )
+        inertial = plus(
+            dot(f.a, link.epsilon[j]), dot(f.w_dot, f.alpha[j]), dot(link.s[j], shape.bias)
+        )
+        modal.append((minus(inertial, gyroscopic),))
+    return force, moment, [x for (x,) in shape.project(modal)]
+
+
+def _tip_body_bias(f: Frame) -> tuple[Vector, Vector]:
+    """Force and moment that accelerate the body at the tip, at the tip."""
+    J = congruence(f.E, f.link.tip_inertia)
+    moment = add(matvec(J, f.w_dot_tip), cross(f.w_tip, matvec(J, f.w_tip)))
+    return scale(f.link.tip_mass, f.a_tip), moment
+
+
+class Wrench(NamedTuple):
+    """Force and moment about a point."""
+
+    force: Vector
+    moment: Vector
+
+    def from_next(self, R: Matrix, offset: Vector) -> "Wrench":
+        """Wrench at the next joint seen at this link's tip, in this link's frame."""
+        force = matvec(R, self.force)
+        return Wrench(force, add(matvec(R, self.moment), cross(offset, force)))
+
+
+def felt(link: LinkConstants, tip: Wrench) -> Wrench:
+    """What a link's own coordinates feel of the next one: a parallel drive's couple passes by."""
+    return Wrench(tip.force, ZERO) if link.bypassed else tip
+
+
+def passed(link: LinkConstants, tip: Wrench) -> Vector:
+    """The couple of the next link that only what the joint stands on feels."""
+    return tip.moment if link.bypassed else ZERO
+
+
+def axial(link: LinkConstants, wrench: Wrench) -> Scalar:
+    """What of a wrench at the joint acts along its coordinate."""
+    return wrench.force[2] if link.prismatic else wrench.moment[2]
+
+
+def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
+    """Wrench at the joint and generalized forces (modes, then any joint) that the bias needs.
+
+    `outer` acts at the tip. Sums of (98) to (103), with elastic, dissipative and friction forces.
+    """
+    link = f.link
+    force, moment, modal = _own_bias(f)
+    body, load = _tip_body_bias(f), felt(link, outer)
+    tip = Wrench(add(body[0], load.force), add(body[1], load.moment))
+    slip = plus(rate, dot(link.root_slope, f.delta_dot))
+    resistance = plus(friction_torque(link, slip), mul(link.spring, stretch(f)))
+    for j, inertial in enumerate(modal):
+        modal[j] = plus(
+            inertial,
+            dot(f.tip_phi[j], tip.force),
+            dot(f.tip_theta[j], tip.moment),
+            dot(link.K[j], f.delta),
+            dot(link.damping[j], f.delta_dot),
+            mul(link.root_slope[j], resistance),
+        )
+    total = Wrench(add(force, tip.force), add(moment, tip.moment, cross(f.r, tip.force)))
+    forces = modal if link.welded else [*modal, plus(axial(link, total), resistance)]
+    return Wrench(total.force, add(total.moment, passed(link, outer))), forces
+
+
+def joint_first(link: LinkConstants, values: list[Scalar]) -> list[Scalar]:
+    """From the order of elimination, modes then joint, to the order of the coordinates."""
+    return values if link.welded else [values[-1], *values[:-1]]
+
+
+NO_LOAD = Wrench(ZERO, ZERO)
+
+
+def bias(
+    chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar], load: Wrench = NO_LOAD
+) -> list[Scalar]:
+    """(n,) h of M qdd + h = B tau: inertial, gravity, elastic and dissipative forces.
+
+    `load` is what the last link exerts at its tip on its surroundings, in its own frame.
+    """
+    frames = outward(chain, q, v)
+    outer = load
+    h: list[Scalar] = []
+    for f, (rate, _) in zip(reversed(frames), reversed(chain.split(v)), strict=True):
+        wrench, forces = load_of(f, rate, outer)
+        h = [*joint_first(f.link, forces), *h]
+        outer = wrench.from_next(f.R, f.offset)
+    return h
+
+
+class Block(NamedTuple):
+    """A link and all beyond it as a column of accelerations sees them."""
+
+    inertia: Inertia  # at the joint
+    columns: list[Wrench]  # per coordinate (modes, then any joint): wrench at the joint
+    D: list[list[Scalar]]  # coupling of the coordinates, upper triangle filled
+
+
+def block_of(f: Frame, outer: Inertia) -> Block:
+    """Blocks of the mass matrix of one link, all beyond it seen as `outer` at its tip."""
+    if not f.link.bypassed:
+        return _block(f, with_tip_body(f, outer))
+    # its own coordinates push what a parallel drive keeps from turning; all turns with its stand
+    block = _block(f, with_tip_body(f, Inertia(outer.A, ZEROS, ZEROS)))
+    couples = Inertia(ZEROS, outer.B, outer.D).moved(f.r)
+    A, B, D = block.inertia
+    inertia = Inertia(A, madd(B, couples.B), symmetric(lambda i, j: plus(D[i][j], couples.D[i][j])))
+    shifts = (*f.tip_phi, cross((0.0, 0.0, 1.0), f.r))
+    columns = [
+        Wrench(column.force, add(column.moment, matvec(outer.B, shift)))
+        for column, shift in zip(block.columns, shifts, strict=True)
+    ]
+    return Block(inertia, columns, block.D)
+
+
+def _block(f: Frame, outer: Inertia) -> Block:
+    """The same of a link that turns and bends with `outer` fixed to its tip: (75), (81), (85)."""
+    link, m = f.link, len(f.delta)
+    size = m if link.welded else m + 1
+    A, B, D = outer
+    columns, couplings = [], [[0.0] * size for _ in range(size)]
+    at_tip = [
+        Wrench(
+            add(matvec(A, phi), tmatvec(B, theta)),
+            add(matvec(B, phi), matvec(D, theta)),
+        )
+        for phi, theta in zip(f.tip_phi, f.tip_theta, strict=True)
+    ]
+    shifted = outer.moved(f.r)
+    inertia = Inertia(
+        symmetric(lambda i, j: plus(shifted.A[i][j], link.mass if i == j else 0.0)),
+        madd(skew(f.rho), shifted.B),
+        symmetric(lambda i, j: plus(f.B9[i][j], shifted.D[i][j])),
+    )
+    epsilon, alpha = f.shape.project(link.epsilon), f.shape.project(f.alpha)
+    s = f.shape.project([*zip(*f.shape.project(link.s), strict=True)])
+    for j, tip in enumerate(at_tip):
+        force = add(epsilon[j], tip.force)
+        columns.append(Wrench(force, add(alpha[j], tip.moment, cross(f.r, tip.force))))
+        for k in range(j, m):
+            couplings[j][k] = plus(
+                s[j][k],
+                dot(f.tip_phi[j], at_tip[k].force),
+                dot(f.tip_theta[j], at_tip[k].moment),
+                link.rotor_inertia * link.root_slope[j] * link.root_slope[k],
+            )
+        if not link.welded:
+            turned = link.rotor_inertia * link.root_slope[j]
+            couplings[j][m] = plus(axial(link, columns[j]), turned)
+    if not link.welded:
+        columns.append(
+            Wrench(inertia.A[2], transpose(inertia.B)[2])
+            if link.prismatic
+            else Wrench(inertia.B[2], transpose(inertia.D)[2])
+        )
+        couplings[m][m] = plus(axial(link, columns[m]), link.rotor_inertia)
+    return Block(inertia, columns, couplings)
+
+
+def with_tip_body(f: Frame, outer: Inertia) -> Inertia:
+    """Add the body at the tip."""
+    m, J = f.link.tip_mass, congruence(f.E, f.link.tip_inertia)
+    A = symmetric(lambda i, j: plus(outer.A[i][j], m if i == j else 0.0))
+    return Inertia(A, outer.B, symmetric(lambda i, j: plus(outer.D[i][j], J[i][j])))
+
+
+NOTHING = Inertia(ZEROS, ZEROS, ZEROS)
+
+
+def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
+    """(n, n) M from composite inertias; the joint-deflection block is mirrored, not recomputed."""
+    n = len(q)
+    frames = outward(chain, q, [0.0] * n)
+    M: list[list[Scalar]] = [[0.0] * n for _ in range(n)]
+    places, start = [], 0  # of a link's coordinates, modes then joint
+    for f in frames:
+        stop = start + len(f.delta) + (not f.link.welded)
+        order = list(range(start, stop))
+        places.append(order if f.link.welded else [*order[1:], order[0]])
+        start = stop
+
+    outer = NOTHING
+    for i in reversed(range(len(frames))):
+        f = frames[i]
+        block = block_of(f, outer)
+        for c, column in enumerate(block.columns):
+            for d in range(c, len(block.columns)):
+                row, col = places[i][c], places[i][d]
+                M[row][col] = M[col][row] = block.D[c][d]
+            wrench, child = column, f
+            for k in reversed(range(i)):
+                parent = frames[k]
+                outside = wrench.from_next(child.R, child.offset)
+                tip = felt(parent.link, outside)
+                wrench = Wrench(tip.force, add(tip.moment, cross(parent.r, tip.force)))
+                entries = [
+                    plus(dot(phi, tip.force), dot(theta, tip.moment))
+                    for phi, theta in zip(parent.tip_phi, parent.tip_theta, strict=True)
+                ]
+                entries.append(axial(parent.link, wrench))
+                wrench = Wrench(tip.force, add(wrench.moment, passed(parent.link, outside)))
+                for row, entry in zip(places[k], entries, strict=False):
+                    M[row][places[i][c]] = M[places[i][c]][row] = entry
+                child = parent
+        turn = Inertia.turned_composite if chain.rotation == "exp" else Inertia.turned
+        outer = turn(block.inertia, f.R).moved(f.offset)
+    return M

@@ -1,0 +1,323 @@
+"""Kinematics of a chain of flexible links: frames from base to tip, over any scalar type.
+
+Equation numbers are those of Korayem & Shafei (2009); docs/theory.md lists the corrections.
+Every vector of link i lives in the frame of link i: origin at its joint, x along the undeformed
+link, z the joint axis.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import factorial
+from typing import NamedTuple
+
+from dynamics.formulations.algebra import (
+    EYE,
+    ZERO,
+    Matrix,
+    Scalar,
+    Vector,
+    add,
+    combine,
+    congruence,
+    cos,
+    cross,
+    dot,
+    is_zero,
+    madd,
+    matmul,
+    matvec,
+    mcombine,
+    minus,
+    mscale,
+    mul,
+    plus,
+    scale,
+    sin,
+    skew,
+    symmetric,
+    tmatvec,
+    transpose,
+)
+from dynamics.formulations.link_constants import LinkConstants
+
+
+@dataclass(frozen=True)
+class Chain:
+    """What the recursion needs to know of an arm."""
+
+    links: tuple[LinkConstants, ...]
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2]
+    rotation: str = "exp"  # the bent end's rotation: exp(theta~), or "linear": 1 + theta~
+    free_base: bool = False  # the first two bodies are a base that moves: see free_base.py
+
+    def split(self, x: Sequence[Scalar]) -> list[tuple[Scalar, Sequence[Scalar]]]:
+        """Coordinates body by body: (joint, modes); a welded body's joint is a structural zero."""
+        parts, start = [], 0
+        for link in self.links:
+            joint = 0.0 if link.welded else x[start]
+            start += not link.welded
+            parts.append((joint, x[start : start + len(link.K)]))
+            start += len(link.K)
+        return parts
+
+
+class Shape(NamedTuple):
+    """Amplitudes of all of a link's shapes: m modes, then p products of modes that foreshorten."""
+
+    x: Sequence[Scalar]  # (m + p)
+    x_dot: Sequence[Scalar]  # (m + p)
+    bias: Sequence[Scalar]  # (m + p) second derivatives of x while those of delta are zero
+    J: Sequence[Sequence[Scalar]]  # (p, m) derivatives of the products
+
+    def project(self, values: Sequence[Vector]) -> list[Vector]:
+        """Vectors (m + p) per shape as vectors (m) per mode."""
+        m = len(values) - len(self.J)
+        return [
+            add(values[j], *(scale(row[j], v) for row, v in zip(self.J, values[m:], strict=True)))
+            for j in range(m)
+        ]
+
+
+def amplitudes(link: LinkConstants, delta: Sequence[Scalar], delta_dot: Sequence[Scalar]) -> Shape:
+    """Shape of a link: -delta_j delta_k, halved for j = k, is the amplitude of a product."""
+    x, x_dot, bias = list(delta), list(delta_dot), [0.0] * len(delta)
+    J = []
+    for j, k in link.pairs:
+        row: list[Scalar] = [0.0] * len(delta)
+        half = 0.5 if j == k else 1.0
+        row[j] = minus(0.0, delta[k])
+        row[k] = minus(0.0, delta[j])
+        J.append(row)
+        x.append(mul(-half, mul(delta[j], delta[k])))
+        x_dot.append(dot(row, delta_dot))
+        bias.append(mul(-2.0 * half, mul(delta_dot[j], delta_dot[k])))
+    return Shape(x, x_dot, bias, J)
+
+
+class Frame(NamedTuple):
+    """One link at a state; `*_tip` at eta = l, everything in the link's own frame."""
+
+    link: LinkConstants
+    R: Matrix  # from this frame to the frame of the link before
+    offset: Vector  # joint from the tip before, in the frame of the link before
+    joint: Scalar  # its coordinate
+    slide: Vector  # velocity of a prismatic joint
+    delta: Sequence[Scalar]
+    delta_dot: Sequence[Scalar]
+    shape: Shape
+    r: Vector  # tip from joint
+    r_dot: Vector  # tip velocity relative to the frame
+    E: Matrix  # rotation of the bent tip
+    tip_phi: Sequence[Vector]  # (m) tip velocity per modal rate
+    tip_theta: Sequence[Vector]  # (m) J_l theta_j: tip angular velocity per modal rate
+    rho: Vector  # first mass moment, B3 = rho~    (25)
+    alpha: Sequence[Vector]  # (m + p) (31)
+    beta: Sequence[Matrix]  # (m + p) (32)
+    B9: Matrix  # (33)
+    a: Vector  # acceleration of the joint, second derivatives of the coordinates zero
+    w: Vector  # angular velocity
+    w_dot: Vector  # angular acceleration, second derivatives of the coordinates zero
+    Phi: Matrix  # w_dot~ + w~ w~
+    a_tip: Vector
+    w_tip: Vector
+    w_dot_tip: Vector
+
+
+_TERMS = 7  # series in |theta|^2: error below 1e-16 up to 0.6 rad, 5e-14 at 1 rad
+
+
+def series(x: Scalar, first: int) -> tuple[Scalar, Scalar]:
+    """Sum of (-x)^k / (2k + first)! and its derivative, by Horner's rule."""
+    c = [(-1.0) ** k / factorial(2 * k + first) for k in range(_TERMS)]
+    value: Scalar = 0.0
+    slope: Scalar = 0.0
+    for k in reversed(range(_TERMS)):
+        value = plus(mul(value, x), c[k])
+        if k:
+            slope = plus(mul(slope, x), k * c[k])
+    return value, slope
+
+
+def tip_rotation(
+    link: LinkConstants, delta: Sequence[Scalar], delta_dot: Sequence[Scalar], kind: str
+) -> tuple[Matrix, Sequence[Vector], Vector]:
+    """Rotation of the bent tip, its rate per modal rate, and the bias of its acceleration.
+
+    E = exp(theta~), theta = sum_j delta_j theta_j(l)        (6), (8), made a true rotation
+    omega_rel = J_l theta_dot, J_l = 1 + c theta~ + d theta~^2, bias J_l_dot theta_dot
+    c = (1 - cos f)/f^2, d = (f - sin f)/f^3, f = |theta|
+    """
+    shapes = link.tip_theta
+    theta = combine(delta, shapes)
+    rate = combine(delta_dot, shapes)
+    if all(is_zero(x) for x in theta):
+        return EYE, shapes, ZERO
+    T = skew(theta)
+    if kind != "exp":
+        return madd(EYE, T), shapes, ZERO
+    x = dot(theta, theta)
+    c, dc = series(x, 2)
+    d, dd = series(x, 3)
+    sinc = minus(1.0, mul(x, d))
+    squares = symmetric(lambda i, j: mul(theta[i], theta[j]))
+    TT = symmetric(lambda i, j: minus(squares[i][j], x) if i == j else squares[i][j])
+    E = madd(EYE, mscale(sinc, T), mscale(c, TT))
+
+    def J_l(u: Vector) -> Vector:
+        Tu = cross(theta, u)
+        return add(u, scale(c, Tu), scale(d, cross(theta, Tu)))
+
+    x_dot = mul(2.0, dot(theta, rate))
+    Tr = cross(theta, rate)
+    bias = add(
+        scale(mul(dc, x_dot), Tr),
+        scale(mul(dd, x_dot), cross(theta, Tr)),
+        scale(d, cross(rate, Tr)),
+    )
+    return E, [J_l(u) for u in shapes], bias
+
+
+def _turn(q: Scalar) -> Matrix:
+    """Rz(q)."""
+    c, s = cos(q), sin(q)
+    return ((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))
+
+
+def _mounting(link: LinkConstants, joint: Scalar) -> tuple[Matrix, Vector]:
+    """Rotation and position of a joint's moving side in the end frame of the link before."""
+    if link.prismatic:
+        axis = transpose(link.rotation)[2]
+        return link.rotation, add(link.offset, scale(joint, axis))
+    return matmul(link.rotation, _turn(joint)), link.offset
+
+
+def _phi(w: Vector, w_dot: Vector) -> Matrix:
+    """w_dot~ + w~ w~: acceleration of a body-fixed point is a + Phi r."""
+    p = symmetric(lambda i, j: mul(w[i], w[j]))
+    ww = symmetric(
+        lambda i, j: minus(0.0, plus(p[i - 2][i - 2], p[i - 1][i - 1])) if i == j else p[i][j]
+    )
+    return madd(skew(w_dot), ww)
+
+
+def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Frame]:
+    """Frames of all links from base to tip: (59), (63), (65), Steps 1 to 3.
+
+    Gravity enters as an acceleration of the base: a_0 = -g.
+    """
+    frames: list[Frame] = []
+    a_tip: Vector = scale(-1.0, chain.gravity)
+    stand, w_stand, w_dot_stand = EYE, ZERO, ZERO  # what a joint stands on, in the link before
+    for link, (joint, delta), (rate, delta_dot) in zip(
+        chain.links, chain.split(q), chain.split(v), strict=True
+    ):
+        mounting, place = _mounting(link, joint)
+        along = (0.0, 0.0, rate)
+        spin, slide = (ZERO, along) if link.prismatic else (along, ZERO)
+        R = stand if link.welded else matmul(stand, mounting)
+        offset = matvec(stand, place)
+        before, before_dot = tmatvec(R, w_stand), tmatvec(R, w_dot_stand)
+        a = tmatvec(R, add(a_tip, matvec(_phi(w_stand, w_dot_stand), offset)))
+        a = add(a, scale(2.0, cross(before, slide)))
+        w = add(before, spin)
+        w_dot = add(before_dot, cross(before, spin))
+        Phi = _phi(w, w_dot)
+
+        shape = amplitudes(link, delta, delta_dot)
+        r = add((link.length, 0.0, 0.0), combine(shape.x, link.tip_phi))
+        r_dot = combine(shape.x_dot, link.tip_phi)
+        kind = "exp" if chain.free_base and not frames else chain.rotation
+        E, tip_theta, bias = tip_rotation(link, delta, delta_dot, kind)
+        theta_dot = combine(delta_dot, tip_theta)
+        a_tip = add(
+            a, matvec(Phi, r), scale(2.0, cross(w, r_dot)), combine(shape.bias, link.tip_phi)
+        )
+        w_tip = add(w, theta_dot)
+        w_dot_tip = add(w_dot, bias, cross(w, theta_dot))
+        stand, w_stand, w_dot_stand = E, w_tip, w_dot_tip
+        if link.bypassed:
+            stand, w_stand, w_dot_stand = transpose(_turn(joint)), before, before_dot
+
+        x, every = shape.x, range(len(shape.x))
+        beta = [madd(link.C[j], mcombine(x, [link.D[k][j] for k in every])) for j in every]
+        alpha = [add(link.c[j], combine(x, [link.c_jk[k][j] for k in every])) for j in every]
+        half = madd(mcombine(x, [transpose(C) for C in link.C]), mcombine(x, beta))
+        frames.append(
+            Frame(
+                link=link, R=R, offset=offset, joint=joint, slide=slide,
+                delta=delta, delta_dot=delta_dot, shape=shape,
+                r=r, r_dot=r_dot, E=E, tip_phi=shape.project(link.tip_phi), tip_theta=tip_theta,
+                rho=add(link.first_moment, combine(x, link.epsilon)), alpha=alpha, beta=beta,
+                B9=symmetric(lambda i, j, C0=link.C0, half=half: plus(C0[i][j], half[i][j])),
+                a=a, w=w, w_dot=w_dot, Phi=Phi, a_tip=a_tip, w_tip=w_tip, w_dot_tip=w_dot_tip,
+            )
+        )  # fmt: skip
+    return frames
+
+
+def stretch(f: Frame) -> Scalar:
+    """What a spring at the joint feels: its coordinate and the root's turn by the modes."""
+    return plus(f.joint, dot(f.link.root_slope, f.delta))
+
+
+class Pose(NamedTuple):
+    """Where a link is and how its tip moves, in the world frame."""
+
+    joint: Vector  # [m]
+    R: Matrix  # from the link's frame to the world
+    tip: Vector  # [m]
+    tip_velocity: Vector  # [m/s]
+    joint_velocity: Vector  # [m/s] in the link's own frame
+
+
+def poses(frames: Sequence[Frame]) -> list[Pose]:
+    """World poses of all links: (59) and (63) without accelerations."""
+    result: list[Pose] = []
+    tip, R, velocity, w_tip = ZERO, EYE, ZERO, ZERO
+    for f in frames:
+        joint = add(tip, matvec(R, f.offset))
+        at_joint = add(tmatvec(f.R, add(velocity, cross(w_tip, f.offset))), f.slide)
+        R = matmul(R, f.R)
+        velocity = add(at_joint, cross(f.w, f.r), f.r_dot)
+        w_tip = f.w_tip
+        tip = add(joint, matvec(R, f.r))
+        result.append(Pose(joint, R, tip, matvec(R, velocity), at_joint))
+    return result
+
+
+def energies(
+    chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Kinetic, elastic and gravity energy [J], the last zero with all mass at the base's origin.
+
+    From the velocities of mass points and bodies, so it shares no line with the mass matrix.
+    """
+    kinetic: Scalar = 0.0
+    elastic: Scalar = 0.0
+    gravity: Scalar = 0.0
+    frames = outward(chain, q, v)
+    for f, pose, (rate, _) in zip(frames, poses(frames), chain.split(v), strict=True):
+        link = f.link
+        u = pose.joint_velocity
+        u_end = add(u, cross(f.w, f.r), f.r_dot)
+        x_dot = f.shape.x_dot
+        eps_dot = combine(x_dot, link.epsilon)
+        slip = plus(rate, dot(link.root_slope, f.delta_dot))
+        twist = stretch(f)
+        kinetic = plus(
+            kinetic,
+            mul(0.5 * link.mass, dot(u, u)),
+            dot(u, add(cross(f.w, f.rho), eps_dot)),
+            mul(0.5, dot(f.w, matvec(f.B9, f.w))),
+            dot(f.w, combine(x_dot, f.alpha)),
+            mul(0.5, dot(x_dot, [dot(row, x_dot) for row in link.s])),
+            mul(0.5 * link.rotor_inertia, mul(slip, slip)),
+            mul(0.5 * link.tip_mass, dot(u_end, u_end)),
+            mul(0.5, dot(f.w_tip, matvec(congruence(f.E, link.tip_inertia), f.w_tip))),
+        )
+        elastic = plus(elastic, mul(0.5, dot(f.delta, [dot(row, f.delta) for row in link.K])))
+        elastic = plus(elastic, mul(0.5, mul(link.spring, mul(twist, twist))))
+        moment = add(scale(link.mass, pose.joint), matvec(pose.R, f.rho))
+        moment = add(moment, scale(link.tip_mass, pose.tip))
+        gravity = minus(gravity, dot(chain.gravity, moment))
+    return kinetic, elastic, gravity

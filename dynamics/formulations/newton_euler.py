@@ -1,0 +1,195 @@
+"""Inverse dynamics of rigid arms by Newton and Euler's equations, over any scalar type.
+
+Equation numbers are those of Cyril's FLEXLINK thesis. Nothing is shared with the Gibbs-Appell
+recursion: every link is one rigid body with its own centre of mass and inertia about it, and forces
+are summed link by link from the tip inward. `RigidLink` may hold symbols, so that a general arm can
+be counted.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics.description.arm import Arm, Payload
+from dynamics.description.joint import Joint
+from dynamics.description.link import Link
+from dynamics.formulations.algebra import (
+    ZERO,
+    ZEROS,
+    Matrix,
+    Scalar,
+    Vector,
+    add,
+    cos,
+    cross,
+    madd,
+    matmul,
+    matvec,
+    minus,
+    mul,
+    plus,
+    scale,
+    sin,
+    skew,
+    symmetric,
+    tanh,
+    tmatvec,
+    transpose,
+)
+
+Wrench = tuple[Vector, Vector]  # force [N], moment [N m] about the tip
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidLink:
+    """One link and its joint, in the link's frame."""
+
+    joint: Joint
+    rotation: Matrix  # (3, 3) from the joint's frame at q = 0 to the link before
+    offset: Vector  # [m] joint from the tip before, in the frame of the link before
+    tip: Vector  # [m] from the joint
+    mass: Scalar  # [kg]
+    com: Vector  # [m] centre of mass, from the joint
+    inertia: Matrix  # (3, 3) [kg m^2] about the centre of mass
+
+    @property
+    def slides(self) -> bool:
+        """Whether the joint is prismatic."""
+        return self.joint.type == "prismatic"
+
+
+def rigid_links(arm: Arm) -> tuple[RigidLink, ...]:
+    """The links of an arm without modes, springs, parallel drives; each with all it carries."""
+    if arm.base.type != "fixed":
+        raise ValueError(
+            f"Newton-Euler inverse dynamics is for a fixed base, got Base.type {arm.base.type!r}; "
+            "use Model.inverse_dynamics."
+        )
+    for i, link in enumerate(arm.links, 1):
+        if link.modes or link.joint.elastic or link.joint.parallel:
+            what = "a spring at its joint" if link.joint.elastic else "a parallel drive"
+            what = f"{len(link.modes)} modes" if link.modes else what
+            raise ValueError(
+                f"Newton-Euler inverse dynamics is for rigid arms, but link {i} has {what}; "
+                "use Model.inverse_dynamics."
+            )
+    return tuple(map(_rigid_link, arm.links, arm.carried))
+
+
+def _rigid_link(link: Link, payload: Payload | None) -> RigidLink:
+    """Beam, hub, body, tip body and payload as one rigid body."""
+    beam, tip = link.rho_A * link.length, (link.length, 0.0, 0.0)
+    slender = beam * link.length**2 / 12.0
+    around = np.diag((link.rho_Ip * link.length, slender, slender + link.joint.hub_inertia))
+    shares = [(beam, (link.length / 2.0, 0.0, 0.0), around)]
+    shares.append((link.tip_mass, tip, np.array(link.tip_inertia)))
+    if link.body is not None:
+        shares.append((link.body.mass, link.body.com, np.array(link.body.inertia)))
+    if payload is not None:
+        shares.append((payload.mass, tip, np.array(payload.inertia)))
+    masses = np.array([m for m, _, _ in shares])
+    places = np.array([c for _, c, _ in shares])
+    mass = float(masses.sum())
+    com = masses @ places / (mass or 1.0)
+    inertia = np.sum([J for _, _, J in shares], axis=0)
+    for m, r in zip(masses, places - com, strict=True):
+        inertia = inertia + m * ((r @ r) * np.eye(3) - np.outer(r, r))
+    return RigidLink(
+        joint=link.joint,
+        rotation=link.joint.rotation,
+        offset=link.joint.offset,
+        tip=tip,
+        mass=mass,
+        com=tuple(com.tolist()),
+        inertia=tuple(map(tuple, inertia.tolist())),
+    )
+
+
+def inverse_dynamics(
+    links: Sequence[RigidLink],
+    q: Sequence[Scalar],
+    v: Sequence[Scalar],
+    a: Sequence[Scalar],
+    *,
+    gravity: Vector = ZERO,
+    wrench: Wrench = (ZERO, ZERO),
+) -> list[Scalar]:
+    """(n,) [N m or N] joint torques and forces that move the arm with accelerations `a`.
+
+    Parameters
+    ----------
+    links : from `rigid_links`.
+    q, v, a : (n,) [rad or m] joint coordinates, rates, accelerations; floats or symbols.
+    gravity : (3,) [m/s^2] in the world frame.
+    wrench : force [N] and moment [N m] that the last link exerts at its tip on what it touches, in
+        the last link's frame: f_{N,N+1} and n_{N,N+1}.
+    """
+    w, w_dot, Phi = ZERO, ZERO, ZEROS
+    p_dd: Vector = scale(-1.0, gravity)  # of the origin; gravity as an acceleration of the base
+    before, loads = ZERO, []  # tip of the link before in its frame
+    for link, angle, rate, rise in zip(links, q, v, a, strict=True):
+        R, shift = _joint(link, angle)
+        p_dd = tmatvec(R, add(p_dd, matvec(Phi, add(before, shift))))  # (2.6)
+        w, w_dot = tmatvec(R, w), tmatvec(R, w_dot)
+        along, faster = (0.0, 0.0, rate), (0.0, 0.0, rise)
+        if link.slides:
+            p_dd = add(p_dd, scale(2.0, cross(w, along)), faster)  # (2.7b)
+        else:
+            w, w_dot = add(w, along), add(w_dot, cross(w, along), faster)  # (2.3), (2.4)
+        Phi = _phi(w, w_dot)
+        force = scale(link.mass, add(p_dd, matvec(Phi, link.com)))  # (2.8d), (2.9)
+        loads.append((R, shift, force, _moment(link.inertia, w, w_dot, Phi)))
+        before = link.tip
+    f, n = wrench  # at the tip of link i, in its frame
+    torques: list[Scalar] = []
+    backward = zip(reversed(links), reversed(loads), reversed(v), strict=True)
+    for link, (R, shift, force, moment), rate in backward:
+        n = add(n, cross(link.tip, f), moment, cross(link.com, force))  # (2.12)
+        f = add(f, force)  # (2.11)
+        torques.append(plus(f[2] if link.slides else n[2], _resistance(link.joint, rate)))  # (2.13)
+        f = matvec(R, f)
+        n = add(matvec(R, n), cross(shift, f))
+    held = [mul(link.joint.rotor_inertia, rise) for link, rise in zip(links, a, strict=True)]
+    return [plus(tau, rotor) for tau, rotor in zip(reversed(torques), held, strict=True)]
+
+
+def _joint(link: RigidLink, q: Scalar) -> tuple[Matrix, Vector]:
+    """Rotation and place of a link's frame in the link before, from that link's tip: (2.1)."""
+    F = link.rotation
+    if link.slides:
+        return F, add(link.offset, scale(q, transpose(F)[2]))
+    c, s = cos(q), sin(q)
+    return matmul(F, ((c, minus(0.0, s), 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))), link.offset
+
+
+def _phi(w: Vector, w_dot: Vector) -> Matrix:
+    """w_dot~ + w~ w~."""
+    p = symmetric(lambda i, j: mul(w[i], w[j]))
+    square = symmetric(
+        lambda i, j: minus(0.0, plus(p[i - 1][i - 1], p[i - 2][i - 2])) if i == j else p[i][j]
+    )
+    return madd(skew(w_dot), square)
+
+
+def _moment(J: Matrix, w: Vector, w_dot: Vector, Phi: Matrix) -> Vector:
+    """J w_dot + w x J w, (2.10), from the entries of Phi: 15 products instead of 24."""
+
+    def component(i: int) -> Scalar:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        products = plus(
+            mul(J[i][i], w_dot[i]),
+            mul(minus(J[k][k], J[j][j]), mul(w[j], w[k])),
+            mul(J[j][k], minus(Phi[j][j], Phi[k][k])),
+        )
+        return plus(products, minus(mul(J[i][k], Phi[j][i]), mul(J[i][j], Phi[k][i])))
+
+    return (component(0), component(1), component(2))
+
+
+def _resistance(joint: Joint, rate: Scalar) -> Scalar:
+    """Viscous friction, and Coulomb's smoothed by tanh [N m or N]."""
+    viscous = mul(joint.viscous, rate)
+    if joint.coulomb == 0.0:
+        return viscous
+    return plus(viscous, mul(joint.coulomb, tanh(mul(1.0 / joint.coulomb_speed, rate))))

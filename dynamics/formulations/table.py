@@ -1,0 +1,110 @@
+"""The formulations of the equations of motion, by name; a new one is a module and an entry here.
+
+A module holds `mass_matrix(chain, q)` and `bias(chain, q, v)` over any scalar type. A formulation
+without accelerations of its own factors its mass matrix whole.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from dynamics.description import validate
+from dynamics.description.arm import Arm
+from dynamics.formulations import (
+    articulated_body,
+    dense_solve,
+    gibbs_appell,
+    kinematics,
+    lagrange_book,
+    orthogonal_complement,
+)
+from dynamics.formulations.algebra import Scalar, Vector
+from dynamics.formulations.articulated_body import Implicit
+from dynamics.formulations.dense_solve import Equations
+from dynamics.formulations.kinematics import Chain, outward, poses
+
+State = Sequence[Scalar]  # (n,)
+Solver = Callable[[Chain, State, State, State, Implicit | None], list[Scalar]]
+
+
+def _tip_velocity(chain: Chain, q: State, v: State) -> Vector:
+    return poses(outward(chain, q, v))[-1].tip_velocity
+
+
+@dataclass(frozen=True, kw_only=True)
+class Formulation:
+    """One way to the equations of motion, and the energies and velocities that belong to it."""
+
+    equations: Equations
+    solver: Solver | None = None  # accelerations without the whole mass matrix
+    energies: Callable[[Chain, State, State], tuple[Scalar, Scalar, Scalar]] = kinematics.energies
+    tip_velocity: Callable[[Chain, State, State], Vector] = _tip_velocity  # [m/s]
+    knows: Mapping[str, frozenset[str]] | None = None  # class -> fields that may be set; None: all
+
+    def accelerations(
+        self, chain: Chain, q: State, v: State, tau: State, implicit: Implicit | None = None
+    ) -> list[Scalar]:
+        """(n,) accelerations under joint torques tau."""
+        if self.solver:
+            return self.solver(chain, q, v, tau, implicit)
+        return dense_solve.accelerations(self.equations, chain, q, v, tau, implicit)
+
+
+# What the siblings of the recursion know of a description; elsewhere only defaults are theirs.
+FIXED_BASE_AND_HINGES = {
+    "Arm": frozenset({
+        "links", "name", "description", "gravity", "rotation", "foreshortening", "payload",
+    }),
+    "Base": frozenset(),
+    "Joint": frozenset({
+        "rotation", "offset", "rotor_inertia", "hub_inertia", "viscous", "coulomb",
+        "coulomb_speed",
+    }),
+    "Link": frozenset({
+        "length", "rho_A", "EIz", "EIy", "GJ", "EA", "rho_Ip", "tip_mass", "tip_inertia", "modes",
+        "damping_ratio", "damping_beta", "segments", "joint", "body",
+    }),
+}  # fmt: skip
+
+FORMULATIONS = {
+    "gibbs_appell": Formulation(
+        equations=gibbs_appell, solver=articulated_body.accelerations
+    ),
+    "book": Formulation(
+        equations=lagrange_book, energies=lagrange_book.energies,
+        tip_velocity=lagrange_book.tip_velocity,
+        knows=FIXED_BASE_AND_HINGES,
+    ),
+    "complement": Formulation(equations=orthogonal_complement, knows=FIXED_BASE_AND_HINGES),
+}  # fmt: skip
+
+
+def formulation_for(arm: Arm, name: str) -> Formulation:
+    """The formulation of that name; refuses what is unknown or does not know all of the arm."""
+    validate.known(name, "formulation", FORMULATIONS)
+    refusal = why_not(arm, name)
+    if refusal:
+        raise ValueError(refusal)
+    return FORMULATIONS[name]
+
+
+def why_not(arm: Arm, name: str) -> str | None:
+    """One sentence on what a formulation does not know of an arm, if anything."""
+    knows = FORMULATIONS[name].knows
+    for owner, field, value in _described(arm):
+        if knows is not None and field not in knows[owner]:
+            return (
+                f"Formulation {name!r} does not know {owner}.{field}, got {value!r}; "
+                'leave it at its default or use "gibbs_appell".'
+            )
+    return None
+
+
+def _described(arm: Arm) -> Iterator[tuple[str, str, object]]:
+    """(class, field, value) of all that an arm, its base, links and joints do not leave out."""
+    whole = arm.to_dict()
+    base, links = whole.pop("base", {}), whole["links"]
+    joints = [link.get("joint", {}) for link in links]
+    for owner, parts in (("Arm", [whole]), ("Base", [base]), ("Link", links), ("Joint", joints)):
+        for part in parts:
+            for field, value in part.items():
+                yield owner, field, value

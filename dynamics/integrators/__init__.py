@@ -1,0 +1,1 @@
+"""Integration methods as plain functions, one table."""

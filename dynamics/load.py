@@ -1,0 +1,41 @@
+"""An arm by a preset's name, a path, a dict or itself."""
+
+from collections.abc import Mapping
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+from dynamics.arms import ARMS
+from dynamics.description.arm import Arm
+from dynamics.description.arm_file import arm_from_dict
+from dynamics.description.data_file import read_mapping
+from dynamics.description.validate import shown
+
+ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm  # what `load_arm` takes
+
+
+def load_arm(source: ArmSource) -> Arm:
+    """An arm from a preset's name, a path (.json, .yaml, .yml), a dict, or itself.
+
+    A case file is an arm file too: its motion and expectations are left aside.
+    """
+    if isinstance(source, Arm):
+        return source
+    if isinstance(source, Mapping):
+        return arm_from_dict(source)
+    if isinstance(source, str) and source in ARMS:
+        return ARMS[source]
+    if not isinstance(source, str | PathLike):
+        raise ValueError(
+            f"An arm is a preset name, a path, a dict or an Arm, got {type(source).__name__}."
+        )
+    path = Path(fspath(source))
+    if isinstance(source, str) and path.suffix == "":
+        raise ValueError(
+            f"Unknown arm {shown(source)}. Presets: {sorted(ARMS)}; or give the path of a "
+            ".json or .yaml file."
+        )
+    try:
+        return arm_from_dict(read_mapping(path))
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error

@@ -1,0 +1,1 @@
+"""Compilation to disk, and threads that share a batch."""

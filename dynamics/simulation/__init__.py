@@ -1,0 +1,1 @@
+"""Motions of compiled arms: one arm through time, or a batch step by step."""

@@ -1,0 +1,91 @@
+"""How long a step an arm allows, from the arm linearised at rest."""
+
+from typing import Any
+
+import numpy as np
+
+from dynamics.formulations.linearized import LinearArm, linear_arm
+from dynamics.integrators.slots import Slots
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.model import Model
+from dynamics.types import Array
+
+GROWS = 1e-5  # of a perturbation in one step, above round-off of the double roots of rigid motion
+CLOSE = 1e-4  # [-] to which `largest_step` knows the limit
+
+
+class _Row(np.ndarray):
+    """One value of many perturbed states; `x += y` makes a new one, as with numbers."""
+
+    def _refuse(self, other: Any) -> Any:
+        return NotImplemented
+
+    __iadd__ = __isub__ = __imul__ = __itruediv__ = _refuse
+
+
+def fastest(model: Model, q: Array) -> float:
+    """[rad/s] bound on the eigenvalues of the arm at rest at the joint angles of q (n,).
+
+    Elastic with free joints, damping of the modes, joint friction: Coulomb's at its steepest.
+    """
+    omega = float(model.frequencies(q, joints="free").max(initial=0.0))
+    arm = linear_arm(model.chain, model.rigid(q))
+    decays = np.linalg.eigvals(np.linalg.solve(arm.M, arm.C + arm.friction))
+    return max(omega, float(decays.real.max()))
+
+
+def amplification(arm: LinearArm, integrator: str, dt: float) -> float:
+    """By how much one step of `dt` [s] may multiply a small motion about rest.
+
+    The largest absolute eigenvalue of a step as a linear map, found by taking the step of
+    integrators.py itself, once per direction, on the linear arm.
+    """
+    method, n = INTEGRATORS[integrator], len(arm.M)
+    Q, V, A, W, GUESS, S = 0, n, 2 * n, 3 * n, 3 * n + 2, 4 * n + 2
+    places = Slots(n, Q, V, A, W, S)
+    size = S + method.kept(n)  # of what outlives a step
+    nothing = np.zeros(size + 1).view(_Row)
+
+    def evaluate(w: Any) -> None:
+        q, v, guess = (np.stack([nothing + x for x in w[at : at + n]]) for at in (Q, V, GUESS))
+        implicit = w[W] * arm.K + w[W + 1] * arm.C if method.implicit else 0.0 * arm.K
+        force = implicit @ guess - arm.K @ q - (arm.C + arm.friction) @ v
+        w[A:W] = [row.view(_Row) for row in np.linalg.solve(arm.M + implicit, force)]
+
+    def jacobian(w: Any) -> None:
+        for at, matrix in ((S, arm.K), (S + n * n, arm.C + arm.friction)):
+            w[at : at + n * n] = -np.linalg.solve(arm.M, matrix).ravel()
+
+    aid = {"none": None, "modes": arm.frozen, "jacobian": jacobian}[method.aid]
+    w = np.zeros(S + method.scratch(n), dtype=object)
+    w[:] = [nothing] * w.size
+    w[W] = w[W + 1] = 0.0
+    state = [i for i in range(size) if i not in (W, W + 1)]
+    with np.errstate(all="ignore"):
+        method.prepare(w, dt, places, aid)
+        method.start(w, dt, evaluate, places, aid)
+        method.step(w, dt, evaluate, places, aid)  # the first may differ
+        for column, i in enumerate(state):
+            w[i] = w[i] + nothing  # its last column stays unperturbed
+            w[i][column] += 1.0
+        method.step(w, dt, evaluate, places, aid)
+        after = np.stack([nothing + w[i] for i in state])
+        matrix = after[:, : len(state)] - after[:, -1:]
+    if not np.all(np.isfinite(matrix)):
+        return float("inf")
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+def largest_step(model: Model, q: Array, integrator: str, within: float) -> float:
+    """[s] step, at most `within`, up to which a small motion about rest at q (n,) stays small."""
+    arm = linear_arm(model.chain, model.rigid(q))
+    if amplification(arm, integrator, within) < 1.0 + GROWS:
+        return within
+    low, high = 0.0, within
+    while high - low > CLOSE * high:
+        middle = 0.5 * (low + high)
+        if amplification(arm, integrator, middle) < 1.0 + GROWS:
+            low = middle
+        else:
+            high = middle
+    return low

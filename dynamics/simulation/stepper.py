@@ -1,0 +1,126 @@
+"""Many substeps, many environments, all cores: one compiled call."""
+
+from collections.abc import Callable
+from functools import cached_property
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dynamics.description import validate
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.model import Model
+from dynamics.runtime.jit import direct
+from dynamics.runtime.thread_pool import Crew, in_use, worth
+from dynamics.runtime.work_queue import turns
+
+MOST_ENVIRONMENTS = 1_000_000
+MOST_SUBSTEPS = 1_000_000_000
+MOST_THREADS = 1024
+
+
+class Stepper:
+    """A batch of environments of one arm, stepped together.
+
+    Write into `q`, `v` and `torque` freely between calls. What an environment does depends
+    neither on the size of the batch nor on threads or lane. A single environment uses the one-lane
+    instance of the same code, equal to round-off.
+
+    Parameters
+    ----------
+    model : the compiled arm; shared, never changed.
+    n_env : number of environments.
+    dt : [s] integration step.
+    substeps : steps per call of `advance`, under constant torque.
+    integrator : a name in `dynamics.integrators.INTEGRATORS`.
+    threads : worker threads at most; a batch with too little work for them takes fewer.
+
+    Attributes
+    ----------
+    q, v : (n_env, n) coordinates and their rates; [rad], [m].
+    torque : (n_env, n_joint) [N m].
+    parameters : (n_env, n_parameter) the model's free parameters, nominal at first.
+    status : (n_env,) 0, or the substep at which the environment went non-finite. Such an
+        environment keeps the state and measurements it had before the call.
+    measured : (n_env, n_measure) columns by `model.measurements`.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        n_env: int,
+        *,
+        dt: float,
+        substeps: int,
+        integrator: str = "rk4",
+        threads: int = 1,
+    ) -> None:
+        validate.instance(model, "model", Model)
+        validate.known(integrator, "integrator", INTEGRATORS)
+        self.n_env = validate.integer(n_env, "n_env", 1, MOST_ENVIRONMENTS)
+        self.substeps = validate.integer(substeps, "substeps", 1, MOST_SUBSTEPS)
+        self.dt = validate.positive(dt, "dt", "s")
+        threads = validate.integer(threads, "threads", 1, MOST_THREADS)
+        self.model, self.integrator = model, integrator
+        self._q, self._v = np.zeros((self.n_env, model.n)), np.zeros((self.n_env, model.n))
+        self._torque = np.zeros((self.n_env, model.n_joint))
+        self._parameters = np.tile(model.nominal_parameters, (self.n_env, 1))
+        self._status = np.zeros(self.n_env, dtype=np.int64)
+        self._measured = np.zeros((self.n_env, model.n_measure))
+        self._program = model.program(1 if self.n_env == 1 else model.lanes, integrator)
+        evaluations = INTEGRATORS[integrator].evaluations(self.substeps)
+        operations = self.n_env * evaluations * int(self._program.OPERATIONS)
+        self.threads = worth(threads, -(-self.n_env // model.lanes), operations)
+        self._turns = turns(self.n_env, model.lanes, self.threads)
+        self._rows = self._turns.copy()
+        self._w = [model.workspace(self._program) for _ in range(self.threads)]
+        self._crew = Crew(self.threads)
+        self._lock = Lock()
+
+    # compiled code takes the arrays as they are: none can be replaced by one of another shape
+    q = property(lambda self: self._q)
+    v = property(lambda self: self._v)
+    torque = property(lambda self: self._torque)
+    parameters = property(lambda self: self._parameters)
+    status = property(lambda self: self._status)
+    measured = property(lambda self: self._measured)
+
+    def advance(self) -> None:
+        """Step every environment `substeps` times, then measure. Allocates nothing."""
+        if not self._lock.acquire(blocking=False):
+            raise in_use()
+        try:
+            if self.threads == 1:
+                self._advance(0)
+            else:
+                self._rows[:] = self._turns
+                self._compiled  # by one thread, before several need it  # noqa: B018
+                self._crew.run(self._advance)
+        finally:
+            self._lock.release()
+
+    def _advance(self, thread: int) -> None:
+        self._compiled(
+            self._rows, thread, self._q, self._v, self._torque, self._parameters, self.dt,
+            self.substeps, self._w[thread], self._status, self._measured,
+        )  # fmt: skip
+
+    @cached_property
+    def _compiled(self) -> Callable[..., Any]:
+        return direct(
+            self._program.advance, self._rows, 0, self._q, self._v, self._torque, self._parameters,
+            self.dt, self.substeps, self._w[0], self._status, self._measured,
+        )  # fmt: skip
+
+    def measure(self, q: ArrayLike, v: ArrayLike, out: NDArray[np.float64]) -> None:
+        """Measurements (N, n_measure) of any states (N, n), by this stepper's compiled code."""
+        q, v = (validate.array(x, name, (None, self.model.n)) for x, name in ((q, "q"), (v, "v")))
+        shape = len(q), self.model.n_measure
+        validate.instance(out, "out", np.ndarray)
+        if v.shape != q.shape or out.shape != shape or out.dtype != np.float64:
+            raise ValueError(
+                f"v must have the shape {q.shape} of q, and out must be float64 of shape {shape}, "
+                f"got {v.shape} and {out.dtype} of shape {out.shape}."
+            )
+        self._program.measure_states(q, v, self._w[0], out)

@@ -1,0 +1,79 @@
+"""Where an assumed-modes model leaves what it assumes: small deflections, slow turning, damping."""
+
+import numpy as np
+
+from dynamics.accuracy.fidelity import viscous_links
+from dynamics.description import validate
+from dynamics.description.arm import Arm
+from dynamics.model import Model
+from dynamics.simulation.trajectory import Trajectory
+
+FARTHEST = 1e8  # [rad], [rad/s] beyond which sine and cosine of an angle mean nothing
+LARGEST_DEFLECTION = 0.1  # [-] of the length of a link, or of a segment of it
+LARGEST_SLOPE = 0.15  # [rad] at its tip
+LARGEST_RATE = 0.5  # [-] joint rate over the first clamped frequency, without foreshortening
+
+
+class ValidityWarning(UserWarning):
+    """A motion left what its model assumes: expect errors."""
+
+
+def limits(model: Model, trajectory: Trajectory) -> tuple[str, ...]:
+    """One sentence for every assumption that a motion of the arm leaves; empty if it keeps all."""
+    validate.instance(model, "model", Model)
+    validate.instance(trajectory, "trajectory", Trajectory)
+    return (*_rates(model, trajectory), *_bending(model, trajectory), *_damping(model.arm))
+
+
+def _rates(model: Model, trajectory: Trajectory) -> list[str]:
+    joints = list(model.arm.joint_index)
+    if model.arm.foreshortening or model.n == model.n_joint + model.arm.base.n:
+        return []
+    first = float(model.frequencies(trajectory.q[0]).min())
+    fastest = np.abs(trajectory.v[:, joints]).max(axis=0)
+    return [
+        f"Joint {i} turns at up to {rate:.3g} rad/s, more than half the first clamped frequency "
+        f"({first:.3g} rad/s): linear modes lose stiffness; set Arm.foreshortening."
+        for i, (rate, link) in enumerate(zip(fastest.tolist(), model.arm.links, strict=True), 1)
+        if link.joint.type == "revolute" and rate > LARGEST_RATE * first
+    ]
+
+
+def _damping(arm: Arm) -> list[str]:
+    return [
+        f"Link {i} is cut into {link.segments} segments, whose own fast modes have its "
+        f"damping_ratio of {link.damping_ratio:g}: its slow ones keep little of it; set "
+        f"damping_beta={instead.damping_beta:.3g} instead."
+        for i, (link, instead) in enumerate(zip(arm.links, viscous_links(arm), strict=True), 1)
+        if link.segments > 1 and instead is not link
+    ]
+
+
+def _bending(model: Model, trajectory: Trajectory) -> list[str]:
+    parts = list(zip(model.chain.links, model.chain.split(list(trajectory.q.T)), strict=True))
+    result = []
+    for i, (link, place) in enumerate(zip(model.arm.links, model.bodies, strict=True), 1):
+        part = "link" if link.segments == 1 else "segment"
+        deflection = slope = 0.0
+        for body, (_, delta) in parts[place]:
+            m = len(body.K)
+            if m == 0:
+                continue
+            shift, turn = (
+                np.linalg.norm(np.transpose(shapes[:m]) @ np.array(delta), axis=0).max()
+                for shapes in (body.tip_phi, body.tip_theta)
+            )
+            deflection = max(deflection, float(shift) / body.length)
+            slope = max(slope, float(turn))
+        advice = f"expect errors, or raise Link.segments ({link.segments})."
+        if deflection > LARGEST_DEFLECTION:
+            result.append(
+                f"Link {i} bends by up to {deflection:.0%} of its {part}'s length, more than "
+                f"{LARGEST_DEFLECTION:.0%}: {advice}"
+            )
+        if slope > LARGEST_SLOPE:
+            result.append(
+                f"Link {i} turns its {part}'s tip by up to {slope:.2f} rad, more than "
+                f"{LARGEST_SLOPE} rad: {advice}"
+            )
+    return result

@@ -1,0 +1,1 @@
+"""Expression graphs of one arm, and straight-line functions made of them."""

@@ -1,0 +1,205 @@
+"""Expression graphs of one arm: those that are compiled and those that answer questions.
+
+Of a free base, coordinates and rates are those in its own frame (free_base.py), and its attitude
+(4,) is a third input.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynamics.description.validate import double_precision
+from dynamics.formulations.algebra import Scalar, add, combine, matvec
+from dynamics.formulations.articulated_body import Implicit
+from dynamics.formulations.free_base import (
+    SIZE,
+    local,
+    matrix_in_world,
+    momentum,
+    own_accelerations,
+    own_rates,
+    renewed,
+    turned,
+    unturned,
+    world,
+)
+from dynamics.formulations.free_parameters import FREE_PARAMETERS
+from dynamics.formulations.kinematics import Chain, outward, poses
+from dynamics.formulations.link_constants import curvature, parts
+from dynamics.tracing.traced_arm import TracedArm
+
+
+class _State(NamedTuple):
+    """Symbols of a state, and what the recursion takes of them."""
+
+    inputs: list[Any]  # q, v and, of a free base, attitude
+    attitude: Sequence[Scalar]
+    chain: Chain
+    x: list[Scalar]  # (n,) q, a free base not turned
+    rates: list[Scalar]  # (n,)
+
+
+def _state(traced: TracedArm) -> _State:
+    import casadi as ca
+
+    inputs = [ca.SX.sym("q", traced.n), ca.SX.sym("v", traced.n)]
+    q, v = (ca.vertsplit(x) for x in inputs)
+    inputs += [ca.SX.sym("attitude", 4)] if traced.arm.base.n else []
+    turn = ca.vertsplit(inputs[2]) if traced.arm.base.n else []
+    return _State(inputs, turn, turned(traced.chain, turn), unturned(q, turn), v)
+
+
+def mass_matrix_and_bias(traced: TracedArm) -> Any:
+    """CasADi Function (q, v) -> lower triangle of M row by row, then h."""
+    import casadi as ca
+
+    s = _state(traced)
+    equations = traced.formed.equations
+    M, h = equations.mass_matrix(s.chain, s.x), equations.bias(s.chain, s.x, s.rates)
+    lower = [x for i, row in enumerate(M) for x in row[: i + 1]]
+    return ca.Function("M_h", s.inputs, [ca.cse(ca.vertcat(*lower, *h))])
+
+
+def questions(traced: TracedArm) -> dict[str, Any]:
+    """CasADi Functions (q, v) for the questions that nobody asks in a loop."""
+    import casadi as ca
+
+    s = _state(traced)
+    formed, state = traced.formed, (s.chain, s.x, s.rates)
+    M = matrix_in_world(formed.equations.mass_matrix(s.chain, s.x), s.attitude)
+    moved = [world(p, s.attitude) for p in momentum(*state)]
+    values = {
+        "mass_matrix": ca.vertcat(*(ca.horzcat(*row) for row in M)),
+        "bias": ca.vertcat(*world(formed.equations.bias(*state), s.attitude)),
+        "energy": ca.vertcat(*formed.energies(*state)),
+        "momentum": ca.vertcat(*moved[0], *moved[1]),
+    }
+    return {name: ca.Function(name, s.inputs, [value]) for name, value in values.items()}
+
+
+@lru_cache(maxsize=8)
+def measure(traced: TracedArm) -> Any:
+    """CasADi Function (q, v) -> values by the columns of `TracedArm.measurements`."""
+    import casadi as ca
+
+    s = _state(traced)
+    frames = outward(traced.chain, s.x, s.rates)
+    end = poses(frames)[-1]
+    kept = {*range(traced.arm.base.n), *traced.arm.joint_index}
+    straight = [x if i in kept else 0.0 for i, x in enumerate(s.x)]
+    rigid = poses(outward(traced.chain, straight, [0.0] * traced.n))[-1].tip
+    velocity = traced.formed.tip_velocity(traced.chain, s.x, s.rates)
+    tips = [x for y in (end.tip, velocity, rigid) for x in world(y, s.attitude)]
+    deflections, slopes, curvatures = [], [], []
+    for link, place in zip(traced.arm.links, traced.bodies, strict=True):
+        bodies = frames[place]
+        tip = bodies[-1].r
+        for outer, inner in zip(bodies[:0:-1], bodies[-2::-1], strict=True):
+            tip = add(inner.r, matvec(outer.R, tip))
+        theta = add(*(combine(f.delta, f.link.tip_theta) for f in bodies))
+        bend = combine(bodies[0].delta, curvature(parts(link)[0], 0.0).tolist())
+        shift = ca.vertcat(tip[0] - link.length, *tip[1:])
+        deflections.append(ca.norm_2(shift) / (link.length or 1.0))
+        slopes.append(ca.norm_2(ca.vertcat(*theta)))
+        curvatures += [bend[2], bend[1]]
+    values = [*tips, *deflections, *slopes, *curvatures]
+    return ca.Function("measure", s.inputs, [ca.cse(ca.vertcat(*values))])
+
+
+def jacobians(traced: TracedArm) -> Any:
+    """CasADi Function (q, v, then tau) -> derivatives of the accelerations by q, v and tau.
+
+    Of a free base q[3:6] is a small rotation: good where it is zero.
+    """
+    import casadi as ca
+
+    s = _state(traced)
+    q, v = s.inputs[:2]
+    tau = ca.SX.sym("tau", traced.n_joint)
+    x, rates = ca.vertsplit(q), list(s.rates)
+    if s.attitude:
+        rates[:SIZE] = own_rates(x[:SIZE], rates[:SIZE])
+    a = traced.formed.accelerations(s.chain, x, rates, ca.vertsplit(tau))
+    if s.attitude:
+        a[:SIZE] = own_accelerations(x[:SIZE], rates[:SIZE], a[:SIZE])
+    result = ca.vertcat(*a)
+    derivatives = [ca.jacobian(result, y) for y in (q, v, tau)]
+    return ca.Function("jacobians", [*s.inputs, tau], derivatives)
+
+
+@lru_cache(maxsize=8)
+def state_jacobian(traced: TracedArm) -> Any:
+    """CasADi Function (q, v, tau, parameters, nothing) -> da/dq, then da/dv, row by row."""
+    import casadi as ca
+
+    graph = accelerations(traced)
+    x = graph.sx_in()
+    a = graph(*x)
+    rows = [ca.vec(ca.densify(ca.jacobian(a, y)).T) for y in x[:2]]
+    return ca.Function("jacobian", x, [ca.cse(ca.vertcat(*rows))])
+
+
+@lru_cache(maxsize=8)
+def accelerations(traced: TracedArm, implicit: bool = False) -> Any:
+    """CasADi Function (q, v, tau, parameters, nothing or `Implicit`) -> accelerations.
+
+    Of a free base in coordinates whose rates are derivatives: x and rotation vector in a frame that
+    does not move, in which gravity ends the parameters: see free_base.py.
+    """
+    with double_precision("The arm's accelerations"):
+        return _accelerations(traced, implicit)
+
+
+def _accelerations(traced: TracedArm, implicit: bool) -> Any:
+    import casadi as ca
+
+    parameters = len(traced.free_parameters) + traced.n_gravity
+    sizes = {"q": traced.n, "v": traced.n, "tau": traced.n_joint, "p": parameters,
+             "implicit": 2 + traced.n if implicit else 0}  # fmt: skip
+    symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
+    q, v, tau, _, x = (ca.vertsplit(symbol) for symbol in symbols)
+    weights = Implicit(x[0], x[1], x[2:]) if implicit else None
+    a = traced.formed.accelerations(_with_parameters(traced, symbols[3]), q, v, tau, weights)
+    return ca.Function("accelerations", symbols, [ca.cse(ca.vertcat(*a))])
+
+
+def check_rest(traced: TracedArm) -> None:
+    """Refuse an arm that cannot even rest, straight and without torque."""
+    parameters = [*traced.nominal_parameters, *traced.n_gravity * [0.0]]
+    rest = np.array(accelerations(traced)(0.0, 0.0, 0.0, parameters, []))
+    if not np.isfinite(rest).all():
+        raise ValueError(
+            "The arm's accelerations at rest are not finite: its lengths, masses and stiffnesses "
+            "are too far apart for double precision."
+        )
+
+
+def _with_parameters(traced: TracedArm, p: Any) -> Chain:
+    links = list(traced.chain.links)
+    for k, name in enumerate(traced.free_parameters):
+        links = FREE_PARAMETERS[name].apply(links, p[k])
+    first, gravity = len(traced.free_parameters), traced.arm.gravity
+    if traced.n_gravity:
+        gravity = (p[first], p[first + 1], p[first + 2])
+    return replace(traced.chain, links=tuple(links), gravity=gravity)
+
+
+def renewal(gravity: Sequence[float]) -> tuple[Any, dict[str, int]]:
+    """CasADi Function of what follows every step: a free base's own frame is the next step's.
+
+    (coordinates, rates, attitude), of the base alone -> the same, then gravity in that frame if
+    there is any; and how many numbers each is, by the names of their slots.
+    """
+    import casadi as ca
+
+    sizes = {"Q": SIZE, "V": SIZE, "ATTITUDE": 4}
+    inputs = [ca.SX.sym(name, size) for name, size in sizes.items()]
+    values = list(renewed(*(ca.vertsplit(x) for x in inputs)))
+    if any(gravity):
+        sizes["GRAVITY"] = 3
+        values.append(local(gravity, values[-1]))
+    every = ca.vertcat(*(x for part in values for x in part))
+    return ca.Function("renew", inputs, [ca.cse(every)]), sizes

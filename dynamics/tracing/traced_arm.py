@@ -1,0 +1,91 @@
+"""One arm as it is traced: its chain of bodies, and the numbers that stay inputs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.description.arm import Arm
+from dynamics.formulations import free_base
+from dynamics.formulations.free_parameters import FREE_PARAMETERS
+from dynamics.formulations.kinematics import Chain
+from dynamics.formulations.link_constants import LinkConstants, chain_constants
+from dynamics.formulations.table import Formulation, formulation_for
+
+
+def slices(widths: Mapping[str, int]) -> dict[str, slice]:
+    """Adjoining slices of these widths, by name."""
+    ends = pairwise(accumulate(widths.values(), initial=0))
+    return {name: slice(*pair) for name, pair in zip(widths, ends, strict=True)}
+
+
+@dataclass(frozen=True)
+class TracedArm:
+    """An arm, its formulation, and the names in FREE_PARAMETERS that stay inputs."""
+
+    arm: Arm
+    free_parameters: tuple[str, ...] = ()
+    formulation: str = "gibbs_appell"
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return self.arm.n
+
+    @property
+    def n_joint(self) -> int:
+        """Number of joints."""
+        return self.arm.n_joint
+
+    @cached_property
+    def formed(self) -> Formulation:
+        """The formulation, which must know all of the arm."""
+        return formulation_for(self.arm, self.formulation)
+
+    @cached_property
+    def _links(self) -> list[tuple[LinkConstants, ...]]:
+        return chain_constants(self.arm)
+
+    @cached_property
+    def chain(self) -> Chain:
+        """All bodies from base to tip."""
+        base = free_base.bodies(self.arm.base)
+        bodies = (*base, *(body for link in self._links for body in link))
+        return Chain(bodies, self.arm.gravity, self.arm.rotation, bool(base))
+
+    @cached_property
+    def bodies(self) -> tuple[slice, ...]:
+        """The segments of every link among the bodies of the chain; a rotor comes before them."""
+        first = len(free_base.bodies(self.arm.base))
+        ends = accumulate((len(link) for link in self._links), initial=first)
+        segments = (link.segments for link in self.arm.links)
+        return tuple(
+            slice(stop - count, stop) for stop, count in zip(list(ends)[1:], segments, strict=True)
+        )
+
+    @property
+    def n_gravity(self) -> int:
+        """Inputs that hold gravity: three if it turns with the frame of a free base."""
+        return 3 if self.arm.base.n and any(self.arm.gravity) else 0
+
+    @cached_property
+    def nominal_parameters(self) -> NDArray[np.float64]:
+        """Values at which free parameters leave the arm as it is described."""
+        return np.array([FREE_PARAMETERS[name].nominal for name in self.free_parameters])
+
+    @cached_property
+    def measurements(self) -> dict[str, slice]:
+        """Columns of what `graphs.measure` gives, by name."""
+        m = self.n_joint
+        return slices({
+            "tip": 3, "tip_velocity": 3, "rigid_tip": 3, "deflection": m, "slope": m,
+            "curvature": 2 * m,
+        })  # fmt: skip
+
+    @property
+    def n_measure(self) -> int:
+        """Number of those columns."""
+        return self.measurements["curvature"].stop

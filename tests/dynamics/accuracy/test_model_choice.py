@@ -1,0 +1,227 @@
+"""The chosen model is the least that a scene needs, and its claimed error is honest.
+
+Verified against other discretisations followed by another integrator (in tests/reference/, made by
+`python benchmarks/model_choice.py --truth`), and against a geometrically nonlinear beam.
+"""
+
+import json
+import logging
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.model_choice import (
+    S1,
+    TRIALS,
+    chosen_tips,
+    independent_tips,
+    stored_truth,
+    truth_times,
+    verified_error,
+)
+from dynamics import (
+    ARMS,
+    Choice,
+    Mode,
+    choose_model,
+    load_arm,
+)
+from dynamics.accuracy import reference
+from dynamics.accuracy.fidelity import Fidelity, rigid, viscous
+from dynamics.accuracy.model_choice import _roomier
+from dynamics.accuracy.rollout import distance
+from dynamics.accuracy.scene import JointMotion
+from tests.paths import REFERENCE
+
+TRUTH = stored_truth()
+NONLINEAR_BEAM = REFERENCE / "S1_nonlinear_beam.csv"
+
+# scene -> modes per link and direction, as (least, most); foreshortened?; more segments than one?
+NEEDED: dict[str, tuple[list[dict[str, tuple[int, int]]], bool, bool]] = {
+    "stiff link": ([{}], False, False),
+    "heavy hub": ([{"y": (1, 1)}], False, False),
+    "light hub": ([{"y": (2, 3)}], False, False),
+    "laboratory arm": ([{"y": (2, 3)}], False, False),
+    "stiff and flexible link": ([{}, {"y": (1, 2)}], True, False),
+    "fast spin": ([{"y": (1, 2)}], True, False),
+    "soft beam": ([{"y": (1, 2)}], True, True),
+    "spatial, both joints": ([{"y": (1, 1), "z": (1, 1)}, {}], False, False),
+    "spatial, one joint": ([{"y": (1, 1)}, {}], False, False),
+    "crank": ([{"x": (1, 1)}, {}], False, False),
+}
+LEFT_TO_SLOW_RUNS = ("stiff and flexible link", "spatial, one joint", "crank")
+SOME_SLOW = [
+    pytest.param(name, marks=pytest.mark.slow if name in LEFT_TO_SLOW_RUNS else ())
+    for name in NEEDED
+]
+
+
+@cache
+def chosen(name: str) -> Choice:
+    """One choice per scene and session."""
+    trial = TRIALS[name]
+    return choose_model(trial.arm, trial.scene, trial.tolerance)
+
+
+def motion_of(name: str) -> JointMotion:
+    return TRIALS[name].scene.motions[0]
+
+
+@pytest.mark.parametrize("name", NEEDED)
+def test_a_scene_gets_what_it_needs_and_no_more(name: str) -> None:
+    links, foreshortened, segmented = NEEDED[name]
+    arm = chosen(name).arm
+    assert arm.foreshortening == foreshortened
+    assert any(link.segments > 1 for link in arm.links) == segmented
+    for link, wanted in zip(arm.links, links, strict=True):
+        for direction in "xyz":
+            least, most = wanted.get(direction, (0, 0))
+            assert least <= len(link.in_direction(direction)) <= most
+
+
+@pytest.mark.parametrize("name", SOME_SLOW)
+def test_the_compiled_choice_is_as_good_as_claimed(name: str) -> None:
+    choice, trial = chosen(name), TRIALS[name]
+    verified = verified_error(trial, choice, TRUTH[name])
+    assert verified <= choice.error + choice.residual <= trial.tolerance
+
+
+def test_the_claim_holds_against_a_beam_without_assumed_modes() -> None:
+    choice = chosen("laboratory arm")
+    truth = np.loadtxt(NONLINEAR_BEAM, delimiter=",", skiprows=3)[::4]
+    tips = chosen_tips(choice, motion_of("laboratory arm"), truth[:, 0])
+    apart = np.linalg.norm(tips[:, :2] - truth[:, 1:3], axis=1).max()
+    own = 7e-6 * S1.reach  # what the beam's solution is good to
+    assert apart <= choice.error + choice.residual + own
+    assert apart > 0.1 * choice.error  # and the claim is no idle bound
+
+
+@pytest.mark.parametrize("name", ["heavy hub", "light hub"])
+def test_one_mode_less_is_not_enough(name: str) -> None:
+    choice, trial = chosen(name), TRIALS[name]
+    link = choice.arm.links[0]
+    less = replace(link, modes=link.modes[:-1])
+    poorer = replace(choice, arm=replace(choice.arm, links=(less, *choice.arm.links[1:])))
+    poorer = replace(poorer, integrator="rk4", dt=1e-3)
+    assert verified_error(trial, poorer, TRUTH[name]) > trial.tolerance
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NEEDED)
+def test_the_stored_truth_is_what_the_independent_model_does(name: str) -> None:
+    tips = independent_tips(TRIALS[name], motion_of(name), truth_times(TRIALS[name]))
+    assert distance(tips, TRUTH[name]) <= 0.01 * TRIALS[name].tolerance
+
+
+def test_a_fast_spin_breaks_the_linear_model() -> None:
+    choice = chosen("fast spin")
+    linearized = replace(
+        choice, arm=replace(choice.arm, foreshortening=False), integrator="rk4", dt=0.1
+    )
+    assert (
+        verified_error(TRIALS["fast spin"], linearized, TRUTH["fast spin"]) > linearized.arm.reach
+    )
+
+
+def test_rungs_say_what_is_wrong_with_them() -> None:
+    """One clamped mode on a light free hub is worse than none; rigid is all truncation."""
+    ladder = {rung.description: rung for rung in chosen("light hub").ladder}
+    assert ladder["link 1: 1 y"].error > ladder["rigid links"].error
+    rigid = ladder["rigid links"]
+    assert rigid.truncation is not None
+    assert rigid.nonlinear is not None
+    assert rigid.truncation > 10.0 * rigid.nonlinear
+    assert chosen("fast spin").ladder[0].nonlinear == np.inf
+
+
+@pytest.mark.parametrize(
+    ("counts", "segments", "text"),
+    [
+        ([(0, 0, 0)] * 2, [1, 1], "rigid links"),
+        ([(2, 0, 0)], [1], "link 1: 2 y"),
+        ([(1, 1, 0)] * 3, [1, 1, 1], "links 1 to 3: 1 y + 1 z"),
+        ([(1, 0, 0)] * 2, [1, 2], "link 1: 1 y; link 2: 2 x (1 y)"),
+        (
+            [(1, 0, 0), (0, 0, 1), *3 * [(1, 0, 0)], (0, 0, 0), (1, 0, 0), (1, 0, 0)],
+            [1] * 8,
+            "links 1, 3 to 5, 7, 8: 1 y; link 2: 1 x; link 6: rigid",
+        ),
+    ],
+)
+def test_a_model_is_named_with_equal_links_together(
+    counts: list[Any], segments: list[int], text: str
+) -> None:
+    assert str(Fidelity(counts=tuple(counts), segments=tuple(segments))) == text
+
+
+def test_a_choice_is_deterministic_and_tells_what_it_measures(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    trial, choice = TRIALS["heavy hub"], chosen("heavy hub")
+    caplog.set_level(logging.INFO)
+    assert choose_model(trial.arm, trial.scene, trial.tolerance) == choice
+    told = dict(m.rsplit(": ", 1) for m in caplog.messages)
+    for rung in choice.ladder:
+        if rung.integration is None:  # a model, not a step
+            assert told[rung.description] == f"{rung.error:.2g} m from the reference"
+    assert f"reference, {choice.reference.split(';')[0]}" in told
+
+
+def test_a_choice_is_json_and_a_table() -> None:
+    choice = chosen("heavy hub")
+    data = json.loads(json.dumps(chosen("fast spin").to_dict(), allow_nan=False))
+    assert load_arm(data["arm"]) == chosen("fast spin").arm
+    assert data["ladder"][1]["error"] == "diverged"
+    assert choice.table().count("\n") == len(choice.ladder) + 1
+    assert choice.reason.endswith("m.")
+
+
+def test_the_arms_own_modes_name_the_shapes() -> None:
+    trial = TRIALS["heavy hub"]
+    modes = (Mode(kind="poly", index=1, direction="y"),)
+    arm = replace(trial.arm, links=(replace(trial.arm.links[0], modes=modes),))
+    choice = choose_model(arm, trial.scene, trial.tolerance)
+    assert {mode.kind for mode in choice.arm.links[0].modes} == {"poly"}
+    assert len(choice.arm.links[0].modes) == 2
+
+
+def test_a_reference_that_does_not_converge_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    trial = TRIALS["soft beam"]
+    monkeypatch.setattr(reference, "REFERENCES", ((2, 2),))
+    with pytest.raises(RuntimeError, match=r"does not converge: .*still moves by 0\.\d+ m"):
+        choose_model(trial.arm, trial.scene, trial.tolerance)
+
+
+def test_a_damped_arm_gets_no_richer_model_than_an_undamped_one() -> None:
+    trial, bare = TRIALS["laboratory arm"], chosen("laboratory arm").arm.links[0]
+    arm = replace(trial.arm, links=(replace(trial.arm.links[0], damping_ratio=0.02),))
+    (link,) = choose_model(arm, trial.scene, trial.tolerance).arm.links
+    assert (len(link.modes), link.segments) <= (len(bare.modes), bare.segments)
+    assert link == replace(viscous(arm.links[0]), modes=link.modes)
+
+
+@pytest.mark.parametrize(("error", "expected"), [(0.65, None), (0.75, 2), (0.85, 3)])
+def test_a_model_that_crowds_its_steps_gets_a_roomier_rival(
+    error: float, expected: int | None
+) -> None:
+    """The cheapest that leaves twice as much: 0.25 wants more than 0.5 left, 0.15 more than 0.3."""
+    arm, errors = ARMS["deluca-siciliano"], {2: 0.45, 3: 0.6}
+    one = replace(rigid(arm, polynomial=True), counts=((1, 0, 0), (1, 0, 0)))
+
+    def left(model: Fidelity) -> float:
+        return 1.0 - (error if model == one else errors[2 if model.counts[0][0] == 2 else 3])
+
+    def operations(model: Fidelity) -> int:
+        return 2 if model.counts[0][0] == 2 else 1  # the second link's further mode is cheaper
+
+    bench: Any = SimpleNamespace(tolerance=1.0, arm=arm, left=left, operations=operations)
+    rival = _roomier(bench, one)
+    if expected is None:
+        assert rival is None
+    else:
+        assert rival is not None
+        assert rival.counts == (((2, 0, 0), (1, 0, 0)) if expected == 2 else ((1, 0, 0), (2, 0, 0)))

@@ -1,0 +1,56 @@
+"""Motions of a scene, and those that are refused."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from numpy.testing import assert_allclose
+
+from benchmarks.model_choice import (
+    TRIALS,
+)
+from dynamics import (
+    Scene,
+    choose_model,
+)
+from dynamics.accuracy.scene import JointMotion, bang_bang, cycloid, release
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"joint_angles": (), "joint_rates": ()}, "joint_angles must hold one angle per joint"),
+        ({"joint_rates": (0.0, 0.0)}, "joint_rates must have 1 numbers, got 2"),
+        ({"t_end": -1.0}, "t_end must be positive, got -1.0"),
+        ({"t_end": float("nan")}, "t_end"),
+        ({"torque": 3.0}, "torque must be a function of time or None, got 3.0"),
+    ],
+)
+def test_nonsense_motions_are_refused(change: dict[str, Any], sentence: str) -> None:
+    values = {"joint_angles": (0.0,), "joint_rates": (0.0,), "t_end": 1.0}
+    with pytest.raises(ValueError, match=sentence):
+        JointMotion(**{**values, **change})
+
+
+def test_a_scene_must_fit_the_arm_and_the_tolerance_be_positive() -> None:
+    arm, motion = TRIALS["heavy hub"].arm, TRIALS["heavy hub"].scene.motions[0]
+    with pytest.raises(ValueError, match="at least one motion"):
+        Scene(motions=())
+    with pytest.raises(ValueError, match=r"joint_angles must have shape \(1,\).*got \(2,\)"):
+        choose_model(arm, Scene(motions=(release((0.0, 0.0), t_end=1.0),)), 1e-3)
+    odd = replace(motion, torque=lambda t: [0.0, 0.0])
+    with pytest.raises(ValueError, match=r"torque must have shape \(1,\).*got \(2,\)"):
+        choose_model(arm, Scene(motions=(odd,)), 1e-3)
+    with pytest.raises(ValueError, match=r"tolerance must be positive, got 0\.0"):
+        choose_model(arm, Scene(motions=(motion,)), 0.0)
+
+
+def test_typical_motions() -> None:
+    pulse = bang_bang((2.0, 0.5), pulse=0.2, t_end=1.0)
+    assert pulse.knots == (0.0, 0.2, 0.4, 1.0)
+    assert pulse.torque is not None
+    assert_allclose([pulse.torque(t) for t in (0.1, 0.3, 0.5)], [[2, 0.5], [-2, -0.5], [0, 0]])
+    smooth = cycloid((2.0,), duration=0.4, t_end=1.0)
+    assert smooth.torque is not None
+    assert_allclose([smooth.torque(t)[0] for t in (0.1, 0.3, 0.4)], [2.0, -2.0, 0.0], atol=1e-12)
+    assert release((0.1,), t_end=1.0).torque is None

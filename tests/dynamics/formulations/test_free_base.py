@@ -1,0 +1,104 @@
+"""A base that flies: against brute force, conservation laws and rigid bodies with known motions."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from dynamics import Arm
+from dynamics.description.rotations import from_rotation_vector
+from dynamics.formulations import articulated_body, free_base, gibbs_appell
+from dynamics.formulations.kinematics import energies
+from dynamics.types import Array
+from tests.dynamics import brute_force
+from tests.dynamics.random_arms import (
+    compiled,
+    flying,
+    random_arm,
+    random_state,
+    random_torque,
+    torque_matrix,
+)
+
+FEW = [(0, 1, 1), (1, 1, 3), (2, 2, 2), (3, 2, 3), (4, 3, 3), (7, 3, 0), (15, 4, 3), (18, 1, 2)]
+some_arm = pytest.mark.parametrize("case", FEW, ids=str)
+
+
+def flyer(seed: int, n_link: int, n_mode: int) -> Arm:
+    return flying(random_arm(seed, n_link, n_mode), seed)
+
+
+class Plain:
+    """The recursion on plain floats, in the coordinates and rates that callers use."""
+
+    def __init__(self, arm: Arm, q: Array, v: Array) -> None:
+        self.turn = from_rotation_vector(q[3:6].tolist())
+        self.chain = free_base.turned(compiled(arm).chain, self.turn)
+        self.q = free_base.unturned(free_base.local(q.tolist(), self.turn), self.turn)
+        self.v = free_base.local(v.tolist(), self.turn)
+
+    def composite(self) -> tuple[Array, Array]:
+        M = free_base.matrix_in_world(gibbs_appell.mass_matrix(self.chain, self.q), self.turn)
+        h = free_base.world(gibbs_appell.bias(self.chain, self.q, self.v), self.turn)
+        return np.array(M), np.array(h)
+
+    def accelerations(self, tau: Array) -> Array:
+        a = articulated_body.accelerations(self.chain, self.q, self.v, tau.tolist())
+        return np.array(free_base.world(a, self.turn))
+
+    def momentum(self) -> Array:
+        p = free_base.momentum(self.chain, self.q, self.v)
+        return np.array([free_base.world(x, self.turn) for x in p])
+
+
+@some_arm
+def test_mass_matrix_is_the_metric_of_kinetic_energy(case: tuple[int, int, int]) -> None:
+    arm = flyer(*case)
+    q, v = random_state(arm)
+    plain = Plain(arm, q, v)
+
+    M, _ = plain.composite()
+
+    assert np.array_equal(M, M.T)
+    size = np.sqrt(np.diag(M))
+    assert np.abs((M - brute_force.mass_matrix(arm, q)) / np.outer(size, size)).max() < 1e-10
+    assert np.linalg.eigvalsh(M / np.outer(size, size))[0] > 0.0
+    kinetic, _, gravity = energies(plain.chain, plain.q, plain.v)
+    assert kinetic == pytest.approx(brute_force.kinetic_energy(arm, q, v), rel=1e-12)
+    assert gravity == pytest.approx(brute_force.gravity_energy(arm, q), rel=1e-12)
+
+
+@some_arm
+def test_equations_are_the_gradient_of_the_energy_of_acceleration(
+    case: tuple[int, int, int],
+) -> None:
+    """M a + h = dS/da + resisting forces, by velocity and own angular velocity of the base."""
+    arm = flyer(*case)
+    (q, v), tau = random_state(arm), random_torque(arm)
+    plain = Plain(arm, q, v)
+
+    a = plain.accelerations(tau)
+
+    M, h = plain.composite()
+    expected = brute_force.inertial_forces(arm, q, v, a) + brute_force.resisting_forces(arm, q, v)
+    size = np.sqrt(np.diag(M) * 2.0 * brute_force.acceleration_energy(arm, q, v, a))
+    assert np.abs((M @ a + h - expected) / size).max() < 1e-10
+    assert brute_force.imbalance(M, a, torque_matrix(arm) @ tau - h) < 1e-13
+
+
+@some_arm
+def test_momentum_is_that_of_all_bodies(case: tuple[int, int, int]) -> None:
+    """And, of the whole, what the base's rows of the mass matrix say of it."""
+    arm = flyer(*case)
+    q, v = random_state(arm)
+    plain = Plain(arm, q, v)
+
+    linear, angular = plain.momentum()
+
+    expected = brute_force.momentum(arm, q, v)
+    assert_allclose(linear, expected[0], rtol=0.0, atol=1e-12 * np.abs(expected[0]).max())
+    assert_allclose(angular, expected[1], rtol=0.0, atol=1e-12 * np.abs(expected[1]).max())
+    force, moment = np.split((plain.composite()[0] @ v)[:6], 2)
+    assert_allclose(linear, force, rtol=0.0, atol=1e-12 * np.abs(linear).max())
+    about_base = angular - np.cross(q[:3], linear)
+    own = free_base.local(about_base.tolist(), plain.turn)
+    assert_allclose(own, moment, rtol=0.0, atol=1e-11 * np.abs(angular).max())

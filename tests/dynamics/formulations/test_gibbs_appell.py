@@ -1,0 +1,350 @@
+"""The recursion against brute force, against itself in another form, and against energy."""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from dynamics import Arm, Joint
+from dynamics.backends.numba_llvm.stepper_entries import LANES
+from dynamics.description.mode_shapes import KINDS
+from dynamics.formulations import articulated_body, gibbs_appell, kinematics
+from dynamics.formulations.kinematics import energies
+from dynamics.types import Array
+from tests.dynamics import brute_force
+from tests.dynamics.random_arms import (
+    compiled,
+    floats,
+    random_arm,
+    random_state,
+    random_torque,
+    torque_matrix,
+    two_link_spatial,
+    undamped,
+)
+
+ANY = [(seed, 1 + seed % 6, seed % 4) for seed in range(24)]  # seed, links, most modes per link
+FEW = [
+    (0, 1, 1), (1, 1, 3), (2, 2, 2), (3, 2, 3), (4, 3, 3), (5, 4, 2), (6, 6, 1), (7, 3, 0),
+    (15, 4, 3), (18, 1, 2), (2, 3, 2), (7, 2, 3),
+]  # fmt: skip
+
+any_arm = pytest.mark.parametrize("case", ANY, ids=str)
+some_arm = pytest.mark.parametrize("case", FEW, ids=str)
+
+
+def composite(arm: Arm, q: Array, v: Array, recursion: Any = gibbs_appell) -> tuple[Array, Array]:
+    """M and h of the recursion on plain floats."""
+    chain = compiled(arm).chain
+    M = recursion.mass_matrix(chain, floats(q))
+    return np.array(M), np.array(recursion.bias(chain, floats(q), floats(v)))
+
+
+def accelerations(arm: Arm, q: Array, v: Array, tau: Array) -> Array:
+    """The O(n) recursion on plain floats."""
+    chain = compiled(arm).chain
+    return np.array(articulated_body.accelerations(chain, floats(q), floats(v), floats(tau)))
+
+
+def rate(along: Callable[[Any], Any]) -> float:
+    """Exact d/dt at t = 0 of an expression of t."""
+    t = ca.SX.sym("t")
+    return float(ca.Function("rate", [t], [ca.jacobian(along(t), t)])(0.0))
+
+
+def moving(t: Any, *derivatives: Array) -> list[Any]:
+    """x + t x' (+ t^2/2 x''), element by element."""
+    powers = (1.0, t, 0.5 * t * t)
+    return [
+        sum(p * float(d) for p, d in zip(powers, ds, strict=False))
+        for ds in zip(*derivatives, strict=True)
+    ]
+
+
+def test_random_arms_have_everything() -> None:
+    """Foreshortened and welded parts with modes, rigid links, torsion, pinned roots, payloads."""
+    arms = [random_arm(*case) for case in FEW]
+    links = [link for arm in arms for link in arm.links]
+    kinds = {mode.kind for link in links for mode in link.modes}
+
+    assert kinds == set(KINDS)
+    assert any(arm.foreshortening and arm.n > 10 for arm in arms)
+    assert {arm.payload is None for arm in arms} == {True, False}
+    assert any(link.segments > 1 and link.modes for link in links)
+    assert any(not link.modes for link in links)
+    assert any(link.in_direction("x") and link.in_direction("z") for link in links)
+
+
+@any_arm
+def test_elimination_solves_the_composite_equations(case: tuple[int, int, int]) -> None:
+    """O(n) accelerations equal M^-1 (B tau - h)."""
+    arm = random_arm(*case)
+    (q, v), tau = random_state(arm), random_torque(arm)
+    M, h = composite(arm, q, v)
+
+    a = accelerations(arm, q, v, tau)
+
+    assert brute_force.imbalance(M, a, torque_matrix(arm) @ tau - h) < 1e-13
+
+
+@any_arm
+def test_implicit_elimination_solves_the_augmented_equations(case: tuple[int, int, int]) -> None:
+    """(M + W) a = B tau - h + W guess, W = s K + d C, K of modes, C of modes and viscous joints."""
+    arm = random_arm(*case)
+    (q, v), tau = random_state(arm), random_torque(arm)
+    guess = random_torque(arm, 1)[0] * np.ones(arm.n)
+    s, d = 1e-5, 1e-3
+    M, h = composite(arm, q, v)
+
+    implicit = articulated_body.Implicit(s, d, floats(guess))
+    a = articulated_body.accelerations(
+        compiled(arm).chain, floats(q), floats(v), floats(tau), implicit
+    )
+
+    load = torque_matrix(arm) @ tau - h
+    M, load = brute_force.augmented(arm, M, load, guess, s, d)
+    assert brute_force.imbalance(M, a, load) < 1e-13
+
+
+@some_arm
+def test_mass_matrix_is_the_metric_of_kinetic_energy(case: tuple[int, int, int]) -> None:
+    """M from Gauss points, rotors, hubs and tip bodies; M = M' > 0; T = 1/2 v' M v."""
+    arm = random_arm(*case)
+    q, v = random_state(arm)
+
+    M, _ = composite(arm, q, v)
+
+    size = np.sqrt(np.diag(M))
+    assert np.abs((M - brute_force.mass_matrix(arm, q)) / np.outer(size, size)).max() < 1e-10
+    assert np.array_equal(M, M.T)
+    assert np.linalg.eigvalsh(M / np.outer(size, size))[0] > 0.0
+    kinetic, _, _ = energies(compiled(arm).chain, floats(q), floats(v))
+    assert kinetic == pytest.approx(0.5 * v @ M @ v, rel=1e-12)
+    assert kinetic == pytest.approx(brute_force.kinetic_energy(arm, q, v), rel=1e-12)
+
+
+def gibbs_residual(arm: Arm, recursion: Any = gibbs_appell) -> float:
+    """Largest error of M a + h against the gradient of the energy of acceleration [-].
+
+    Measured by what a coordinate can feel at most, sqrt(M_kk 2 S).
+    """
+    q, v = random_state(arm)
+    a = accelerations(arm, q, v, random_torque(arm))
+    expected = brute_force.inertial_forces(arm, q, v, a) + brute_force.resisting_forces(arm, q, v)
+    M, h = composite(arm, q, v, recursion)
+    true_M, _ = composite(arm, q, v)
+    size = np.sqrt(np.diag(true_M) * 2.0 * brute_force.acceleration_energy(arm, q, v, a))
+    return float(np.abs((M @ a + h - expected) / size).max())
+
+
+@some_arm
+def test_equations_are_the_gradient_of_the_energy_of_acceleration(
+    case: tuple[int, int, int],
+) -> None:
+    """Gibbs-Appell: M a + h = dS/da + elastic, damping and friction forces."""
+    assert gibbs_residual(random_arm(*case)) < 1e-10
+
+
+@any_arm
+def test_inertial_forces_do_the_work_of_a_changing_mass_matrix(case: tuple[int, int, int]) -> None:
+    """v' h_inertial = 1/2 v' (dM/dt) v."""
+    arm = random_arm(*case)
+    q, v = random_state(arm)
+    chain = replace(
+        compiled(undamped(arm)).chain, gravity=(0.0, 0.0, 0.0),
+        links=tuple(replace(k, K=_zeros(k.K)) for k in compiled(undamped(arm)).chain.links),
+    )  # fmt: skip
+
+    def kinetic(t: Any) -> Any:
+        M = gibbs_appell.mass_matrix(chain, moving(t, q, v))
+        return 0.5 * sum(v[i] * v[j] * M[i][j] for i in range(arm.n) for j in range(arm.n))
+
+    power = rate(kinetic)
+
+    h = np.array(gibbs_appell.bias(chain, floats(q), floats(v)))
+    assert v @ h == pytest.approx(power, abs=1e-11 * np.abs(v) @ np.abs(h))
+
+
+def _zeros(K: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(0.0 for _ in row) for row in K)
+
+
+def power_imbalance(arm: Arm) -> float:
+    """d(T+V)/dt - tau . slip + dissipation, beside the largest power in it [-]."""
+    (q, v), tau = random_state(arm), random_torque(arm)
+    a = accelerations(arm, q, v, tau)
+    chain = compiled(arm).chain
+
+    def total(t: Any) -> Any:
+        return sum(energies(chain, moving(t, q, v, a), moving(t, v, a)))
+
+    slip = torque_matrix(arm).T @ v
+    resisting = brute_force.resisting_forces(arm, q, v)
+    elastic = brute_force.resisting_forces(arm, q, 0.0 * v)
+    drive, loss = tau @ slip, v @ (resisting - elastic)
+    M, _ = composite(arm, q, v)
+    inertial = np.sqrt((v @ M @ v) * (a @ M @ a))
+    assert loss >= 0.0
+    return abs(rate(total) - drive + loss) / max(abs(drive), loss, inertial)
+
+
+@any_arm
+def test_energy_changes_by_the_work_of_torques_less_dissipation(case: tuple[int, int, int]) -> None:
+    """d(T+V)/dt = tau . slip - dissipation; T + V and the accelerations share only kinematics."""
+    assert power_imbalance(random_arm(*case)) < 1e-11
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_linear_tip_rotation_creates_energy_in_space(seed: int) -> None:
+    """E = 1 + theta~ is no rotation and theta_dot not its rate: correction 5."""
+    arm = random_arm(seed, 3, 3)
+
+    assert power_imbalance(replace(arm, rotation="linear")) > 1e-5
+    assert power_imbalance(arm) < 1e-11
+
+
+CORRECTIONS = {  # what the paper lacks: the text that supplies it, and the text without it
+    "1: omega x theta_dot, (70)": ("cross(w, theta_dot)", "ZERO"),
+    "2: omega_dot x r, (69)": ("matvec(Phi, r)", "matvec(_phi(w, ZERO), r)"),
+    "3: sign of omega~ B9 omega, (44)": (
+        "cross(w, matvec(f.B9, w))",
+        "scale(-1.0, cross(w, matvec(f.B9, w)))",
+    ),
+    "4: joint-deflection block mirrored": (
+        "M[row][places[i][c]] = M[places[i][c]][row] = entry",
+        "M[row][places[i][c]] = entry",
+    ),
+    "5a: J_l on tip rotation shapes": ("E, [J_l(u) for u in shapes]", "E, shapes"),
+    "5b: J_l_dot theta_dot": ("[J_l(u) for u in shapes], bias", "[J_l(u) for u in shapes], ZERO"),
+}
+
+
+def recursion_without(correction: str) -> ModuleType:
+    """The recursion with one correction taken back."""
+    old, new = CORRECTIONS[correction]
+    own = inspect.getsource(gibbs_appell)
+    source = inspect.getsource(kinematics) + own.replace(
+        "from dynamics.formulations.kinematics import", "#"
+    )
+    assert source.count(old) == 1, f"the text of correction {correction} has changed"
+    module = ModuleType("altered")
+    exec(source.replace(old, new), module.__dict__)
+    return module
+
+
+@pytest.mark.parametrize("correction", CORRECTIONS)
+def test_every_correction_to_the_paper_is_needed(correction: str) -> None:
+    assert gibbs_residual(random_arm(4, 3, 3), recursion_without(correction)) > 1e-6
+
+
+@pytest.mark.parametrize("correction", [c for c in CORRECTIONS if not c.startswith("4")])
+def test_a_planar_arm_needs_no_correction(correction: str) -> None:
+    """Why the paper's planar example could not find these errors."""
+    arm = random_arm(4, 3, 3, spatial=False)
+
+    assert gibbs_residual(arm, recursion_without(correction)) < 1e-10
+
+
+CODE = [random_arm(18, 1, 2), random_arm(3, 2, 3), two_link_spatial()]
+
+
+@pytest.mark.parametrize("arm", CODE, ids=lambda arm: f"{arm.n_joint}-link-{arm.n}")
+@pytest.mark.parametrize("lanes", [1, LANES])
+def test_compiled_code_is_the_recursion_on_floats(arm: Arm, lanes: int) -> None:
+    """In every lane, also of a block that is not full."""
+    model, count = compiled(arm), LANES + 3
+    states = [random_state(arm, seed) for seed in range(count)]
+    q, v = (np.array(x) for x in zip(*states, strict=True))
+    tau = np.array([random_torque(arm, seed) for seed in range(count)])
+    program, out = model.program(lanes, "rk4"), np.empty((count, arm.n))
+
+    program.evaluate_states(q, v, tau, np.empty((count, 0)), model.workspace(program), out)
+
+    for k in range(count):
+        expected = accelerations(arm, q[k], v[k], tau[k])
+        assert_allclose(out[k], expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+    assert_allclose(model.accelerations(q[0], v[0], tau[0]), out[0], rtol=1e-12)
+
+
+@some_arm
+def test_an_undeflected_arm_is_the_rigid_chain(case: tuple[int, int, int]) -> None:
+    """Textbook forward kinematics, whatever the modes."""
+    arm = random_arm(*case)
+    q = compiled(arm).rigid(random_state(arm)[0])
+
+    p, R = np.zeros(3), np.eye(3)
+    for link, angle in zip(arm.links, q[list(arm.joint_index)], strict=True):
+        c, s = np.cos(angle), np.sin(angle)
+        p = p + R @ link.joint.offset
+        R = R @ link.joint.rotation @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        p = p + link.length * R[:, 0]
+
+    assert_allclose(compiled(arm).tip(q), p, rtol=0.0, atol=1e-13 * arm.reach)
+
+
+@some_arm
+def test_tip_and_its_velocity_are_those_of_the_bent_arm(case: tuple[int, int, int]) -> None:
+    arm = random_arm(*case)
+    q, v = random_state(arm)
+
+    tip, velocity = brute_force.tip(arm, q, v)
+
+    assert_allclose(compiled(arm).tip(q), tip, rtol=0.0, atol=1e-12 * arm.reach)
+    size = np.abs(velocity).max()
+    assert_allclose(compiled(arm).tip_velocity(q, v), velocity, rtol=0.0, atol=1e-12 * size)
+
+
+def test_a_spatial_arm_moved_in_its_plane_stays_there() -> None:
+    """Out-of-plane coordinates at rest feel exactly nothing."""
+    first, second = two_link_spatial().links
+    arm = two_link_spatial(links=(first, replace(second, joint=Joint())), gravity=(0.0, -9.81, 0.0))
+    out_of_plane = [2, 3, 6]  # "z" bending, torsion
+    q, v = random_state(arm)
+    q[out_of_plane] = v[out_of_plane] = 0.0
+
+    a = accelerations(arm, q, v, random_torque(arm))
+
+    assert np.all(a[out_of_plane] == 0.0)
+    assert np.all(a[[0, 1, 4, 5]] != 0.0)
+    assert compiled(arm).tip(q)[2] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_planar_arm_seen_in_a_mirror_moves_in_the_mirror(seed: int) -> None:
+    arm = replace(random_arm(seed, 3, 2, spatial=False), payload=None)
+    straight = tuple(
+        replace(k, joint=replace(k.joint, offset=(k.joint.offset[0], 0.0, 0.0))) for k in arm.links
+    )
+    arm = replace(arm, links=straight, gravity=(-9.81, 0.0, 0.0))
+    (q, v), tau = random_state(arm), random_torque(arm)
+
+    assert_allclose(accelerations(arm, -q, -v, -tau), -accelerations(arm, q, v, tau), rtol=1e-13)
+
+
+def test_turning_base_and_gravity_together_changes_nothing() -> None:
+    """Accelerations know no world frame."""
+    arm = random_arm(4, 3, 3)
+    (q, v), tau = random_state(arm), random_torque(arm)
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    first = arm.links[0].joint
+    joint = replace(
+        first,
+        rotation=tuple(map(tuple, turn @ first.rotation)),
+        offset=tuple(turn @ first.offset),
+    )
+    turned = replace(
+        arm,
+        links=(replace(arm.links[0], joint=joint), *arm.links[1:]),
+        gravity=tuple(turn @ arm.gravity),
+    )
+
+    a = accelerations(arm, q, v, tau)
+
+    assert_allclose(accelerations(turned, q, v, tau), a, rtol=0.0, atol=1e-11 * np.abs(a).max())

@@ -1,0 +1,66 @@
+"""What Python calls is compiled once, kept on disk, and quick to load."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dynamics.runtime.jit import direct, on_disk
+from tests.paths import ROOT
+
+SESSION = """
+import json, sys
+from dynamics import Stepper, compile_arm
+stepper = Stepper(compile_arm("slim"), 20, dt=1e-4, substeps=2)
+stepper.advance()
+stats = stepper._program.advance.stats
+slow = {"casadi", "scipy.linalg", "numba.np.arraymath", "dynamics.arms.six_link"}
+print(json.dumps({
+    "slow": sorted(slow & set(sys.modules)),
+    "hits": sum(stats.cache_hits.values()), "misses": sum(stats.cache_misses.values()),
+}))
+"""
+
+
+def test_a_second_process_starts_from_the_cache(tmp_path: Path) -> None:
+    """It neither traces nor compiles nor writes, nor imports what only those need."""
+
+    def session() -> dict[str, Any]:
+        result = subprocess.run(
+            [sys.executable, "-c", SESSION], cwd=ROOT, check=True, capture_output=True, text=True,
+            env=os.environ | {"FLEXARM_CACHE": str(tmp_path)},
+        )  # fmt: skip
+        return json.loads(result.stdout)
+
+    def files() -> dict[Path, int]:
+        return {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
+
+    cold = session()
+    written = files()
+    warm = session()
+
+    compiler = ["casadi", "numba.np.arraymath", "scipy.linalg"]
+    assert cold == {"slow": compiler, "hits": 0, "misses": 1}
+    assert warm == {"slow": [], "hits": 1, "misses": 0}
+    assert any(path.suffix == ".nbc" for path in written)
+    assert files() == written
+
+
+def mean(x: Any, scale: float) -> Any:
+    return scale * x.sum() / x.size
+
+
+def test_what_is_called_directly_is_what_numba_would_have_found() -> None:
+    """Compiled once for arguments of these types; numbers of another size are refused."""
+    found, x = on_disk()(mean), np.arange(5.0)
+    called = direct(found, x, 2.0)
+    assert direct(found, x[:3], 1.0) is called
+    assert called(x, 0.5) == found(x, 0.5) == 1.0
+    assert len(found.overloads) == 1
+    with pytest.raises(TypeError, match="array"):
+        called(x.astype(np.float32), 0.5)

@@ -1,0 +1,79 @@
+"""`python -m dynamics evaluate` against an independent method, case by case."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from dynamics.__main__ import main
+from tests.paths import REFERENCE
+
+CASES = sorted(
+    path.stem
+    for path in REFERENCE.glob("*.json")
+    if "states" in json.loads(path.read_text()).get("expected", {})
+)
+ENERGY = 1e-7  # of the largest energy: the order of an integration within 1e-6 m of the reference
+
+
+@pytest.fixture(params=CASES, scope="module")
+def evaluated(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the shell says about a case, and what is expected."""
+    case, out = REFERENCE / f"{request.param}.json", tmp_path_factory.mktemp("case") / "out.json"
+    assert main(["evaluate", str(case), "--out", str(out)]) == 0
+    return json.loads(out.read_text()), json.loads(case.read_text())["expected"]
+
+
+def test_states_agree_to_1e_9(evaluated: tuple[dict[str, Any], dict[str, Any]]) -> None:
+    result, expected = evaluated
+    assert result["names"] == expected["names"]
+    for got, want in zip(result["states"], expected["states"], strict=True):
+        assert set(got) == {"M", "h", "acc"}
+        for key in got:
+            size = float(np.abs(want[key]).max())
+            assert_allclose(got[key], want[key], rtol=0.0, atol=1e-9 * size, err_msg=key)
+
+
+def test_frequencies_agree_to_1e_8(evaluated: tuple[dict[str, Any], dict[str, Any]]) -> None:
+    result, expected = evaluated
+    assert set(result["frequencies_rad_s"]) == {"joints_locked", "joints_free"}
+    for key, got in result["frequencies_rad_s"].items():
+        if "frequencies_rad_s" in expected:
+            assert_allclose(got, expected["frequencies_rad_s"][key], rtol=1e-8, err_msg=key)
+
+
+def test_tip_motion_agrees_to_a_micrometre(
+    evaluated: tuple[dict[str, Any], dict[str, Any]],
+) -> None:
+    motion, expected = evaluated[0]["motion"], evaluated[1]["motion"]
+    flight = {"base_quaternion", "linear_momentum", "angular_momentum_about_origin"}
+    flies = "base_quaternion" in expected
+    assert set(motion) == {"t", "tip", "q", "qd", "T", "V"} | (flight if flies else set())
+    assert_allclose(motion["t"], expected["t"], rtol=1e-12)
+    assert_allclose(motion["tip"], expected["tip"], rtol=0.0, atol=1e-6)
+    largest = float(max(np.abs(expected["T"]).max(), np.abs(expected["V"]).max()))
+    for key in ("T", "V"):
+        assert_allclose(motion[key], expected[key], atol=ENERGY * largest, err_msg=key)
+    for key in sorted(flight) if flies else ():
+        assert_allclose(motion[key], expected[key], rtol=0.0, atol=1e-7, err_msg=key)
+    assert_allclose(motion["q"], expected["q"], rtol=0.0, atol=1e-6)
+
+
+def test_a_motion_that_diverges_ends_with_status_3_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = json.loads((REFERENCE / "S1_m2.json").read_text())
+    case["torque"] = [{"type": "piecewise-constant", "t": [0.0], "v": [1e25]}]
+    (tmp_path / "case.json").write_text(json.dumps(case))
+
+    status = main(["evaluate", str(tmp_path / "case.json"), "--out", str(tmp_path / "out.json")])
+
+    out, err = capsys.readouterr()
+    assert (status, out) == (3, "")
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out.json").exists()
