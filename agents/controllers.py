@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation import episode_metrics, make_batch, record, summarise
+from agents.metrics import episode_metrics, make_batch, record, summarise
 from agents.policy import Controller
 from dynamics.types import AnyArray
 

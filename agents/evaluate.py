@@ -8,14 +8,14 @@ from typing import Any
 
 import yaml
 
+from agents.comparison import compare
 from agents.config import LIMITS
 from agents.controllers import CONTROLLERS
 from agents.environments import REFUSALS, check_keywords
-from agents.evaluation import make_batch
 from agents.files import FolderError, alone_in, check_folder
+from agents.metrics import make_batch
 from agents.policy import Controller, Policy, PolicyError, load_policy, load_zip
-from agents.report import compare
-from agents.runs import versions
+from agents.run_folder.folder import versions
 from agents.sentences import one_line
 from agents.signals import Interrupted, signals_to, stop_at_once
 from dynamics.description import validate

@@ -10,10 +10,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
-from agents.evaluation import SETTLED_BAND, Recording
 from agents.files import written_whole
+from agents.metrics import Recording
 from agents.policy import Controller
 from dynamics.types import AnyArray
+from flexarm_env.tasks import SETTLED_BAND
 
 COLOURS = ("#0072b2", "#d55e00", "#7f7f7f", "#009e73", "#cc79a7")  # told apart by everybody
 GIF_SECONDS_PER_FRAME = 0.04

@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from agents.checkpoints import CheckpointError, newest_whole, restore_checkpoint
+from agents.comparison import compare
 from agents.config import AGENT_KWARGS, LIMITS, SCHEDULE, Config, ConfigError, load_config
 from agents.controllers import joint_pd, tune_pd
 from agents.environments import REFUSALS
-from agents.evaluation import make_batch, write_json
 from agents.figures import plot_learning_curve
 from agents.files import FolderError, alone_in
-from agents.keeper import Progress, errors_in_the_main_thread, make_keeper
+from agents.metrics import make_batch, write_json
 from agents.policy import Controller, PolicyError, export_policy, load_policy, save_policy
-from agents.report import compare
-from agents.runs import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
+from agents.run_folder.checkpoints import CheckpointError, newest_whole, restore_checkpoint
+from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
+from agents.run_folder.keeper import Progress, errors_in_the_main_thread, make_keeper
 from agents.sentences import one_line
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 from dynamics.description import validate

@@ -1,6 +1,6 @@
 """How the cost of the accelerations grows: with links, segments, modes and the size of a batch.
 
-    python benchmarks/cost.py [--quick] [--out FILE] [--images FOLDER]
+    python -m benchmarks.cost [--quick] [--out FILE] [--images FOLDER]
 
 CPU time is that of one right-hand side of one environment, many lanes side by side on one thread;
 in a batch also the calls' share. An exponent says how that grows which is added to the second
@@ -10,7 +10,6 @@ too: from the arm's description to its first right-hand side, without a cache.
 
 import argparse
 import os
-import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -24,13 +23,12 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.model_choice import ACROSS
-from benchmarks.output import provenance, save_figure, save_results
+from benchmarks.output import RESULTS, provenance, save_figure, save_results
 from dynamics import Arm, Joint, Link, Mode, Stepper, compile_arm
 from dynamics.description.validate import IDENTITY
 from dynamics.tracing.ssa import operations
-from flexarm_env.timing import cpu_seconds
+from flexarm_env.accuracy.timing import cpu_seconds
 
 DEFAULT_ARMS = ("slim", "deluca-siciliano", "six-link")
 EVALUATIONS = 4  # of the accelerations per Runge-Kutta step
@@ -234,8 +232,8 @@ def main() -> None:
     parser.add_argument(
         "--quick", action="store_true", help="at most four links and eight segments"
     )
-    parser.add_argument("--out", type=Path, default=Path("docs/results/cost.json"))
-    parser.add_argument("--images", type=Path, default=Path("docs/results"))
+    parser.add_argument("--out", type=Path, default=RESULTS / "cost.json")
+    parser.add_argument("--images", type=Path, default=RESULTS)
     options = parser.parse_args()
     sizes = [1, 16, 1024] if options.quick else [4**k for k in range(7)] + [8192]
     results = measure(4 if options.quick else 8, sizes)

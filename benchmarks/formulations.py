@@ -1,13 +1,12 @@
 """How far the formulations agree, and what the conventions for the bent end's rotation cost.
 
-    python benchmarks/formulations.py [--out FILE]
+    python -m benchmarks.formulations [--out FILE]
 
 Differences of M are relative to sqrt(M_jj M_kk), those of forces and accelerations to their own
 size, both in the norm of kinetic energy: sqrt(a' M a).
 """
 
 import argparse
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,15 +15,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
 from benchmarks.operations import Case, given_arm
-from benchmarks.output import provenance, save_results
+from benchmarks.output import RESULTS, provenance, save_results
 from dynamics import ARMS, Arm, compile_arm, simulate
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.table import FORMULATIONS, why_not
 from dynamics.types import Array
 
-RESULT = Path(__file__).resolve().parents[1] / "docs" / "results" / "formulations.json"
+RESULT = RESULTS / "formulations.json"
 ROTATIONS = ("exp", "linear")
 SLOPES = (0.001, 0.01, 0.1)  # [rad] largest tip slope
 STATES = 5  # per arm

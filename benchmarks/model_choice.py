@@ -1,6 +1,6 @@
 """What `choose_model` finds on contrasting scenes, and whether its claims hold.
 
-    python benchmarks/model_choice.py [--out docs/results/model_choice.json] [--truth]
+    python -m benchmarks.model_choice [--out docs/results/model_choice.json] [--truth]
 
 Writes the ladders as JSON and, beside it, as Markdown. Each claim is verified by compiling the
 chosen model, stepping it as chosen, and comparing it with another discretisation of the arm,
@@ -11,7 +11,6 @@ tests/reference/; `--truth` makes them again.
 import argparse
 import json
 import math
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,15 +18,14 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
-from benchmarks.output import provenance, save_results
+from benchmarks.output import REFERENCE, RESULTS, provenance, save_results
 from dynamics import Arm, Choice, Joint, Link, Mode, Scene, choose_model, compile_arm, simulate
 from dynamics.accuracy.fidelity import everything
 from dynamics.accuracy.scene import JointMotion, bang_bang, cycloid, release
 from dynamics.types import Array
 
 ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))  # next joint axis perpendicular
-TRUTH = Path(__file__).parents[1] / "tests" / "reference" / "model_choice_truth.json"
+TRUTH = REFERENCE / "model_choice_truth.json"
 TRUTH_SAMPLES = 97
 
 
@@ -228,7 +226,7 @@ def _make_truth() -> None:
 def main() -> None:
     """Run all trials and write what was found."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/results/model_choice.json"))
+    parser.add_argument("--out", type=Path, default=RESULTS / "model_choice.json")
     parser.add_argument("--truth", action="store_true", help="make the independent motions again")
     options = parser.parse_args()
     if options.truth:

@@ -1,6 +1,6 @@
 """Operations of every formulation, counted by running it, beside the published formulas.
 
-    python benchmarks/operations.py [--out FILE]
+    python -m benchmarks.operations [--out FILE]
 
 A general arm has a free symbol for every entry of every constant of a link, so that no zero and no
 one folds away; what depends on constants alone is done once per arm and not counted, as in the
@@ -9,7 +9,6 @@ it lacks folds away. Equal operations count once; a change of sign, sines and co
 """
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,8 +16,7 @@ from typing import Any
 
 import casadi as ca
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
-from benchmarks.output import provenance, save_results
+from benchmarks.output import RESULTS, provenance, save_results
 from dynamics import ARMS, Arm, Mode, compile_arm
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.link_constants import LinkConstants, chain_constants
@@ -26,7 +24,7 @@ from dynamics.formulations.table import FORMULATIONS
 from dynamics.tracing.ssa import operations
 
 Counts = dict[str, int]
-RESULT = Path(__file__).resolve().parents[1] / "docs" / "results" / "operations.json"
+RESULT = RESULTS / "operations.json"
 ROTATIONS = ("linear", "exp")
 DEFAULT_ARMS = ("slim", "korayem-two-link", "deluca-siciliano", "six-link")
 

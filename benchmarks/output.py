@@ -10,7 +10,11 @@ from typing import Any
 
 from llvmlite.binding import get_host_cpu_name
 
-from agents.runs import revision
+from agents.run_folder.folder import revision
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "docs" / "results"
+REFERENCE = ROOT / "tests" / "reference"
 
 
 def provenance(*packages: str) -> dict[str, Any]:
@@ -19,8 +23,14 @@ def provenance(*packages: str) -> dict[str, Any]:
         "machine": {"processor": processor(), "cores": os.cpu_count()},
         "versions": {"python": platform.python_version(), **{p: version(p) for p in packages}},
         "commit": revision(),
-        "command": " ".join(["python", "benchmarks/" + Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": " ".join(["python", "-m", _module(), *sys.argv[1:]]),
     }
+
+
+def _module() -> str:
+    """The name after `python -m`."""
+    spec = sys.modules["__main__"].__spec__
+    return spec.name.removesuffix(".__main__") if spec else Path(sys.argv[0]).name
 
 
 def processor() -> str:
@@ -40,10 +50,8 @@ def save_results(results: dict[str, Any], text: str, path: Path) -> None:
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """PNG and SVG, the same bytes for the same figure."""
+    """PNG of a figure, which is closed."""
     import matplotlib.pyplot as plt
 
-    with plt.rc_context({"svg.hashsalt": path.stem}):
-        figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
     figure.savefig(path.with_suffix(".png"), dpi=110)
     plt.close(figure)

@@ -1,6 +1,6 @@
 """Rigid arms: operations of inverse dynamics, and motions returned from their own torques.
 
-    python benchmarks/rigid_arms.py [--quick] [--out FILE]
+    python -m benchmarks.rigid_arms [--quick] [--out FILE]
 
 Newton and Euler's torques of a cycloidal motion, as a function of time, drive the forward dynamics;
 the error is the largest distance of a joint from the motion that was planned. Where the planned
@@ -8,7 +8,6 @@ motion is unstable the error grows as fast as the linearised arm says, whatever 
 """
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
-from benchmarks.output import provenance, save_figure, save_results
+from benchmarks.output import RESULTS, provenance, save_figure, save_results
 from dynamics import ARMS, Arm, compile_arm, simulate
 from dynamics.description import denavit_hartenberg
 from dynamics.description.denavit_hartenberg import Row
@@ -107,7 +105,7 @@ def round_trip(name: str, samples: int) -> dict[str, Any]:
 def page(table: Rows, trips: dict[str, dict[str, Any]]) -> str:
     """The tables as Markdown."""
     lines = [
-        "# Rigid arms", "", "Made by `python benchmarks/rigid_arms.py`.", "",
+        "# Rigid arms", "", "Made by `python -m benchmarks.rigid_arms`.", "",
         "| inverse dynamics of | multiplications | additions | thesis |", "|---|---|---|---|",
     ]  # fmt: skip
     for row in table:
@@ -143,7 +141,7 @@ def main() -> None:
     """Write JSON, page and picture."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--quick", action="store_true", help="fewer points in the picture")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/rigid_arms.json"))
+    parser.add_argument("--out", type=Path, default=RESULTS / "rigid_arms.json")
     options = parser.parse_args()
     table = counts()
     trips = {name: round_trip(name, 21 if options.quick else 201) for name in MOTIONS}

@@ -1,6 +1,6 @@
 """Many steps of every environment under random and bang-bang actions: nothing may go unsaid.
 
-    python benchmarks/soak.py [--steps 1e8] [--out docs/results/soak.json]
+    python -m benchmarks.soak [--steps 1e8] [--out docs/results/soak.json]
 
 After every step of every environment: observation, reward and info are finite and the observation
 is within its bounds; the clock goes on by one control step or, after an episode that was said to
@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import flexarm_env
+from benchmarks.output import RESULTS, provenance, save_results
 from flexarm_env import FlexArmVectorEnv
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
-from benchmarks.output import provenance, save_results
 
 BATCH = 4096
 OVERDRIVEN, TOO_MUCH = 0.1, 20.0  # share of the steps, times the torque limit
@@ -119,7 +117,7 @@ def main() -> int:
     """Soak, print, write; the exit status is 1 if anything went wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=float, default=1e8, help="in all (default 1e8)")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/soak.json"))
+    parser.add_argument("--out", type=Path, default=RESULTS / "soak.json")
     options = parser.parse_args()
     begin = time.perf_counter()
     each = int(options.steps / len(flexarm_env.IDS))

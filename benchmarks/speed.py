@@ -1,6 +1,6 @@
 """How fast the three default arms step, beside this machine's multiply-add peak.
 
-    python benchmarks/speed.py [--thorough] [--out docs/results/speed.json]
+    python -m benchmarks.speed [--thorough] [--out docs/results/speed.json]
 
 Medians of repeated runs; ratios and the peak come from the same run. Leave the machine alone while
 it runs. `--thorough` chooses a model of six links, too, which takes a quarter of an hour; it is
@@ -25,6 +25,7 @@ from typing import Any, NamedTuple, cast
 import gymnasium as gym
 import numpy as np
 
+from benchmarks.output import RESULTS, provenance, save_results
 from dynamics import ARMS, Stepper, compile_arm
 from dynamics.backends.numba_llvm.module_text import straight_line_text
 from dynamics.backends.numba_llvm.program import cached_module, fingerprint
@@ -33,10 +34,7 @@ from dynamics.runtime.work_queue import STOP
 from dynamics.tracing.function import written
 from dynamics.tracing.ssa import Code
 from flexarm_env import FlexArmVectorEnv
-from flexarm_env.certificates import kept
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
-from benchmarks.output import provenance, save_results
+from flexarm_env.accuracy.certificates import kept
 
 DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
 BATCHES = (1024, 16384)
@@ -248,7 +246,7 @@ def physics_steps(family: str) -> dict[str, Any]:
 def main() -> None:
     """Measure, print a table, and write JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/results/speed.json"))
+    parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
     parser.add_argument("--thorough", action="store_true", help="choose a model of six links, too")
     options = parser.parse_args()
     most_links = math.inf if options.thorough else 2

@@ -1,13 +1,12 @@
 """Where methods and models fail: predicted beside observed boundaries, failing cells kept.
 
-    python benchmarks/stability.py [--quick] [--out FILE] [--images FOLDER]
+    python -m benchmarks.stability [--quick] [--out FILE] [--images FOLDER]
 
 Every map is a grid of environments stepped in one batch. `--quick` takes a coarser grid.
 """
 
 import argparse
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +21,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # as a script: the other benchmarks
-from benchmarks.output import save_figure
+from benchmarks.output import RESULTS, save_figure
 from dynamics import Arm, Joint, Link, Mode, Model, Payload, Stepper, compile_arm
 from dynamics.formulations.linearized import linear_arm
 from dynamics.integrators.table import INTEGRATORS
@@ -277,8 +275,8 @@ def main() -> None:
     """Make all maps, print how well they were predicted, write JSON and pictures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a coarser grid")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/stability.json"))
-    parser.add_argument("--images", type=Path, default=Path("docs/results"))
+    parser.add_argument("--out", type=Path, default=RESULTS / "stability.json")
+    parser.add_argument("--images", type=Path, default=RESULTS)
     options = parser.parse_args()
     cells = 16 if options.quick else 48
     maps = {

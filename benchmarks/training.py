@@ -1,6 +1,6 @@
 """Train an experiment with several seeds and compare every run with the best joint PD.
 
-    python benchmarks/training.py --config configs/one_link_reach_ppo.yaml --seeds 0 1 2 3 4
+    python -m benchmarks.training --config configs/one_link_reach_ppo.yaml --seeds 0 1 2 3 4
 
 writes docs/results/NAME.json, NAME.md and NAME.png (learning curves); with --gif also NAME.gif
 (the first seed beside joint PD); and experiments.md, an overview of every experiment so far. The
@@ -19,14 +19,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+import gymnasium as gym
 
-import gymnasium as gym  # noqa: E402
-
-from agents.config import Config, load_config  # noqa: E402
-from agents.controllers import joint_pd, tune_pd  # noqa: E402
-from agents.evaluation import (  # noqa: E402
+from agents.config import Config, load_config
+from agents.controllers import joint_pd, tune_pd
+from agents.figures import film, plot_learning_curve, plot_recordings, write_gif
+from agents.metrics import (
     METRICS,
     Recording,
     episode_metrics,
@@ -35,10 +33,10 @@ from agents.evaluation import (  # noqa: E402
     summarise,
     write_json,
 )
-from agents.figures import film, plot_learning_curve, plot_recordings, write_gif  # noqa: E402
-from agents.policy import Controller, load_policy  # noqa: E402
-from agents.runs import RunFolder, versions  # noqa: E402
-from agents.training import learn  # noqa: E402
+from agents.policy import Controller, load_policy
+from agents.run_folder.folder import RunFolder, versions
+from agents.training import learn
+from benchmarks.output import RESULTS
 
 # At most these shares of joint PD's medians to win, and the same in words.
 SETTLING = {"settling_time": 1.0 / 3.0, "residual_vibration": 1.0 / 10.0}
@@ -180,9 +178,9 @@ def overview(out: Path) -> str:
     table = "\n".join(f"| {line} |" for line in [" | ".join(header), " | ".join(rule), *lines])
     return f"""# Experiments
 
-Medians over 100 episodes (and over seeds), made by `benchmarks/training.py`; details behind each
-name. Joint PD has the best gains of a grid and acts at the policy's control rate. On a light hub
-that rate, not the law, is what holds it back, so it is also shown at {FASTER} times the rate.
+Medians over 100 episodes (and over seeds), made by `python -m benchmarks.training`; details behind
+each name. Joint PD has the best gains of a grid and acts at the policy's control rate. On a light
+hub that rate, not the law, is what holds it back, so it is also shown at {FASTER} times the rate.
 
 {table}
 """
@@ -231,7 +229,7 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
     envs.close()
     data = {
         "name": config.name,
-        "command": "python benchmarks/training.py " + " ".join(sys.argv[1:]),
+        "command": "python -m benchmarks.training " + " ".join(sys.argv[1:]),
         "env": env_id,
         "task": task,
         "episodes": episodes,
@@ -277,7 +275,7 @@ def main() -> None:
     parser.add_argument("--config", type=Path, required=True)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     parser.add_argument("--steps", type=int, help="instead of the experiment's total_steps")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
+    parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--keep", type=Path, help="folder to keep the runs in")
     parser.add_argument("--gif", action="store_true", help="film the first seed beside joint PD")
     a = parser.parse_args()

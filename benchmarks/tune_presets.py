@@ -1,6 +1,6 @@
 """Numbers of the presets that no source gives, tuned to frequencies that one does.
 
-    python benchmarks/tune_presets.py
+    python -m benchmarks.tune_presets
 
 Prints what stands in `dynamics/arms`, to its digits. A frequency grows with the root of EI, so
 that one correction settles it; where more is tuned, least squares do.

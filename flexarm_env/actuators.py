@@ -5,8 +5,8 @@ angle,
 
     x' = A x + B u + E w,    torque = C x + D u - damping w - stiffness q,
 
-clipped to a torque limit, then to a rate of change. `drives.py` compiles them into the control
-step. What a motor adds to its joint, rotor inertia and friction, joins the arm's own.
+clipped to a torque limit, then to a rate of change. `compiled/actuation.py` makes them part of the
+compiled control step. The rotor inertia and friction of a motor are added to the joint's own.
 """
 
 import math

@@ -19,11 +19,11 @@ import numpy as np
 from dynamics.accuracy.certificate import Certificate, certify
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import load_arm
-from flexarm_env import SCENES
-from flexarm_env.certificates import RANDOM_SHARE, STORE, scene, stored
+from flexarm_env.accuracy.certificates import RANDOM_SHARE, STORE, scene, stored
+from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.core import Core
-from flexarm_env.physics import SAFE, integration, physics
-from flexarm_env.timing import cpu_seconds
+from flexarm_env.registration import SCENES
+from flexarm_env.scales import SAFE, integration, scales
 
 ACCURACY, LONG_ACCURACY = 1e-4, 1e-3  # of the reach; for more than two links, to end in minutes
 METHODS = ("rk4", "numerov", "exponential", "midpoint")
@@ -65,7 +65,7 @@ def strayed(arm: str, control_dt: float, length: int, integrator: str, substeps:
 def fewest_steps(arm: str, control_dt: float, length: int, integrator: str) -> Step | None:
     """The fewest substeps of a method that are stable and accurate; None up to MOST_STEPS."""
     limit = SAFE * INTEGRATORS[integrator].limit
-    first = int(control_dt * physics(load_arm(arm)).fastest / limit) + 1
+    first = int(control_dt * scales(load_arm(arm)).fastest / limit) + 1
     for substeps in range(first, MOST_STEPS + 1):
         error = strayed(arm, control_dt, length, integrator, substeps)
         if error < TIP_ERROR:

@@ -20,22 +20,23 @@ from dynamics.runtime.work_queue import turns
 from dynamics.simulation.stepper import MOST_ENVIRONMENTS, MOST_THREADS
 from dynamics.simulation.validity import LARGEST_RATE
 from dynamics.types import Array
-from flexarm_env import arguments, kernels
+from flexarm_env import arguments
+from flexarm_env.accuracy.certificates import find, fit, kept
 from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
-from flexarm_env.certificates import find, fit, kept
-from flexarm_env.drives import Drives
+from flexarm_env.compiled import episode
+from flexarm_env.compiled.actuation import Actuation
+from flexarm_env.compiled.outputs import SPARE, BatchOutputs, Outputs, SingleOutputs
+from flexarm_env.compiled.signals import FLAGS, LOST, Signals
 from flexarm_env.observations import observation_layout
-from flexarm_env.outputs import SPARE, BatchOutputs, Outputs, SingleOutputs
-from flexarm_env.physics import (
+from flexarm_env.rewards import TERMS, resolve_weights
+from flexarm_env.scales import (
     BY_RULE,
     DEFLECTION_LIMIT,
     MOVE,
     SLOPE_PER_DEFLECTION,
     integration,
-    physics,
+    scales,
 )
-from flexarm_env.report import FLAGS, LOST, Report
-from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.tasks import find_task
 
 FASTEST = 1e12  # [rad/s] of a joint without a limit
@@ -45,7 +46,7 @@ DIVERGED = FLAGS.index("diverged")
 class Core:
     """N copies of an arm at a task.
 
-    A control step is one compiled call: command, substeps and report of all, see `report.Report`.
+    A control step is one compiled call: command, substeps and report of all, see `signals.Signals`.
 
     Parameters
     ----------
@@ -57,8 +58,8 @@ class Core:
     reward : name in `rewards.REWARDS` or weights of `rewards.TERMS`; None: the task's own.
     control_dt : [s] time between actions.
     integrator, substeps : None: the fastest that was measured to be accurate, see certify.py; for
-        an arm that was not measured, by rule, see `physics.integration`.
-    torque_limit : [N m] one number or one per joint; None: see `physics.Physics`.
+        an arm that was not measured, by rule, see `scales.integration`.
+    torque_limit : [N m] one number or one per joint; None: see `scales.Scales`.
     actuator : between action and torque: a name in `actuators.PRESETS`, a dict, or a list of one
         per joint; None: the torque is the action times its limit.
     deflection_limit : [-] deflection over length above which an episode ends as invalid.
@@ -128,11 +129,11 @@ class Core:
         self._outputs = SingleOutputs if single else BatchOutputs
         self.randomize = arguments.ranges({} if randomize is None else randomize)
         fitted = fit(described, self.control_dt, fidelity, tolerance)
-        self.arm, self.physics = fitted.arm, physics(fitted.arm)
-        given = physics(described)  # what a task asks does not depend on the model of the arm
-        self.drives = Drives(actuators, self.arm, given.torque_limit) if actuators else None
-        if self.drives:
-            self.torque_limit = self.drives.torque_limit
+        self.arm, self.scales = fitted.arm, scales(fitted.arm)
+        given = scales(described)  # what a task asks does not depend on the model of the arm
+        self.actuation = Actuation(actuators, self.arm, given.torque_limit) if actuators else None
+        if self.actuation:
+            self.torque_limit = self.actuation.torque_limit
         else:
             self.torque_limit = arguments.torque_limits(torque_limit, given.torque_limit)
         self.integrator, self.substeps = self._integration(
@@ -141,23 +142,23 @@ class Core:
         )
         self.dt = self.control_dt / self.substeps
         step = self.arm, self.control_dt, self.integrator, self.substeps
-        self.certificate = None if self.drives else fitted.certificate or find(*step)
+        self.certificate = None if self.actuation else fitted.certificate or find(*step)
         weights = resolve_weights(self.task.reward if reward is None else reward)
         inertia = np.array(given.inertia)
         full = self.torque_limit  # of a strong motor, what the arm can stand
-        full = np.minimum(full, given.torque_limit) if self.drives else full
+        full = np.minimum(full, given.torque_limit) if self.actuation else full
         acceleration = float(np.min(full / inertia))  # [rad/s^2] at full torque
         self.rate_scale = math.sqrt(acceleration * MOVE)  # [rad/s] top speed of a typical move
         self.move_time = 2.0 * math.sqrt(MOVE / acceleration)  # [s] of a bang-bang move by MOVE
-        sensed = tuple(self.torque_limit.tolist()) if self.drives else ()
+        sensed = tuple(self.torque_limit.tolist()) if self.actuation else ()
         self.layout = observation_layout(
-            self.arm, self.task, obs, self.physics, self.rate_scale, sensed
+            self.arm, self.task, obs, self.scales, self.rate_scale, sensed
         )
 
         self.model: Model = compile_arm(
             self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
         )
-        self.report = Report(self.model, self.task.moving, self.layout, self.drives)
+        self.signals = Signals(self.model, self.task.moving, self.layout, self.actuation)
         self._constants = self._fixed_numbers(weights, deflection_limit, max_steps)
         self._start = self._episode_ranges()
         self._allocate()
@@ -171,14 +172,14 @@ class Core:
             name, count = best["integrator"], best["substeps"]
         else:
             name, count = integration(self.arm, self.control_dt, integrator)
-        if self.drives:
-            count = max(count, self.drives.substeps(self.control_dt, name))
+        if self.actuation:
+            count = max(count, self.actuation.substeps(self.control_dt, name))
         if substeps is not None:
             return name, validate.integer(substeps, "substeps", 1, arguments.MOST_SUBSTEPS)
         if count > arguments.MOST_BY_RULE:
             raise ValueError(
                 f"control_dt ({self.control_dt:g} s) would take {count} steps of {name!r}, more "
-                f"than {arguments.MOST_BY_RULE}, for an arm of {self.physics.fastest:.3g} rad/s; "
+                f"than {arguments.MOST_BY_RULE}, for an arm of {self.scales.fastest:.3g} rad/s; "
                 "leave out modes of its stiffest links, take fidelity='rigid', or set substeps."
             )
         return name, count
@@ -189,14 +190,14 @@ class Core:
         Restarted every substep, for actuators, a method that remembers does not; frozen modes are
         those of the arm as described, not of one with other parameters.
         """
-        if self.drives:
+        if self.actuation:
             return integrator in BY_RULE
         return not self.randomize or INTEGRATORS[integrator].aid != "modes"
 
     def _fixed_numbers(
         self, weights: dict[str, float], deflection_limit: float, max_steps: int
     ) -> Array:
-        """What holds for all environments, as `report.Report.constants` names it."""
+        """What holds for all environments, as `signals.Signals.constants` names it."""
         values: dict[str, Any] = {
             "torque_limit": self.torque_limit,
             "control_dt": self.control_dt,
@@ -209,28 +210,27 @@ class Core:
             "weights": [weights.get(name, 0.0) for name in TERMS],
             "factors": self.layout.factors,
         }
-        if self.drives:
-            values["command_limit"] = self.drives.command
-            values["actuators"] = self.drives.constants(self.dt)
-        return self.report.constants.packed(values, self.model.dtype)
+        if self.actuation:
+            values["command_limit"] = self.actuation.command
+            values["actuators"] = self.actuation.constants(self.dt)
+        return self.signals.constants.packed(values, self.model.dtype)
 
     def _rate_limit(self) -> float:
         """[rad/s] joint rate beyond which linear modes lose much of their stiffness."""
-        if self.arm.foreshortening or not self.physics.held:
+        if self.arm.foreshortening or not self.scales.held:
             return FASTEST
-        return LARGEST_RATE * min(self.physics.held)
+        return LARGEST_RATE * min(self.scales.held)
 
     def _episode_ranges(self) -> tuple[Any, ...]:
-        """What `kernels.begin` draws from, and where it writes."""
-        first = {name: rows.start for name, rows in self.report.state.slices.items()}
-        names = ("q", "v", "centre", "amplitude", "frequency", "phase", "free")  # as the kernels'
+        """What `episode.begin` draws from, and where it writes."""
+        first = {name: rows.start for name, rows in self.signals.state.slices.items()}
+        names = ("q", "v", "centre", "amplitude", "frequency", "phase", "free")  # as episode.py's
         return (
-            np.int64(self.task.code),
             self.task.ranges(self.move_time),
-            np.array(self.physics.home),
+            np.array(self.scales.home),
             np.array(self.arm.joint_index, dtype=np.uint64),
-            np.array(self.physics.modal_scale),
-            np.array(self.physics.modal_rate),
+            np.array(self.scales.modal_scale),
+            np.array(self.scales.modal_rate),
             np.array([MOVE, self.rate_scale**2 / MOVE]),
             np.array(list(self.randomize.values()), dtype=np.float64).reshape(-1, 2),
             np.array([first[name] for name in names], dtype=np.uint64),
@@ -238,13 +238,13 @@ class Core:
 
     def _allocate(self) -> None:
         """The state of all environments, and a workspace per thread."""
-        n_env, rows = self.n_env, self.report.state.slices
+        n_env, rows = self.n_env, self.signals.state.slices
         lanes = 1 if n_env == 1 else self.model.lanes
-        self._program = self.model.program(lanes, self.integrator, self.report.addition)
+        self._program = self.model.program(lanes, self.integrator, self.signals.addition)
         blocks = -(-n_env // lanes)
         self._width = lanes * (blocks | 1)  # an odd number of blocks spreads rows over the cache
         self._kept: list[Outputs] = []
-        self.state = np.zeros((self.report.state.total, self._width), self.model.dtype)
+        self.state = np.zeros((self.signals.state.total, self._width), self.model.dtype)
         self.state[rows["free"]] = self.model.nominal_parameters[:, None]
         self.streams = np.zeros(n_env, dtype=np.int64)
         self.q, self.v = self.state[rows["q"], :n_env].T, self.state[rows["v"], :n_env].T
@@ -273,7 +273,7 @@ class Core:
         for known in self._kept:
             if known.unused:
                 return known
-        info = self.report.info
+        info = self.signals.info
         new = self._outputs(self.n_env, self.layout.size, self._width, self.model.dtype, info)
         self._kept = [*self._kept[-SPARE + 1 :], new]
         return new
@@ -334,12 +334,12 @@ class Core:
         """
         placed = {} if options is None else arguments.placements(options, self.arm, rows.size)
         before = self.state[:, rows], self.streams[rows]
-        kernels.begin(rows, *self._start, self.state, self.streams)
+        episode.begin(rows, *self._start, self.state, self.streams)
         for name, values in placed.items():
-            self.state[self.report.state.slices[name]].T[rows] = values
-        if self.drives:
-            states = self.report.state.slices["actuator"]
-            self.state[states, rows] = self.drives.at_rest(self.q[rows])
+            self.state[self.signals.state.slices[name]].T[rows] = values
+        if self.actuation:
+            states = self.signals.state.slices["actuator"]
+            self.state[states, rows] = self.actuation.at_rest(self.q[rows])
         w = self.workspaces[0]
         self._control_step(
             rows, 0, 0, self.dt, self._no_actions, self.state, w, out.obs, out.info, out.flags
@@ -367,7 +367,7 @@ class Core:
 
     def joint_target(self) -> Array:
         """(N, n_joint) [rad] joint angles that put the tip on the target, links straight."""
-        return self.state[self.report.state.slices["target"], : self.n_env].T.copy()
+        return self.state[self.signals.state.slices["target"], : self.n_env].T.copy()
 
     def joint_state(self) -> tuple[Array, Array]:
         """(N, n_joint) [rad] and [rad/s]: what ideal encoders read."""
@@ -382,7 +382,7 @@ class Core:
 
     def elapsed(self, row: int) -> int:
         """Control steps since the start of environment `row`'s episode."""
-        return int(self.state[self.report.state.slices["elapsed"].start, row])
+        return int(self.state[self.signals.state.slices["elapsed"].start, row])
 
     # ---- copies ------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ import numpy as np
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.types import Array
-from flexarm_env.physics import MOVE, Physics
+from flexarm_env.scales import MOVE, Scales
 from flexarm_env.tasks import Task
 
 BOUND = 10.0  # [-] every scaled element is clipped to this
@@ -23,7 +23,7 @@ class Part:
     name: str
     meaning: str
     unit: str
-    entries: tuple[int, ...]  # of the signal of this name in report.py
+    entries: tuple[int, ...]  # of the signal of this name in compiled/signals.py
     scale: tuple[float, ...]  # physical = observation * scale
     bound: float = BOUND
 
@@ -83,7 +83,7 @@ def is_planar(arm: Arm) -> bool:
 
 
 def observation_layout(
-    arm: Arm, task: Task, kind: str, physics: Physics, rate: float, torques: tuple[float, ...] = ()
+    arm: Arm, task: Task, kind: str, scales: Scales, rate: float, torques: tuple[float, ...] = ()
 ) -> Layout:
     """The observation of an arm at a task; `rate` [rad/s] is the joint rate of a typical move.
 
@@ -105,8 +105,8 @@ def observation_layout(
     ]
     if kind == "state":
         every += [
-            _part("modal_amplitude", "modal amplitude", "m", modal, physics.modal_scale),
-            _part("modal_rate", "modal rate", "m/s", modal, physics.modal_rate),
+            _part("modal_amplitude", "modal amplitude", "m", modal, scales.modal_scale),
+            _part("modal_rate", "modal rate", "m/s", modal, scales.modal_rate),
             _part("tip_error", frame, "m", axes, MOVE * arm.reach),
         ]
     else:

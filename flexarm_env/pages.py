@@ -8,14 +8,16 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics.simulation.validity import LARGEST_RATE
-from flexarm_env import IDS, REWARDS, TASKS, TERMS
-from flexarm_env.certificates import kept
+from flexarm_env.accuracy.certificates import kept
 from flexarm_env.certify import EPISODES, TIP_ERROR
+from flexarm_env.compiled.signals import LOST
 from flexarm_env.core import Core
 from flexarm_env.env import FlexArmEnv
 from flexarm_env.observations import Layout
-from flexarm_env.physics import DEFLECTION_LIMIT, SLOPE_PER_DEFLECTION
-from flexarm_env.report import LOST, SETTLED_BAND
+from flexarm_env.registration import IDS
+from flexarm_env.rewards import REWARDS, TERMS
+from flexarm_env.scales import DEFLECTION_LIMIT, SLOPE_PER_DEFLECTION
+from flexarm_env.tasks import SETTLED_BAND, TASKS
 
 ARGUMENTS = (
     ("arm", "the id's", "preset name, path to an arm file (.json, .yaml), dict or `Arm`"),
@@ -69,7 +71,7 @@ def page(env_id: str) -> str:
         '### With `obs="sensors"`\n\n' + _observations("sensors", env_id),
         "## Rewards\n\n" + _rewards(core),
         f"## Starting state\n\n{task.start_text}\n\nHome posture [rad]: "
-        f"{_numbers(core.physics.home)}. `reset(options=...)` takes `state` (a dict of "
+        f"{_numbers(core.scales.home)}. `reset(options=...)` takes `state` (a dict of "
         f"`q` and `v`, {arm.n} numbers each: {', '.join(arm.names)}) and `target` "
         f"({arm.n_joint} joint angles).",
         "## Episode end\n\n" + _end(steps, core),
@@ -87,8 +89,8 @@ def _facts(core: Core, steps: int) -> str:
         ("reach", f"{core.arm.reach:.4g} m"),
         ("control step, episode", f"{core.control_dt:g} s, {steps} steps"),
         ("integration", f"{core.integrator}, {core.substeps} steps per control step"),
-        ("first frequencies, joints held", f"{_numbers(_hertz(core.physics.held[:2]))} Hz"),
-        ("first frequencies, joints free", f"{_numbers(_hertz(core.physics.free[:2]))} Hz"),
+        ("first frequencies, joints held", f"{_numbers(_hertz(core.scales.held[:2]))} Hz"),
+        ("first frequencies, joints free", f"{_numbers(_hertz(core.scales.free[:2]))} Hz"),
         ("a typical move (0.5 rad, bang-bang)", f"{core.move_time:.2f} s"),
     ]
     return _table(("", ""), rows)

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from flexarm_env.outputs import BatchOutputs
+from flexarm_env.compiled.outputs import BatchOutputs
 from flexarm_env.vector import FlexArmVectorEnv
 
 

@@ -11,17 +11,16 @@ import numpy as np
 
 from dynamics.description import validate
 from dynamics.types import Array
-from flexarm_env import kernels
-from flexarm_env.physics import MOVE
+from flexarm_env.scales import MOVE
 
 Range = tuple[float, float]
+SETTLED_BAND = 0.02  # [-] tip error over reach
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
     """One task: what its episodes are drawn from, uniformly, by an environment's own stream."""
 
-    code: int  # how the kernels call it
     title: str
     description: str
     start: Range  # [rad] joint angles at the start, about the home posture
@@ -38,7 +37,7 @@ class Task:
         return self.tempo[1] > 0.0
 
     def ranges(self, move_time: float) -> Array:
-        """(5, 2) the numbers `kernels.begin` draws from."""
+        """(5, 2) ranges that `episode.begin` draws from; the rows are named there."""
         base = math.pi / move_time  # [rad/s]
         tempo = (self.tempo[0] * base, self.tempo[1] * base)
         return np.array([self.start, self.moves, self.share, tempo, self.shake])
@@ -46,7 +45,6 @@ class Task:
 
 TASKS = {
     "Reach": Task(
-        code=kernels.REACHING,
         title="rest to rest",
         description=(
             "Bring the tip from rest onto a resting target, as fast as the torques allow, and "
@@ -61,7 +59,6 @@ TASKS = {
         reward="reach",
     ),
     "Track": Task(
-        code=kernels.TRACKING,
         title="follow a smooth fast path",
         description=(
             "Keep the tip on a target that moves along a smooth path at speeds that bend the arm; "
@@ -79,7 +76,6 @@ TASKS = {
         reward="track",
     ),
     "Damp": Task(
-        code=kernels.DAMPING,
         title="still a shaken arm",
         description="The arm was shaken and vibrates: bring it to rest where its joints were.",
         start=(-0.5, 0.5),

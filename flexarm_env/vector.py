@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dynamics.description import validate
 from dynamics.types import Array
 from flexarm_env.arguments import whole_seed
+from flexarm_env.compiled.outputs import BatchOutputs, masks
 from flexarm_env.core import Core
 from flexarm_env.env import (
     RENDER_MODES,
@@ -21,7 +22,6 @@ from flexarm_env.env import (
     frames_per_second,
     observation_space,
 )
-from flexarm_env.outputs import BatchOutputs, masks
 
 Flags = NDArray[np.bool_]
 _AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from agents import training
-from agents.runs import RunFolder
+from agents.run_folder.folder import RunFolder
 from agents.training import main as train
 from tests.agents.tiny import write_config
 

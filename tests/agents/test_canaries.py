@@ -15,7 +15,7 @@ import flexarm_env
 from agents.config import ConfigError, config_from_dict, load_config
 from agents.environments import KEYWORDS, check_keywords
 from agents.evaluate import main as evaluate
-from agents.evaluation import make_batch
+from agents.metrics import make_batch
 from agents.policy import Policy, save_policy
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS, JointPD, joint_pd, tune_pd
-from agents.evaluation import episode_metrics, make_batch, record
+from agents.metrics import episode_metrics, make_batch, record
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 

@@ -24,7 +24,7 @@ from agents.policy import (
     load_zip,
     save_policy,
 )
-from tests.agents.damages import Damage, cut, flipped, stuffed
+from tests.agents.run_folder.damages import Damage, cut, flipped, stuffed
 from tests.agents.toys import Toy, build
 
 GIB = 2**30

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from agents import training
-from agents.checkpoints import list_checkpoints, newest_whole
 from agents.evaluate import main as evaluate
-from agents.runs import RunFolder
+from agents.run_folder.checkpoints import list_checkpoints, newest_whole
+from agents.run_folder.folder import RunFolder
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, one_sentence, train_py, wait_for_steps, write_config

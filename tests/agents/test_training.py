@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from agents.checkpoints import list_checkpoints
 from agents.evaluate import main as evaluate
-from agents.runs import RunFolder
+from agents.run_folder.checkpoints import list_checkpoints
+from agents.run_folder.folder import RunFolder
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, ROOT, train_py, wait_for_steps, write_config
 

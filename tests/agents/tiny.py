@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 import yaml
 
-from agents.checkpoints import list_checkpoints
-from agents.runs import RunFolder
+from agents.run_folder.checkpoints import list_checkpoints
+from agents.run_folder.folder import RunFolder
 from tests.paths import ROOT
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.peer_lines import BATCHED, ENGINES, OURS, Family, Point, best, front, steady
-from benchmarks.peer_scenes import SCENES
+from benchmarks.peers.lines import BATCHED, ENGINES, OURS, Family, Point, best, front, steady
+from benchmarks.peers.scenes import SCENES
 from dynamics.types import Array
 from tests.paths import ROOT
 
@@ -47,7 +47,7 @@ from unittest.mock import MagicMock
 for name in ("exudyn", "exudyn.itemInterface", "exudyn.symbolic", "mujoco", "mujoco.rollout"):
     sys.modules[name] = MagicMock()
 sys.modules[{missing!r}] = None
-import benchmarks.peer_engines
+import benchmarks.peers.engines
 """
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 1
@@ -68,7 +68,7 @@ def test_steps_end_where_the_torque_jumps() -> None:
 def peers() -> Any:
     pytest.importorskip("exudyn")
     pytest.importorskip("mujoco")
-    from benchmarks import peers
+    from benchmarks.peers import run as peers
 
     return peers
 

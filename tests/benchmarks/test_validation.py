@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks import (
-    validation,
-    validation_counts,
-    validation_large_arms,
-    validation_pd,
-    validation_slim,
-)
-from benchmarks.validation_entries import Number, Table, as_printed
-from benchmarks.validation_page import HONESTY, page
-from benchmarks.validation_pd import STEPS, Step
+from benchmarks.validation import counts as validation_counts
+from benchmarks.validation import large_arms as validation_large_arms
+from benchmarks.validation import pd as validation_pd
+from benchmarks.validation import run as validation
+from benchmarks.validation import slim as validation_slim
+from benchmarks.validation.entries import Number, Table, as_printed
+from benchmarks.validation.page import HONESTY, page
+from benchmarks.validation.pd import STEPS, Step
 from dynamics import compile_arm
 from dynamics.arms.measures import alone, hertz
 
@@ -29,7 +27,7 @@ def stored() -> dict[str, Any]:
 
 
 def test_every_verdict_of_the_short_form_is_the_stored_one(stored: dict[str, Any]) -> None:
-    """If one has changed for good reason: python benchmarks/validation.py"""
+    """If one has changed for good reason: python -m benchmarks.validation"""
     known = validation.verdicts(stored["tables"], quick=True)
     assert len(known) > 300
     assert validation.changed(validation.verdicts(validation.run(quick=True)), known) == []

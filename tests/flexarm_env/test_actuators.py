@@ -15,8 +15,8 @@ import flexarm_env  # noqa: F401  (registers the ids)
 from dynamics import Arm, Joint, Link, Mode, load_arm
 from dynamics.model import Model
 from flexarm_env.actuators import ACTUATORS, PRESETS, load_actuators, mounted
-from flexarm_env.drives import Drives
-from flexarm_env.physics import physics
+from flexarm_env.compiled.actuation import Actuation
+from flexarm_env.scales import scales
 from tests.paths import ROOT
 
 ENV = "FlexArm/OneLink-Reach-v0"
@@ -84,7 +84,7 @@ def test_pistons_follow_the_printed_transfer_functions(
 
     times = 1e-3 * np.arange(200)
     _, expected = signal.step(signal.TransferFunction(*printed), T=times)  # [in] for 1 V
-    values = Drives((actuator,), RIGID, (1.0,)).constants(1e-3)
+    values = Actuation((actuator,), RIGID, (1.0,)).constants(1e-3)
     step, by_action = values[:9].reshape(3, 3), values[9:12]
     x, positions = np.zeros(3), []
     for _ in times:
@@ -96,7 +96,7 @@ def test_pistons_follow_the_printed_transfer_functions(
 def test_current_rises_with_the_electrical_time_constant() -> None:
     """A held joint: i = V / R (1 - exp(-R t / L))."""
     motor = load_actuators({**SERVO, "inductance": 0.026}, 1)  # 10 ms
-    values = Drives(motor, RIGID, (1.0,)).constants(1e-3)
+    values = Actuation(motor, RIGID, (1.0,)).constants(1e-3)
     decay, rise = values[0], values[1]
     current, expected = 0.0, 10.0 / 2.6 * (1.0 - np.exp(-1e-3 * np.arange(1, 51) / 0.01))
     for i in expected:
@@ -252,7 +252,7 @@ def test_torques_are_observed_in_units_of_the_limit() -> None:
     obs, *_, info = env.step(np.array([0.7], np.float32))
     place = env.unwrapped.observation_slices["joint_torque"]
     assert obs[place] == pytest.approx(info["torque"] / STALL, rel=1e-6)
-    assert physics(RIGID).torque_limit[0] < STALL  # so that tasks are no harder than without motor
+    assert scales(RIGID).torque_limit[0] < STALL  # so that tasks are no harder than without motor
     ideal = gym.make(ENV, arm=RIGID).unwrapped
     assert env.unwrapped.core.rate_scale == ideal.core.rate_scale
     assert "joint_torque" not in ideal.observation_slices
@@ -270,7 +270,7 @@ def test_an_actuator_turns_with_what_its_torque_works_on(spring: float | None) -
     q, rest = 0.02 * np.arange(model.n), np.zeros(model.n)
     idle = model.accelerations(q, rest, np.zeros(2))
     forces = [model.mass_matrix(q) @ (model.accelerations(q, rest, u) - idle) for u in np.eye(2)]
-    found = Drives(load_actuators({"type": "limited"}, 2), arm, (1.0, 1.0))
+    found = Actuation(load_actuators({"type": "limited"}, 2), arm, (1.0, 1.0))
     np.testing.assert_allclose(found.slip, forces, atol=1e-10)
 
 
@@ -278,18 +278,18 @@ def test_every_joint_may_have_its_own_actuator() -> None:
     """Torques of a motor with a current and of a slewing piston, from one stack of numbers."""
     arm = Arm(links=RIGID.links * 2)
     actuators = [{**SERVO, "inductance": 0.026}, {**PISTON, "rate_limit": 5.0}]
-    drives = Drives(load_actuators(actuators, 2), arm, (1.0, 3.0))
-    assert drives.torque_limit == pytest.approx([STALL, 3.0])
-    assert drives.states == 1 + 4
-    sizes = {"action": 2, "actuator": 5, "q": 2, "v": 2, "actuators": drives.n_constant}
+    actuation = Actuation(load_actuators(actuators, 2), arm, (1.0, 3.0))
+    assert actuation.torque_limit == pytest.approx([STALL, 3.0])
+    assert actuation.states == 1 + 4
+    sizes = {"action": 2, "actuator": 5, "q": 2, "v": 2, "actuators": actuation.n_constant}
     symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-    torque = ca.Function("torque", list(symbols.values()), [drives.torque(symbols)])
+    torque = ca.Function("torque", list(symbols.values()), [actuation.torque(symbols)])
     current, passed = 1.5, 0.8  # [A], [N m]
     states = [current, 0.1, 0.2, 0.3, passed]
-    found = torque([1.0, 1.0], states, [0.2, 0.3], [0.4, 0.5], drives.constants(1e-3))
+    found = torque([1.0, 1.0], states, [0.2, 0.3], [0.4, 0.5], actuation.constants(1e-3))
     assert found.full().ravel() == pytest.approx([0.6 * 70.0 * 7.67e-3 * current, passed])
     np.testing.assert_allclose(
-        drives.at_rest(np.array([[0.2, 0.3]])), [[0.0], [0.3], [0.0], [0.0], [0.0]]
+        actuation.at_rest(np.array([[0.2, 0.3]])), [[0.0], [0.3], [0.0], [0.0], [0.0]]
     )
 
 

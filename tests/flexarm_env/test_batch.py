@@ -13,7 +13,7 @@ import flexarm_env
 from dynamics import load_arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.runtime import thread_pool
-from flexarm_env.certificates import stored
+from flexarm_env.accuracy.certificates import stored
 
 TASKS = ("Reach", "Track", "Damp")
 ROUND_OFF = 1e-6  # observations are float32

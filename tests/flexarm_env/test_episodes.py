@@ -9,8 +9,9 @@ import pytest
 
 import flexarm_env
 from dynamics import ARMS
+from flexarm_env import registration
 from flexarm_env.core import Core
-from flexarm_env.physics import DEFLECTION_LIMIT, physics
+from flexarm_env.scales import DEFLECTION_LIMIT, scales
 
 ALL_IDS = list(flexarm_env.IDS)
 SCENES = ("OneLink", "TwoLink", "SixLink")
@@ -90,12 +91,12 @@ def test_an_idle_arm_outlives_its_episode(scene: str) -> None:
 @pytest.mark.parametrize("scene", SCENES)
 def test_bang_bang_bends_hard_but_stays_valid(scene: str) -> None:
     """One period at the first joint-free frequency, every pattern of signs: 5 to 10 %."""
-    arm = flexarm_env.SCENES[scene][0]
-    half = np.pi / physics(ARMS[arm]).free[0]
+    arm = registration.SCENES[scene][0]
+    half = np.pi / scales(ARMS[arm]).free[0]
     core = Core(task="Reach", arm=arm, n_env=64, control_dt=half / 8)
     core.reset(np.arange(64))
     n_joint = core.arm.n_joint
-    core.q[:, list(core.arm.joint_index)] = core.physics.home
+    core.q[:, list(core.arm.joint_index)] = core.scales.home
     signs = np.array([[1.0 - 2.0 * (i >> j & 1) for j in range(n_joint)] for i in range(64)])
     peak = 0.0
     for step in range(24):
@@ -109,7 +110,7 @@ def test_bang_bang_bends_hard_but_stays_valid(scene: str) -> None:
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_forced_divergence_ends_the_episode(scene: str) -> None:
     """A limp arm under an absurd torque: terminated, diverged, and a finite observation."""
-    arm = ARMS[flexarm_env.SCENES[scene][0]]
+    arm = ARMS[registration.SCENES[scene][0]]
     names = ("EIz", "EIy")
     soft = [
         replace(link, **{k: 1e-6 * getattr(link, k) for k in names if getattr(link, k)})
@@ -153,7 +154,7 @@ def test_turning_too_fast_for_linear_modes_is_said(share: float) -> None:
 @pytest.mark.parametrize("scene", SCENES)
 def test_default_integration_keeps_the_tip_within_a_thousandth_of_the_reach(scene: str) -> None:
     """Against four times as many Runge-Kutta steps, over an episode of random torques."""
-    arm, control_dt, steps = flexarm_env.SCENES[scene]
+    arm, control_dt, steps = registration.SCENES[scene]
     common: dict[str, Any] = {"task": "Reach", "arm": arm, "n_env": 4, "control_dt": control_dt}
     default = Core(**common)
     fine = Core(**common, integrator="rk4", substeps=4 * Core(**common, integrator="rk4").substeps)

@@ -11,6 +11,7 @@ import pytest
 
 import flexarm_env
 from dynamics import ARMS
+from flexarm_env import registration
 from flexarm_env.core import Core
 from flexarm_env.pages import file_name, index, page
 from flexarm_env.rendering import SIZE, STEEL, Renderer
@@ -20,7 +21,7 @@ TURNING = [n for n, arm in ARMS.items() if all(k.joint.type == "revolute" for k 
 PAGES = ROOT / "docs" / "envs"
 
 
-@pytest.mark.parametrize("scene", flexarm_env.SCENES)
+@pytest.mark.parametrize("scene", registration.SCENES)
 def test_pictures_show_the_arm_and_change_as_it_moves(scene: str) -> None:
     env = gym.make(f"FlexArm/{scene}-Reach-v0", render_mode="rgb_array")
     env.reset(seed=0)
@@ -42,7 +43,7 @@ def test_the_drawn_tip_is_the_measured_tip(arm: str) -> None:
     rng = np.random.default_rng(0)
     q = rng.uniform(-1.0, 1.0, core.arm.n)
     modal = [i for i in range(core.arm.n) if i not in core.arm.joint_index]
-    q[modal] *= 0.2 * np.array(core.physics.modal_scale)
+    q[modal] *= 0.2 * np.array(core.scales.modal_scale)
     drawn = renderer.shapes(core, q, 1.0)[-1][-1]
     np.testing.assert_allclose(drawn, core.model.tip(q), atol=1e-12)
 

@@ -1,7 +1,7 @@
 """The chosen model is the least that a scene needs, and its claimed error is honest.
 
 Verified against other discretisations followed by another integrator (in tests/reference/, made by
-`python benchmarks/model_choice.py --truth`), and against a geometrically nonlinear beam.
+`python -m benchmarks.model_choice --truth`), and against a geometrically nonlinear beam.
 """
 
 import json

@@ -1,0 +1,54 @@
+"""The closing comparison: same tasks for every controller, then files, pictures and the table."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from agents.figures import film, plot_recordings, write_gif
+from agents.metrics import (
+    Recording,
+    episode_metrics,
+    make_batch,
+    print_table,
+    record,
+    write_results,
+)
+from agents.policy import Controller
+from dynamics.types import AnyArray
+
+
+def compare(
+    controllers: Mapping[str, Controller],
+    env_id: str,
+    kwargs: Mapping[str, Any],
+    *,
+    episodes: int,
+    seed: int,
+    folder: Path,
+    filmed: int = 2,
+    about: Mapping[str, Any] | None = None,
+) -> dict[str, dict[str, AnyArray]]:
+    """Judge the controllers on the episodes seed, seed + 1, ... and leave everything in the folder.
+
+    `evaluation.json`, `evaluation.csv`, `trajectories.png`, and `arm.gif` with the first `filmed`
+    controllers. Returns the metrics per controller and episode.
+    """
+    seeds = list(range(seed, seed + episodes))
+    recordings: dict[str, Recording] = {}
+    envs = make_batch(env_id, episodes, kwargs)
+    try:
+        for name, controller in controllers.items():
+            recordings[name] = record(controller, envs, seeds)
+        reach = float(envs.unwrapped.reach)
+    finally:
+        envs.close()
+    results = {name: episode_metrics(r) for name, r in recordings.items()}
+    header = {"env": env_id, "env_kwargs": dict(kwargs), "reach": reach} | dict(about or {})
+    write_results(folder, results, seeds, header)
+    title = f"{env_id}, {episodes} episodes"
+    plot_recordings(folder / "trajectories.png", recordings, title)
+    chosen = list(controllers.items())[:filmed]
+    print_table(results)
+    films = {name: film(env_id, kwargs, controller, seed) for name, controller in chosen}
+    write_gif(folder / "arm.gif", films)
+    return results

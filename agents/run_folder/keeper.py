@@ -1,0 +1,178 @@
+"""The keeper of a training: it logs, shows progress, writes checkpoints, and stops where it may."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from agents.config import Config
+from agents.run_folder.checkpoints import save_checkpoint
+from agents.run_folder.folder import RunFolder
+from agents.signals import StopLater
+from dynamics.types import AnyArray
+
+CHECKPOINT_SHARE = 0.05  # of the training time at most, however long a checkpoint takes
+ROWS = 250  # about so many rows in the log of a whole run
+
+
+class EpisodeStatistics:
+    """Means over the latest episodes, from what every step of the batch returns."""
+
+    def __init__(self, n_env: int) -> None:
+        self.running = np.zeros(n_env)  # return so far
+        self.episodes = 0
+        self.latest: deque[tuple[float, float, float, float]] = deque(maxlen=max(100, n_env))
+
+    def add(self, rewards: AnyArray, dones: AnyArray, infos: Any) -> None:
+        """Account for one step."""
+        self.running += rewards
+        for i in np.flatnonzero(dones):
+            info = infos[i]
+            failed = not info.get("TimeLimit.truncated", False)
+            self.latest.append(
+                (self.running[i], info["tip_error"], bool(info["settled"]) and not failed, failed)
+            )
+            self.running[i] = 0.0
+            self.episodes += 1
+
+    def means(self) -> dict[str, float | None]:
+        """Return, final tip error [m], share that ends on target, share that failed."""
+        names = ("return", "tip_error", "settled", "failed")
+        if not self.latest:
+            return dict.fromkeys(names)
+        return dict(zip(names, np.mean(self.latest, axis=0).tolist(), strict=True))
+
+
+def make_keeper(
+    run: RunFolder,
+    config: Config,
+    session: int,
+    seconds_before: float,
+    bar: "Progress",
+    stop: StopLater,
+) -> Any:
+    """A stable-baselines3 callback that logs, shows progress, writes checkpoints and stops."""
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    class Keeper(BaseCallback):
+        def _on_training_start(self) -> None:
+            self.statistics = EpisodeStatistics(config.env.n_envs)
+            self.started = self.checkpointed = time.monotonic()
+            self.first_step = self.logged = self.num_timesteps
+            self.checkpoint_cost = 0.0
+
+        def _on_step(self) -> bool:
+            s = self.locals
+            self.statistics.add(s["rewards"], s["dones"], s["infos"])
+            return True
+
+        def _on_rollout_end(self) -> None:
+            if self.num_timesteps - self.logged >= config.total_steps / ROWS:
+                self.log_row()
+
+        def _on_rollout_start(self) -> None:  # between updates: the state is consistent here
+            if stop.number is not None:
+                self.settle()
+                stop.now()
+            now = time.monotonic()
+            pause = max(config.checkpoint_seconds, self.checkpoint_cost / CHECKPOINT_SHARE)
+            if self.num_timesteps > self.first_step and now - self.checkpointed > pause:
+                self.checkpoint()
+
+        def _on_training_end(self) -> None:
+            self.settle()
+
+        def settle(self) -> None:
+            if self.num_timesteps > self.logged:
+                self.log_row()
+            self.checkpoint()
+
+        def seconds(self) -> float:
+            return seconds_before + time.monotonic() - self.started
+
+        def checkpoint(self) -> None:
+            begin = time.monotonic()
+            progress = {"session": session, "seconds": self.seconds()}
+            save_checkpoint(self.model, run.checkpoints, progress)
+            self.checkpointed = time.monotonic()
+            self.checkpoint_cost = self.checkpointed - begin
+
+        def log_row(self) -> None:
+            means = self.statistics.means()
+            speed = (self.num_timesteps - self.first_step) / (time.monotonic() - self.started)
+            for name, value in means.items():
+                if value is not None:
+                    self.logger.record(f"rollout/{name}", value)
+            self.logger.record("time/steps_per_second", speed)
+            row: dict[str, Any] = {
+                "session": session,
+                "steps": self.num_timesteps,
+                "seconds": round(self.seconds(), 3),
+                "episodes": self.statistics.episodes,
+                "steps_per_second": round(speed, 1),
+            }
+            values = self.logger.name_to_value
+            losses = {k: float(v) for k, v in values.items() if k.startswith("train/")}
+            run.append(row | means | losses)
+            self.logger.dump(self.num_timesteps)
+            self.logged = self.num_timesteps
+            bar.update(self.num_timesteps, speed, means)
+
+    return Keeper()
+
+
+class Progress:
+    """A bar on a terminal, ten plain lines elsewhere."""
+
+    def __init__(self, total: int, done: int) -> None:
+        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as RichProgress
+
+        self.total, self.next_line = total, done
+        self.console = Console()
+        columns = ("{task.percentage:>3.0f} %", "{task.fields[note]}")
+        self.bar = RichProgress(
+            TextColumn("training"),
+            BarColumn(),
+            *(TextColumn(text) for text in columns),
+            TimeRemainingColumn(),
+            console=self.console,
+            disable=not self.console.is_terminal,
+        )
+        self.bar.start()
+        self.task = self.bar.add_task("training", total=total, completed=done, note="")
+
+    def update(self, steps: int, speed: float, means: dict[str, float | None]) -> None:
+        """Show where training stands."""
+        note = f"{steps:,} steps, {speed:,.0f} per s"
+        if means["return"] is not None and means["settled"] is not None:
+            note += f", return {means['return']:.2f}, on target {100 * means['settled']:.0f} %"
+        self.bar.update(self.task, completed=min(steps, self.total), note=note)
+        if not self.console.is_terminal and steps >= self.next_line:
+            print(f"training: {100 * steps / self.total:3.0f} %, {note}", flush=True)
+            self.next_line = steps + self.total // 10
+
+    def close(self) -> None:
+        """Leave the terminal as it was."""
+        self.bar.stop()
+
+
+@contextmanager
+def errors_in_the_main_thread() -> Iterator[None]:
+    """Keep TensorBoard's thread silent about the disk: its next call raises the error again."""
+    before = threading.excepthook
+
+    def report(arguments: threading.ExceptHookArgs) -> None:
+        if not isinstance(arguments.exc_value, OSError):
+            before(arguments)
+
+    threading.excepthook = report
+    try:
+        yield
+    finally:
+        threading.excepthook = before

@@ -1,0 +1,1 @@
+"""Benchmarks, charts and tables of the documentation: `python -m benchmarks.NAME`."""

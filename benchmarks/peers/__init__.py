@@ -1,0 +1,1 @@
+"""Flexible scenes in other engines and in ours: error against processor time."""

@@ -1,0 +1,5 @@
+"""`python -m benchmarks.peers.run`: see run.py."""
+
+from benchmarks.peers.run import main
+
+main()

@@ -1,0 +1,195 @@
+"""Runs of the peers' benchmark, every engine's line through them, and how both are shown."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+from benchmarks.output import save_figure
+from benchmarks.peers.scenes import SCENES, PeerScene
+from dynamics.types import Array
+
+BATCH = 1024
+OURS, BATCHED = "ours, one environment", f"ours, per environment in a batch of {BATCH}"
+ENGINES = (OURS, "Exudyn, cable", "Exudyn, tree", "MuJoCo")
+
+Run = tuple[Array, float]  # (N, 2) [m] tips; [s] processor time of the stepping loop
+
+
+@dataclass(frozen=True)
+class Family:
+    """A model and a method of one engine; its runs differ in the step."""
+
+    engine: str
+    model: str
+    method: str
+    run: Callable[[Fraction, bool], Run]  # (steps per row of the truth, record) -> Run
+
+
+@dataclass(frozen=True)
+class Point:
+    """What one run came to."""
+
+    family: Family
+    rate: Fraction
+    error: float  # [-] of the reach
+    cost: float  # [s] processor time per simulated second
+
+    def to_dict(self, scene: PeerScene) -> dict[str, Any]:
+        """As JSON holds it."""
+        return {
+            "engine": self.family.engine, "model": self.family.model, "method": self.family.method,
+            "dt": scene.step(self.rate), "error": self.error, "cpu_seconds_per_second": self.cost,
+        }  # fmt: skip
+
+
+def front(points: list[Point], near: float = 1.0) -> list[Point]:
+    """Points at most `near` times as slow as any that errs as little, by error."""
+    finite = sorted((p for p in points if p.error < 0.3), key=lambda p: p.error)
+    result, fastest = [], math.inf
+    for point in finite:
+        if point.cost < near * fastest:
+            result.append(point)
+        fastest = min(fastest, point.cost)
+    return result
+
+
+def best(points: list[Point], error: float) -> Point | None:
+    """The cheapest that errs no more."""
+    return min((p for p in points if p.error <= error), key=lambda p: p.cost, default=None)
+
+
+def steady(points: list[Point], error: float) -> list[Point]:
+    """Runs within an error that all runs of the same model by smaller steps keep, at least one.
+
+    The others owe their error to chance: that of the step cancels that of the model.
+    """
+    largest: dict[Family, list[tuple[Fraction, float]]] = {}
+    for p in points:
+        largest.setdefault(p.family, []).append((p.rate, p.error))
+    result = []
+    for p in points:
+        finer = [e for rate, e in largest[p.family] if rate > p.rate]
+        if finer and max(p.error, *finer) <= error:
+            result.append(p)
+    return result
+
+
+def comparisons(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[str, Any]]:
+    """Our best beside that of whom each demand names."""
+    rows = []
+    for error, whose, wanted in scene.demands:
+        named = [e for e in ENGINES[1:] if whose == "any" or e.startswith(whose)]
+        ours, theirs = points[OURS], [p for engine in named for p in points[engine]]
+        sure = steady(ours, error), steady(theirs, error)
+        bent = [p for p in sure[0] if p.family.model.endswith("foreshortened")]
+        pairs = {"ratio": (ours, theirs), "steady": sure, "foreshortened": (bent, sure[1])}
+        row: dict[str, Any] = {
+            "scene": scene.title, "error": error,
+            "beside": "the best peer" if whose == "any" else whose, "wanted": wanted,
+        }  # fmt: skip
+        for name, sides in pairs.items():
+            found = [best(side, error) for side in sides]
+            row[name] = found[1].cost / found[0].cost if found[0] and found[1] else None
+            row[f"{name}: runs"] = [p and p.to_dict(scene) for p in found]
+        enough = {name for name in pairs if (row[name] or 0.0) >= wanted}
+        row["reached"] = {name: name in enough for name in pairs}
+        rows.append(row)
+    return rows
+
+
+def verdict(reached: dict[str, bool]) -> str:
+    """Whether a demand is met, and on what conditions."""
+    if all(reached.values()):
+        return "yes"
+    if reached["ratio"] and reached["steady"]:
+        return "only without foreshortening"
+    return "only by luck" if reached["ratio"] else "**no**"
+
+
+def table(results: dict[str, Any]) -> str:
+    """The results as a page."""
+    machine = results["machine"]
+    versions = ", ".join(f"{name} {number}" for name, number in results["versions"].items())
+    lines = [
+        "# Beside the peers\n",
+        f"Made by `{results['command']}` on {machine['processor']} ({versions}), one thread. Cost "
+        "is processor time per simulated second, error the largest distance of the tip from the "
+        "truth over the reach.\n",
+        "Without luck: only runs whose error all smaller steps of the same model keep. Of those, "
+        "the last column but one takes our foreshortened models alone.\n",
+        "| scene | error at most | beside | wanted | measured | without luck | foreshortened "
+        "| reached |",
+        "|---|---|---|---:|---:|---:|---:|---|",
+    ]
+    for row in results["comparisons"]:
+        ratios = " | ".join(
+            "-" if row[name] is None else f"{row[name]:.3g}"
+            for name in ("ratio", "steady", "foreshortened")
+        )
+        lines.append(
+            f"| {row['scene']} | {row['error']:g} | {row['beside']} | {row['wanted']:g} | {ratios} "
+            f"| {verdict(row['reached'])} |"
+        )
+    for scene in results["scenes"].values():
+        lines += [
+            f"\n## {scene['title']}\n",
+            "| error at most | which | engine | model | method | step | error | cost |",
+            "|---|---|---|---|---|---:|---:|---:|",
+        ]
+        lines += [
+            f"| {row['at_most']:g} | {row['which']} | {row['engine']} | {row['model']} "
+            f"| {row['method']} | {1e3 * row['dt']:.3g} ms | {row['error']:.2g} "
+            f"| {1e6 * row['cpu_seconds_per_second']:.4g} us/s |"
+            for row in scene["best"]
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def bests(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[str, Any]]:
+    """Every engine's cheapest run within each demanded error."""
+    rows = []
+    for error in sorted({error for error, _, _ in scene.demands}, reverse=True):
+        for engine in (*ENGINES, BATCHED):
+            sides = {"cheapest": points[engine]}
+            if engine != BATCHED:
+                sides["without luck"] = steady(points[engine], error)
+            for which, runs in sides.items():
+                found = best(runs, error)
+                if found:
+                    rows.append({"at_most": error, "which": which, **found.to_dict(scene)})
+    return rows
+
+
+def draw(everything: dict[str, dict[str, list[Point]]], path: Path) -> None:
+    """One panel per scene: all runs as dots, each engine's cheapest as a line."""
+    figure, axes = plt.subplots(1, len(everything), figsize=(16.0, 5.4), layout="constrained")
+    for axis, (name, points) in zip(axes, everything.items(), strict=True):
+        scene = SCENES[name]
+        for k, (engine, runs) in enumerate(points.items()):
+            line = front(runs)
+            axis.plot(
+                [p.cost for p in line], [p.error for p in line], color=f"C{k}", marker="o",
+                markersize=3, label=engine, linestyle="--" if engine == BATCHED else "-",
+                drawstyle="steps-post",
+            )  # fmt: skip
+            dots = [p for p in runs if p.error < 0.3]
+            axis.scatter(
+                [p.cost for p in dots], [p.error for p in dots], s=4, color=f"C{k}", alpha=0.2
+            )
+        for error in {error for error, _, _ in scene.demands}:
+            axis.axhline(error, color="0.6", linewidth=0.8, linestyle=":")
+        axis.set(xscale="log", yscale="log", title=scene.title)
+        axis.set_xlabel("processor time per simulated second [s]")
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("largest tip error over the reach [-]")
+    names = axes[0].get_legend_handles_labels()
+    figure.legend(*names, loc="outside lower center", ncols=len(names[1]), fontsize=9)
+    save_figure(figure, path)

@@ -1,0 +1,109 @@
+"""Three planar scenes with truths that no assumed mode had a part in.
+
+Each is an arm of links without modes, a motion in joint space, and the tip of a converged
+geometrically nonlinear beam (tests/reference/*_nonlinear_beam.csv).
+"""
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+
+from benchmarks.model_choice import S1, SpinUp
+from benchmarks.output import REFERENCE
+from dynamics import Arm, Joint, Link
+from dynamics.accuracy.scene import JointMotion, bang_bang, release
+from dynamics.types import Array
+
+HELD = 1e9  # [kg m^2] a rotor that no link can move: its joint turns as prescribed
+SPUN = Arm(
+    links=(Link(length=10.0, rho_A=1.2, EIz=1.4e4, joint=Joint(rotor_inertia=HELD)),),
+)
+_SWUNG = Link(length=1.0, rho_A=5.0, EIz=1000.0)
+SWUNG = Arm(links=(_SWUNG, _SWUNG), gravity=(0.0, -9.81, 0.0))
+
+
+@dataclass(frozen=True)
+class PeerScene:
+    """A scene that every engine can follow."""
+
+    name: str  # as in S1_nonlinear_beam.csv
+    title: str
+    arm: Arm  # without modes
+    motion: JointMotion
+    interval: float  # [s] between rows of the truth
+    axial: float  # [N] EA where an engine has one
+    softer: tuple[float, ...]  # [N] smaller EA, faster to integrate, which may do as well
+    demands: tuple[tuple[float, str, float], ...]  # error [-], whose best, wanted ratio
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of the truth."""
+        return round(self.motion.t_end / self.interval) + 1
+
+    @property
+    def start(self) -> Array:
+        """(2,) [m] tip of the straight links."""
+        angles = np.cumsum(self.motion.joint_angles)
+        return np.array([link.length for link in self.arm.links]) @ np.stack(
+            [np.cos(angles), np.sin(angles)], axis=1
+        )
+
+    @cached_property
+    def truth(self) -> Array:
+        """(N, 3) t [s] and tip [m] in the plane, at equal times."""
+        path = REFERENCE / f"{self.name}_nonlinear_beam.csv"
+        return np.loadtxt(path, delimiter=",", comments=("#", "t"))[:, :3]
+
+    def sampled(self, rate: Fraction) -> Array:
+        """The rows of the truth that a run at `rate` steps per row reaches."""
+        return self.truth[:: rate.denominator]
+
+    def step(self, rate: Fraction) -> float:
+        """[s] time step at `rate` steps per row of the truth."""
+        return self.interval / float(rate)
+
+    def allows(self, rate: Fraction) -> bool:
+        """Whether steps end where the motion does and where torques jump."""
+        steps = np.array(self.motion.knots) / self.interval / rate.denominator
+        return bool(np.all(np.abs(steps - np.round(steps)) < 1e-9))
+
+    def torques(self, rate: Fraction) -> Array:
+        """(n,) [N m] at the first joint in the middle of every step."""
+        h = self.step(rate)
+        count = round(self.motion.t_end / h)
+        if self.motion.torque is None:
+            return np.zeros(count)
+        torque = self.motion.torque
+        return np.array([np.asarray(torque((k + 0.5) * h))[0] for k in range(count)])
+
+    def error(self, tips: Array, rate: Fraction) -> float:
+        """[-] largest distance from the truth over the reach; infinite where one diverged."""
+        largest = np.hypot(*(tips - self.sampled(rate)[1:, 1:]).T).max()
+        return float(largest) / self.arm.reach if np.isfinite(largest) else math.inf
+
+
+SCENES = {
+    scene.name: scene
+    for scene in (
+        PeerScene(
+            "S1", "S1: one link, torque pulses", S1, bang_bang((0.5,), pulse=0.25, t_end=2.0),
+            0.01, 6.255e6, (6e4, 6e3),
+            ((1e-3, "Exudyn", 30.0), (1e-3, "MuJoCo", 100.0), (1e-4, "any", 30.0)),
+        ),
+        PeerScene(
+            "S3", "S3: spin-up of a long beam", SPUN,
+            JointMotion(
+                joint_angles=(0.0,), joint_rates=(0.0,), t_end=20.0, torque=SpinUp(HELD + 400.0)
+            ),
+            0.05, 2.8e7, (2.8e6, 2.8e5), ((1e-2, "any", 4.0), (1e-3, "any", 10.0)),
+        ),
+        PeerScene(
+            "korayem", "Two links released under gravity", SWUNG,
+            release((-0.5 * math.pi, math.radians(5.0)), t_end=1.5),
+            0.01, 4.9e7, (4.9e6,), ((1e-5, "any", 10.0),),
+        ),
+    )
+}  # fmt: skip

@@ -1,0 +1,1 @@
+"""Tip error against processor time of models, methods and steps."""

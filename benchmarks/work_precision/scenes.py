@@ -1,0 +1,203 @@
+"""The scenes of the work-precision charts: an arm, a motion, and the truth about its tip.
+
+The truths lie in tests/reference/: for S1 and S3 a geometrically nonlinear beam, for the others
+links of many foreshortened segments, made by `work_precision.py --truth`. No scene is damped: a
+damping ratio means another force for every set of modes.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.model_choice import S1, SpinUp
+from benchmarks.output import REFERENCE
+from dynamics import ARMS, Arm, Joint, JointMotion, Link, Mode, Model
+from dynamics.accuracy.fidelity import Fidelity, everything
+from dynamics.accuracy.scene import bang_bang, release
+from dynamics.types import Array
+from flexarm_env.registration import SCENES
+from flexarm_env.scales import scales
+
+HELD = 1e8  # [kg m^2] a rotor that no link can move: its joint turns as prescribed
+FEWEST = 12  # output times that a run with long steps must still meet
+GOOD = "Good to"  # what follows in a file of truth is a share of the reach
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """How much of an arm a model keeps, the same for every link."""
+
+    modes: int  # per link (or segment) and direction
+    foreshortening: bool = False
+    segments: int = 1
+
+    def arm(self, arm: Arm) -> Arm:
+        """The arm with just so much; segments take polynomials, whole links the arm's shapes."""
+        fidelity = Fidelity(
+            counts=everything(arm, self.modes, 0),
+            segments=(self.segments if self.modes else 1,) * arm.n_joint,
+            foreshortening=self.foreshortening,
+            polynomial=self.segments > 1,
+        )
+        return fidelity.arm(arm)
+
+    @property
+    def kind(self) -> str:
+        """What it is apart from the number of modes."""
+        if self.modes == 0:
+            return "rigid"
+        cut = f"{self.segments} segments, " if self.segments > 1 else ""
+        return cut + ("foreshortened" if self.foreshortening else "linear")
+
+    def __str__(self) -> str:
+        return (
+            f"{self.modes} {'mode' if self.modes == 1 else 'modes'}, {self.kind}" * (self.modes > 0)
+            or "rigid"
+        )
+
+
+WHOLE = (
+    Level(modes=0),
+    *(Level(modes=m) for m in (1, 2, 3, 4)),
+    *(Level(modes=m, foreshortening=True) for m in (1, 2, 3)),
+)
+CUT = tuple(Level(modes=2, segments=k, foreshortening=f) for k in (2, 4) for f in (False, True))
+DEEP = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (2, 4))  # for one link
+_FINER = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (4, 8))
+_SIX_FINER = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (1, 2))
+SHORT = (  # for an arm of six links
+    *(Level(modes=m) for m in (0, 1, 2, 3)),
+    *(Level(modes=m, foreshortening=True) for m in (1, 2)),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """A scene, and the models that are measured on it."""
+
+    name: str  # as its file of truth has it
+    title: str
+    arm: Arm  # as an environment would take it, undamped
+    motion: JointMotion
+    period: float  # [s] between output times; a torque jumps at those only
+    held: bool = True  # whether the torque is constant between output times
+    levels: tuple[Level, ...] = (*WHOLE, *CUT)
+    refined: tuple[Level, ...] = ()  # two, whose distance is what the second's tip is good to;
+    # none where a geometrically nonlinear beam is the truth
+
+    @property
+    def _knots(self) -> list[int]:
+        """Output times at which the torque jumps, both ends included."""
+        return [round(t / self.period) for t in self.motion.knots]
+
+    @property
+    def times(self) -> Array:
+        """(N,) [s] output times."""
+        return np.array([self.period * k for k in range(self._knots[-1] + 1)])
+
+    @property
+    def file(self) -> Path:
+        """Where its truth lies."""
+        kind = "segments" if self.refined else "nonlinear_beam"
+        return REFERENCE / f"{self.name}_{kind}.csv"
+
+    @cached_property
+    def floor(self) -> float:
+        """[of the reach] below which the truth is not to be read."""
+        return float(self.file.read_text().split(GOOD)[1].split()[0])
+
+    @cached_property
+    def truth(self) -> Array:
+        """(N, 3) [m] tip at the output times."""
+        table = np.loadtxt(self.file, delimiter=",", comments=("#", "t"))
+        known, wanted = table[:, 0], self.times
+        if known.size != wanted.size or np.abs(known - wanted).max() > 1e-9:
+            raise ValueError(f"{self.file.name} is not about the output times of {self.title!r}.")
+        if not self.refined:
+            table[:, 3] = 0.0  # the hub's angle; these beams move in a plane
+        return table[:, 1:]
+
+    def start(self, model: Model) -> tuple[Array, Array]:
+        """(n,), (n,) where the motion starts, links straight."""
+        q, v = np.zeros(model.n), np.zeros(model.n)
+        joints = list(model.arm.joint_index)
+        q[joints], v[joints] = self.motion.joint_angles, self.motion.joint_rates
+        return q, v
+
+    @property
+    def strides(self) -> tuple[int, ...]:
+        """How many output times one step may span, jumps still at ends of steps; descending."""
+        common = math.gcd(*self._knots)
+        fit = [k for k in range(1, common + 1) if common % k == 0]
+        return tuple(k for k in reversed(fit) if self._knots[-1] // k >= FEWEST)
+
+
+def undamped(arm: Arm) -> Arm:
+    """The arm without any damping of its links."""
+    links = tuple(replace(link, damping_ratio=0.0, damping_beta=0.0) for link in arm.links)
+    return replace(arm, links=links)
+
+
+def _clamped(arm: Arm, foreshortening: bool = False) -> Arm:
+    """Two clamped modes per link, those of the tip body, as the presets have them."""
+    modes = tuple(Mode(kind="clamped-tip-mass", index=k, direction="y") for k in (1, 2))
+    links = tuple(replace(link, modes=modes) for link in arm.links)
+    return replace(arm, links=links, foreshortening=foreshortening)
+
+
+def _of_env(
+    family: str,
+    title: str,
+    pulse: int,
+    count: int,
+    levels: tuple[Level, ...] = (*WHOLE, *CUT),
+    refined: tuple[Level, ...] = _FINER,
+) -> Setting:
+    """Full torque at all joints for `pulse` control steps, reversed, off; `count` steps in all.
+
+    From the home posture, at the limits that the environment sets; the pulse is half a period of
+    the first joint-free mode, as nearly as control steps and halves of them allow.
+    """
+    preset, control_dt, _ = SCENES[family]
+    arm = undamped(ARMS[preset])
+    found = scales(ARMS[preset])
+    motion = bang_bang(found.torque_limit, pulse * control_dt, count * control_dt)
+    return Setting(
+        name=preset,
+        title=title,
+        arm=arm,
+        motion=replace(motion, joint_angles=found.home),
+        period=control_dt,
+        levels=levels,
+        refined=refined,
+    )
+
+
+_SPUN = Link(length=10.0, rho_A=1.2, EIz=1.4e4, joint=Joint(rotor_inertia=HELD))
+SETTINGS = {
+    setting.name: setting
+    for setting in (
+        _of_env("OneLink", "OneLink: SLIM, bang-bang", 4, 48, (*WHOLE, *CUT, *DEEP)),
+        _of_env("TwoLink", "TwoLink: De Luca and Siciliano, bang-bang", 8, 48),
+        _of_env("SixLink", "SixLink: spatial, bang-bang", 4, 40, SHORT, _SIX_FINER),
+        Setting(
+            name="S1", title="S1: one link, bang-bang", arm=_clamped(S1), period=0.01,
+            motion=bang_bang((0.5,), pulse=0.25, t_end=2.0), levels=(*WHOLE, *CUT, *DEEP),
+        ),
+        Setting(
+            name="S3", title="S3: spin-up of a soft beam", held=False, period=0.05,
+            arm=_clamped(Arm(links=(_SPUN,)), foreshortening=True), levels=(*WHOLE, *CUT, *DEEP),
+            motion=JointMotion(
+                joint_angles=(0.0,), joint_rates=(0.0,), t_end=20.0, torque=SpinUp(HELD + 400.0)
+            ),
+        ),
+        Setting(
+            name="korayem-two-link", title="Korayem's two links, falling", period=0.02,
+            arm=undamped(ARMS["korayem-two-link"]), refined=_FINER,
+            motion=release((-0.5 * math.pi, math.pi / 36.0), t_end=1.5),
+        ),
+    )
+}  # fmt: skip

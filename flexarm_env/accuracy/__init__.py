@@ -1,0 +1,1 @@
+"""Measured errors of the environments, and models chosen by their error."""

@@ -1,0 +1,1 @@
+"""Compiled parts of an environment: episodes, control steps, signals and actuation."""

@@ -1,0 +1,301 @@
+"""Actuators inside the compiled control step.
+
+Actuator and arm take turns, once a substep: the arm moves under the torque that the actuator gives
+on average over the substep, at the joint's present angle and rate; then the actuator's states
+follow. Its linear part is exact for an action that holds and a rate that changes evenly, so that an
+electrical pole may be far faster than the substep; the whole is of order 2, or the integrator's if
+the actuator has no states.
+"""
+
+import math
+import operator
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynamics import Arm
+from dynamics.description import validate
+from dynamics.formulations.gibbs_appell import mass_matrix
+from dynamics.formulations.link_constants import chain_constants
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.model import Model
+from dynamics.tracing.function import Function, traced
+from dynamics.types import Array, Symbols
+from flexarm_env.actuators import Actuator, Law
+from flexarm_env.scales import SAFE, scales
+
+UNLIMITED = 1e30  # [N m]
+REFUSED = "rosenbrock"  # its Jacobian would have to know the actuator
+EXPLICIT_PART = 1.0  # omega h of actuators whose arm is stepped by a method without a limit
+
+_SUBSTEP = ("mark(w)", "#start", "#step", "follow(w)")
+# how a control step advances an arm behind actuators; see step_entry.py
+DRIVEN = {
+    "#evaluate": ["drive(w)", "accelerations(w)"],
+    "#advance": ["for _ in range(substeps):", *(f"    {x}" for x in _SUBSTEP)],
+}
+
+
+class Actuation:
+    """The actuators of an arm.
+
+    Parameters
+    ----------
+    actuators : one per joint.
+    arm : the arm, what motors add to its joints included.
+    usual : (n_joint,) [N m] torque limits of the arm behind ideal torque sources.
+
+    Attributes
+    ----------
+    states : number of rows of their states.
+    torque_limit : (n_joint,) [N m] torque at action 1 and rest; where it grows with time, `usual`.
+    command : (n_joint,) command at action 1, in the actuator's own unit.
+    """
+
+    def __init__(self, actuators: tuple[Actuator, ...], arm: Arm, usual: tuple[float, ...]) -> None:
+        self.arm = arm
+        self.laws = [a.law(most) for a, most in zip(actuators, usual, strict=True)]
+        self._sizes = [len(law.B) + _slews(law) for law in self.laws]
+        self.states = sum(self._sizes)
+        stalls = [law.stall for law in self.laws]
+        self.torque_limit = np.array(
+            [most if x is None else x for x, most in zip(stalls, usual, strict=True)]
+        )
+        self.command = np.array([law.command for law in self.laws])
+        self.slip = _slip(arm)
+
+    @property
+    def key(self) -> str:
+        """What their compiled functions depend on."""
+        return f"{[(len(law.B), _slews(law)) for law in self.laws]}"
+
+    # ---- numbers -----------------------------------------------------------------------------
+
+    @cached_property
+    def n_constant(self) -> int:
+        """How many `constants`."""
+        return self.constants(1.0).size
+
+    def constants(self, h: float) -> Array:
+        """What their compiled functions read, for a substep of h [s]."""
+        values = [list(_discrete(law, h).values()) for law in self.laws]
+        return np.concatenate([np.ravel(x) for joint in values for x in joint])
+
+    def at_rest(self, q: Array) -> Array:
+        """(states, N) without torque, for coordinates (N, n)."""
+        rest = [(*law.rest, *[0.0] * _slews(law)) for law in self.laws]
+        angles = q @ self.slip.T
+        return np.concatenate([np.outer(x, angles[:, j]) for j, x in enumerate(rest)])
+
+    def substeps(self, control_dt: float, integrator: str) -> int:
+        """Steps per control step for which the arm is stable behind its actuators.
+
+        By Weyl's inequality the squared frequencies grow by at most the largest of the joints
+        alone on the actuators' springs; actuator forces are explicit in every method.
+        """
+        if integrator == REFUSED:
+            raise ValueError(
+                f"integrator {integrator!r} does not know the slopes of an actuator; "
+                'leave it out or take "rk4".'
+            )
+        limit = INTEGRATORS[integrator].limit
+        frequency, decay = self._fastest
+        if math.isfinite(limit):
+            frequency = math.hypot(frequency, scales(self.arm).fastest)
+        else:
+            limit = EXPLICIT_PART
+        return math.ceil(control_dt * (frequency + decay) / (SAFE * limit) - 1e-9)
+
+    @cached_property
+    def _fastest(self) -> tuple[float, float]:
+        """[rad/s] and [1/s] of the joints on the actuators' springs and dampers alone."""
+        q = np.zeros(self.arm.n)
+        q[list(self.arm.joint_index)] = scales(self.arm).home
+        M = np.array(mass_matrix(Model(self.arm).chain, q.tolist()), dtype=np.float64)
+        mobility = self.slip @ np.linalg.solve(M, self.slip.T)
+
+        def largest(values: list[float]) -> float:
+            root = np.sqrt(values)
+            return float(np.linalg.eigvalsh(root[:, None] * mobility * root)[-1])
+
+        springs = [law.stiffness for law in self.laws]
+        return math.sqrt(largest(springs)), largest([_braking(law) for law in self.laws])
+
+    # ---- graphs ------------------------------------------------------------------------------
+
+    def torque(self, s: Symbols) -> Any:
+        """[N m] at the joints now, of "action", "actuator", "actuators" (constants), "q", "v"."""
+        return self._each(s, _now)
+
+    def functions(self, at: Mapping[str, int], constants: int) -> list[Function]:
+        """`mark(w)`, `drive(w)` and `follow(w)`; `constants` is the slot of theirs."""
+        import casadi as ca
+
+        n, m = self.slip.shape[1], len(self.laws)
+        sizes = {"action": m, "actuator": self.states, "q": n, "v": n, "before": m,
+                 "actuators": self.n_constant}  # fmt: skip
+        s = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        slots = [at[name] for name in ("ACTION", "ACTUATOR", "Q", "V", "RATE_BEFORE")]
+        outputs = {
+            "mark": (ca.mtimes(ca.DM(self.slip), s["v"]), at["RATE_BEFORE"]),
+            "drive": (self._each(s, _mean), at["TAU"]),
+            "follow": (self._each(s, _next), at["ACTUATOR"]),
+        }
+        if not self.states:
+            outputs["follow"] = (ca.SX(0, 1), at["ACTUATOR"])
+        return [
+            traced(
+                name,
+                ca.Function(name, list(s.values()), [ca.cse(value)]),
+                [*slots, constants],
+                slot,
+            )
+            if value.numel()
+            else Function(name)
+            for name, (value, slot) in outputs.items()
+        ]
+
+    def _each(self, s: Symbols, function: Any) -> Any:
+        """`function(constants, joint)` of all joints, stacked; "before" may be missing."""
+        import casadi as ca
+
+        angles, rates = (ca.mtimes(ca.DM(self.slip), s[name]) for name in "qv")
+        result, first, at = [], 0, 0
+        for j, (law, size) in enumerate(zip(self.laws, self._sizes, strict=True)):
+            p: dict[str, Any] = {}
+            for name, value in _discrete(law, 1.0).items():
+                places = at + np.arange(np.size(value)).reshape(np.shape(value))
+                p[name] = _entries(s["actuators"], places.tolist())
+                at += places.size
+            joint = _Joint(
+                x=_entries(s["actuator"], list(range(first, first + size))),
+                u=s["action"][j],
+                angle=angles[j],
+                rate=rates[j],
+                before=s["before"][j] if "before" in s else None,
+            )
+            first += size
+            found = function(p, joint)
+            result += found if isinstance(found, list) else [found]
+        return ca.vertcat(*result)
+
+
+class _Joint(NamedTuple):
+    """What a joint's actuator goes by: numbers, or symbols."""
+
+    x: list[Any]  # states; the last is the torque [N m] if its rate is limited
+    u: Any  # [-] action
+    angle: Any  # [rad]
+    rate: Any  # [rad/s]
+    before: Any  # [rad/s] rate at the start of the substep
+
+
+def _slews(law: Law) -> bool:
+    """Whether the torque itself is a state, the last."""
+    return math.isfinite(law.rate_limit)
+
+
+def _braking(law: Law) -> float:
+    """[N m s/rad] at a steady rate."""
+    if not any(law.E):
+        return law.damping
+    return law.damping + float(np.dot(law.C, np.linalg.solve(law.A, law.E)))
+
+
+def _slip(arm: Arm) -> Array:
+    """(n_joint, n) coordinates to what turns the actuators: a link's root against its hub."""
+    result = np.zeros((arm.n_joint, arm.n))
+    for i, (start, link) in enumerate(zip(arm.joint_index, chain_constants(arm), strict=True)):
+        slope = link[0].root_slope
+        result[i, start] = 1.0
+        result[i, start + 1 : start + 1 + len(slope)] = slope
+    return result
+
+
+def _discrete(law: Law, h: float) -> dict[str, Any]:
+    """A law over a substep of h [s]: matrices, vectors and numbers by name.
+
+    With the rate w changing evenly from w0 to w1,
+    x1 = step x + step_u u + step_w0 w0 + step_w1 w1, and the average of C x is
+    mean x + mean_u u + mean_w0 w0 + mean_w w for the average rate w = (w0 + w1) / 2.
+    """
+    from scipy.linalg import expm
+
+    k = len(law.B)
+    A, C = np.reshape(law.A, (k, k)), np.reshape(law.C, k)
+    flow = np.zeros((2 * k + 3, 2 * k + 3))  # of x, u, w, h dw/dt and the integral of x
+    flow[:k, :k], flow[k + 3 :, :k] = A, np.eye(k)
+    flow[:k, k], flow[:k, k + 1], flow[k + 1, k + 2] = law.B, law.E, 1.0 / h
+    with validate.double_precision("The actuator's motion within a substep"):
+        end = expm(h * flow)
+        step, mean = end[:k], C @ end[k + 3 :] / h
+    values: dict[str, Any] = {
+        "step": step[:, :k], "step_u": step[:, k], "step_w0": step[:, k + 1] - step[:, k + 2],
+        "step_w1": step[:, k + 2],
+        "mean": mean[:k], "mean_u": mean[k], "mean_w0": mean[k + 1] - 2.0 * mean[k + 2],
+        "mean_w": 2.0 * mean[k + 2],
+        "C": C, "D": law.D, "damping": law.damping, "stiffness": law.stiffness,
+        "limit": min(law.torque_limit, UNLIMITED),
+    }  # fmt: skip
+    if _slews(law):
+        values["slew"] = law.rate_limit * h
+    return values
+
+
+def _entries(vector: Any, places: Any) -> Any:
+    """Entries of a vector in the shape of `places`: nested lists of numbers."""
+    if isinstance(places, list):
+        return [_entries(vector, k) for k in places]
+    return vector[places]
+
+
+# What happens at one joint, for constants `p` as of `_discrete`
+
+
+def _dot(a: list[Any], x: list[Any]) -> Any:
+    return sum(map(operator.mul, a, x))  # of the linear states: a rate-limited torque is left over
+
+
+def _clip(value: Any, limit: Any) -> Any:
+    import casadi as ca
+
+    return ca.fmin(ca.fmax(value, -limit), limit)
+
+
+def _passed(p: Symbols, joint: _Joint, inner: Any) -> Any:
+    """Torque for C x = inner, its rate of change not limited."""
+    held_back = p["damping"] * joint.rate + p["stiffness"] * joint.angle
+    return _clip(inner + p["D"] * joint.u - held_back, p["limit"])
+
+
+def _now(p: Symbols, joint: _Joint) -> Any:
+    """Torque at this moment."""
+    return joint.x[-1] if "slew" in p else _passed(p, joint, _dot(p["C"], joint.x))
+
+
+def _mean(p: Symbols, joint: _Joint) -> Any:
+    """Torque on average over a substep."""
+    import casadi as ca
+
+    by_rate = p["mean_w0"] * joint.before + p["mean_w"] * joint.rate
+    value = _passed(p, joint, _dot(p["mean"], joint.x) + p["mean_u"] * joint.u + by_rate)
+    if "slew" not in p:
+        return value
+    gap = _clip(value - joint.x[-1], p["slew"])  # a ramp by this much, then level
+    return joint.x[-1] + gap - gap * ca.fabs(gap) / (2.0 * p["slew"])
+
+
+def _next(p: Symbols, joint: _Joint) -> list[Any]:
+    """States at the end of a substep."""
+    new = [
+        _dot(row, joint.x) + by_u * joint.u + w0 * joint.before + w1 * joint.rate
+        for row, by_u, w0, w1 in zip(
+            p["step"], p["step_u"], p["step_w0"], p["step_w1"], strict=True
+        )
+    ]
+    if "slew" not in p:
+        return new
+    last = joint.x[-1]
+    return [*new, last + _clip(_passed(p, joint, _dot(p["C"], new)) - last, p["slew"])]

@@ -1,0 +1,293 @@
+"""What an environment reports: traced once for an arm and a task, compiled with the arm's physics.
+
+As with the physics, one description for every arm; what a task or an observation leaves out is not
+compiled. Everything that keywords may change without another structure is a constant of the
+workspace.
+"""
+
+from collections.abc import Mapping
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+from dynamics.backends.numba_llvm.module_text import Addition
+from dynamics.backends.numba_llvm.program import hash_of_files
+from dynamics.model import Model
+from dynamics.simulation.validity import FARTHEST
+from dynamics.tracing import graphs
+from dynamics.tracing.function import Function, traced, written
+from dynamics.tracing.ssa import Code
+from dynamics.types import Symbols
+from flexarm_env.compiled.actuation import DRIVEN, Actuation
+from flexarm_env.compiled.episode import WAVES
+from flexarm_env.compiled.rows import Rows
+from flexarm_env.compiled.step_entry import ENTRIES, IDEAL
+from flexarm_env.observations import Layout, curvature_columns
+from flexarm_env.rewards import TERMS, Measured
+from flexarm_env.tasks import SETTLED_BAND
+
+FLAGS = ("terminated", "truncated", "settled", "diverged", "invalid", "overspeed")
+NUMBERS = ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")  # one row of info each
+FARTHEST_SINGLE = 1e5  # [rad], [rad/s] of a state in float32, as FARTHEST in float64
+LOST = 3.0  # [-] times the deflection limit: finite, but no longer a motion of this arm
+# hash of the sources that determine the compiled code beside those of `dynamics`, when imported
+_HERE = Path(__file__).parent
+_TRACED = ("rewards", "tasks", "observations")
+_SOURCES = hash_of_files(
+    [*_HERE.glob("*.py"), *(_HERE.with_name(f"{name}.py") for name in _TRACED)]
+)
+
+
+class Signals:
+    """The report of an arm at a task: its rows, and what is compiled for it.
+
+    Attributes
+    ----------
+    state : rows of an environment's state, as `episode.begin` and the entry points know them.
+    info : rows of the numbers beside an observation.
+    constants : rows of what holds for all environments.
+    """
+
+    def __init__(
+        self, model: Model, moving: bool, layout: Layout, actuation: Actuation | None = None
+    ) -> None:
+        n, m = model.n, model.n_joint
+        self.model, self.moving, self.layout, self.actuation = model, moving, layout, actuation
+        self.gauges = curvature_columns(model.arm)
+        waves = WAVES * m * moving
+        held = actuation.states if actuation else 0
+        self.memory = {
+            "action": m, "elapsed": 1, "target": m, "actuator": held,
+            "centre": m, "amplitude": waves, "frequency": waves, "phase": waves,
+        }  # fmt: skip
+        self.state = Rows({"q": n, "v": n, **self.memory, "free": len(model.free_parameters)})
+        self.info = Rows({
+            "reward": 1, **dict.fromkeys(NUMBERS, 1), "reward_terms": len(TERMS),
+            "root_curvature": len(self.gauges), "torque": m,
+            **({"command": m} if actuation else {}),
+        })  # fmt: skip
+        self.constants = Rows({
+            "torque_limit": m, "control_dt": 1, "max_steps": 1, "deflection_limit": 1,
+            "slope_limit": 1, "rate_limit": 1, "per_rate": 1, "move_time": 1,
+            "weights": len(TERMS), "factors": layout.size,
+            **({"command_limit": m, "actuators": actuation.n_constant} if actuation else {}),
+        })  # fmt: skip
+
+    @property
+    def addition(self) -> Addition:
+        """What joins the accelerations in the generated module."""
+        m = self.model.n_joint
+        sizes = {name.upper(): size for name, size in self.memory.items()}
+        sizes |= {"GIVEN": m, "BEFORE": m, "LOST": 1, "CONSTANTS": self.constants.total}
+        sizes |= {"TARGET_NOW": m, "FLAGS": len(FLAGS), "INFO": self.info.total}
+        sizes |= {"OBSERVATION": self.layout.size, "RATE_BEFORE": m if self.actuation else 0}
+        counts = {
+            "N_STATE": 2 * self.model.n, "N_JOINT": m, "N_MEMORY": sum(self.memory.values()),
+            "N_FREE": len(self.model.free_parameters), "N_FLAG": len(FLAGS),
+            "N_INFO": self.info.total, "N_OBSERVATION": self.layout.size,
+            "N_ACTUATOR": self.memory["actuator"], "N_KEPT": 2 * m + 1 + self.memory["actuator"],
+            "FIRST_TARGET": self.state.slices["target"].start,
+            "FIRST_ACTUATOR": self.state.slices["actuator"].start,
+        }  # fmt: skip
+        lines = [f"{name} = np.uint64({count})" for name, count in counts.items()]
+        parts = [(part.name, part.entries, part.bound) for part in self.layout.parts]
+
+        def functions(at: Mapping[str, int]) -> list[Function]:
+            inputs = [at["Q"], at["V"], at["ACTION"], at["BEFORE"], at["LOST"], at["CONSTANTS"]]
+            report = traced("report", self.graph, inputs, at["TARGET_NOW"])
+            return [self._command(at), self._check(at), report, *self._driving(at)]
+
+        actuation = self.actuation and self.actuation.key
+        return Addition(
+            key=f"environment {_SOURCES} {self.moving} {parts} {actuation}",
+            sizes=sizes,
+            functions=functions,
+            entries="\n".join([*lines, ENTRIES]),
+            marks=DRIVEN if self.actuation else IDEAL,
+        )
+
+    def _driving(self, at: Mapping[str, int]) -> list[Function]:
+        """What actuators compute within a control step."""
+        if self.actuation is None:
+            return []
+        return self.actuation.functions(
+            at, at["CONSTANTS"] + self.constants.slices["actuators"].start
+        )
+
+    def _command(self, at: Mapping[str, int]) -> Function:
+        """`command(w)`: the given actions, clipped, as torques; and time goes on."""
+        import casadi as ca
+
+        m, limit = self.model.n_joint, self.constants.slices["torque_limit"].start
+        given, before, torque_limit = (ca.SX.sym(x, m) for x in ("given", "before", "torque_limit"))
+        elapsed = ca.SX.sym("elapsed")
+        action = ca.fmin(ca.fmax(given, -1.0), 1.0)
+        outputs = {
+            "BEFORE": before, "ACTION": action, "TAU": action * torque_limit,
+            "ELAPSED": elapsed + 1.0, "LOST": ca.SX(0.0),
+        }  # fmt: skip
+        graph = ca.Function(
+            "command", [given, before, torque_limit, elapsed], [ca.vertcat(*outputs.values())]
+        )
+        inputs = [at["GIVEN"], at["ACTION"], at["CONSTANTS"] + limit, at["ELAPSED"]]
+        slots = [at[name] + k for name, x in outputs.items() for k in range(x.numel())]
+        return traced("command", graph, inputs, slots)
+
+    def _check(self, at: Mapping[str, int]) -> Function:
+        """`check(w)`: lost where the state is far off, or a reported number is not finite."""
+        code = Code()
+        squares = reported = code.constant(0.0)
+        for slot in (at[name] + k for name in ("Q", "V") for k in range(self.model.n)):
+            x = code.load(slot)
+            squares = code.emit("+", squares, code.emit("*", x, x))
+        for name in ("reward", *NUMBERS):
+            x = code.load(at["INFO"] + self.info.slices[name].start)
+            reported = code.emit("+", reported, x)
+        farthest = FARTHEST if self.model.dtype == "float64" else FARTHEST_SINGLE
+        near = code.emit("at_most", squares, code.constant(farthest**2))
+        zero = code.emit("abs", code.emit("-", reported, reported))
+        finite = code.emit("at_most", zero, code.constant(0.0))
+        lost = code.emit("-", code.constant(1.0), code.emit("*", near, finite))
+        return written("check", code, {at["LOST"]: lost})
+
+    @property
+    def graph(self) -> Any:
+        """CasADi Function (q, v, memory, before, lost, constants) -> target, flags, info, obs."""
+        import casadi as ca
+
+        model, total = self.model, sum(self.memory.values())
+        sizes = {"q": model.n, "v": model.n, "memory": total, "before": model.n_joint, "lost": 1,
+                 "constants": self.constants.total}  # fmt: skip
+        symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        s = dict(symbols)
+        s |= {k: symbols["memory"][rows] for k, rows in Rows(self.memory).slices.items()}
+        s |= {k: symbols["constants"][rows] for k, rows in self.constants.slices.items()}
+        s["time"] = s["control_dt"] * s["elapsed"]
+        s["target"], s["target_rate"] = self._reference(s, s["time"])
+        values = self._values(s)
+        outputs = [s["target"], *(values[name] for name in FLAGS)]
+        outputs += [values[name] for name in self.info.sizes]
+        outputs.append(self._observation(s, values))
+        return ca.Function("report", list(symbols.values()), [ca.cse(ca.vertcat(*outputs))])
+
+    def _reference(self, s: Symbols, t: Any) -> tuple[Any, Any]:
+        """Joint angles [rad] and rates [rad/s] of the target at time t.
+
+        centre + ramp(t) sum_k A_k sin(w_k t + p_k): smooth to the second derivative, from rest.
+        """
+        import casadi as ca
+
+        if not self.moving:
+            return s["centre"], ca.SX(self.model.n_joint, 1)
+        angle = s["frequency"] * t + s["phase"]
+        shape = (self.model.n_joint, WAVES)
+        value = ca.sum2(ca.reshape(s["amplitude"] * ca.sin(angle), *shape))
+        rate = ca.sum2(ca.reshape(s["amplitude"] * s["frequency"] * ca.cos(angle), *shape))
+        x = ca.fmin(t / s["move_time"], 1.0)
+        ramp = x * x * x * (10.0 + x * (6.0 * x - 15.0))
+        slope = 30.0 * x * x * (1.0 - x) * (1.0 - x) / s["move_time"]
+        return s["centre"] + ramp * value, ramp * rate + slope * value
+
+    def _measured(self, q: Any, v: Any) -> dict[str, Any]:
+        values = graphs.measure(self.model.traced)(q, v)
+        return {name: values[rows] for name, rows in self.model.measurements.items()}
+
+    def _straight(self, joints: Any) -> Any:
+        """The coordinates of an arm with straight links."""
+        import casadi as ca
+
+        x = ca.SX(self.model.n, 1)
+        for k, i in enumerate(self.model.arm.joint_index):
+            x[i] = joints[k]
+        return x
+
+    def _values(self, s: Symbols) -> dict[str, Any]:
+        """Flags and info by name, and the tip error's vector; flags are 1 or 0."""
+        import casadi as ca
+
+        arm, here = self.model.arm, self._measured(s["q"], s["v"])
+        goal = self._measured(self._straight(s["target"]), self._straight(s["target_rate"]))
+        gap = goal["tip"] - here["tip"]
+        error, speed = _length(gap), _length(goal["tip_velocity"] - here["tip_velocity"])
+        bent = _length(here["tip"] - here["rigid_tip"])
+        deflection = reduce(ca.fmax, ca.vertsplit(here["deflection"]))
+        slope = reduce(ca.fmax, ca.vertsplit(here["slope"]))
+
+        live = s["elapsed"] > 0.0
+        invalid = ca.fmax(s["deflection_limit"] < deflection, s["slope_limit"] < slope)
+        diverged = ca.fmax(s["lost"], LOST * s["deflection_limit"] < deflection)
+        failed = live * ca.fmax(invalid, diverged)
+        late = live * (s["max_steps"] > 0.0) * (s["max_steps"] <= s["elapsed"])
+        joint_rates = s["v"][list(arm.joint_index)]
+        rates = joint_rates * s["per_rate"]
+        measured = Measured(
+            error=error / arm.reach,
+            speed=speed * s["per_rate"] / arm.reach,
+            vibration=bent / (0.1 * arm.reach),
+            rate=ca.sumsqr(rates) / arm.n_joint,
+            effort=ca.sumsqr(s["action"]) / arm.n_joint,
+            change=ca.sumsqr(s["action"] - s["before"]) / arm.n_joint,
+            failed=failed,
+        )
+        terms = ca.vertcat(*(term(measured) for term in TERMS.values()))
+        return {
+            "terminated": failed, "truncated": late, "settled": error < SETTLED_BAND * arm.reach,
+            "diverged": diverged, "invalid": invalid,
+            "overspeed": s["rate_limit"] ** 2 < reduce(ca.fmax, ca.vertsplit(joint_rates**2)),
+            "reward": live * ca.dot(s["weights"], terms), "time": s["time"], "tip_error": error,
+            "tip_speed": speed, "deflection": deflection, "tip_deflection": bent,
+            "reward_terms": terms, "root_curvature": here["curvature"][list(self.gauges)],
+            **self._torques(s), "gap": gap, "curvature": here["curvature"],
+        }  # fmt: skip
+
+    def _torques(self, s: Symbols) -> dict[str, Any]:
+        """Torques at the joints [N m], and the command behind them if it is another."""
+        if self.actuation is None:
+            return {"torque": s["action"] * s["torque_limit"]}
+        return {"torque": self.actuation.torque(s), "command": s["action"] * s["command_limit"]}
+
+    def _observation(self, s: Symbols, values: Symbols) -> Any:
+        """Scaled and clipped."""
+        import casadi as ca
+
+        signals = self._signals(s, values)
+        picked = [signals[part.name][k] for part in self.layout.parts for k in part.entries]
+        bounds = self.layout.bounds
+        return ca.fmin(ca.fmax(ca.vertcat(*picked) * s["factors"], -bounds), bounds)
+
+    def _signals(self, s: Symbols, values: Symbols) -> dict[str, Any]:
+        """Everything that an observation may hold, in physical units."""
+        import casadi as ca
+
+        joints = s["q"][list(self.model.arm.joint_index)]
+        signals = {
+            "joint_error": joints - s["target"],
+            "joint_sin": ca.sin(joints),
+            "joint_cos": ca.cos(joints),
+            "joint_rate": s["v"][list(self.model.arm.joint_index)],
+            "modal_amplitude": s["q"],
+            "modal_rate": s["v"],
+            "tip_error": self._in_first_link(values["gap"], joints[0]),
+            "root_curvature": values["curvature"],
+            "last_action": s["action"],
+            "joint_torque": values["torque"],
+            "target_rate": s["target_rate"],
+        }
+        for name, share in (("target_near", 0.5), ("target_far", 1.0)):
+            ahead, _ = self._reference(s, s["time"] + share * s["move_time"])
+            signals[name] = ahead - s["target"]
+        return signals
+
+    def _in_first_link(self, vector: Any, angle: Any) -> Any:
+        """A vector of the world along the axes of the undeformed first link."""
+        import casadi as ca
+
+        x, y, z = ca.vertsplit(ca.mtimes(ca.DM(self.model.arm.links[0].joint.rotation).T, vector))
+        c, d = ca.cos(angle), ca.sin(angle)
+        return ca.vertcat(c * x + d * y, c * y - d * x, z)
+
+
+def _length(vector: Any) -> Any:
+    import casadi as ca
+
+    return ca.sqrt(ca.sumsqr(vector))

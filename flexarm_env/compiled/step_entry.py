@@ -1,0 +1,105 @@
+"""The entry point of an environment's generated module: one control step of a batch, as a template.
+
+It is text because numba compiles functions of a module, and the functions that it calls are the
+module's own: the arm's `accelerations(w)`, the task's `command(w)`, `check(w)` and `report(w)`, the
+stretches of the integrator. A line that is a mark stands for others: #steps and #start, #step come
+from the integrator, #advance from `IDEAL` or `actuation.DRIVEN`. `python -m dynamics source ARM
+--env ID` prints the result.
+
+`control_step` is a single entry because `report` takes long to compile. It steps the environments
+of its chunks and returns how many episodes ended, or a negative number of those whose actions are
+not finite. With `substeps` 0 it reports on the environments that `rows` lists. An environment that
+is lost goes back to the state before the step, and is reported there.
+"""
+
+ENTRIES = """
+take, put, expect = lane_moves(int(LANES))
+gather, scatter = row_moves(int(LANES))
+
+
+@outermost
+def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags):
+    width = np.uint64(state.shape[1])
+    if substeps == 0:
+        count = np.uint64(rows.shape[0])
+        for block in range((count + LANES - np.uint64(1)) // LANES):
+            first = block * LANES
+            for b in range(LANES):
+                i = np.uint64(rows[min(first + b, count - np.uint64(1))])
+                for k in range(N_STATE):
+                    w[Q + k * LANES + b] = state[k, i]
+                for k in range(N_MEMORY):
+                    w[ACTION + k * LANES + b] = state[N_STATE + k, i]
+                for j in range(N_JOINT):
+                    w[BEFORE + j * LANES + b] = w[ACTION + j * LANES + b]
+                w[LOST + b] = 0.0
+            report(w)
+            check(w)
+            report(w)
+            for b in range(min(LANES, count - first)):
+                i = np.uint64(rows[first + b])
+                for j in range(N_JOINT):
+                    state[FIRST_TARGET + j, i] = w[TARGET_NOW + j * LANES + b]
+                for k in range(N_FLAG):
+                    flags[k, i] = w[FLAGS + k * LANES + b] != 0.0
+                for k in range(N_INFO):
+                    info[k, i] = w[INFO + k * LANES + b]
+                scatter(w, OBSERVATION + b, obs, i)
+        return np.int64(0)
+
+    ended = np.int64(0)
+    #steps
+    start, stop = first_turn(rows, thread)
+    while start < stop:
+        for i in range(start, stop):
+            for j in range(N_JOINT):
+                ended -= actions[i, j] - actions[i, j] != 0.0
+        if ended < 0:
+            return ended
+        for column in range(start, stop, LANES):
+            if column + LANES < stop:
+                for k in range(N_STATE + N_MEMORY):
+                    expect(state, k * width + column + LANES)
+                for k in range(N_INFO):
+                    expect(info, k * width + column + LANES)
+            for k in range(N_STATE):
+                take(w, Q + k * LANES, state, k * width + column)
+            for k in range(N_MEMORY):
+                take(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
+            for k in range(N_FREE):
+                take(w, PARAMETERS + k * LANES, state, (N_STATE + N_MEMORY + k) * width + column)
+            gather(w, GIVEN, actions, column)
+            command(w)
+            #advance
+            report(w)
+            check(w)
+            again = False
+            for b in range(LANES):
+                if w[LOST + b] > 0.0:
+                    again = True
+                    for k in range(N_STATE):
+                        w[Q + k * LANES + b] = state[k, column + b]
+                    for k in range(N_ACTUATOR):
+                        w[ACTUATOR + k * LANES + b] = state[FIRST_ACTUATOR + k, column + b]
+            if again:
+                report(w)
+            for k in range(N_JOINT):
+                put(w, TARGET_NOW + k * LANES, w, TARGET + k * LANES)
+            for k in range(N_STATE):
+                put(w, Q + k * LANES, state, k * width + column)
+            for k in range(N_KEPT):
+                put(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
+            for k in range(N_FLAG):
+                put(w, FLAGS + k * LANES, flags, k * width + column)
+            for k in range(N_INFO):
+                put(w, INFO + k * LANES, info, k * width + column)
+            for b in range(min(LANES, stop - column)):
+                for k in range(N_OBSERVATION):
+                    obs[column + b, k] = w[OBSERVATION + k * LANES + b]
+                ended += flags[0, column + b] | flags[1, column + b]
+        start, stop = take_turn(rows, thread)
+    return ended
+"""
+
+# a control step of an arm with ideal torque sources
+IDEAL = {"#advance": ["#start", "for _ in range(substeps):", "    #step"]}

@@ -1,0 +1,184 @@
+"""Numbers an environment derives from its arm: torque limits, natural scales, integration steps.
+
+All follow from the linear model about rest, links straight: M a + C v + K q = B tau.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from dynamics.description import validate
+from dynamics.description.arm import Arm
+from dynamics.formulations.gibbs_appell import mass_matrix
+from dynamics.formulations.linearized import damping, friction
+from dynamics.formulations.link_constants import chain_constants
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.model import Model
+from dynamics.types import Array
+
+DEFLECTION_LIMIT = 0.1  # [-] tip deflection of a link over its length; beyond, the model is invalid
+SLOPE_PER_DEFLECTION = 1.6  # [rad] a beam whose tip deflects in its first shape by all of its
+# length turns its tip by 1.38 rad (held, bare) to 1.57 rad (on a free, light hub)
+BENT = 0.6  # [rad] home angle of every joint but the first
+MOVE = 0.5  # [rad] a typical move; the scale of angles
+RIGID_RATE = 25.0  # [rad/s] of motions of an arm without flexible links
+RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
+SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequency
+SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # by order: dt omega of the first joint-free mode, which moves
+# excite and a step must follow to 1e-3 of the reach
+BY_RULE = ("rk4", "midpoint")  # SMOOTH is not enough for Numerov's method: it has to be measured
+_UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not reach
+_SAMPLES = 200  # per period of the first joint-free mode
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What follows from an arm alone."""
+
+    home: tuple[float, ...]  # (n_joint,) [rad] a posture away from the stretched one
+    torque_limit: tuple[float, ...]  # (n_joint,) [N m] what one period of bang-bang may use
+    inertia: tuple[float, ...]  # (n_joint,) [kg m^2] each joint carries, the others held
+    held: tuple[float, ...]  # [rad/s] natural frequencies, joints held
+    free: tuple[float, ...]  # [rad/s] natural frequencies, joints free
+    fastest: float  # [rad/s] the highest of them, or the fastest decay by damping and friction
+    modal_scale: tuple[float, ...]  # (n - n_joint,) [m] amplitude in that bang-bang; 1 if none
+    modal_rate: tuple[float, ...]  # (n - n_joint,) [m/s] rate in it
+
+
+def home_posture(n_joint: int) -> tuple[float, ...]:
+    """Joint angles [rad] away from the stretched posture."""
+    return (0.0,) + (BENT,) * (n_joint - 1)
+
+
+@lru_cache(maxsize=64)
+def scales(arm: Arm) -> Scales:
+    """Everything that follows from an arm alone."""
+    for i, link in enumerate(arm.links, 1):
+        if link.joint.type != "revolute":
+            raise ValueError(
+                f"Environments take arms whose joints turn, but joint {i} is {link.joint.type}; "
+                "follow such an arm with dynamics.simulate."
+            )
+    with validate.double_precision("The arm's frequencies and scales"):
+        return _derived(arm)
+
+
+def _derived(arm: Arm) -> Scales:
+    model = Model(arm)
+    joints = list(arm.joint_index)
+    modal = [i for i in range(arm.n) if i not in joints]
+    home = home_posture(arm.n_joint)
+    q = np.zeros(arm.n)
+    q[joints] = home
+    M = np.array(mass_matrix(model.chain, q.tolist()), dtype=np.float64)
+    K = model.stiffness
+    C = damping(model.chain) + friction(model.chain)
+    decay = float(np.linalg.eigvals(np.linalg.solve(M, C)).real.max())
+    inertia = np.diag(M)[joints]
+    held = _frequencies(M[np.ix_(modal, modal)], K[np.ix_(modal, modal)])
+    free = _frequencies(M, K)[arm.n_joint :]
+    if modal:
+        acceleration, peak = _bang_bang(arm, M, K, inertia, float(free[0]))
+        scale = np.where(peak > _UNMOVED * peak.max(), peak, 1.0)
+    else:
+        acceleration, scale = RIGID_ACCELERATION, np.zeros(0)
+    return Scales(
+        home=home,
+        torque_limit=tuple(two_digits(acceleration * x) for x in inertia),
+        inertia=tuple(inertia.tolist()),
+        held=tuple(held.tolist()),
+        free=tuple(free.tolist()),
+        fastest=max((decay, *held.tolist(), *free.tolist())),
+        modal_scale=tuple(scale[modal].tolist()),
+        modal_rate=tuple(scale[[arm.n + i for i in modal]].tolist()),
+    )
+
+
+def two_digits(x: float) -> float:
+    """Rounded down to two significant digits, so that a limit is a number one can quote."""
+    unit = 10.0 ** (math.floor(math.log10(x)) - 1)
+    return float(f"{math.floor(x / unit * (1.0 + 1e-9)) * unit:.2g}")
+
+
+def _frequencies(M: Array, K: Array) -> Array:
+    """[rad/s] of M a + K q = 0, ascending."""
+    inverse = np.linalg.inv(np.linalg.cholesky(M)) if M.size else M
+    return np.sqrt(np.abs(np.linalg.eigvalsh(inverse @ K @ inverse.T)))
+
+
+def _exponential(A: Array) -> Array:
+    """exp(A): a Taylor series of A / 2^k, squared k times."""
+    k = max(0, math.ceil(math.log2(max(1e-300, float(np.abs(A).sum(axis=1).max())))) + 1)
+    X = A / 2.0**k
+    result = np.eye(len(A))
+    for j in range(18, 0, -1):  # Horner's rule; X below 1/2: error below 1e-22
+        result = np.eye(len(A)) + X @ result / j
+    for _ in range(k):
+        result = result @ result
+    return result
+
+
+def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tuple[float, Array]:
+    """Acceleration alpha [rad/s^2] such that torques alpha times inertia stay just valid.
+
+    The test is one period of bang-bang at the first joint-free frequency, +1 then -1, then nothing:
+    what excites that mode most in one period. All joints do it at once and their peaks add up.
+    Also returns (2 n,) the peaks of all coordinates and rates in that test.
+    """
+    n, m = arm.n, arm.n_joint
+    C, B, D, S = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, 3, n)), np.zeros((m, 3, n))
+    for i, (start, link) in enumerate(zip(arm.joint_index, chain_constants(arm), strict=True)):
+        B[start, i] = 1.0
+        stop = start + 1
+        if arm.links[i].joint.elastic:
+            stop, link = stop + 1, link[1:]  # the rotor has no modes
+            C[start + 1, start + 1] = link[0].viscous
+        for k, part in enumerate(link):
+            count = len(part.tip_theta)
+            modes = slice(stop, stop + count)
+            stop += count
+            theta = np.array(part.tip_theta).reshape(count, 3)
+            beyond = (len(link) - 1 - k) * part.length  # [m] of the link behind this part
+            shift = np.array(part.tip_phi)[:count].reshape(count, 3)
+            shift = shift + np.cross(theta, (beyond, 0.0, 0.0))
+            C[modes, modes] = np.array(part.damping).reshape(count, count)
+            B[modes, i] = part.root_slope if link[0].driven else 0.0
+            D[i, :, modes] = shift.T / arm.links[i].length / DEFLECTION_LIMIT
+            S[i, :, modes] = theta.T / (SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT)
+    outputs = np.concatenate([D, S])  # (2 m, 3, n): one at the limit of validity
+    dt = 2.0 * math.pi / first / _SAMPLES
+    inverse = np.linalg.inv(M)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ C]])
+    forces = np.vstack([np.zeros((n, m)), inverse @ B * inertia])  # per unit acceleration
+    step = _exponential(np.block([[A, forces], [np.zeros((m, 2 * n + m))]]) * dt)
+    x = np.zeros((2 * n, m))
+    peak, highest = np.zeros((2 * m, m)), np.zeros((2 * n, m))
+    for k in range(2 * _SAMPLES):
+        sign = 1.0 if k < _SAMPLES // 2 else -1.0 if k < _SAMPLES else 0.0
+        x = step[: 2 * n, : 2 * n] @ x + sign * step[: 2 * n, 2 * n :]
+        peak = np.maximum(peak, np.linalg.norm(outputs @ x[:n], axis=1))
+        highest = np.maximum(highest, np.abs(x))
+    largest = float(peak.sum(axis=1).max())
+    acceleration = 1.0 / largest if largest else RIGID_ACCELERATION  # springs alone: any twist
+    return acceleration, acceleration * highest.sum(axis=1)
+
+
+def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> tuple[str, int]:
+    """Integrator and substeps per control step that keep the tip within 1e-3 of the reach.
+
+    A rule for arms whose steps were never measured (see certify.py): the cheapest of BY_RULE by
+    evaluations of the accelerations, or the one that is asked for.
+    """
+    found = scales(arm)
+    first = min(found.free, default=RIGID_RATE)
+
+    def steps(name: str) -> int:
+        method = INTEGRATORS[name]
+        stable = found.fastest / (SAFE * method.limit)
+        return max(1, math.ceil(control_dt * max(stable, first / SMOOTH[method.order]) - 1e-9))
+
+    known = BY_RULE if integrator is None else (integrator,)
+    counts = {name: steps(name) for name in known}
+    return min(counts.items(), key=lambda item: INTEGRATORS[item[0]].evaluations(item[1]))

@@ -1,0 +1,264 @@
+"""Runs go on after damage and a full disk, alone in their folder; a bad request makes none."""
+
+import errno
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from agents.config import load_config
+from agents.evaluate import main as evaluate
+from agents.files import FolderError, alone_in
+from agents.policy import PolicyError, load_policy
+from agents.run_folder.checkpoints import list_checkpoints, newest_whole
+from agents.run_folder.folder import RunFolder, new_run
+from agents.training import main as train
+from tests.agents.tiny import ENV_ID, one_sentence, train_py, wait_for_steps, write_config
+
+# ---- one process per folder ------------------------------------------------------------------
+
+
+def test_two_processes_never_work_in_one_folder(
+    run: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    resume = train_py("--resume", run.path, "--steps", 10**7)
+    wait_for_steps(resume, run, 512)
+    log = run.log.read_bytes()
+    try:
+        assert train(["--resume", str(run.path), "--steps", "512"]) == 2
+        assert "another process is at work in it" in one_sentence(capsys)
+        assert evaluate(["zero", "--env", ENV_ID, "--out", str(run.path)]) == 2
+        assert "another process is at work in it" in one_sentence(capsys)
+    finally:
+        resume.kill()
+        resume.communicate()
+    assert run.log.read_bytes().startswith(log)
+    steps = int(list_checkpoints(run.checkpoints)[-1].name.removeprefix("step_"))
+    assert train(["--resume", str(run.path), "--steps", str(steps)]) == 0, "a kill left the lock"
+
+
+def test_two_new_runs_never_get_one_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], unjudged: Any
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    config = write_config(tmp_path, "ppo", 256)
+    with alone_in(out):
+        assert train(["--config", str(config), "--out", str(out)]) == 2
+    assert "another process is at work in it" in one_sentence(capsys)
+    assert [path.name for path in out.iterdir()] == [".lock"]
+    assert train(["--config", str(config), "--out", str(out)]) == 0
+
+
+def test_runs_without_a_name_that_start_together_get_folders_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = load_config(write_config(tmp_path, "ppo", 256))
+    with ThreadPoolExecutor(16) as pool:
+        runs = list(pool.map(lambda _: new_run(None, config), range(64)))
+    assert len({run.path for run in runs}) == 64
+    assert Path("runs/tiny_ppo/seed0") in {run.path for run in runs}
+
+
+# ---- nothing is made for a bad request -------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "sentence"),
+    [
+        ({"obs": "sensor"}, "obs must be one of"),
+        ({"foo": 1}, "Unknown key 'foo' in env.kwargs"),
+        ({"arm": "nope.yaml"}, "nope.yaml"),
+        ({"torque_limit": {}}, "torque_limit"),
+        ({"reward": {"no_such": 1.0}}, "no_such"),
+        ({"wrappers": []}, "Unknown key 'wrappers'"),
+        ({"substeps": 10**23}, "substeps must be between 1 and 1000000"),
+    ],
+)
+def test_bad_keywords_make_no_folder(
+    kwargs: dict[str, Any],
+    sentence: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = write_config(tmp_path, "ppo", 256, kwargs=kwargs)
+    for out in ([], ["--out", "out/deeper"]):
+        assert train(["--config", str(config), *out]) == 2
+        assert sentence in one_sentence(capsys)
+    assert [path.name for path in tmp_path.iterdir()] == [config.name]
+
+
+def test_bad_keywords_of_the_agent_make_no_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An error that only the learner finds."""
+    config = write_config(tmp_path, "ppo", 256)
+    experiment = yaml.safe_load(config.read_text())
+    experiment["agent"]["kwargs"] |= {"n_steps": 2, "batch_size": 1}
+    config.write_text(yaml.safe_dump(experiment))
+    assert train(["--config", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert "agent: ppo refuses its keywords" in one_sentence(capsys)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("link", ["metrics.jsonl", "policy", ".partial_config.yaml"])
+def test_a_run_with_links_is_not_written_to(
+    link: str, run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A log that leads to somebody's file would be mended, which cuts off its last line."""
+    target = tmp_path / "precious"
+    target.write_text("no end of line")
+    path = run.path / link
+    if path.is_dir():
+        path.rename(tmp_path / "moved")
+    path.unlink(missing_ok=True)
+    path.symlink_to(target)
+    assert train(["--resume", str(run.path), "--steps", "512"]) == 2
+    assert f"{path}: is a link" in one_sentence(capsys)
+    assert target.read_text() == "no end of line"
+
+
+# ---- damage and a full disk ------------------------------------------------------------------
+
+
+def test_a_damaged_newest_checkpoint_is_passed_over(
+    run: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train(["--resume", str(run.path), "--steps", "512"]) == 0
+    run.versions.unlink()
+    older, newer = list_checkpoints(run.checkpoints)
+    os.truncate(newer / "arrays.npz", 100)
+    rows = run.rows()
+    capsys.readouterr()
+    assert train(["--resume", str(run.path), "--steps", "512"]) == 0
+    said = capsys.readouterr().out
+    assert f"Passed over {newer}: is not whole" in said
+    assert f"Resuming at {int(older.name[5:]):,} of 512" in said
+    assert run.rows()[: len(rows)] == rows
+    assert {row["session"] for row in run.rows()} == {0, 1, 2}
+
+
+def test_a_run_without_a_whole_checkpoint_starts_again_in_a_new_session(
+    run: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in list_checkpoints(run.checkpoints):
+        (path / "state.json").write_text("null")
+    rows = run.rows()
+    capsys.readouterr()
+    assert train(["--resume", str(run.path)]) == 0
+    said = capsys.readouterr().out
+    assert said.count("Passed over") == 2
+    assert "No checkpoint is whole: starting from the beginning." in said
+    assert run.rows()[: len(rows)] == rows
+    assert {row["session"] for row in run.rows()} == {0, 1}
+
+
+def test_strange_lines_of_the_log_are_counted_in_a_sentence(
+    run: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = run.rows()
+    run.log.write_bytes(b"5\nnull\n{}\n\xff\xfe\n" + run.log.read_bytes() + b'{"session": 0, ')
+    capsys.readouterr()
+    assert train(["--resume", str(run.path), "--steps", "512"]) == 0
+    said = capsys.readouterr().out
+    assert "passed over lines that are no rows (4 of them)" in said
+    assert "cut off a last line of 15 bytes that was never finished" in said
+    assert run.rows()[: len(rows)] == rows
+    assert len(run.rows()) > len(rows)
+
+
+def test_a_checkpoint_of_another_network_ends_with_a_sentence(
+    run: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = run.config.read_text()
+    assert "- 8\n" in text
+    run.config.write_text(text.replace("- 8\n", "- 9\n"))
+    assert train(["--resume", str(run.path), "--steps", "512"]) == 2
+    assert "does not fit this run" in one_sentence(capsys)
+
+
+@pytest.mark.parametrize("name", ["arrays.npz", "weights.npz"])
+def test_a_full_disk_ends_with_one_sentence_and_the_run_goes_on_later(
+    name: str,
+    run: RunFolder,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    savez: Callable[..., None] = np.savez
+
+    def full(path: Any, **arrays: Any) -> None:
+        if not str(path).endswith(name):
+            return savez(path, **arrays)
+        Path(path).write_bytes(b"PK" * 100)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez", full)
+        assert train(["--resume", str(run.path), "--steps", "512"]) == 1
+    sentence = one_sentence(capsys)
+    assert "No space left on device; go on with: python train.py --resume" in sentence
+    assert not list(run.path.rglob(".partial*"))
+    found, flaws = newest_whole(run.checkpoints)
+    assert found is not None
+    assert flaws == []
+    assert load_policy(run.policy).about["steps"] == 256
+    assert train(["--resume", str(run.path), "--steps", "512"]) == 0
+    assert load_policy(run.policy).about["steps"] == 512
+
+
+def test_a_full_disk_ends_an_evaluation_with_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*arguments: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    out = tmp_path / "out"
+    arguments = ["zero", "--env", ENV_ID, "--episodes", "1", "--out", str(out)]
+    assert evaluate(arguments) == 1
+    assert f"writing to {out} failed (No space left on device)" in one_sentence(capsys)
+    assert [path.name for path in out.iterdir()] == [".lock"]
+
+
+def test_a_diverged_training_ends_with_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = write_config(tmp_path, "ppo", 100_000)
+    experiment = yaml.safe_load(config.read_text())
+    experiment["agent"]["kwargs"] |= {"learning_rate": 10.0, "max_grad_norm": 1.0e6, "n_epochs": 9}
+    config.write_text(yaml.safe_dump(experiment))
+    assert train(["--config", str(config), "--out", str(tmp_path / "out")]) == 1
+    assert "the training has diverged" in one_sentence(capsys)
+
+
+def test_an_untrained_network_that_is_damaged_is_made_again(run: RunFolder) -> None:
+    """It is the first session's, whichever session makes it."""
+    weights = load_policy(run.untrained).weights
+    (run.untrained / "weights.npz").write_bytes(b"")
+    with pytest.raises(PolicyError):
+        load_policy(run.untrained)
+    assert train(["--resume", str(run.path), "--steps", "512"]) == 0
+    for first, again in zip(weights, load_policy(run.untrained).weights, strict=True):
+        np.testing.assert_array_equal(first, again)
+
+
+def test_a_lock_that_cannot_be_made_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / ".lock").mkdir()
+    with pytest.raises(FolderError, match="cannot be locked"), alone_in(tmp_path):
+        pass
+
+
+def test_a_lock_that_is_a_link_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("x")
+    (tmp_path / ".lock").symlink_to(tmp_path / "precious")
+    with pytest.raises(FolderError, match="is a link"), alone_in(tmp_path):
+        pass
+    assert (tmp_path / "precious").read_text() == "x"
