@@ -189,7 +189,7 @@ def interface_microseconds(env_id: str) -> dict[str, float]:
     """What a call of a batch costs beside its compiled work, which is left out here."""
     batch = cast(FlexArmVectorEnv, gym.make_vec(env_id, num_envs=LANES))
     batch.reset(seed=0)
-    batch.core.turns[STOP] = 0
+    batch.core.shares[STOP] = 0
     return timed(partial(batch.step, np.zeros((LANES, batch.n_joint), np.float32))).each(1e-6)
 
 

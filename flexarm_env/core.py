@@ -14,9 +14,9 @@ from dynamics.description import validate
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource
 from dynamics.model import Model, compile_arm
-from dynamics.runtime.jit import direct
-from dynamics.runtime.thread_pool import Crew, in_use, worth
-from dynamics.runtime.work_queue import turns
+from dynamics.runtime.jit import compiled_for
+from dynamics.runtime.thread_pool import ThreadPool, in_use, useful_threads
+from dynamics.runtime.work_queue import shares
 from dynamics.simulation.stepper import MOST_ENVIRONMENTS, MOST_THREADS
 from dynamics.simulation.validity import LARGEST_RATE
 from dynamics.types import Array
@@ -80,7 +80,7 @@ class Core:
     q, v : (N, n) coordinates and rates, writable views.
     dt : [s] integration step.
     lock : held while a thread steps or resets, see `claim`.
-    turns : the shares that threads take of a step, see `dynamics.runtime.work_queue.turns`.
+    shares : chunk counters of a step, see `dynamics.runtime.work_queue.shares`.
     workspaces : one per thread.
     parameters : (N, n_free) values of the randomized parameters, a view.
     """
@@ -249,11 +249,11 @@ class Core:
         self.streams = np.zeros(n_env, dtype=np.int64)
         self.q, self.v = self.state[rows["q"], :n_env].T, self.state[rows["v"], :n_env].T
         self.parameters = self.state[rows["free"], :n_env].T
-        threads = worth(self.threads, blocks, n_env * self._operations())
-        self.turns = turns(n_env, lanes, threads)
+        threads = useful_threads(self.threads, blocks, n_env * self._operations())
+        self.shares = shares(n_env, lanes, threads)
         self.workspaces = [self._workspace() for _ in range(threads)]
         self._no_actions = np.zeros((0, self.arm.n_joint), np.float32)
-        self._crew = Crew(threads)
+        self._pool = ThreadPool(threads)
         self.lock = Lock()  # held by whoever steps or resets
 
     def _operations(self) -> int:
@@ -290,14 +290,14 @@ class Core:
         out = self.outputs()
         if len(self.workspaces) == 1:  # as `_turn`, whose call a single environment would feel
             ended = self._control_step(
-                self.turns, 0, self.substeps, self.dt, actions, self.state, self.workspaces[0],
+                self.shares, 0, self.substeps, self.dt, actions, self.state, self.workspaces[0],
                 out.obs, out.info, out.flags,
             )  # fmt: skip
         elif not np.isfinite((actions.min(), actions.max())).all():
             ended = -1  # must not find other environments stepped already
         else:
             self._control_step  # compiled by one thread, before several need it  # noqa: B018
-            ended = sum(self._crew.run(partial(self._turn, self.turns.copy(), actions, out)))
+            ended = sum(self._pool.run(partial(self._turn, self.shares.copy(), actions, out)))
         if ended < 0:
             bad = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
             raise ValueError(
@@ -318,10 +318,10 @@ class Core:
 
     @cached_property
     def _control_step(self) -> Callable[..., Any]:
-        """The compiled call: take turns at all environments, say how many ended."""
+        """The compiled step of all environments; returns how many episodes ended."""
         out = self.outputs()
-        return direct(
-            self._program.control_step, self.turns, 0, self.substeps, self.dt, self._no_actions,
+        return compiled_for(
+            self._program.control_step, self.shares, 0, self.substeps, self.dt, self._no_actions,
             self.state, self.workspaces[0], out.obs, out.info, out.flags,
         )  # fmt: skip
 

@@ -3,56 +3,80 @@
 import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
+from tests.imports import (
+    ROOMS,
+    Graph,
+    circles,
+    imported,
+    imports,
+    largest_folder,
+    room,
+    sources,
+)
 from tests.paths import ROOT
 
-LAYERS = ("dynamics", "flexarm_env", "agents")  # each may import those before it, never those after
+PACKAGES = ("dynamics", "flexarm_env", "agents", "benchmarks")
 LONGEST_FILE = 400  # lines
+MOST_MODULES = 16  # of a folder
 FORBIDDEN = {
     "dynamics": {"gymnasium", "stable_baselines3", "torch", "matplotlib"},
     "flexarm_env": {"torch"},
-    "agents": set(),
 }
 
 
-def sources(*folders: str) -> list[Path]:
-    """Every Python file of the folders, and of the root where a folder is '.'."""
-    found: list[Path] = []
-    for folder in folders:
-        files = ROOT.glob("*.py") if folder == "." else (ROOT / folder).rglob("*.py")
-        found += [f for f in files if "__pycache__" not in f.parts]
-    return sorted(found)
+def wrong_arrows(graph: Graph) -> list[str]:
+    """Imports that point from a room to a later one."""
+    order = {name: i for i, name in enumerate(ROOMS)}
+    return [
+        f"{name} imports {other}"
+        for name, others in graph.items()
+        for other in others
+        if order[room(other)] > order[room(name)]
+    ]
 
 
-def imported_packages(tree: ast.AST) -> set[str]:
-    """Top-level names of all absolute imports, also those inside functions and type checks."""
-    names: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            names.add(node.module.split(".")[0])
-    return names
+def test_imports_between_rooms_run_one_way() -> None:
+    assert wrong_arrows(imports(*PACKAGES)) == []
 
 
-@pytest.mark.parametrize("layer", LAYERS)
-def test_imports_point_down_only(layer: str) -> None:
-    """agents -> flexarm_env -> dynamics, and no layer imports what it must not know."""
-    above = set(LAYERS[LAYERS.index(layer) + 1 :])
-    assert sources(layer), f"no source found in {layer}/"
-    for path in sources(layer):
-        names = imported_packages(ast.parse(path.read_text(encoding="utf-8")))
-        assert not names & above, f"{path.relative_to(ROOT)} imports {sorted(names & above)}"
-        forbidden = names & FORBIDDEN[layer]
-        assert not forbidden, f"{path.relative_to(ROOT)} imports {sorted(forbidden)}"
+def test_no_modules_import_one_another() -> None:
+    """Directly or round a corner, at the top of a file or inside a function."""
+    assert circles(imports(*PACKAGES)) == []
+
+
+def test_an_import_turned_round_is_found() -> None:
+    graph = imports(*PACKAGES)
+    graph["dynamics.description.link"] = {"dynamics.formulations.link_constants"}
+    (arrow,) = wrong_arrows(graph)
+    assert arrow == "dynamics.description.link imports dynamics.formulations.link_constants"
+    assert any("dynamics.description.link" in group for group in circles(graph))
+
+
+def test_every_room_is_there() -> None:
+    assert {room(name) for name in imports(*PACKAGES)} == set(ROOMS)
+
+
+@pytest.mark.parametrize("package", FORBIDDEN)
+def test_packages_do_not_import_what_they_must_not_know(package: str) -> None:
+    for path in sources(package):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        found = {name.split(".")[0] for name in imported(tree)} & FORBIDDEN[package]
+        assert not found, f"{path.relative_to(ROOT)} imports {sorted(found)}"
+
+
+def test_folders_are_small() -> None:
+    """But for the presets, of which there may be any number."""
+    folders = (p for p in PACKAGES if p != "benchmarks")
+    count, folder = largest_folder(folders, without="dynamics/arms/presets")
+    assert count <= MOST_MODULES, folder
 
 
 def test_files_are_short_and_named_for_what_they_do() -> None:
     """No file above 400 lines, no utils.py."""
-    for path in sources(".", *LAYERS, "tests", "benchmarks"):
+    for path in sources(".", *PACKAGES, "tests"):
         length = len(path.read_text(encoding="utf-8").splitlines())
         assert length <= LONGEST_FILE, f"{path.relative_to(ROOT)} has {length} lines"
         assert path.name != "utils.py", f"{path.relative_to(ROOT)}: name it for what it does"

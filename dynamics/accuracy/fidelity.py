@@ -1,27 +1,21 @@
 """How much of an arm a model keeps: modes per link and direction, foreshortening, segments.
 
-A damping ratio belongs to the modes that are described, not to the beam: other shapes would be
-damped otherwise, and segments, whose own modes are fast, hardly at all. Models of all kinds damp a
-link as Kelvin and Voigt do, C = beta K, by what its first mode has: see `viscous`.
+Models of all kinds damp a link alike: see formulations/damping.py.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from dynamics.description.arm import Arm, Payload
+from dynamics.description.arm import Arm
 from dynamics.description.link import Link
-from dynamics.description.mode_shapes import STIFFNESS, Mode
-from dynamics.formulations.link_constants import link_constants
+from dynamics.description.mode_shapes import Mode
+from dynamics.formulations.damping import viscous_links, yields
 
 DIRECTIONS = ("y", "z", "x")  # bending, bending, torsion
 MOST_MODES = 4  # per link and direction on the ladder
 MOST_SEGMENTS = 8
 _NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass"}
 _POLYNOMIAL = {"x": "torsion-poly", "y": "poly", "z": "poly"}
-_FIRST = range(1, 6)  # polynomials that give a beam's first frequency to 1e-7
 
 Counts = tuple[int, int, int]  # modes along y, z, x
 Change = tuple[int, str]  # link, direction or "segments"
@@ -42,7 +36,7 @@ class Fidelity:
         return not any(map(any, self.counts))
 
     def arm(self, arm: Arm) -> Arm:
-        """The arm with just so much, its links' damping as `viscous` has it."""
+        """The arm with just so much, its links' damping as `viscous_links` has it."""
         links = tuple(
             replace(link, modes=tuple(self._modes(link, counts)), segments=segments)
             for link, counts, segments in zip(
@@ -110,29 +104,6 @@ class Fidelity:
         return "; ".join(texts) + shapes + (", foreshortened" if self.foreshortening else "")
 
 
-def viscous_links(arm: Arm) -> tuple[Link, ...]:
-    """The arm's links, each as `viscous` has it."""
-    return tuple(map(viscous, arm.links, arm.carried))
-
-
-def viscous(link: Link, payload: Payload | None = None) -> Link:
-    """The link with `damping_beta` in place of a damping ratio, which its first mode keeps.
-
-    That is the lowest bending mode of the link alone, clamped, with its tip mass and payload.
-    """
-    directions = [d for d in "yz" if _yields(link, d)]
-    if not (link.damping_ratio and directions):
-        return link
-    from scipy.linalg import eigh
-
-    shapes = tuple(Mode(kind="poly", index=k, direction=d) for d in directions for k in _FIRST)
-    alone = link_constants(replace(link, modes=shapes, segments=1), payload)
-    tip = np.array(alone.tip_phi)
-    mass = np.array(alone.s) + alone.tip_mass * tip @ tip.T
-    first = math.sqrt(eigh(np.array(alone.K), mass, eigvals_only=True)[0])
-    return replace(link, damping_ratio=0.0, damping_beta=2.0 * link.damping_ratio / first)
-
-
 def rigid(arm: Arm, foreshortening: bool = False, polynomial: bool = False) -> Fidelity:
     """No modes at all."""
     n = arm.n_joint
@@ -151,15 +122,11 @@ def everything(arm: Arm, bending: int, torsion: int) -> tuple[Counts, ...]:
 
 def _possible(arm: Arm, i: int, bending: int, torsion: int) -> Counts:
     link = arm.links[i]
-    y, z, x = (_yields(link, d) for d in DIRECTIONS)
+    y, z, x = (yields(link, d) for d in DIRECTIONS)
     payload = arm.payload.inertia[0][0] if arm.payload else 0.0
     inertia = link.rho_Ip + link.tip_inertia[0][0] + payload
     twists = x and (i < arm.n_joint - 1 or inertia > 0.0)
     return bending * y, bending * z, (torsion if link.rho_Ip else min(torsion, 1)) * twists
-
-
-def _yields(link: Link, direction: str) -> bool:
-    return link.body is None and bool(getattr(link, STIFFNESS[direction]))
 
 
 def _named(counts: Counts, segments: int) -> str:

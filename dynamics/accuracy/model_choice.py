@@ -94,7 +94,7 @@ def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
     Parameters
     ----------
     arm : whatever `load_arm` takes: lengths, masses, stiffnesses, tip bodies and joints; its modes
-        name the family of shapes, a damping ratio the viscosity, see `fidelity.viscous`.
+        name the family of shapes, a damping ratio the viscosity, see `damping.viscous`.
     scene : the motions that count; the error is the largest over time and motions.
     tolerance : [m]
 

@@ -89,7 +89,7 @@ def on_disk(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 outermost = on_disk(**_FAST, no_cfunc_wrapper=True)  # Python calls it
 
 
-def direct(function: Any, *arguments: Any) -> Callable[..., Any]:
+def compiled_for(function: Any, *arguments: Any) -> Callable[..., Any]:
     """What numba compiled, or now compiles, for arguments of these types.
 
     Called by itself it spares the search for what fits, which counts beside a short call. It takes

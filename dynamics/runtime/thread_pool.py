@@ -1,4 +1,4 @@
-"""Threads that work together."""
+"""A pool of threads that work through one batch together."""
 
 import os
 import sys
@@ -11,64 +11,65 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any, TypeVar
 
-from dynamics.runtime.jit import aligned_zeros, direct
-from dynamics.runtime.work_queue import LINE, LOOKS, watch
+from dynamics.runtime.jit import aligned_zeros, compiled_for
+from dynamics.runtime.work_queue import LINE, SPINS, post_and_wait
 
 T = TypeVar("T")
-GIVEN, DONE = 0, LINE  # where a post holds numbers of tasks
+GIVEN, DONE = 0, LINE  # places of a worker's two flags: numbers of tasks
 NAP = 1e-4  # [s]
 OPERATIONS_PER_SECOND = 1.5e10  # of one thread, roughly
-WORTH_A_THREAD = 5e-5  # [s] of work, of which dividing it takes a fifth
+LEAST_WORK = 5e-5  # [s] of a thread's part of a call; starting it costs a fifth of that
 
 
-def worth(threads: int, blocks: int, operations: float) -> int:
-    """How many threads a call is worth that does so many operations on so many blocks of rows."""
+def useful_threads(threads: int, blocks: int, operations: float) -> int:
+    """Number of threads that a call of so many operations on so many blocks of rows can use."""
     work = operations / OPERATIONS_PER_SECOND  # [s]
-    return max(1, min(threads, blocks, int(work / WORTH_A_THREAD)))
+    return max(1, min(threads, blocks, int(work / LEAST_WORK)))
 
 
-class Crew:
-    """The caller and `size - 1` threads, which start with the first run and end with the crew."""
+class ThreadPool:
+    """The caller and `size - 1` worker threads, started by the first run, ended with the pool."""
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._helpers: list[_Helper] = []
+        self._workers: list[_Worker] = []
         self._process = os.getpid()
-        weakref.finalize(self, _dismiss, self._helpers)
+        weakref.finalize(self, _dismiss, self._workers)
 
     def run(self, work: Callable[[int], T]) -> list[T]:
-        """What `work(thread)` says in every thread that came in time; threads count from 0.
+        """Results of `work(thread)`, threads counted from 0.
 
-        It is to take parts of something until none is left. Who is so late that the caller has
-        finished does not begin, so a thread whose core is busy holds up nobody.
+        `work` pulls chunks until none remain. A thread that wakes after the caller has finished
+        skips the task, so a thread whose core is busy delays nobody.
         """
-        helpers = self._hired(self.size - 1)
-        for k, helper in enumerate(helpers):
-            helper.begin(partial(work, k + 1))
+        workers = self._running(self.size - 1)
+        for k, worker in enumerate(workers):
+            worker.begin(partial(work, k + 1))
         try:
             results = [work(0)]
         finally:
-            outcomes = [helper.outcome() for helper in helpers]
+            outcomes = [worker.outcome() for worker in workers]
         for result, error in outcomes:
             if error is not None:
                 raise error
             results += result
         return results
 
-    def _hired(self, count: int) -> list["_Helper"]:
+    def _running(self, count: int) -> list["_Worker"]:
+        """Live workers; missing and ended ones are started."""
         if self._process != os.getpid():  # a fork has none of its parent's threads
-            self._helpers.clear()
+            self._workers.clear()
             self._process = os.getpid()
-        for helper in [helper for helper in self._helpers if helper.failure]:
+        for worker in [worker for worker in self._workers if worker.failure]:
             warnings.warn(
-                f"A worker thread ended ({helper.failure!r}); another takes its place.",
+                f"A worker thread ended ({worker.failure!r}); another takes its place.",
                 RuntimeWarning,
                 stacklevel=4,
             )
-            self._helpers.remove(helper)
-        while len(self._helpers) < count:
-            self._helpers.append(_Helper())
-        return self._helpers[:count]
+            self._workers.remove(worker)
+        while len(self._workers) < count:
+            self._workers.append(_Worker())
+        return self._workers[:count]
 
 
 def in_use() -> RuntimeError:
@@ -79,12 +80,12 @@ def in_use() -> RuntimeError:
     )
 
 
-class _Helper:
-    """A thread that looks for tasks, and sleeps when none comes for a while.
+class _Worker:
+    """A thread that polls for tasks, and sleeps when none comes for a while.
 
-    A task is given under its number, and done when that number is. Each side says what it is about
-    to do before it looks whether the other has: so no call is missed, and no task that was
-    withdrawn is begun.
+    Tasks are numbered: GIVEN is the number of the latest task, DONE that of the latest finished
+    one. Each side announces what it is about to do before it checks what the other has announced,
+    so no wake-up is missed and no withdrawn task is begun.
     """
 
     def __init__(self) -> None:
@@ -94,7 +95,8 @@ class _Helper:
         self._asleep, self._calls = False, SimpleQueue[None]()
         self._outcome: tuple[list[Any], BaseException | None] = [], None
         self.failure: BaseException | None = None  # what ended the thread itself
-        direct(watch, self._post, DONE, 0, GIVEN, 1, LOOKS)  # compiled before two threads need it
+        # compiled by one thread, before two need it
+        compiled_for(post_and_wait, self._post, DONE, 0, GIVEN, 1, SPINS)
         Thread(target=self._live, daemon=True).start()
 
     def _live(self) -> None:
@@ -106,7 +108,7 @@ class _Helper:
     def _serve(self) -> None:
         number = 0
         while number >= 0:
-            if not watch(self._post, DONE, number, GIVEN, number + 1, LOOKS):
+            if not post_and_wait(self._post, DONE, number, GIVEN, number + 1, SPINS):
                 self._sleep(number)
             task, self._outcome = self._task, ([], None)
             number = self._begun = task[0]
@@ -119,11 +121,12 @@ class _Helper:
 
     def _sleep(self, number: int) -> None:
         self._asleep = True
-        while self._post[GIVEN] <= number:  # looked at after saying so: no call is missed
+        while self._post[GIVEN] <= number:  # checked after the announcement: no call is missed
             self._calls.get()
         self._asleep = False
 
     def begin(self, task: Callable[[], Any]) -> None:
+        """Hand a task to the thread."""
         number = self._task[0] + 1
         self._give(number, number, task)
 
@@ -134,12 +137,12 @@ class _Helper:
             self._calls.put(None)
 
     def outcome(self) -> tuple[list[Any], BaseException | None]:
-        """What the task said, or what it raised; nothing if it has not begun, and it will not."""
+        """Result of the task, or its error; a task that has not begun is withdrawn."""
         number = self._task[0]
         self._task = number, None
         if self._begun != number:
             return [], None
-        if not watch(self._post, GIVEN, number, DONE, number, LOOKS):
+        if not post_and_wait(self._post, GIVEN, number, DONE, number, SPINS):
             while self._post[DONE] < number:
                 if self.failure:
                     raise RuntimeError(
@@ -149,10 +152,10 @@ class _Helper:
         return self._outcome
 
     def end(self) -> None:
-        """No task comes any more."""
+        """End the thread."""
         self._give(-1, sys.maxsize, None)
 
 
-def _dismiss(helpers: list[_Helper]) -> None:
-    for helper in helpers:
-        helper.end()
+def _dismiss(workers: list[_Worker]) -> None:
+    for worker in workers:
+        worker.end()

@@ -1,4 +1,4 @@
-"""Numbers that threads share without Python's lock: turns at a batch, and words to each other."""
+"""Lock-free chunk counters and wake-up flags, shared by threads that do not hold Python's lock."""
 
 import platform
 from typing import Any
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from dynamics.runtime.jit import CACHE_LINE, on_disk
 
-TURNS = 8  # per thread at least: one that is held up leaves some to the others
-NEXT, STOP, SIZE = range(3)  # of turns
-LINE = CACHE_LINE // 8  # numbers in a line of the cache, which only one core can write at a time
-LOOKS = 10_000  # about 0.3 ms: as long as waking may take
-BREATH = 200  # about 6 us: until who wrote the number has left Python and its lock is free
+CHUNKS = 8  # per thread at least, so that others can take over from a thread that is delayed
+NEXT, STOP, SIZE = range(3)  # columns of a share: its next row, its end, rows per chunk
+LINE = CACHE_LINE // 8  # numbers of a cache line: one line per thread avoids false sharing
+SPINS = 10_000  # about 0.3 ms, as long as waking a thread may take
+RELEASE = 200  # spins, about 6 us, in which the thread that wrote a flag releases Python's lock
 _X86: tuple[str, list[int]] = ("llvm.x86.sse2.pause", [])
 _ARM: tuple[str, list[int]] = ("llvm.aarch64.hint", [1])
 _PAUSES = {"x86_64": _X86, "AMD64": _X86, "aarch64": _ARM, "arm64": _ARM}
@@ -45,7 +45,7 @@ def _write(typingctx, post, at, number):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def _add(typingctx, post, at, number):  # type: ignore[no-untyped-def]
-    """What was there before."""
+    """Atomic fetch-and-add; returns the old value."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         place = _place(context, builder, signature, args)
@@ -56,7 +56,7 @@ def _add(typingctx, post, at, number):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def _pause(typingctx):  # type: ignore[no-untyped-def]
-    """The processor's own idea of waiting a moment: lighter on others than running in circles."""
+    """The processor's spin-wait hint, which leaves resources to its other hardware thread."""
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         if platform.machine() in _PAUSES:
@@ -69,25 +69,24 @@ def _pause(typingctx):  # type: ignore[no-untyped-def]
     return types.void(), codegen
 
 
-def turns(count: int, block: int, threads: int) -> NDArray[np.int64]:
-    """What threads take turns at: (threads * LINE,), a share of a batch's rows for each.
+def shares(count: int, block: int, threads: int) -> NDArray[np.int64]:
+    """(threads * LINE,) chunk counters: a share of a batch's rows for each thread.
 
-    Shares are whole blocks, but for the last: where its next turn starts, where it stops, and how
-    many rows a turn takes.
+    Shares are whole blocks, except the last. Columns of a share: NEXT, STOP, SIZE.
     """
     blocks = -(-count // block)
     rows = np.zeros((threads, LINE), np.int64)
     ends = [min(count, block * (k * blocks // threads)) for k in range(threads + 1)]
     rows[:, NEXT], rows[:, STOP] = ends[:-1], [*ends[1:-1], count]
-    rows[:, SIZE] = block * (max(1, blocks // (TURNS * threads)) if threads > 1 else blocks)
+    rows[:, SIZE] = block * (max(1, blocks // (CHUNKS * threads)) if threads > 1 else blocks)
     return rows.ravel()
 
 
 @register_jitable
-def take_turn(rows: Any, thread: int) -> Any:
-    """The next rows that nobody has taken, from and to; none when both are equal.
+def take_chunk(rows: Any, thread: int) -> Any:
+    """Claim the next chunk: its first row and its end; both are equal when none is left.
 
-    A thread's own first, which are in its core's cache, then what others have left.
+    A thread empties its own share first, whose rows are in its core's cache, then the others'.
     """
     for k in range(0, rows.size, LINE):
         at = (thread * LINE + k) % rows.size
@@ -99,33 +98,35 @@ def take_turn(rows: Any, thread: int) -> Any:
 
 
 @register_jitable
-def first_turn(rows: Any, thread: int) -> Any:
-    """The same, of a thread that begins: where it is the only one, all start anew."""
+def first_chunk(rows: Any, thread: int) -> Any:
+    """`take_chunk` at the start of a call: a single thread resets its share itself."""
     if rows.size == LINE:
         rows[NEXT] = 0
-    return take_turn(rows, thread)
+    return take_chunk(rows, thread)
 
 
 @on_disk(nogil=True)
-def watch(post: Any, mine: int, number: int, other: int, wanted: int, looks: int) -> bool:
-    """Write a number at `mine`, then look until that at `other` is as large as wanted.
+def post_and_wait(post: Any, mine: int, number: int, other: int, wanted: int, spins: int) -> bool:
+    """Write a flag, then spin until another flag has reached a value.
 
-    Waking a thread that sleeps takes 10 to 300 us, as long as many a batch's step; one that looks
-    is there in less than one.
+    Waking a sleeping thread takes 10 to 300 us, as long as many a batch's step; a spinning thread
+    answers in less than one.
 
     Parameters
     ----------
-    post : (size,) int64, what both threads write on.
-    looks : how often at most.
+    post : (size,) int64, flags that two threads share.
+    mine, number : place and new value of the caller's flag.
+    other, wanted : place and least value of the flag to wait for.
+    spins : polls at most.
 
     Returns
     -------
-    Whether it came.
+    Whether the flag reached the value.
     """
     _write(post, mine, number)
-    for _ in range(looks):
+    for _ in range(spins):
         if _read(post, other) >= wanted:
-            for _ in range(BREATH):
+            for _ in range(RELEASE):
                 _pause()
             return True
         _pause()

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from dynamics.description import validate
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
-from dynamics.runtime.jit import direct
-from dynamics.runtime.thread_pool import Crew, in_use, worth
-from dynamics.runtime.work_queue import turns
+from dynamics.runtime.jit import compiled_for
+from dynamics.runtime.thread_pool import ThreadPool, in_use, useful_threads
+from dynamics.runtime.work_queue import shares
 
 MOST_ENVIRONMENTS = 1_000_000
 MOST_SUBSTEPS = 1_000_000_000
@@ -71,11 +71,11 @@ class Stepper:
         self._program = model.program(1 if self.n_env == 1 else model.lanes, integrator)
         evaluations = INTEGRATORS[integrator].evaluations(self.substeps)
         operations = self.n_env * evaluations * int(self._program.OPERATIONS)
-        self.threads = worth(threads, -(-self.n_env // model.lanes), operations)
-        self._turns = turns(self.n_env, model.lanes, self.threads)
-        self._rows = self._turns.copy()
+        self.threads = useful_threads(threads, -(-self.n_env // model.lanes), operations)
+        self._shares = shares(self.n_env, model.lanes, self.threads)
+        self._rows = self._shares.copy()
         self._w = [model.workspace(self._program) for _ in range(self.threads)]
-        self._crew = Crew(self.threads)
+        self._pool = ThreadPool(self.threads)
         self._lock = Lock()
 
     # compiled code takes the arrays as they are: none can be replaced by one of another shape
@@ -94,9 +94,9 @@ class Stepper:
             if self.threads == 1:
                 self._advance(0)
             else:
-                self._rows[:] = self._turns
+                self._rows[:] = self._shares
                 self._compiled  # by one thread, before several need it  # noqa: B018
-                self._crew.run(self._advance)
+                self._pool.run(self._advance)
         finally:
             self._lock.release()
 
@@ -108,7 +108,7 @@ class Stepper:
 
     @cached_property
     def _compiled(self) -> Callable[..., Any]:
-        return direct(
+        return compiled_for(
             self._program.advance, self._rows, 0, self._q, self._v, self._torque, self._parameters,
             self.dt, self.substeps, self._w[0], self._status, self._measured,
         )  # fmt: skip

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from dynamics.accuracy.fidelity import viscous_links
 from dynamics.description import validate
 from dynamics.description.arm import Arm
+from dynamics.formulations.damping import viscous_links
 from dynamics.model import Model
 from dynamics.simulation.trajectory import Trajectory
 

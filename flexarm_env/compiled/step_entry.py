@@ -49,7 +49,7 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
 
     ended = np.int64(0)
     #steps
-    start, stop = first_turn(rows, thread)
+    start, stop = first_chunk(rows, thread)
     while start < stop:
         for i in range(start, stop):
             for j in range(N_JOINT):
@@ -97,7 +97,7 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
                 for k in range(N_OBSERVATION):
                     obs[column + b, k] = w[OBSERVATION + k * LANES + b]
                 ended += flags[0, column + b] | flags[1, column + b]
-        start, stop = take_turn(rows, thread)
+        start, stop = take_chunk(rows, thread)
     return ended
 """
 

@@ -45,7 +45,7 @@ def test_behind_actuators_neither_batch_size_nor_threads_nor_pickling_matter(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Bit for bit, over restarts."""
-    monkeypatch.setattr(thread_pool, "WORTH_A_THREAD", 1e-9)
+    monkeypatch.setattr(thread_pool, "LEAST_WORK", 1e-9)
     actions = random_actions(40, 40)
     envs = [
         gym.make_vec(ENV, num_envs=n, threads=threads, max_episode_steps=11, **FLEXIBLE)

@@ -87,7 +87,7 @@ def test_results_do_not_depend_on_batch_size_or_threads(
     task: str, n_env: int, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Bit for bit, over restarts; so few would be left to one thread."""
-    monkeypatch.setattr(thread_pool, "WORTH_A_THREAD", 1e-9)
+    monkeypatch.setattr(thread_pool, "LEAST_WORK", 1e-9)
     env_id = f"FlexArm/OneLink-{task}-v0"
     actions = random_actions(60, 40, 1)
     reference = gym.make_vec(env_id, num_envs=33, max_episode_steps=25)
@@ -211,7 +211,7 @@ def test_a_bad_action_finds_no_environment_stepped(
     row: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whichever thread's environment it is for."""
-    monkeypatch.setattr(thread_pool, "WORTH_A_THREAD", 1e-9)
+    monkeypatch.setattr(thread_pool, "LEAST_WORK", 1e-9)
     envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=40, threads=2)
     core = envs.unwrapped.core
     assert len(core.workspaces) > 1

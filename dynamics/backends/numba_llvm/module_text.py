@@ -12,7 +12,7 @@ from dynamics.runtime.jit import compiled, outermost
 from dynamics.backends.numba_llvm.methods import INTEGRATORS
 from dynamics.backends.numba_llvm.moves import lane_moves, row_moves
 from dynamics.backends.numba_llvm.vector_code import straight_line
-from dynamics.runtime.work_queue import first_turn, take_turn
+from dynamics.runtime.work_queue import first_chunk, take_chunk
 from dynamics.integrators.exponential import FrozenModes
 from dynamics.integrators.slots import Slots
 """

@@ -24,7 +24,7 @@ gather, scatter = row_moves(int(LANES))
 @outermost
 def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, measured):
     #steps
-    start, stop = first_turn(rows, thread)
+    start, stop = first_chunk(rows, thread)
     while start < stop:
         for first in range(start, stop, LANES):
             gather(w, Q, q, first)
@@ -52,7 +52,7 @@ def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, mea
                     scatter(w, MEASURED + b, measured, row)
                 else:
                     status[row] = good + 1
-        start, stop = take_turn(rows, thread)
+        start, stop = take_chunk(rows, thread)
 
 
 @outermost

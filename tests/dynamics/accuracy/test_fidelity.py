@@ -15,8 +15,9 @@ from dynamics import (
     Trajectory,
     limits,
 )
-from dynamics.accuracy.fidelity import Fidelity, everything, viscous
+from dynamics.accuracy.fidelity import Fidelity, everything
 from dynamics.formulations import linearized
+from dynamics.formulations.damping import viscous
 from dynamics.model import Model
 
 DAMPED = Link(

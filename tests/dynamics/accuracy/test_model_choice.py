@@ -31,10 +31,11 @@ from dynamics import (
     load_arm,
 )
 from dynamics.accuracy import reference
-from dynamics.accuracy.fidelity import Fidelity, rigid, viscous
+from dynamics.accuracy.fidelity import Fidelity, rigid
 from dynamics.accuracy.model_choice import _roomier
 from dynamics.accuracy.rollout import distance
 from dynamics.accuracy.scene import JointMotion
+from dynamics.formulations.damping import viscous
 from tests.paths import REFERENCE
 
 TRUTH = stored_truth()

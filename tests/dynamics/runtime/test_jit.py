@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dynamics.runtime.jit import direct, on_disk
+from dynamics.runtime.jit import compiled_for, on_disk
 from tests.paths import ROOT
 
 SESSION = """
@@ -58,8 +58,8 @@ def mean(x: Any, scale: float) -> Any:
 def test_what_is_called_directly_is_what_numba_would_have_found() -> None:
     """Compiled once for arguments of these types; numbers of another size are refused."""
     found, x = on_disk()(mean), np.arange(5.0)
-    called = direct(found, x, 2.0)
-    assert direct(found, x[:3], 1.0) is called
+    called = compiled_for(found, x, 2.0)
+    assert compiled_for(found, x[:3], 1.0) is called
     assert called(x, 0.5) == found(x, 0.5) == 1.0
     assert len(found.overloads) == 1
     with pytest.raises(TypeError, match="array"):

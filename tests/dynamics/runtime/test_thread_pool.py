@@ -1,4 +1,4 @@
-"""Threads take turns, survive errors, and go with their crew."""
+"""Threads share chunks, survive errors, and go with their pool."""
 
 import gc
 import os
@@ -17,8 +17,8 @@ from numba import njit
 
 from dynamics.runtime import thread_pool as module
 from dynamics.runtime.jit import on_disk
-from dynamics.runtime.thread_pool import Crew
-from dynamics.runtime.work_queue import LINE, SIZE, take_turn, turns
+from dynamics.runtime.thread_pool import ThreadPool
+from dynamics.runtime.work_queue import LINE, SIZE, shares, take_chunk
 from tests.paths import ROOT
 
 
@@ -31,10 +31,10 @@ def jobs(count: int) -> Callable[[int], list[int]]:
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_every_job_is_done_once(size: int) -> None:
     """Whether the others are awake, falling asleep or asleep when the next run begins."""
-    crew, rng = Crew(size), np.random.default_rng(0)
+    pool, rng = ThreadPool(size), np.random.default_rng(0)
     for k in range(300):
         count = int(rng.integers(6))
-        assert sorted(chain(*crew.run(jobs(count)))) == list(range(count))
+        assert sorted(chain(*pool.run(jobs(count)))) == list(range(count))
         if k % 3 == 0:
             time.sleep(rng.uniform(0.0, 1e-3))
 
@@ -52,7 +52,7 @@ def test_who_has_begun_is_waited_for_however_long_it_takes() -> None:
             done.append(thread)
         return thread
 
-    assert sorted(Crew(2).run(work)) == [0, 1]
+    assert sorted(ThreadPool(2).run(work)) == [0, 1]
     assert done == [1]
 
 
@@ -61,8 +61,8 @@ def test_nobody_waits_for_a_thread_that_does_not_come(monkeypatch: pytest.Monkey
     late: list[threading.Thread] = []
     with monkeypatch.context() as patch:
         patch.setattr(threading.Thread, "start", lambda thread: late.append(thread))
-        crew = Crew(2)
-        assert crew.run(jobs(3)) == [[0, 1, 2]]
+        pool = ThreadPool(2)
+        assert pool.run(jobs(3)) == [[0, 1, 2]]
     came: set[int] = set()
 
     def work(thread: int) -> None:
@@ -71,7 +71,7 @@ def test_nobody_waits_for_a_thread_that_does_not_come(monkeypatch: pytest.Monkey
 
     late[0].start()
     for _ in range(1000):
-        crew.run(work)
+        pool.run(work)
         if came == {0, 1}:
             return
     raise AssertionError("It does not come for later tasks, either.")
@@ -91,7 +91,7 @@ def test_a_withdrawn_task_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
         with change:
             assert change.wait_for(lambda: event in events, 10.0)
 
-    class Slow(module._Helper):
+    class Slow(module._Worker):
         @property
         def _begun(self) -> int:
             if late:
@@ -108,32 +108,32 @@ def test_a_withdrawn_task_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
             if late and number > 0:
                 tell("begun")
 
-    monkeypatch.setattr(module, "_Helper", Slow)
-    crew, late = Crew(2), False
+    monkeypatch.setattr(module, "_Worker", Slow)
+    pool, late = ThreadPool(2), False
 
     def in_time(thread: int) -> int:
         tell(str(thread))
         expect(str(1 - thread))
         return thread
 
-    assert crew.run(in_time) == [0, 1]
+    assert pool.run(in_time) == [0, 1]
     late = True
-    assert crew.run(lambda thread: expect("read") if thread == 0 else tell("wrong")) == [None]
+    assert pool.run(lambda thread: expect("read") if thread == 0 else tell("wrong")) == [None]
     late = False
     assert events[2:] == ["read", "withdrawn", "begun"]
 
 
 @njit(nogil=True)
 def all_turns(rows, thread, taken, often):  # type: ignore[no-untyped-def]
-    """How many turns a thread takes; its number for every row of them."""
+    """How many chunks a thread takes; its number for every row of them."""
     count = 0
-    start, stop = take_turn(rows, thread)
+    start, stop = take_chunk(rows, thread)
     while start < stop:
         count += 1
         for k in range(start, stop):
             taken[k] = thread
             often[k] += 1
-        start, stop = take_turn(rows, thread)
+        start, stop = take_chunk(rows, thread)
     return count
 
 
@@ -143,7 +143,7 @@ def all_turns(rows, thread, taken, often):  # type: ignore[no-untyped-def]
 def test_turns_are_whole_blocks_and_all_there_is(count: int, threads: int, thread: int) -> None:
     """Also for a thread that is alone with the shares of all."""
     taken, often = np.full(count, -1), np.zeros(count, np.int64)
-    number = all_turns(turns(count, 16, threads), thread % threads, taken, often)
+    number = all_turns(shares(count, 16, threads), thread % threads, taken, often)
     np.testing.assert_array_equal(often, 1)
     blocks = -(-count // 16)
     assert number == 1 if threads == 1 else min(blocks, threads) <= number <= blocks
@@ -151,7 +151,7 @@ def test_turns_are_whole_blocks_and_all_there_is(count: int, threads: int, threa
 
 def test_a_thread_takes_its_own_share_first() -> None:
     """Then what others have left, whole blocks at a time."""
-    rows = turns(100, 16, 3)
+    rows = shares(100, 16, 3)
     order = [take_once(rows, 1) for _ in range(8)]
     assert order == [
         (32, 48), (48, 64), (64, 80), (80, 96), (96, 100), (0, 16), (16, 32), (0, 0),
@@ -160,23 +160,23 @@ def test_a_thread_takes_its_own_share_first() -> None:
 
 @njit
 def take_once(rows, thread):  # type: ignore[no-untyped-def]
-    start, stop = take_turn(rows, thread)
+    start, stop = take_chunk(rows, thread)
     return int(start), int(stop)
 
 
 def test_threads_never_take_the_same_turn() -> None:
-    """A million short turns, by four threads that nothing else keeps apart."""
+    """A million short chunks, by four threads that nothing else keeps apart."""
     count = 1_000_000
-    rows, crew = turns(count, 1, 4), Crew(4)
+    rows, pool = shares(count, 1, 4), ThreadPool(4)
     rows[SIZE::LINE] = 1
     taken, often = np.full(count, -1), np.zeros(count, np.int64)
-    numbers = crew.run(lambda thread: all_turns(rows, thread, taken, often))
+    numbers = pool.run(lambda thread: all_turns(rows, thread, taken, often))
     assert sum(numbers) == count
     np.testing.assert_array_equal(often, 1)
 
 
 def test_an_error_arrives_and_the_crew_works_on() -> None:
-    crew = Crew(2)
+    pool = ThreadPool(2)
     meet = threading.Barrier(2)
 
     def fail(thread: int) -> int:
@@ -187,18 +187,18 @@ def test_an_error_arrives_and_the_crew_works_on() -> None:
 
     for failing in (0, 1):
         with pytest.raises(KeyError, match=str(failing)):
-            crew.run(fail)
-    assert sorted(chain(*crew.run(jobs(4)))) == [0, 1, 2, 3]
+            pool.run(fail)
+    assert sorted(chain(*pool.run(jobs(4)))) == [0, 1, 2, 3]
 
 
 def test_threads_start_late_and_end_with_the_crew() -> None:
     before = set(threading.enumerate())
-    crew = Crew(3)
+    pool = ThreadPool(3)
     assert set(threading.enumerate()) <= before
-    crew.run(jobs(9))
+    pool.run(jobs(9))
     mine = set(threading.enumerate()) - before
     assert len(mine) == 2
-    del crew
+    del pool
     gc.collect()
     for thread in mine:
         thread.join(10.0)
@@ -208,11 +208,11 @@ def test_threads_start_late_and_end_with_the_crew() -> None:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no processes by fork here")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_process_hires_its_own_threads() -> None:
-    crew = Crew(2)
-    crew.run(jobs(4))
+    pool = ThreadPool(2)
+    pool.run(jobs(4))
     child = os.fork()
     if child == 0:
-        done = chain(*crew.run(jobs(4)))
+        done = chain(*pool.run(jobs(4)))
         os._exit(0 if sorted(done) == [0, 1, 2, 3] else 1)
     assert os.waitpid(child, 0)[1] == 0
 
@@ -223,51 +223,51 @@ def test_what_threads_call_is_compiled_before_they_start(monkeypatch: pytest.Mon
     start = threading.Thread.start
 
     def watched(thread: threading.Thread) -> None:
-        compiled.append(bool(module.watch.signatures))
+        compiled.append(bool(module.post_and_wait.signatures))
         start(thread)
 
     monkeypatch.setattr(threading.Thread, "start", watched)
-    monkeypatch.setattr(module, "watch", on_disk(nogil=True)(module.watch.py_func))
-    assert sorted(chain(*Crew(2).run(jobs(3)))) == [0, 1, 2]
+    monkeypatch.setattr(module, "post_and_wait", on_disk(nogil=True)(module.post_and_wait.py_func))
+    assert sorted(chain(*ThreadPool(2).run(jobs(3)))) == [0, 1, 2]
     assert compiled == [True]
 
 
 def test_a_thread_that_dies_is_reported_and_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
-    crew = Crew(2)
+    pool = ThreadPool(2)
     with monkeypatch.context() as patch:
-        patch.setattr(module._Helper, "_sleep", lambda helper, number: 1 / 0)
-        patch.setattr(module, "LOOKS", 0)
-        crew.run(jobs(4))
+        patch.setattr(module._Worker, "_sleep", lambda worker, number: 1 / 0)
+        patch.setattr(module, "SPINS", 0)
+        pool.run(jobs(4))
         for _ in range(1000):
-            if crew._helpers[0].failure:
+            if pool._workers[0].failure:
                 break
             time.sleep(1e-3)
     with pytest.warns(RuntimeWarning, match="A worker thread ended .ZeroDivisionError"):
-        assert sorted(chain(*crew.run(jobs(4)))) == [0, 1, 2, 3]
+        assert sorted(chain(*pool.run(jobs(4)))) == [0, 1, 2, 3]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert sorted(chain(*crew.run(jobs(4)))) == [0, 1, 2, 3]
+        assert sorted(chain(*pool.run(jobs(4)))) == [0, 1, 2, 3]
 
 
 def test_a_thread_that_dies_within_a_step_ends_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody knows what it has left undone."""
-    crew, begun = Crew(2), threading.Event()
-    watch = module.watch
+    pool, begun = ThreadPool(2), threading.Event()
+    wait = module.post_and_wait
 
     def dying(post: np.ndarray, mine: int, number: int, *rest: int) -> bool:
         if mine == module.DONE and number == 1:
             raise OSError("gone")
-        return watch(post, mine, number, *rest)
+        return wait(post, mine, number, *rest)
 
     def work(thread: int) -> None:
         if thread == 0:
             assert begun.wait(10.0)
         begun.set()
 
-    monkeypatch.setattr(module, "direct", lambda *_: None)
-    monkeypatch.setattr(module, "watch", dying)
+    monkeypatch.setattr(module, "compiled_for", lambda *_: None)
+    monkeypatch.setattr(module, "post_and_wait", dying)
     with pytest.raises(RuntimeError, match=r"within a step .OSError.'gone'.*reset the batch"):
-        crew.run(work)
+        pool.run(work)
 
 
 FRESH = """
@@ -276,12 +276,12 @@ warnings.simplefilter("error")
 import numpy as np
 from dynamics import Stepper, compile_arm
 from dynamics.runtime import thread_pool
-thread_pool.WORTH_A_THREAD = 1e-9
+thread_pool.LEAST_WORK = 1e-9
 stepper = Stepper(compile_arm("slim"), 256, dt=1e-3, substeps=2, threads=2)
 stepper.torque[:] = np.linspace(-1.0, 1.0, 256)[:, None]
 for _ in range(20):
     stepper.advance()
-print(stepper.threads, len(stepper._crew._helpers), stepper.q.sum().hex())
+print(stepper.threads, len(stepper._pool._workers), stepper.q.sum().hex())
 """
 
 

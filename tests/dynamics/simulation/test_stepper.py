@@ -83,7 +83,7 @@ def test_an_environment_does_not_depend_on_threads(
     hundred: np.ndarray, integrator: str, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Bit for bit, also with more threads than blocks; so few would be left to one thread."""
-    monkeypatch.setattr(thread_pool, "WORTH_A_THREAD", 1e-9)
+    monkeypatch.setattr(thread_pool, "LEAST_WORK", 1e-9)
     stepper = batch(compiled(ARM), 100, integrator=integrator, threads=threads)
     assert stepper.threads == min(threads, math.ceil(100 / LANES))
     assert np.array_equal(results(stepper), hundred)
