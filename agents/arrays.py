@@ -1,4 +1,4 @@
-"""Arrays from anybody's archive: nothing is inflated or unpickled, and nothing is unbounded."""
+"""Reader for arrays from untrusted archives: no decompression, no pickle, bounded memory."""
 
 import io
 import math
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Header = tuple[tuple[int, ...], np.dtype[Any]]  # shape and number type of one array
 
-NUMBERS = "?iuf"  # kinds of numpy's types whose bytes are numbers and nothing else
+NUMBERS = "?iuf"  # kinds of numpy dtypes that hold plain numbers
 LONGEST_HEADER = 4096  # bytes
 READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
@@ -22,28 +22,28 @@ READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 def read_arrays(
     path: Path, check: Callable[[Mapping[str, Header]], None] = lambda headers: None
 ) -> dict[str, NDArray[Any]]:
-    """Arrays of a file that `numpy.savez` wrote, once `check` has let their headers pass.
+    """Read the arrays of a `numpy.savez` file; `check` may refuse their headers first.
 
-    Every array is as long in memory as its bytes in the file, which are there: `savez` does not
-    compress, and a header that claims more than its member holds is refused before it is read.
+    An array takes as much memory as its bytes in the file: compressed members are refused, and so
+    is a header that claims more bytes than its member has.
     """
     try:
         with ZipFile(path) as archive:
             members = {m.filename.removesuffix(".npy"): m for m in archive.infolist()}
             if len(members) < len(archive.infolist()):
-                raise ValueError("two arrays have one name.")
+                raise ValueError("two arrays have the same name.")
             if sum(m.compress_size for m in members.values()) > path.stat().st_size:
-                raise ValueError("its arrays claim more bytes than it has.")
+                raise ValueError("the arrays claim more bytes than the file has.")
             check({name: header(archive, member) for name, member in members.items()})
             return {name: content(archive, member) for name, member in members.items()}
     except (BadZipFile, RuntimeError, EOFError) as error:
-        raise ValueError(f"{path.name}: is no whole archive of arrays ({error}).") from None
+        raise ValueError(f"{path.name}: is not a complete archive of arrays ({error}).") from None
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from None
 
 
 def header(archive: ZipFile, member: ZipInfo) -> Header:
-    """Shape and number type of a member, which must hold as many bytes as they say."""
+    """Shape and dtype of a member; refuses a member of another length than they imply."""
     name = member.filename
     if member.compress_type != ZIP_STORED or member.compress_size != member.file_size:
         raise ValueError(f"{name!r} is compressed, which numpy.savez never does.")
@@ -55,14 +55,14 @@ def header(archive: ZipFile, member: ZipInfo) -> Header:
         raise ValueError(f"{name!r} does not start with the header of an array.") from None
     if dtype.kind not in NUMBERS:
         raise ValueError(f"{name!r} must hold plain numbers, got {dtype}.")
-    claimed, held = math.prod(shape) * dtype.itemsize, member.file_size - start.tell()
-    if claimed != held or min(shape, default=0) < 0:
-        raise ValueError(f"{name!r} claims {claimed} bytes of numbers, but holds {held}.")
+    claimed, actual = math.prod(shape) * dtype.itemsize, member.file_size - start.tell()
+    if claimed != actual or min(shape, default=0) < 0:
+        raise ValueError(f"{name!r} claims {claimed} bytes of numbers, but has {actual}.")
     return shape, dtype
 
 
 def content(archive: ZipFile, member: ZipInfo) -> NDArray[Any]:
-    """The array of a member whose header has been checked."""
+    """Read the array of a member whose header is checked."""
     with archive.open(member) as file:
         array: NDArray[Any] = npy.read_array(file, allow_pickle=False)
         return array

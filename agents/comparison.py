@@ -1,4 +1,4 @@
-"""The closing comparison: same tasks for every controller, then files, pictures and the table."""
+"""Comparison of controllers on the same episodes, with result files, pictures and a table."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,10 +28,10 @@ def compare(
     filmed: int = 2,
     about: Mapping[str, Any] | None = None,
 ) -> dict[str, dict[str, AnyArray]]:
-    """Judge the controllers on the episodes seed, seed + 1, ... and leave everything in the folder.
+    """Evaluate the controllers on the episodes seed, seed + 1, ... and write the results.
 
-    `evaluation.json`, `evaluation.csv`, `trajectories.png`, and `arm.gif` with the first `filmed`
-    controllers. Returns the metrics per controller and episode.
+    Writes `evaluation.json`, `evaluation.csv`, `trajectories.png`, and `arm.gif` with the first
+    `filmed` controllers to the folder. Returns the metrics per controller and episode.
     """
     seeds = list(range(seed, seed + episodes))
     recordings: dict[str, Recording] = {}

@@ -1,11 +1,12 @@
-"""Experiment files: one YAML each, read safely, checked key by key, kept as dataclasses."""
+"""Experiment files: YAML that is read safely, checked key by key and held in dataclasses."""
 
 import difflib
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 from agents.environments import check_keywords
 from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS
@@ -14,25 +15,27 @@ from dynamics.description.data_file import read_mapping
 from flexarm_env import registered
 
 NUMBER = (int, float)
-SCHEDULE = (int, float, str)  # 3.0e-4, or "lin_3.0e-4": falls linearly to zero over the run
+NUMBER_OR_TEXT = (int, float, str)
+# Keys whose value may be "lin_3.0e-4", which falls linearly to zero over the run
+SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
 
 COMMON_KWARGS: dict[str, tuple[type, ...]] = {
-    "learning_rate": SCHEDULE,
+    "learning_rate": NUMBER_OR_TEXT,
     "batch_size": (int,),
     "gamma": NUMBER,
     "ent_coef": NUMBER,
     "stats_window_size": (int,),
     "policy_kwargs": (dict,),
 }
-# Names and meaning are stable-baselines3's, so settings move over from RL Zoo unchanged.
+# Names and meanings are stable-baselines3's, so settings of RL Zoo can be copied.
 AGENT_KWARGS: dict[str, dict[str, tuple[type, ...]]] = {
     "ppo": COMMON_KWARGS
     | {
         "n_steps": (int,),
         "n_epochs": (int,),
         "gae_lambda": NUMBER,
-        "clip_range": SCHEDULE,
-        "clip_range_vf": SCHEDULE,
+        "clip_range": NUMBER_OR_TEXT,
+        "clip_range_vf": NUMBER_OR_TEXT,
         "normalize_advantage": (bool,),
         "vf_coef": NUMBER,
         "max_grad_norm": NUMBER,
@@ -45,9 +48,9 @@ AGENT_KWARGS: dict[str, dict[str, tuple[type, ...]]] = {
         "tau": NUMBER,
         "train_freq": (int,),
         "gradient_steps": (int,),
-        "ent_coef": (int, float, str),
+        "ent_coef": NUMBER_OR_TEXT,
         "target_update_interval": (int,),
-        "target_entropy": (int, float, str),
+        "target_entropy": NUMBER_OR_TEXT,
     },
 }
 POLICY_KWARGS: dict[str, tuple[type, ...]] = {
@@ -57,7 +60,7 @@ POLICY_KWARGS: dict[str, tuple[type, ...]] = {
     "ortho_init": (bool,),
     "n_critics": (int,),
 }
-# Smallest and largest value of a number, by its key; NUMBERS_BETWEEN for keys that are not here.
+# Smallest and largest value by key; NUMBERS_BETWEEN for all other keys.
 LIMITS: dict[str, tuple[float, float]] = {
     "total_steps": (1, 10**11),
     "n_envs": (1, 65_536),
@@ -81,14 +84,14 @@ LIMITS: dict[str, tuple[float, float]] = {
     "log_std_init": (-20.0, 10.0),
 }
 NUMBERS_BETWEEN = (-1e6, 1e6)
-TEXTS = {  # the texts that stand for a number of SAC
-    "ent_coef": re.compile(r"auto(_\d{1,6}(\.\d{1,9})?)?"),  # with its value at the start
+TEXTS = {  # texts that SAC accepts instead of a number
+    "ent_coef": re.compile(r"auto(_\d{1,6}(\.\d{1,9})?)?"),  # "auto_" and the initial value
     "target_entropy": re.compile("auto"),
 }
-LARGEST_ROLLOUT = 2**24  # steps of all environments together
+LARGEST_ROLLOUT = 2**24  # steps, summed over all environments
 FOLDER_NAME = re.compile(r"\w[\w .,()+=@-]{0,99}")
 
-# Where RL Zoo writes a setting, and where it stands here.
+# Keys of RL Zoo, and their place here
 ZOO_NAMES = {
     "n_timesteps": "total_steps",
     "n_envs": "env.n_envs",
@@ -108,22 +111,22 @@ class ConfigError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class EnvConfig:
-    """Which environment, how many copies in one batch."""
+    """The environment and the size of its batch."""
 
     id: str
     kwargs: dict[str, Any] = field(default_factory=dict)  # keywords of the environment
-    reward: dict[str, float] | None = None  # weights of the reward terms; None: the task's own
+    reward: dict[str, float] | None = None  # weights of the reward terms; None: the task's
     n_envs: int = 1
 
     @property
     def make_kwargs(self) -> dict[str, Any]:
-        """Keywords for `gym.make` and its batch siblings."""
+        """Keywords for `gym.make`, `gym.make_vec` and `SB3VecEnv`."""
         return self.kwargs | ({} if self.reward is None else {"reward": self.reward})
 
 
 @dataclass(frozen=True, kw_only=True)
 class AgentConfig:
-    """Which algorithm of stable-baselines3, with its own keywords."""
+    """Algorithm of stable-baselines3 and its keywords."""
 
     name: str
     policy: str = "MlpPolicy"
@@ -132,7 +135,7 @@ class AgentConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationConfig:
-    """The final judgement: how many episodes, from which seeds (seed, seed + 1, ...)."""
+    """Final evaluation: number of episodes and their first seed (seed, seed + 1, ...)."""
 
     episodes: int = 100
     seed: int = 10_000
@@ -142,7 +145,7 @@ class EvaluationConfig:
 class Config:
     """One experiment."""
 
-    name: str
+    name: str = "run"  # by default the name of the file
     env: EnvConfig
     agent: AgentConfig
     total_steps: int
@@ -158,25 +161,36 @@ class Config:
         return data
 
 
-SCHEMA: dict[str, dict[str, tuple[type, ...]]] = {
-    "": {
-        "name": (str,),
-        "env": (dict,),
-        "agent": (dict,),
-        "total_steps": (int,),
-        "seed": (int,),
-        "checkpoint_seconds": NUMBER,
-        "evaluation": (dict,),
-    },
-    "env": {"id": (str,), "kwargs": (dict,), "reward": (dict,), "n_envs": (int,)},
-    "agent": {"name": (str,), "policy": (str,), "kwargs": (dict,)},
-    "evaluation": {"episodes": (int,), "seed": (int,)},
+SECTIONS: dict[str, type] = {
+    "": Config,
+    "env": EnvConfig,
+    "agent": AgentConfig,
+    "evaluation": EvaluationConfig,
 }
-REQUIRED = {"": ("env", "agent", "total_steps"), "env": ("id",), "agent": ("name",)}
+
+
+def accepted_types(annotation: Any) -> tuple[type, ...]:
+    """Types of a field's value in a file, from its annotation; tables are dicts."""
+    if is_dataclass(annotation):
+        return (dict,)
+    if annotation is float:
+        return NUMBER
+    options = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
+    return tuple(get_origin(t) or t for t in options if t is not NoneType)
+
+
+SCHEMA = {  # section: field: accepted types
+    name: {key: accepted_types(hint) for key, hint in get_type_hints(section).items()}
+    for name, section in SECTIONS.items()
+}
+REQUIRED = {  # section: fields without a default
+    name: [f.name for f in fields(section) if f.default is f.default_factory is MISSING]
+    for name, section in SECTIONS.items()
+}
 
 
 def load_config(path: str | Path) -> Config:
-    """Read one YAML experiment file; refuse anything doubtful with a `ConfigError`."""
+    """Read and check one YAML experiment file; raises `ConfigError`."""
     path = Path(path)
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file.")
@@ -187,10 +201,11 @@ def load_config(path: str | Path) -> Config:
 
 
 def config_from_dict(data: Any, *, name: str = "run") -> Config:
-    """A checked `Config` from plain tables; `name` is used where the data gives none."""
+    """Return a checked `Config` from plain tables; `name` is the default name."""
     checked(data, "")
-    for section in ("env", "agent", "evaluation"):
-        checked(data.get(section, {}), section)
+    for section in SECTIONS:
+        if section:
+            checked(data.get(section, {}), section)
     agent = AgentConfig(**data["agent"])
     if agent.name not in AGENT_KWARGS:
         raise ConfigError(
@@ -204,7 +219,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     env = checked_environment(EnvConfig(**data["env"]))
     check_batch(agent, env)
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
-    rest = {k: v for k, v in data.items() if k not in ("env", "agent", "evaluation")}
+    rest = {k: v for k, v in data.items() if k not in SECTIONS}
     config = Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
     if not FOLDER_NAME.fullmatch(config.name):
         raise ConfigError(
@@ -215,7 +230,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
 
 
 def checked_environment(env: EnvConfig) -> EnvConfig:
-    """The environment with its plain id; refuses foreign ids, keywords and weights."""
+    """The environment with its registered id; refuses unknown ids, keywords and weights."""
     try:
         plain = registered(env.id)
         check_keywords(env.kwargs, "env.kwargs")
@@ -227,15 +242,15 @@ def checked_environment(env: EnvConfig) -> EnvConfig:
 
 
 def checked(table: Any, section: str) -> None:
-    """Refuse a section with unknown or missing keys, or values of the wrong type."""
+    """Refuse a section with unknown or missing keys, or wrong values."""
     check_table(table, SCHEMA[section], section)
-    missing = [key for key in REQUIRED.get(section, ()) if key not in table]
+    missing = [key for key in REQUIRED[section] if key not in table]
     if missing:
         raise ConfigError(f"{dotted(section, missing[0])} is missing.")
 
 
 def check_table(table: Any, known: Mapping[str, tuple[type, ...]], section: str) -> None:
-    """Refuse unknown keys and wrong types in one table."""
+    """Refuse unknown keys and wrong values in one table."""
     if not isinstance(table, Mapping):
         raise ConfigError(f"{section or 'the file'} must be a table, got {validate.shown(table)}.")
     for key, value in table.items():
@@ -261,10 +276,10 @@ def check_value(value: Any, types: tuple[type, ...], where: str) -> None:
 
 
 def number_remedy(value: Any, types: tuple[type, ...]) -> str:
-    """Remedy for when YAML 1.1 has read a number as text, or a float stands for an int."""
+    """Remedy for a number that YAML 1.1 reads as text, or a float in place of an int."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return ""
     if isinstance(value, bool):
         return ""
@@ -278,7 +293,7 @@ def number_remedy(value: Any, types: tuple[type, ...]) -> str:
 
 
 def hint(key: Any, known: Mapping[str, Any]) -> str:
-    """Remedy for an unknown key: its place here, the closest known key, or all of them."""
+    """Remedy for an unknown key: its place here, the closest known key, or all known keys."""
     if key in ZOO_NAMES:
         return f"Here it is {ZOO_NAMES[key]}."
     if any(key in kwargs for kwargs in AGENT_KWARGS.values()) and "env" in known:
@@ -288,12 +303,12 @@ def hint(key: Any, known: Mapping[str, Any]) -> str:
 
 
 def dotted(section: str, key: str) -> str:
-    """The path of a key as it is written in messages."""
+    """Path of a key, as in error messages."""
     return f"{section}.{key}" if section else key
 
 
 def check_texts(agent: AgentConfig) -> None:
-    """Text stands for a number only as 'lin_NUMBER', a schedule, or as 'auto'."""
+    """Refuse texts in place of numbers, except schedules 'lin_NUMBER' and SAC's 'auto'."""
     for key, pattern in TEXTS.items():
         value = agent.kwargs.get(key)
         if isinstance(value, str) and not pattern.fullmatch(value):
@@ -301,9 +316,9 @@ def check_texts(agent: AgentConfig) -> None:
                 f"agent.kwargs.{key} must be a number or 'auto', for ent_coef also 'auto_NUMBER', "
                 f"got {validate.shown(value)}."
             )
-    for key, types in AGENT_KWARGS[agent.name].items():
+    for key in SCHEDULES:
         value = agent.kwargs.get(key)
-        if types == SCHEDULE and isinstance(value, str):
+        if isinstance(value, str):
             start = value.removeprefix("lin_")
             where = f"agent.kwargs.{key}"
             try:
@@ -316,7 +331,7 @@ def check_texts(agent: AgentConfig) -> None:
 
 
 def check_network(policy_kwargs: dict[str, Any]) -> None:
-    """The network: sizes per layer, and an activation this package can store."""
+    """Refuse layer sizes and activations that a stored policy cannot have."""
     check_table(policy_kwargs, POLICY_KWARGS, "agent.kwargs.policy_kwargs")
     activation = policy_kwargs.get("activation_fn", "tanh")
     if activation not in ACTIVATIONS:
@@ -337,7 +352,7 @@ def check_network(policy_kwargs: dict[str, Any]) -> None:
 
 
 def check_batch(agent: AgentConfig, env: EnvConfig) -> None:
-    """PPO's minibatches must tile the rollout."""
+    """Refuse a PPO rollout that is too large or not a multiple of the minibatch."""
     if agent.name != "ppo":
         return
     rollout = agent.kwargs.get("n_steps", 2048) * env.n_envs

@@ -1,4 +1,4 @@
-"""Classical controllers with the `predict` of a trained policy, and the search for PD gains."""
+"""Classical controllers with the interface of a trained policy, and the search for PD gains."""
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -11,14 +11,14 @@ from agents.metrics import episode_metrics, make_batch, record, summarise
 from agents.policy import Controller
 from dynamics.types import AnyArray
 
-# Gains in the arm's own measures, so that one grid suits every arm; see `joint_pd`. Fine enough
-# that twice as many points gain no more than a tenth: a coarse grid flatters its rivals.
+# Dimensionless gains, so that one grid suits every arm; see `joint_pd`. The grid is so fine that
+# doubling its points improves joint PD by a tenth at most: a coarse grid would favour policies.
 FREQUENCY_RATIOS = tuple(np.geomspace(0.05, 1.5, 20).tolist())
 DAMPING_RATIOS = tuple(np.geomspace(0.15, 3.0, 16).tolist())
-# What makes a pair of gains better, most important first; -1: the more the better.
+# Metrics by which pairs of gains are ordered, most important first; -1 if larger is better.
 SETTLING = (("success_rate", -1.0), ("settling_time", 1.0), ("tip_error_rms", 1.0))
 FOLLOWING = (("tip_error_rms", 1.0), ("success_rate", -1.0))
-TUNING_SEED = 500_000  # tasks the gains are chosen on; not those they are judged on
+TUNING_SEED = 500_000  # first seed of the tuning episodes, which differ from the evaluation's
 TUNING_EPISODES = 16
 
 
@@ -43,7 +43,7 @@ class JointPD:
         x = np.asarray(observation, float)
         error = x[..., self.slices["joint_error"]] * self.scales["joint_error"]
         rate = x[..., self.slices["joint_rate"]] * self.scales["joint_rate"]
-        if "target_rate" in self.slices:  # the target moves: damp the motion relative to it
+        if "target_rate" in self.slices:  # a moving target: damp the relative motion
             rate = rate - x[..., self.slices["target_rate"]] * self.scales["target_rate"]
         torque = -self.stiffness * error - self.damping * rate
         return np.clip(torque / self.torque_limit, -1.0, 1.0), state
@@ -51,7 +51,7 @@ class JointPD:
 
 @dataclass(frozen=True, kw_only=True)
 class Zero:
-    """No torque at all: what doing nothing is worth."""
+    """Zero torque, as a baseline."""
 
     n_joint: int
 
@@ -67,7 +67,7 @@ class Zero:
 
 
 class Random:
-    """Uniformly random actions, the same ones for the same seed."""
+    """Uniformly random actions, determined by the seed."""
 
     def __init__(self, n_joint: int, seed: int = 0) -> None:
         self.n_joint = n_joint
@@ -87,11 +87,11 @@ class Random:
 def joint_pd(
     env: Any, frequency_ratio: AnyArray | float, damping_ratio: AnyArray | float
 ) -> JointPD:
-    """A JointPD for this environment's arm from dimensionless gains.
+    """JointPD for this environment's arm from dimensionless gains.
 
-    stiffness = I (r w)^2, damping = 2 z I (r w): I the inertia about each joint of the straight
-    arm (the diagonal of M), w its first frequency with the joints locked, r and z the two ratios.
-    Ratios of shape (n_env, 1) give every environment of a batch its own gains.
+    stiffness = I (r w)^2, damping = 2 z I (r w), with I the inertia about each joint of the
+    straight arm (the diagonal of M), w its first frequency with the joints locked, r the frequency
+    ratio and z the damping ratio. Ratios of shape (n_env, 1) are gains per environment.
     """
     base = env.unwrapped
     model = base.model
@@ -99,7 +99,7 @@ def joint_pd(
     inertia = np.diag(model.mass_matrix(rest))[list(model.arm.joint_index)]
     locked = np.asarray(model.frequencies(rest, joints="locked"))
     limit = np.asarray(base.torque_limit, float)
-    # A rigid arm has no bending frequency: take one that uses the full torque at one radian.
+    # A rigid arm has no bending frequency: w then uses the full torque at one radian.
     w = float(locked[0]) if locked.size else float(np.sqrt(np.min(limit / inertia)))
     bandwidth = np.asarray(frequency_ratio, float) * w
     return JointPD(
@@ -113,7 +113,7 @@ def joint_pd(
 
 @dataclass(frozen=True, kw_only=True)
 class TunedPD:
-    """The best gains of a grid, and how every other pair did."""
+    """Best gains of a grid, and the summary of every pair."""
 
     frequency_ratio: float
     damping_ratio: float
@@ -129,10 +129,10 @@ def tune_pd(
     episodes: int = TUNING_EPISODES,
     seed: int = TUNING_SEED,
 ) -> TunedPD:
-    """Try every pair of the grid on the same tasks, all in one batch.
+    """Search a grid of gains on the same episodes for every pair, in one batch.
 
     The best pair has the highest success rate, then the shortest median settling time, then the
-    smallest tip error; for a moving target the smallest tip error counts first.
+    smallest RMS tip error. With a moving target, RMS tip error is compared first.
     """
     pairs = list(itertools.product(frequency_ratios, damping_ratios))
     envs = make_batch(env_id, len(pairs) * episodes, kwargs)

@@ -1,4 +1,4 @@
-"""Environments as a file may describe them: an id of this package, and keywords that are data."""
+"""Environment keywords that files and command lines may use, and errors of refused keywords."""
 
 import inspect
 import json
@@ -9,19 +9,19 @@ import gymnasium as gym
 from dynamics.description import validate
 from flexarm_env.core import Core
 
-OF_THE_BATCH = {"self", "task", "n_env", "single", "max_steps"}  # set by the id and the batch
+SET_BY_ID = {"self", "task", "n_env", "single", "max_steps"}  # set by the id and the batch
 KEYWORDS = sorted(
-    set(inspect.signature(Core.__init__).parameters) - OF_THE_BATCH | {"max_episode_steps"}
+    set(inspect.signature(Core.__init__).parameters) - SET_BY_ID | {"max_episode_steps"}
 )
-# Errors by which Gymnasium, an environment or a learner refuses what it is given.
+# Errors with which Gymnasium, an environment or a learner refuses its arguments.
 REFUSALS: tuple[type[Exception], ...] = (TypeError, ValueError, ArithmeticError, AssertionError)
 REFUSALS += (MemoryError, RuntimeError, ImportError, gym.error.Error)
 
 
 def check_keywords(kwargs: Any, where: str) -> dict[str, Any]:
-    """Keywords of an environment from a file or a command line, or a ValueError.
+    """Return an environment's keywords from a file or a command line, or raise ValueError.
 
-    All else that `gymnasium.make_vec` takes, such as wrappers, comes from a program only.
+    Other keywords of `gymnasium.make_vec`, such as wrappers, are refused.
     """
     keywords: dict[str, Any] = validate.mapping(kwargs, where, KEYWORDS)
     try:

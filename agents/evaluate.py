@@ -1,4 +1,4 @@
-"""`python -m agents.evaluate RUN_OR_CONTROLLER --env ID`: judge anything that acts, headlessly."""
+"""`python -m agents.evaluate RUN_OR_CONTROLLER --env ID`: evaluate a policy or controller."""
 
 import argparse
 import sys
@@ -12,7 +12,7 @@ from agents.comparison import compare
 from agents.config import LIMITS
 from agents.controllers import CONTROLLERS
 from agents.environments import REFUSALS, check_keywords
-from agents.files import FolderError, alone_in, check_folder
+from agents.files import FolderError, check_folder, folder_lock
 from agents.metrics import make_batch
 from agents.policy import Controller, Policy, PolicyError, load_policy, load_zip
 from agents.run_folder.folder import versions
@@ -27,7 +27,7 @@ class UsageError(ValueError):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; exit status 2 and one sentence for anything that cannot be used."""
+    """Run the command line; returns the exit status (2 and one sentence for unusable input)."""
     parser = argparse.ArgumentParser(prog="python -m agents.evaluate", description=__doc__)
     parser.add_argument(
         "subject",
@@ -52,14 +52,14 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"agents.evaluate: writing to {a.out} failed ({reason}).", file=sys.stderr)
         return 1
     except Interrupted as error:
-        print("agents.evaluate: interrupted; start it again for the results.", file=sys.stderr)
+        print("agents.evaluate: interrupted; run it again for the results.", file=sys.stderr)
         return error.status
     print(f"Everything is in {a.out}/")
     return 0
 
 
 def evaluate(a: argparse.Namespace) -> None:
-    """Do what the command line asks for, once all of it is known to be possible."""
+    """Evaluate as the command line requests; nothing is written before all of it is checked."""
     for name in ("episodes", "seed"):
         low, high = LIMITS[name]
         if not low <= getattr(a, name) <= high:
@@ -72,7 +72,7 @@ def evaluate(a: argparse.Namespace) -> None:
     env_id, kwargs = find_env(policy, a.env, env_kwargs)
     name, controller = make_controller(a.subject, policy, env_id, kwargs, a.seed)
     a.out.mkdir(parents=True, exist_ok=True)
-    with alone_in(a.out):
+    with folder_lock(a.out):
         compare(
             {name: controller},
             env_id,
@@ -85,7 +85,7 @@ def evaluate(a: argparse.Namespace) -> None:
 
 
 def parse_kwargs(text: str | None) -> dict[str, Any] | None:
-    """Keywords of the environment from one line of YAML."""
+    """Environment keywords from one line of YAML."""
     if text is None:
         return None
     try:
@@ -114,26 +114,28 @@ def find_policy(subject: str, trust: bool) -> Policy | None:
 def find_env(
     policy: Policy | None, env_id: str | None, kwargs: dict[str, Any] | None
 ) -> tuple[str, dict[str, Any]]:
-    """Id and keywords from the command line, else those that the policy was trained on.
+    """Environment id and keywords from the command line, by default those of the training.
 
-    A policy's file may name environments of this package only; a command line, any that exists.
+    A policy file may name only environments of this package; the command line may name any.
     """
     about: Mapping[str, Any] = {} if policy is None else policy.about
     own: str = about.get("env_id", "")
     if env_id is None and not own:
-        raise UsageError("--env is needed: this subject does not say what it was made for.")
+        raise UsageError("--env is needed: this subject names no environment.")
     try:
         if kwargs is None and env_id in (None, own):
             kwargs = check_keywords(about.get("env_kwargs", {}), "about.env_kwargs")
         return registered(own) if env_id is None else env_id, kwargs or {}
     except ValueError as error:
-        raise UsageError(f"The policy names an environment that it may not: {error}") from None
+        raise UsageError(
+            f"The policy file names an environment that is not allowed: {error}"
+        ) from None
 
 
 def make_controller(
     subject: str, policy: Policy | None, env_id: str, kwargs: dict[str, Any], seed: int
 ) -> tuple[str, Controller]:
-    """Name and controller, once its environment is known to exist and to fit."""
+    """Name and controller; refuses an environment that is unknown or does not fit the policy."""
     try:
         env = make_batch(env_id, 1, kwargs)
     except REFUSALS as error:

@@ -1,4 +1,4 @@
-"""Pictures without a display: learning curves, tip error and root curvature, the moving arm."""
+"""Pictures without a display: learning curves, tip error and root curvature, films of the arm."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,39 +10,39 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
-from agents.files import written_whole
+from agents.files import atomic_write
 from agents.metrics import Recording
 from agents.policy import Controller
 from dynamics.types import AnyArray
 from flexarm_env.tasks import SETTLED_BAND
 
-COLOURS = ("#0072b2", "#d55e00", "#7f7f7f", "#009e73", "#cc79a7")  # told apart by everybody
+COLOURS = ("#0072b2", "#d55e00", "#7f7f7f", "#009e73", "#cc79a7")  # colour-blind safe
 GIF_SECONDS_PER_FRAME = 0.04
-GIF_HEIGHT = 300  # [px] of the arm's picture
-STRIP_HEIGHT = 130  # [px] of each strip below
+GIF_HEIGHT = 300  # [px] height of the arm's picture
+STRIP_HEIGHT = 130  # [px] height of each strip below it
 
 
 def new_figure(width: float, height: float, dpi: int = 130) -> Figure:
-    """A figure that no window system and no global state knows about."""
+    """A figure without a window and without pyplot's global state."""
     figure = Figure(figsize=(width, height), dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write the figure in the format that its name says."""
-    with written_whole(path) as temporary:
+    """Write the figure in the format of the path's suffix."""
+    with atomic_write(path) as temporary:
         figure.savefig(temporary)
 
 
 def tidy(axes: Any) -> None:
-    """Less ink."""
+    """Hide the upper and right spines, and lighten the grid."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.25, linewidth=0.6)
 
 
 def plot_learning_curve(path: Path, runs: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
-    """Mean episode return and settled share against steps, one line per run."""
+    """Plot mean episode return and settled share over steps, one line per run."""
     figure = new_figure(8.0, 3.2)
     columns = (("return", "episode return"), ("settled", "episodes ending on target [%]"))
     for axes, (key, label) in zip(figure.subplots(1, 2), columns, strict=True):
@@ -62,7 +62,7 @@ def plot_learning_curve(path: Path, runs: Mapping[str, Sequence[Mapping[str, Any
 
 
 def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str) -> None:
-    """Tip error (median and 10-90 % of all episodes) and root curvature of the first episode."""
+    """Plot tip error (median, 10 to 90 % of episodes) and the first episode's root curvature."""
     figure = new_figure(8.0, 5.6)
     error, curvature = figure.subplots(2, 1, sharex=True)
     for i, (name, r) in enumerate(recordings.items()):
@@ -92,7 +92,7 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
 def film(
     env_id: str, kwargs: Mapping[str, Any], controller: Controller, seed: int
 ) -> tuple[list[AnyArray], Recording]:
-    """One episode on one environment: its rendered frames, and what was measured."""
+    """Run one episode on one environment; returns its frames and recording."""
     import flexarm_env  # noqa: F401  (registers the ids)
 
     env = gym.make(env_id, render_mode="rgb_array", **kwargs)
@@ -133,7 +133,7 @@ SAMPLED = ("tip_error", "tip_deflection", "root_curvature", "torque")
 
 
 def write_gif(path: Path, films: Mapping[str, tuple[list[AnyArray], Recording]]) -> None:
-    """The arms side by side above strips of tip error and root curvature with a moving cursor."""
+    """Write a GIF: arms side by side, with strips of tip error and root curvature and a cursor."""
     n_frames = max(len(frames) for frames, _ in films.values())
     pictures = {name: [scaled(f) for f in frames] for name, (frames, _) in films.items()}
     width = sum(frames[0].width for frames in pictures.values())
@@ -152,14 +152,14 @@ def write_gif(path: Path, films: Mapping[str, tuple[list[AnyArray], Recording]])
         x = to_pixel(i * GIF_SECONDS_PER_FRAME)
         ImageDraw.Draw(canvas).line((x, GIF_HEIGHT, x, canvas.height), fill="#444444")
         images.append(canvas)
-    # One palette for all frames: smaller, and no flicker. Maximum coverage keeps rare colours.
+    # One palette for all frames avoids flicker and is smaller. Maximum coverage keeps rare colours.
     chosen = images[:: max(1, n_frames // 8)]
     sample = Image.new("RGB", (width, images[0].height * len(chosen)))
     for i, image in enumerate(chosen):
         sample.paste(image, (0, i * image.height))
     palette = sample.quantize(128, method=Image.Quantize.MAXCOVERAGE)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    with written_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         images[0].save(
             temporary,
             save_all=True,
@@ -171,14 +171,14 @@ def write_gif(path: Path, films: Mapping[str, tuple[list[AnyArray], Recording]])
 
 
 def scaled(frame: AnyArray) -> Image.Image:
-    """A rendered frame at the GIF's height."""
+    """A rendered frame, scaled to the GIF's height."""
     image = Image.fromarray(np.asarray(frame, np.uint8))
     size = (round(image.width * GIF_HEIGHT / image.height), GIF_HEIGHT)
     return image if image.size == size else image.resize(size, Image.Resampling.LANCZOS)
 
 
 def draw_strips(recordings: Mapping[str, Recording], width: int) -> tuple[Image.Image, Any]:
-    """The strips as one picture, and the function from time [s] to its pixel column."""
+    """The strips as one picture, and a function from time [s] to pixel column."""
     dpi = 100
     figure = new_figure(width / dpi, 2 * STRIP_HEIGHT / dpi, dpi)
     error, curvature = figure.subplots(2, 1, sharex=True)

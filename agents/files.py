@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and folders in which one process works at a time."""
+"""Atomic file writes, and locks of folders that one process at a time may use."""
 
 import os
 from collections.abc import Iterator
@@ -7,18 +7,18 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-LOCK = ".lock"  # stays in the folder; only the system knows whether a process holds it
+LOCK = ".lock"  # stays in the folder when the operating system releases the lock
 
 
 class FolderError(ValueError):
-    """A folder that cannot be worked in; the message is one sentence for the user."""
+    """A folder that cannot be used; the message is one sentence for the user."""
 
 
 @contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """A name to write under; the file takes the name `path` in one rename, or leaves no trace.
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Yield a temporary path; on success it is renamed to `path`, otherwise it is removed.
 
-    The first name is always the same, so the next writer replaces what a killed one has left.
+    The temporary name depends only on `path`, so a later write replaces the leftover of a kill.
     """
     temporary = path.with_name(f".partial_{path.name}")
     temporary.unlink(missing_ok=True)
@@ -33,7 +33,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def sync(path: Path) -> None:
-    """Bring a file, or the names in a folder, to the disk; Windows does the latter by itself."""
+    """Flush a file, or the names in a folder, to the disk; Windows needs no flush of folders."""
     folder = path.is_dir()
     if folder and os.name == "nt":
         return
@@ -45,22 +45,22 @@ def sync(path: Path) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be made or written to, and make nothing."""
+    """Refuse a folder that cannot be created or written to, without creating it."""
     try:
-        standing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
-        possible = standing.is_dir() and os.access(standing, os.W_OK | os.X_OK)
+        existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+        possible = existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
     except OSError as error:
-        raise FolderError(f"{folder}: cannot be looked at ({error.strerror}).") from None
+        raise FolderError(f"{folder}: cannot be examined ({error.strerror}).") from None
     if not possible:
         raise FolderError(
-            f"{folder}: cannot be written to, because {standing} is no folder that you may write "
-            "to; choose another --out."
+            f"{folder}: cannot be written to, because {existing} is not a writable folder; choose "
+            "another --out."
         )
 
 
 @contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock, which the system frees however the process ends."""
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Hold the folder's lock, which the system releases however the process ends."""
     lock = FileLock(folder / LOCK, timeout=0)
     try:
         if (folder / LOCK).is_symlink():
@@ -68,8 +68,7 @@ def alone_in(folder: Path) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         raise FolderError(
-            f"{folder}: another process is at work in it; wait for its end or choose another "
-            "folder."
+            f"{folder}: is in use by another process; wait for its end or choose another folder."
         ) from None
     except OSError as error:
         raise FolderError(f"{folder}: cannot be locked ({error.strerror}).") from None

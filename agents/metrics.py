@@ -1,4 +1,4 @@
-"""Judging controllers headlessly: many episodes in one batch, the same tasks for everybody."""
+"""Metrics of controllers: episodes recorded in one batch, evaluated, summarised and written."""
 
 import csv
 import json
@@ -11,18 +11,18 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agents.files import written_whole
+from agents.files import atomic_write
 from agents.policy import Controller
 from dynamics.types import AnyArray
 from flexarm_env import IDS, FlexArmVectorEnv
 from flexarm_env.tasks import SETTLED_BAND
 
-HOLD = 0.25  # [s] in the band at the end of the episode, at least, to count as settled
+HOLD = 0.25  # [s] least time in the band at the end of a settled episode
 RESIDUAL_WINDOW = 1.0  # [s] at the end of the episode
-SATURATED = 0.999  # [-] share of the torque limit that counts as saturated
+SATURATED = 0.999  # [-] an action of this magnitude or more is saturated
 
 METRICS = {  # name: (unit, meaning)
-    "success": ("-", "settled, and held until the end of the episode"),
+    "success": ("-", "settled until the end of the episode"),
     "settling_time": ("s", "tip error below 2 % of the reach from here to the end; inf if never"),
     "tip_error_final": ("m", "tip error at the end"),
     "tip_error_rms": ("m", "root mean square tip error over the episode"),
@@ -34,12 +34,12 @@ METRICS = {  # name: (unit, meaning)
     "saturated": ("-", "share of the time with a joint at its torque limit"),
 }
 CAPTION = (
-    "Medians over episodes. Success: tip error below 2 % of the reach, held to the end. "
-    "Settling: since when. Tip error: at the end. "
+    "Medians over episodes. Success: tip error below 2 % of the reach until the end. "
+    "Settling: time from which that holds. Tip error: at the end. "
     "Vibration: RMS elastic tip deflection over the last second."
 )
 NOTE = (
-    "Medians over episodes; an episode that ends early counts as infinite in every metric but "
+    "Medians over episodes; an episode that ends early has infinite values in every metric but "
     "success. JSON has no infinity: null stands for an infinite value. SI units: "
     + "; ".join(f"{name} [{unit}] {meaning}" for name, (unit, meaning) in METRICS.items())
 )
@@ -60,7 +60,7 @@ class Recording:
 
 
 def make_batch(env_id: str, n_env: int, kwargs: Mapping[str, Any] | None = None) -> Any:
-    """A batch environment of this package; errors about ids and keywords pass through."""
+    """Batch environment of this package; errors about the id and keywords are not caught."""
     envs = gym.make_vec(env_id, num_envs=n_env, **(kwargs or {}))
     if not isinstance(envs.unwrapped, FlexArmVectorEnv):
         envs.close()
@@ -69,7 +69,7 @@ def make_batch(env_id: str, n_env: int, kwargs: Mapping[str, Any] | None = None)
 
 
 def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording:
-    """Run one episode per environment of the batch, from the given seeds, and keep what matters."""
+    """Run and record one episode per environment of the batch, from the given seeds."""
     observation, info = envs.reset(seed=list(seeds))
     n_env = envs.num_envs
     base = envs.unwrapped
@@ -98,7 +98,7 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
 
 
 def episode_metrics(recording: Recording) -> dict[str, AnyArray]:
-    """Every metric of METRICS for every episode; infinite where the episode failed."""
+    """All METRICS per episode; in a failed episode all but success are infinite."""
     r = recording
     time = r.time
     settling = np.array([settling_time(time, e, SETTLED_BAND * r.reach) for e in r.tip_error.T])
@@ -125,10 +125,10 @@ def episode_metrics(recording: Recording) -> dict[str, AnyArray]:
 
 
 def settling_time(time: AnyArray, error: AnyArray, band: float) -> float:
-    """First time [s] from which the error stays inside the band for good; inf if it does not.
+    """First time [s] from which the error stays within the band to the end; inf if there is none.
 
-    It must hold for HOLD seconds at least: an error that happens to cross zero at the last sample
-    has not settled.
+    The error must stay there for HOLD seconds at least, so that crossing zero at the last sample
+    is not settling.
     """
     finite = np.isfinite(error)
     time, error = time[finite], error[finite]
@@ -142,7 +142,7 @@ def settling_time(time: AnyArray, error: AnyArray, band: float) -> float:
 
 
 def summarise(metrics: Mapping[str, AnyArray]) -> dict[str, float]:
-    """Success rate, and the median of every other metric with failures counted as infinite."""
+    """Success rate, and the median of every other metric, where failures are infinite."""
     summary = {"success_rate": float(np.mean(metrics["success"]))}
     for name, values in metrics.items():
         if name != "success":
@@ -151,7 +151,7 @@ def summarise(metrics: Mapping[str, AnyArray]) -> dict[str, float]:
 
 
 def without_infinities(value: Any) -> Any:
-    """A copy of the tree with null for every number that strict JSON cannot write."""
+    """A copy of the tree with None for every infinity and NaN, as strict JSON requires."""
     if isinstance(value, Mapping):
         return {str(k): without_infinities(v) for k, v in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
@@ -162,9 +162,9 @@ def without_infinities(value: Any) -> Any:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Strict JSON: no NaN, no Infinity."""
+    """Write strict JSON, without NaN and Infinity."""
     text = json.dumps(without_infinities(data), indent=2, allow_nan=False)
-    with written_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
@@ -174,7 +174,7 @@ def write_results(
     seeds: Sequence[int],
     about: Mapping[str, Any],
 ) -> None:
-    """`evaluation.json` (summary and every episode) and `evaluation.csv` (a row per episode)."""
+    """Write `evaluation.json` (summary and episodes) and `evaluation.csv` (a row per episode)."""
     controllers = {
         name: {"summary": summarise(metrics), "episodes": dict(metrics)}
         for name, metrics in results.items()
@@ -182,7 +182,7 @@ def write_results(
     data = {"note": NOTE, **about, "seeds": list(seeds), "controllers": controllers}
     write_json(folder / "evaluation.json", data)
     with (
-        written_whole(folder / "evaluation.csv") as path,
+        atomic_write(folder / "evaluation.csv") as path,
         open(path, "w", newline="", encoding="utf-8") as file,
     ):
         writer = csv.writer(file)
@@ -193,7 +193,7 @@ def write_results(
 
 
 def print_table(results: Mapping[str, Mapping[str, AnyArray]]) -> None:
-    """The comparison a reader wants first."""
+    """Print the main metrics of every controller."""
     from rich.console import Console
     from rich.table import Table
 

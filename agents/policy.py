@@ -1,4 +1,4 @@
-"""Policies as weights plus JSON: stored, loaded and run without unpickling and without torch."""
+"""Policies as weights plus JSON, which are stored, loaded and run without pickle and torch."""
 
 import itertools
 import json
@@ -12,7 +12,7 @@ from zipfile import ZipFile
 import numpy as np
 
 from agents.arrays import Header, read_arrays
-from agents.files import written_whole
+from agents.files import atomic_write
 from agents.sentences import one_line
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
@@ -24,18 +24,17 @@ KEYS = "format layer_sizes activation squashing observation_low observation_high
 KEYS += " action_high about"
 LARGEST_JSON = 2**20  # bytes
 LARGEST_LAYER = 2048  # units
-MOST_LAYERS = 10  # with the observation and the action
+MOST_LAYERS = 10  # including observation and action
 ENDS = ("low", "high")
-OVERHEAD = 2**16  # bytes of an archive beside the numbers
+OVERHEAD = 2**16  # bytes of an archive in addition to the numbers
 
 ACTIVATIONS: dict[str, Callable[[AnyArray], AnyArray]] = {
     "tanh": np.tanh,
     "relu": lambda x: np.maximum(x, np.float32(0.0)),
     "elu": lambda x: np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0))),
 }
-SQUASHINGS: dict[
-    str, Callable[[AnyArray], AnyArray]
-] = {  # what turns the last layer's output into an action in [-1, 1]
+# Maps from the last layer's output to an action in [-1, 1]
+SQUASHINGS: dict[str, Callable[[AnyArray], AnyArray]] = {
     "clip": lambda x: np.clip(x, -1.0, 1.0),  # PPO: mean of an unbounded Gaussian
     "tanh": np.tanh,  # SAC: mean of a squashed Gaussian
 }
@@ -46,7 +45,7 @@ class PolicyError(ValueError):
 
 
 class Controller(Protocol):
-    """Anything that can act: trained policies and classical controllers alike."""
+    """Interface of trained policies and classical controllers."""
 
     def predict(
         self,
@@ -55,7 +54,7 @@ class Controller(Protocol):
         episode_start: AnyArray | None = None,
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
-        """Actions in [-1, 1] for one observation or a batch of them, and the next state."""
+        """Return actions in [-1, 1] for one observation or a batch, and the next state."""
         ...
 
 
@@ -67,7 +66,7 @@ class Policy:
     biases: tuple[AnyArray, ...]  # each (n_out,)
     activation: str
     squashing: str
-    observation_low: AnyArray  # (n_observation,) bounds the policy was trained within
+    observation_low: AnyArray  # (n_observation,) bounds of the training observations
     observation_high: AnyArray
     about: dict[str, Any]  # env id and keywords, algorithm, steps, versions: plain JSON
 
@@ -78,7 +77,7 @@ class Policy:
         episode_start: AnyArray | None = None,
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
-        """The policy's mean action, shape (..., n_action); stateless."""
+        """Return the mean action (..., n_action), and the unchanged state."""
         if not deterministic:
             raise ValueError(
                 "A stored policy holds the mean action only; call predict(deterministic=True)."
@@ -95,12 +94,12 @@ class Policy:
                 x = activation(x @ W.T + b)
             x = SQUASHINGS[self.squashing](x @ self.weights[-1].T + self.biases[-1])
         if np.isnan(x).any():
-            raise PolicyError("The policy's weights are so large that its action is no number.")
+            raise PolicyError("The policy's weights are so large that its action is not a number.")
         return x.astype(np.float32), state
 
 
 def export_policy(model: Any, about: dict[str, Any]) -> Policy:
-    """The acting part of a stable-baselines3 PPO or SAC model."""
+    """The actor network of a stable-baselines3 PPO or SAC model."""
     from stable_baselines3 import PPO, SAC
 
     if isinstance(model, PPO):
@@ -152,16 +151,16 @@ def save_policy(policy: Policy, folder: Path) -> None:
         "about": policy.about,
     }
     text = json.dumps(description, indent=2, allow_nan=False)
-    with written_whole(folder / WEIGHTS_FILE) as path:
+    with atomic_write(folder / WEIGHTS_FILE) as path:
         np.savez(path, **arrays)
-    with written_whole(folder / JSON_FILE) as path:
+    with atomic_write(folder / JSON_FILE) as path:
         path.write_text(text + "\n", encoding="utf-8")
 
 
 def load_policy(folder: str | Path) -> Policy:
-    """Read what `save_policy` wrote, from its folder or from the run that holds it.
+    """Load a policy from its folder, or from the folder of its run.
 
-    The files may be anybody's: sizes and types are checked before anything is allocated.
+    The files need not be trusted: sizes and types are checked before memory is allocated.
     """
     folder = Path(folder)
     if not (folder / JSON_FILE).is_file() and (folder / "policy" / JSON_FILE).is_file():
@@ -188,7 +187,7 @@ def load_policy(folder: str | Path) -> Policy:
 
 
 def read_description(path: Path) -> dict[str, Any]:
-    """The table in a `policy.json`, every field checked; ValueError says what is wrong."""
+    """Read and check every field of a `policy.json`; raises ValueError."""
     if path.stat().st_size > LARGEST_JSON:
         raise ValueError(f"{path.name} must be at most {LARGEST_JSON:_} bytes.")
     d: dict[str, Any] = validate.mapping(read_mapping(path), path.name, KEYS.split())
@@ -213,7 +212,7 @@ def read_description(path: Path) -> dict[str, Any]:
 
 
 def read_weights(path: Path, sizes: list[int]) -> dict[str, AnyArray]:
-    """Weights and biases of layers of these sizes; ValueError says what is wrong."""
+    """Read weights and biases of layers of the given sizes; raises ValueError."""
     shapes: dict[str, tuple[int, ...]] = {}
     for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
         shapes |= {f"W{i}": (n_out, n_in), f"b{i}": (n_out,)}
@@ -235,7 +234,7 @@ def read_weights(path: Path, sizes: list[int]) -> dict[str, AnyArray]:
 
 
 def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
-    """The policy inside a stable-baselines3 zip; unpickles it, so only with `trust`."""
+    """Load the policy of a stable-baselines3 zip; requires `trust`, because it is unpickled."""
     path = Path(path)
     if not trust:
         raise PolicyError(
@@ -251,7 +250,7 @@ def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
         return export_policy(model, {"source": path.name})
     except PolicyError as error:
         raise PolicyError(f"{path}: {error}") from None
-    except Exception as error:  # a pickle raises whatever it likes
+    except Exception as error:  # unpickling can raise anything
         raise PolicyError(
             f"{path}: cannot be loaded as a stable-baselines3 zip "
             f"({type(error).__name__}: {one_line(error)})."
@@ -259,10 +258,10 @@ def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
 
 
 def algorithm(settings: Any) -> str:
-    """Algorithm of the settings in a stable-baselines3 zip, told without unpickling them."""
+    """Algorithm of a stable-baselines3 zip, from its JSON settings without unpickling."""
     module = settings["policy_class"].get("__module__")
     if module == "stable_baselines3.common.policies" and "n_epochs" in settings:
-        return "PPO"  # A2C has its policy, but no epochs
+        return "PPO"  # A2C has the same policy class but no epochs
     if module == "stable_baselines3.sac.policies":
         return "SAC"
     raise PolicyError(f"Only PPO and SAC can be loaded, got a policy of {validate.shown(module)}.")

@@ -1,4 +1,4 @@
-"""Ctrl-C and the SIGTERM of a cluster: work ends where it can go on later."""
+"""Handling of Ctrl-C and SIGTERM, so that work ends where it can be resumed."""
 
 import os
 import signal
@@ -8,13 +8,13 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-NOTICE = b"\nStopping after this update; once more stops at once.\n"
+NOTICE = b"\nStopping after this update; a second signal stops at once.\n"
 
 Handler = Callable[[int, FrameType | None], None]
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal ended the work; `status` is the exit status that says so."""
+    """A signal ended the work; `status` is the exit status 128 + signal number."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -22,12 +22,12 @@ class Interrupted(KeyboardInterrupt):
 
 
 def stop_at_once(number: int, frame: FrameType | None) -> None:
-    """Handler of signals where there is nothing to finish."""
+    """Signal handler for work that needs no orderly end."""
     raise Interrupted(number)
 
 
 class StopLater:
-    """Handler of signals where something is to be finished first; the second one stops at once."""
+    """Signal handler that records the first signal and stops at once on the second."""
 
     number: int | None = None
 
@@ -36,19 +36,19 @@ class StopLater:
             raise Interrupted(number)
         self.number = number
         with suppress(OSError):
-            os.write(2, NOTICE)  # print() may be what the signal has interrupted
+            os.write(2, NOTICE)  # the signal may have interrupted print()
 
     def now(self) -> None:
-        """Stop if a signal has come: here is nothing to finish."""
+        """Stop here if a signal was received."""
         if self.number is not None:
             raise Interrupted(self.number)
 
 
 @contextmanager
 def signals_to(handler: Handler) -> Iterator[None]:
-    """SIGINT and SIGTERM call the handler; other threads than the first cannot arrange this.
+    """Let SIGINT and SIGTERM call the handler; without effect outside the main thread.
 
-    A signal that is ignored, as by nohup, stays so.
+    A signal that is ignored, as by nohup, stays ignored.
     """
     before = {number: signal.getsignal(number) for number in SIGNALS}
     if threading.current_thread() is not threading.main_thread():

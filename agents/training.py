@@ -1,4 +1,4 @@
-"""Training from an experiment file: PPO or SAC, logged, resumable, judged at the end."""
+"""Training by PPO or SAC from an experiment file: logged, resumable, evaluated at the end."""
 
 import argparse
 import shlex
@@ -12,26 +12,26 @@ from typing import Any
 import numpy as np
 
 from agents.comparison import compare
-from agents.config import AGENT_KWARGS, LIMITS, SCHEDULE, Config, ConfigError, load_config
+from agents.config import LIMITS, SCHEDULES, Config, ConfigError, load_config
 from agents.controllers import joint_pd, tune_pd
 from agents.environments import REFUSALS
 from agents.figures import plot_learning_curve
-from agents.files import FolderError, alone_in
+from agents.files import FolderError, folder_lock
 from agents.metrics import make_batch, write_json
 from agents.policy import Controller, PolicyError, export_policy, load_policy, save_policy
-from agents.run_folder.checkpoints import CheckpointError, newest_whole, restore_checkpoint
+from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
-from agents.run_folder.keeper import Progress, errors_in_the_main_thread, make_keeper
+from agents.run_folder.keeper import Progress, make_keeper, silent_disk_errors
 from agents.sentences import one_line
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 from dynamics.description import validate
 
-SESSION_STRIDE = 1_000_003  # seeds of a resumed session are new, not those of the first one
+SESSION_STRIDE = 1_000_003  # seed increment per resumed session
 DEFAULT_CONFIG = Path(__file__).resolve().parents[1] / "configs" / "one_link_reach_ppo.yaml"
 
 
 class TrainingError(ValueError):
-    """A training that cannot go on; the message is one sentence for the user."""
+    """A training that cannot continue; the message is one sentence for the user."""
 
 
 def build_model(config: Config) -> Any:
@@ -41,15 +41,15 @@ def build_model(config: Config) -> Any:
 
     from flexarm_env import SB3VecEnv
 
-    torch.set_num_threads(1)  # a small network is faster, and leaves the other core alone
+    torch.set_num_threads(1)  # faster for small networks, and leaves the other cores free
     activations = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU, "elu": torch.nn.ELU}
     kwargs = dict(config.agent.kwargs)
     policy_kwargs = dict(kwargs.pop("policy_kwargs", {}))
     if "activation_fn" in policy_kwargs:
         policy_kwargs["activation_fn"] = activations[policy_kwargs["activation_fn"]]
-    for key, types in AGENT_KWARGS[config.agent.name].items():
+    for key in SCHEDULES:
         value = kwargs.get(key)
-        if types == SCHEDULE and isinstance(value, str):
+        if isinstance(value, str):
             kwargs[key] = falling(float(value.removeprefix("lin_")))
     try:
         env = SB3VecEnv(config.env.id, config.env.n_envs, **config.env.make_kwargs)
@@ -71,9 +71,9 @@ def build_model(config: Config) -> Any:
 
 
 def prepare(config: Config) -> None:
-    """Build the whole experiment and take one step, so that nothing is made for one that fails."""
+    """Build the experiment and take one step, so that a bad one fails before files are made."""
     begin = time.monotonic()
-    print(f"Preparing {config.env.id} (an arm is compiled at its first use, then cached) ...")
+    print(f"Preparing {config.env.id} (an arm is compiled at its first use and cached) ...")
     env = build_model(config).env
     env.reset()
     env.step(np.zeros((config.env.n_envs, *env.action_space.shape), np.float32))
@@ -82,31 +82,31 @@ def prepare(config: Config) -> None:
 
 
 def falling(start: float) -> Any:
-    """A schedule from `start` to zero; called with the share of the run that remains."""
+    """Schedule from `start` to zero, a function of the remaining share of the run."""
     return lambda remaining: start * remaining
 
 
 def learn(run: RunFolder, config: Config) -> int:
-    """Train from the newest whole checkpoint, or from the start; leaves the policy.
+    """Train from the newest intact checkpoint, or from the beginning, and save the policy.
 
-    Returns the steps that the policy has been trained for.
+    Returns the number of steps of the trained policy.
     """
-    for sentence in run.mend_log():
+    for sentence in run.repair_log():
         print(sentence)
     model = build_model(config)
     about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.make_kwargs}
     about |= {"config": config.name, "seed": config.seed, "versions": versions()["packages"]}
-    keep_untrained(run, model, about)
+    save_untrained(run, model, about)
     progress = restore_newest(run, config, model)
     if model.num_timesteps < config.total_steps:
-        hold_session(run, config, model, progress)
+        run_session(run, config, model, progress)
     save_policy(export_policy(model, about | {"steps": model.num_timesteps}), run.policy)
     model.env.close()
     return int(model.num_timesteps)
 
 
-def keep_untrained(run: RunFolder, model: Any, about: dict[str, Any]) -> None:
-    """Store the network as it was before its first update, unless the run holds it already."""
+def save_untrained(run: RunFolder, model: Any, about: dict[str, Any]) -> None:
+    """Save the untrained network, unless the run has it already."""
     try:
         load_policy(run.untrained)
     except PolicyError:
@@ -114,23 +114,23 @@ def keep_untrained(run: RunFolder, model: Any, about: dict[str, Any]) -> None:
 
 
 def restore_newest(run: RunFolder, config: Config, model: Any) -> dict[str, Any]:
-    """Put the newest whole checkpoint into the model; returns how far the run has come."""
-    checkpoint, flaws = newest_whole(run.checkpoints)
+    """Restore the newest intact checkpoint into the model; returns the run's progress."""
+    checkpoint, flaws = newest_intact(run.checkpoints)
     for flaw in flaws:
-        print(f"Passed over {flaw}")
+        print(f"Skipped {flaw}")
     if checkpoint is not None:
         progress = restore_checkpoint(model, checkpoint)
         print(f"Resuming at {model.num_timesteps:,} of {config.total_steps:,} steps.")
         return progress
     if flaws or run.rows():
-        print("No checkpoint is whole: starting from the beginning.")
+        print("No checkpoint is intact: starting from the beginning.")
     return {"session": -1, "seconds": 0.0}
 
 
-def hold_session(run: RunFolder, config: Config, model: Any, progress: dict[str, Any]) -> None:
-    """Train to the end in a session with seeds of its own.
+def run_session(run: RunFolder, config: Config, model: Any, progress: dict[str, Any]) -> None:
+    """Train to the last step in a new session, with its own seeds.
 
-    A signal ends it at the next checkpoint, which is written at once.
+    A signal ends the session after the current update, with a checkpoint.
     """
     from stable_baselines3.common.logger import configure
 
@@ -141,7 +141,7 @@ def hold_session(run: RunFolder, config: Config, model: Any, progress: dict[str,
     stop = StopLater()
     with (
         signals_to(stop),
-        errors_in_the_main_thread(),
+        silent_disk_errors(),
         closing(Progress(config.total_steps, model.num_timesteps)) as bar,
     ):
         model.set_logger(configure(str(run.path / "tensorboard"), ["tensorboard"]))
@@ -156,16 +156,16 @@ def hold_session(run: RunFolder, config: Config, model: Any, progress: dict[str,
 
 
 def refuse_divergence(model: Any) -> None:
-    """Say so if numbers of the network are no longer finite; torch refuses those in many ways."""
+    """Raise TrainingError if weights are not finite, which torch reports in various ways."""
     if not all(parameter.isfinite().all() for parameter in model.policy.parameters()):
         raise TrainingError(
-            "the training has diverged: weights of the network are not finite; start anew with a "
+            "the training has diverged: weights of the network are not finite; start again with a "
             "smaller agent.kwargs.learning_rate."
         ) from None
 
 
 def judge(run: RunFolder, config: Config) -> None:
-    """Compare the policy with the best joint PD and with the untrained network; draw everything."""
+    """Compare the policy with the best joint PD and the untrained network; draw the pictures."""
     plot_learning_curve(run.path / "learning_curve.png", {config.name: run.curve()})
     run.write_curve()
     env_id, kwargs = config.env.id, config.env.make_kwargs
@@ -183,7 +183,7 @@ def judge(run: RunFolder, config: Config) -> None:
 
 
 def train(run: RunFolder, config: Config) -> None:
-    """The whole experiment in an existing run folder: learn, judge, leave the record."""
+    """Run the experiment in an existing run folder: train, evaluate, record."""
     begin = time.monotonic()
     run.write_config(config)
     run.write_versions({"seed": config.seed})
@@ -195,20 +195,20 @@ def train(run: RunFolder, config: Config) -> None:
 
 
 def start(out: Path | None, config: Config) -> RunFolder:
-    """The folder of a new run, made once all that the run needs has been built."""
+    """Create the folder of a new run, after the experiment was built successfully."""
     check_out(out)
     prepare(config)
     return new_run(out, config)
 
 
 def resume(run: RunFolder, steps: int | None) -> None:
-    """Go on with a run, if there is anything left to do."""
+    """Continue a run, unless it is finished."""
     run.refuse_links()
     config = with_overrides(run.read_config(), None, steps)
     finished = run.finished_at()
     if finished is not None and finished >= config.total_steps:
         print(
-            f"{run.path} is finished at {finished:,} steps; to go on, give it more: "
+            f"{run.path} is finished at {finished:,} steps; to continue, give it more: "
             f"{resume_command(run)} --steps {2 * finished}"
         )
         return
@@ -217,18 +217,18 @@ def resume(run: RunFolder, steps: int | None) -> None:
 
 
 def resume_command(run: RunFolder) -> str:
-    """The command that goes on with the run."""
+    """Command that resumes the run."""
     return f"python train.py --resume {shlex.quote(str(run.path))}"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line of `train.py`."""
+    """Run the command line of `train.py`; returns the exit status."""
     parser = argparse.ArgumentParser(description="Train a policy and compare it with joint PD.")
     parser.add_argument("--config", type=Path, help=f"experiment file ({DEFAULT_CONFIG.name})")
-    parser.add_argument("--seed", type=int, help="instead of the experiment's seed")
-    parser.add_argument("--steps", type=int, help="instead of the experiment's total_steps")
+    parser.add_argument("--seed", type=int, help="replaces the experiment's seed")
+    parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
     parser.add_argument("--out", type=Path, help="folder of the run (runs/NAME/seedN)")
-    parser.add_argument("--resume", type=Path, metavar="RUN", help="continue this run")
+    parser.add_argument("--resume", type=Path, metavar="RUN", help="continue the run in RUN")
     a = parser.parse_args(arguments)
     run = None if a.resume is None else RunFolder(a.resume)
     try:
@@ -236,15 +236,15 @@ def main(arguments: list[str] | None = None) -> int:
             if run is None:
                 config = with_overrides(load_config(a.config or DEFAULT_CONFIG), a.seed, a.steps)
                 run = start(a.out, config)
-                with alone_in(run.path):
+                with folder_lock(run.path):
                     refuse_used(run.path)
                     print(f"Run folder: {run.path}", flush=True)
                     train(run, config)
             elif a.config or a.out or a.seed is not None:
-                raise ConfigError("--resume goes with --steps only: a run keeps its experiment.")
+                raise ConfigError("--resume allows only --steps: a run keeps its experiment.")
             else:
                 run.require()
-                with alone_in(run.path):
+                with folder_lock(run.path):
                     resume(run, a.steps)
     except (ConfigError, FolderError, PolicyError, CheckpointError) as error:
         print(f"train.py: {one_line(error)}", file=sys.stderr)
@@ -255,19 +255,19 @@ def main(arguments: list[str] | None = None) -> int:
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         reason = error.strerror or one_line(error)
-        print(f"train.py: {place}{reason}; {go_on(run)}", file=sys.stderr)
+        print(f"train.py: {place}{reason}; {remedy(run)}", file=sys.stderr)
         return 1
     except Interrupted as error:
-        print(f"\ntrain.py: interrupted; {go_on(run)}", file=sys.stderr)
+        print(f"\ntrain.py: interrupted; {remedy(run)}", file=sys.stderr)
         return error.status
     return 0
 
 
-def go_on(run: RunFolder | None) -> str:
-    """The end of a sentence about work that was cut short."""
+def remedy(run: RunFolder | None) -> str:
+    """Remedy in messages about interrupted work: the command that resumes it."""
     if run is None or not run.config.is_file():
-        return "there is no run to go on with yet."
-    return f"go on with: {resume_command(run)}"
+        return "there is no run to resume yet."
+    return f"resume with: {resume_command(run)}"
 
 
 def with_overrides(config: Config, seed: int | None, steps: int | None) -> Config:

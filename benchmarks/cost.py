@@ -1,14 +1,13 @@
-"""How the cost of the accelerations grows: with links, segments, modes and the size of a batch.
+"""Growth of the accelerations' cost with links, segments, modes and the size of a batch.
 
     python -m benchmarks.cost [--quick] [--out FILE] [--images FOLDER]
 
-CPU time is that of one right-hand side of one environment, many lanes side by side on one thread;
-in a batch also the calls' share. An exponent says how that grows which is added to the second
-number of a line: the first link or segment is cheaper, for its root rests. Compiling is CPU time,
-too: from the arm's description to its first right-hand side, without a cache.
+CPU time is for one right-hand side of one environment, with many lanes on one thread; a batch adds
+its share of the call. Each exponent is fitted to the growth beyond the second point of its line,
+because the first link or segment is cheaper: its root does not move. Compile time is also CPU time,
+from the arm's description to its first right-hand side, without a cache.
 """
 
-import argparse
 import os
 import time
 from functools import partial
@@ -24,23 +23,30 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.model_choice import ACROSS
-from benchmarks.output import RESULTS, provenance, save_figure, save_results
+from benchmarks.output import (
+    RESULTS,
+    argument_parser,
+    provenance,
+    save_figure,
+    save_results,
+    table,
+)
 from dynamics import Arm, Joint, Link, Mode, Stepper, compile_arm
 from dynamics.description.validate import IDENTITY
-from dynamics.tracing.ssa import operations
+from dynamics.tracing.operation_counts import operations
 from flexarm_env.accuracy.timing import cpu_seconds
 
 DEFAULT_ARMS = ("slim", "deluca-siciliano", "six-link")
 EVALUATIONS = 4  # of the accelerations per Runge-Kutta step
 SUBSTEPS = 5
 REPEATED = 50  # evaluations per timed call
-TOLD = ("x", "operations", "ns", "workspace [kB]", "compile [s]")
+SERIES = ("x", "operations", "ns", "workspace [kB]", "compile [s]")  # columns of numbers
 Row = dict[str, Any]
 K = TypeVar("K")
 
 
 def chain(links: int, modes: int, *, spatial: bool = False, **changes: Any) -> Arm:
-    """Equal links; spatial ones bend both ways, on joints that are perpendicular in turns."""
+    """Arm of equal links; spatial links bend in y and z, on alternately perpendicular axes."""
     shapes = tuple(
         Mode(kind="poly", index=k, direction=direction)
         for direction in ("yz" if spatial else "y")
@@ -68,7 +74,7 @@ def chain(links: int, modes: int, *, spatial: bool = False, **changes: Any) -> A
 
 
 def growth(most: int) -> dict[str, tuple[str, dict[int, Arm]]]:
-    """Lines of the chart: what grows, and the arm at each number; `most` links or segments."""
+    """Lines of the chart: name -> (what grows, number -> arm), up to `most` links."""
     links = [n for n in (1, 2, 3, 4, 6, 8) if n <= most]
     segments = [1, 2, 4, 8, *([16, 32] if most > 4 else [])]
     modes = [n for n in (1, 2, 3, 4, 5, 6) if n <= most]
@@ -94,7 +100,7 @@ def growth(most: int) -> dict[str, tuple[str, dict[int, Arm]]]:
 def right_hand_sides(arms: dict[K, Arm]) -> dict[K, Row]:
     """Operations and CPU time [ns] of the accelerations of one environment, for each arm."""
     rows, calls = {}, {}
-    compiling: dict[Arm, float] = {}  # an arm may be on two lines, but is compiled once
+    compiling: dict[Arm, float] = {}  # an arm on two lines is compiled once
     for key, arm in arms.items():
         begin = time.process_time()
         model = compile_arm(arm)
@@ -115,7 +121,7 @@ def right_hand_sides(arms: dict[K, Arm]) -> dict[K, Row]:
 
 
 def batches(arms: tuple[str, ...], sizes: list[int]) -> dict[str, list[float]]:
-    """CPU time [ns] per right-hand side and environment, calls included, by size of the batch."""
+    """CPU time [ns] per right-hand side and environment, including the call, per batch size."""
     calls = {
         (arm, size): Stepper(compile_arm(arm), size, dt=1e-7, substeps=SUBSTEPS).advance
         for arm in arms
@@ -127,28 +133,28 @@ def batches(arms: tuple[str, ...], sizes: list[int]) -> dict[str, list[float]]:
 
 
 def exponent(x: list[int], y: list[float]) -> float:
-    """Slope of log (y - y of the second) over log (x - second): 1 where each adds the same."""
+    """Slope of log(y - y[1]) over log(x - x[1]); 1 where every part adds the same cost."""
     added = np.log(np.subtract(x[2:], x[1])), np.log(np.subtract(y[2:], y[1]))
     return float(np.polyfit(*added, 1)[0])
 
 
 def measure(most: int, sizes: list[int]) -> Row:
-    """All lines."""
+    """Measure all lines of the chart, and the batches."""
     wanted = growth(most)
     arms = {(name, n): arm for name, (_, line) in wanted.items() for n, arm in line.items()}
     with TemporaryDirectory() as empty, patch.dict(os.environ, FLEXARM_CACHE=empty):
-        right_hand_sides({"numba's own start": chain(1, 7)})
+        right_hand_sides({"warm-up of numba": chain(1, 7)})
         rows = right_hand_sides(arms)
     lines: Row = {}
     for name, (kind, line) in wanted.items():
         x = list(line)
-        mine = {key: [rows[name, n][key] for n in x] for key in rows[name, x[0]]}
+        columns = {key: [rows[name, n][key] for n in x] for key in rows[name, x[0]]}
         lines[name] = {
             "grows": kind,
             "x": x,
-            **mine,
-            "exponent, operations": exponent(x, mine["operations"]),
-            "exponent, time": exponent(x, mine["ns"]),
+            **columns,
+            "exponent, operations": exponent(x, columns["operations"]),
+            "exponent, time": exponent(x, columns["ns"]),
         }
     return {
         **provenance("numpy", "numba", "casadi"),
@@ -158,7 +164,7 @@ def measure(most: int, sizes: list[int]) -> Row:
 
 
 def draw(results: Row, path: Path) -> None:
-    """Four panels: parts, modes, batch, compiling."""
+    """Draw four panels: links and segments, modes, batch size, compile time."""
     figure, axes = plt.subplots(1, 4, figsize=(18.0, 6.4), layout="constrained")
     titles = {"parts": "links, or segments of one link", "modes": "modes per link"}
     for axis, (kind, label) in zip(axes, titles.items(), strict=False):
@@ -192,43 +198,54 @@ def draw(results: Row, path: Path) -> None:
 
 
 def _guide(axis: Any, ends: list[int], first: float) -> None:
-    """A grey line of slope one between the ends of a list, from this value on."""
+    """Draw a grey line of slope 1 between the ends of a list, starting at the value `first`."""
     x = np.array([ends[0], ends[-1]])
     axis.loglog(x, first * x / x[0], "--", color="0.6", label="linear")
 
 
-def table(results: Row) -> str:
-    """The lines as a page."""
-    machine = results["machine"]
-    rows = [
+def page(results: Row) -> str:
+    """The results as Markdown."""
+    machine, batch = results["machine"], results["batch"]
+    header = ["", "numbers", "operations", "ns", "workspace [kB]", "compile [s]"]
+    lines = [
         "# How cost grows",
         "",
         f"Made by `{results['command']}` on {machine['cores']} cores ({machine['processor']}), "
         f"commit {results['commit']}. An exponent says how that grows which is added to the second "
         "number.",
         "",
-        "| | numbers | operations | ns | workspace [kB] | compile [s] | exponent of operations | "
-        "of time |",
-        "|---|---|---|---|---|---|---:|---:|",
+        table(
+            [*header, "exponent of operations", "of time"],
+            [
+                [
+                    f"{line['grows']}: {name}",
+                    *(_series(line[key]) for key in SERIES),
+                    f"{line['exponent, operations']:.2f}",
+                    f"{line['exponent, time']:.2f}",
+                ]
+                for name, line in results["lines"].items()
+            ],
+            "llllllr",
+        ),
+        "",
+        "ns per right-hand side and environment in a batch, calls included:",
+        "",
+        table(
+            ["batch", *map(str, batch["x"])],
+            [[name, *(f"{x:.3g}" for x in batch[name])] for name in DEFAULT_ARMS],
+            "lr",
+        ),
     ]
-    for name, line in results["lines"].items():
-        cells = [
-            f"{line['grows']}: {name}", *(", ".join(f"{x:.3g}" if isinstance(x, float) else str(x)
-            for x in line[key]) for key in TOLD),
-            f"{line['exponent, operations']:.2f}", f"{line['exponent, time']:.2f}",
-        ]  # fmt: skip
-        rows.append(f"| {' | '.join(cells)} |")
-    sizes = results["batch"]["x"]
-    rows += ["", "ns per right-hand side and environment in a batch, calls included:", ""]
-    rows += ["| batch | " + " | ".join(map(str, sizes)) + " |", "|---|" + "---:|" * len(sizes)]
-    for name in DEFAULT_ARMS:
-        rows.append(f"| {name} | " + " | ".join(f"{x:.3g}" for x in results["batch"][name]) + " |")
-    return "\n".join(rows) + "\n"
+    return "\n".join(lines) + "\n"
+
+
+def _series(values: list[float]) -> str:
+    return ", ".join(f"{x:.3g}" if isinstance(x, float) else str(x) for x in values)
 
 
 def main() -> None:
     """Measure, and write JSON, a table and the chart."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argument_parser("cost", __doc__)
     parser.add_argument(
         "--quick", action="store_true", help="at most four links and eight segments"
     )
@@ -238,7 +255,7 @@ def main() -> None:
     sizes = [1, 16, 1024] if options.quick else [4**k for k in range(7)] + [8192]
     results = measure(4 if options.quick else 8, sizes)
     options.images.mkdir(parents=True, exist_ok=True)
-    text = table(results)
+    text = page(results)
     save_results(results, text, options.out)
     print(text)
     draw(results, options.images / "cost")

@@ -1,12 +1,11 @@
-"""How far the formulations agree, and what the conventions for the bent end's rotation cost.
+"""Agreement of the formulations, and the error of each convention for a bent tip's rotation.
 
     python -m benchmarks.formulations [--out FILE]
 
-Differences of M are relative to sqrt(M_jj M_kk), those of forces and accelerations to their own
-size, both in the norm of kinetic energy: sqrt(a' M a).
+Differences of M are relative to sqrt(M_jj M_kk). Differences of forces and accelerations are
+relative to their own size, both in the norm of kinetic energy, sqrt(a' M a).
 """
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.operations import Case, given_arm
-from benchmarks.output import RESULTS, provenance, save_results
+from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
 from dynamics import ARMS, Arm, compile_arm, simulate
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.table import FORMULATIONS, why_not
@@ -35,8 +34,8 @@ CONVENTIONS = {
 }
 
 
-def free(arm: Arm) -> Arm:
-    """Without damping and friction, so that energy is constant."""
+def conservative(arm: Arm) -> Arm:
+    """The arm without damping and friction, so that its energy is constant."""
     return replace(
         arm,
         links=tuple(
@@ -51,16 +50,16 @@ def free(arm: Arm) -> Arm:
 
 def planar_arm() -> Arm:
     """Two soft links in the plane, each with two modes."""
-    return free(ARMS["deluca-siciliano"])
+    return conservative(ARMS["deluca-siciliano"])
 
 
 def spatial_arm() -> Arm:
     """Two links of the six-link preset that bend both ways and twist, under gravity."""
-    return free(given_arm(Case(2, 2, 3)))
+    return conservative(given_arm(Case(2, 2, 3)))
 
 
 def state(chain: Chain, slope: float, seed: int) -> tuple[Array, Array]:
-    """Any posture and rates; every link's amplitudes scaled to this tip slope [rad]."""
+    """Random posture and rates; each link's amplitudes are scaled to this tip slope [rad]."""
     rng = np.random.default_rng(seed)
     q, v = [], []
     for link in chain.links:
@@ -76,7 +75,7 @@ def state(chain: Chain, slope: float, seed: int) -> tuple[Array, Array]:
 
 
 class Answer:
-    """What one formulation says of a state without torque; on plain floats."""
+    """M, h and accelerations by one formulation at a state without torque, on plain floats."""
 
     def __init__(self, name: str, chain: Chain, q: Array, v: Array) -> None:
         formulation = FORMULATIONS[name]
@@ -89,7 +88,7 @@ class Answer:
 
     @property
     def power(self) -> float:
-        """[-] energy that an undamped arm without torque gains, beside the power of inertia."""
+        """Power that an undamped arm gains without torque, over the power of inertia [-]."""
         t = ca.SX.sym("t")
         moved, rates = (
             [float(x) + t * float(y) for x, y in zip(*pair, strict=True)]
@@ -100,7 +99,7 @@ class Answer:
         return abs(gained) / (_length(self.v, self.M) * _length(self.a, self.M))
 
     def differences(self, other: "Answer") -> dict[str, float]:
-        """M, h and accelerations beside another answer's."""
+        """Relative differences of M, h and accelerations from another answer."""
         size = np.sqrt(np.diag(other.M))
         h = np.linalg.solve(other.M, np.array([self.h - other.h, other.h]).T).T
         return {
@@ -115,16 +114,16 @@ def _length(a: Array, M: Array) -> float:
 
 
 def worst(rows: list[dict[str, float]]) -> dict[str, float]:
-    """Largest of every column."""
+    """Largest value of every column."""
     return {key: max(row[key] for row in rows) for key in rows[0]}
 
 
 def agreement() -> Iterator[dict[str, Any]]:
-    """Siblings beside the recursion over presets and spatial arms, per rotation."""
+    """Other formulations compared with Gibbs-Appell on presets and spatial arms, per rotation."""
     presets = [a for a in ARMS.values() if not any(why_not(a, name) for name in FORMULATIONS)]
     arms = [*presets, spatial_arm(), given_arm(Case(6, 2, 3)), given_arm(Case(6, 6, 3))]
     for rotation in ROTATIONS:
-        chains = [compile_arm(replace(free(arm), rotation=rotation)).chain for arm in arms]
+        chains = [compile_arm(replace(conservative(arm), rotation=rotation)).chain for arm in arms]
         states = [(chain, *state(chain, 0.1, k)) for chain in chains for k in range(STATES)]
         answers = {name: [Answer(name, *s) for s in states] for name in FORMULATIONS}
         for name in FORMULATIONS:
@@ -133,12 +132,12 @@ def agreement() -> Iterator[dict[str, Any]]:
             pairs = zip(answers[name], answers["gibbs_appell"], strict=True)
             yield {
                 "rotation": rotation, "formulation": name, "states": len(states),
-                **worst([mine.differences(theirs) for mine, theirs in pairs]),
+                **worst([other.differences(recursion) for other, recursion in pairs]),
             }  # fmt: skip
 
 
 def conventions() -> Iterator[dict[str, Any]]:
-    """The linear conventions beside the true rotation, over amplitudes."""
+    """Linear conventions compared with the exact rotation, over amplitudes."""
     for kind, arm in (("planar", planar_arm()), ("spatial", spatial_arm())):
         chains = {r: compile_arm(replace(arm, rotation=r)).chain for r in ROTATIONS}
         for slope in SLOPES:
@@ -149,7 +148,7 @@ def conventions() -> Iterator[dict[str, Any]]:
             }
             for convention, answers in found.items():
                 pairs = zip(answers, found["exp"], strict=True)
-                rows = [mine.differences(true) for mine, true in pairs]
+                rows = [answer.differences(exact) for answer, exact in pairs]
                 yield {"arm": kind, "slope [rad]": slope, "convention": convention} | {
                     **worst(rows),
                     "energy gained": max(x.power for x in answers),
@@ -157,7 +156,7 @@ def conventions() -> Iterator[dict[str, Any]]:
 
 
 def motions() -> Iterator[dict[str, Any]]:
-    """Released bent by 0.1 rad, at rest, no torque: tips apart and energies drifting."""
+    """Tip distance and energy drift after release at rest with tip slopes of 0.1 rad, no torque."""
     for kind, arm in (("planar", planar_arm()), ("spatial", spatial_arm())):
         exact = None
         for rotation in ROTATIONS:
@@ -178,11 +177,8 @@ def motions() -> Iterator[dict[str, Any]]:
 # ---- page ----------------------------------------------------------------------------------------
 
 
-def table(rows: list[dict[str, Any]]) -> list[str]:
-    """Rows of equal keys as Markdown."""
-    keys = list(rows[0])
-    lines = ["", f"| {' | '.join(keys)} |", "|" + "---|" * len(keys)]
-    return [*lines, *(f"| {' | '.join(_cell(row[key]) for key in keys)} |" for row in rows)]
+def _table(rows: list[dict[str, Any]]) -> str:
+    return table(list(rows[0]), ([_cell(value) for value in row.values()] for row in rows))
 
 
 def _cell(value: object) -> str:
@@ -192,7 +188,7 @@ def _cell(value: object) -> str:
 
 
 def page(result: dict[str, Any]) -> str:
-    """The figures as Markdown."""
+    """The results as Markdown."""
     lines = [
         "# Formulations compared",
         "",
@@ -200,21 +196,24 @@ def page(result: dict[str, Any]) -> str:
         "they mean: [formulations](../formulations.md).",
         "",
         "## Beside the Gibbs-Appell recursion, tip slopes of 0.1 rad",
-        *table(result["agreement"]),
+        "",
+        _table(result["agreement"]),
         "",
         "## Conventions beside the true rotation",
-        *table(result["conventions"]),
+        "",
+        _table(result["conventions"]),
         "",
         f"## Motion: tips apart after {', '.join(map(str, TIMES))} s from the first row, "
         "integrated at rtol 1e-11",
-        *table(result["motion"]),
+        "",
+        _table(result["motion"]),
     ]
     return "\n".join([*lines, ""])
 
 
 def main() -> None:
-    """Measure, and write JSON and page side by side."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    """Measure, and write JSON and the page."""
+    parser = argument_parser("formulations", __doc__)
     parser.add_argument("--out", type=Path, default=RESULT)
     out = parser.parse_args().out
     result = {

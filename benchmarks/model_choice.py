@@ -1,14 +1,13 @@
-"""What `choose_model` finds on contrasting scenes, and whether its claims hold.
+"""Choices of `choose_model` on contrasting scenes, and verification of their claimed errors.
 
     python -m benchmarks.model_choice [--out docs/results/model_choice.json] [--truth]
 
-Writes the ladders as JSON and, beside it, as Markdown. Each claim is verified by compiling the
-chosen model, stepping it as chosen, and comparing it with another discretisation of the arm,
-followed by another integrator (SciPy's DOP853). Those motions take minutes, so they are kept in
-tests/reference/; `--truth` makes them again.
+Writes the ladders as JSON and as a Markdown page beside it. Each claim is verified by compiling the
+chosen model, integrating it with the chosen step, and comparing its tip with another discretisation
+of the arm, integrated by SciPy's DOP853. Those reference motions take minutes and are stored in
+tests/reference/; `--truth` recomputes them.
 """
 
-import argparse
 import json
 import math
 import time
@@ -18,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.output import REFERENCE, RESULTS, provenance, save_results
+from benchmarks.output import REFERENCE, RESULTS, argument_parser, provenance, save_results
 from dynamics import Arm, Choice, Joint, Link, Mode, Scene, choose_model, compile_arm, simulate
 from dynamics.accuracy.fidelity import everything
 from dynamics.accuracy.scene import JointMotion, bang_bang, cycloid, release
@@ -31,19 +30,19 @@ TRUTH_SAMPLES = 97
 
 @dataclass(frozen=True)
 class Trial:
-    """An arm, a scene, a tolerance, and an independent model that has converged on it."""
+    """An arm, a scene, a tolerance, and an independent model that is converged on the scene."""
 
     arm: Arm
     scene: Scene
     tolerance: float  # [m]
-    kind: str  # of bending modes of the independent model
-    modes: int  # of them per direction
-    segments: int = 1
+    kind: str  # kind of the independent model's bending modes
+    modes: int  # number of those modes per direction
+    segments: int = 1  # of each link of the independent model
 
 
 @dataclass(frozen=True)
 class SpinUp:
-    """The torque that brings a rotor smoothly to 6 rad/s in 15 s."""
+    """Torque that accelerates a rotor smoothly from rest to 6 rad/s in 15 s."""
 
     inertia: float  # [kg m^2]
 
@@ -53,7 +52,7 @@ class SpinUp:
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
-        """When it ends [s]."""
+        """End of the torque [s]."""
         return (15.0,)
 
 
@@ -146,7 +145,7 @@ TRIALS = {
 
 
 def independent_tips(trial: Trial, motion: JointMotion, times: Array) -> Array:
-    """(N, 3) [m] tip of the trial's independent model, without any compiled code."""
+    """(N, 3) [m] tip of the trial's independent model, without compiled code."""
     model = compile_arm(_independent_arm(trial))
     n, joints = model.n, list(model.arm.joint_index)
     x = np.zeros(2 * n)
@@ -185,31 +184,30 @@ def _independent_arm(trial: Trial) -> Arm:
 
 
 def chosen_tips(choice: Choice, motion: JointMotion, times: Array) -> Array:
-    """(N, 3) [m] tip of the chosen model, compiled, by the chosen integrator and step."""
+    """(N, 3) [m] tip of the chosen model, compiled, with the chosen integrator and step."""
     model = compile_arm(choice.arm)
     q, v = np.zeros(model.n), np.zeros(model.n)
     q[list(model.arm.joint_index)] = motion.joint_angles
     v[list(model.arm.joint_index)] = motion.joint_rates
-    motion_of_it = simulate(
+    return simulate(
         model, q, v, motion.torque, times, integrator=choice.integrator, dt=choice.dt
-    )
-    return motion_of_it.tip
+    ).tip
 
 
 def truth_times(trial: Trial) -> Array:
-    """(N,) [s] times of the independent motion."""
+    """(N,) [s] sample times of the independent motion."""
     return np.linspace(0.0, trial.scene.motions[0].t_end, TRUTH_SAMPLES)
 
 
 def stored_truth() -> dict[str, Array]:
-    """Scene -> (N, 3) [m] tips of its independent model."""
+    """Stored tips of the independent models: scene -> (N, 3) [m]."""
     return {name: np.array(tips) for name, tips in json.loads(TRUTH.read_text()).items()}
 
 
 def verified_error(trial: Trial, choice: Choice, truth: Array) -> float:
-    """[m] largest distance of the chosen model's tip from the independent one."""
+    """Largest distance between the tips of the chosen and the independent model [m]."""
     times = truth_times(trial)
-    every = math.ceil(choice.dt / times[1] - 1e-9)  # so that steps are as long as chosen
+    every = math.ceil(choice.dt / times[1] - 1e-9)  # no output time shortens a chosen step
     apart = chosen_tips(choice, trial.scene.motions[0], times[::every]) - truth[::every]
     return float(np.linalg.norm(apart, axis=1).max())
 
@@ -224,10 +222,10 @@ def _make_truth() -> None:
 
 
 def main() -> None:
-    """Run all trials and write what was found."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    """Run all trials, and write JSON and the page."""
+    parser = argument_parser("model_choice", __doc__)
     parser.add_argument("--out", type=Path, default=RESULTS / "model_choice.json")
-    parser.add_argument("--truth", action="store_true", help="make the independent motions again")
+    parser.add_argument("--truth", action="store_true", help="recompute the independent motions")
     options = parser.parse_args()
     if options.truth:
         _make_truth()

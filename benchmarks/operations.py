@@ -1,14 +1,14 @@
-"""Operations of every formulation, counted by running it, beside the published formulas.
+"""Operations of every formulation, counted by running it, and those of the published formulas.
 
     python -m benchmarks.operations [--out FILE]
 
-A general arm has a free symbol for every entry of every constant of a link, so that no zero and no
-one folds away; what depends on constants alone is done once per arm and not counted, as in the
-published formulas. A given arm is the six-link preset, or as many of its links, with gravity; what
-it lacks folds away. Equal operations count once; a change of sign, sines and cosines do not count.
+A general arm has a free symbol for every entry of every constant of a link, so that no zero or one
+folds away. Operations on constants alone are done once per arm and are not counted, as in the
+published formulas. A given arm is the six-link preset, or its first links, with gravity; terms that
+are zero on it fold away. Equal operations are counted once; changes of sign, sines and cosines are
+not counted.
 """
 
-import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,12 +16,12 @@ from typing import Any
 
 import casadi as ca
 
-from benchmarks.output import RESULTS, provenance, save_results
+from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
 from dynamics import ARMS, Arm, Mode, compile_arm
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.link_constants import LinkConstants, chain_constants
 from dynamics.formulations.table import FORMULATIONS
-from dynamics.tracing.ssa import operations
+from dynamics.tracing.operation_counts import operations
 
 Counts = dict[str, int]
 RESULT = RESULTS / "operations.json"
@@ -31,7 +31,7 @@ DEFAULT_ARMS = ("slim", "korayem-two-link", "deluca-siciliano", "six-link")
 
 @dataclass(frozen=True)
 class Case:
-    """n links, the first of the flexible ones is number 2 where some are rigid, m modes each."""
+    """n links, n_flexible of them with m modes each; rigid links are link 1 and the last ones."""
 
     n: int
     n_flexible: int
@@ -39,7 +39,7 @@ class Case:
 
     @property
     def flexible(self) -> range:
-        """Places of the flexible links, from 0."""
+        """Indices of the flexible links, from 0."""
         first = 0 if self.n_flexible == self.n else 1
         return range(first, first + self.n_flexible)
 
@@ -53,7 +53,7 @@ Formula = Callable[[float, float, float], float]
 
 @dataclass(frozen=True)
 class Published:
-    """Operations to form M and h by n links, f of them flexible with m modes each."""
+    """Operations to form M and h of n links, f of them flexible with m modes each."""
 
     multiplications: Formula
     additions: Formula
@@ -83,8 +83,8 @@ PUBLISHED = {
     ),
 }  # fmt: skip
 
-# Korayem & Shafei (2009), Table 1: steps 1 to 10 of their recursion. The sums of step 10 begin with
-# 9 n^2 - 9: so many its loops have, and only so the steps add up to Table 2.
+# Korayem & Shafei (2009), Table 1: steps 1 to 10 of their recursion. The additions of step 10 begin
+# with 9 n^2 - 9: its loops have that many, and with it the steps add up to Table 2.
 STEPS = (
     Published(lambda n, f, m: 15 * n - 15, lambda n, f, m: 6 * n - 6),
     Published(lambda n, f, m: 60 * n - 60, lambda n, f, m: 55 * n - 55),
@@ -115,7 +115,7 @@ STEPS = (
 
 
 def published(name: str, case: Case) -> Counts:
-    """A published formula's operations of a case."""
+    """Operations of a case by a published formula."""
     formula, sizes = PUBLISHED[name], (case.n, case.n_flexible, case.m)
     return {
         "multiplications": round(formula.multiplications(*sizes)),
@@ -127,7 +127,7 @@ def published(name: str, case: Case) -> Counts:
 
 
 def given_arm(case: Case, rotation: str = "exp") -> Arm:
-    """The six-link preset or its first links, under gravity; torsion is the third mode."""
+    """The first links of the six-link preset, under gravity; the third mode is torsion."""
     whole = ARMS["six-link"]
     links = []
     for i, link in enumerate(whole.links[: case.n]):
@@ -138,7 +138,7 @@ def given_arm(case: Case, rotation: str = "exp") -> Arm:
 
 
 class Symbols:
-    """Free symbols, remembered; tables of them with the symmetries that the integrals have."""
+    """Source of new symbols, which it lists in `all`, as scalars, vectors and matrices."""
 
     def __init__(self) -> None:
         self.all: list[Any] = []
@@ -149,15 +149,15 @@ class Symbols:
         return self.all[-1]
 
     def vector(self) -> tuple[Any, ...]:
-        """(3,)."""
+        """A new vector (3,)."""
         return tuple(self.one() for _ in range(3))
 
     def matrix(self) -> tuple[Any, ...]:
-        """(3, 3)."""
+        """A new matrix (3, 3)."""
         return tuple(self.vector() for _ in range(3))
 
     def symmetric(self, size: int) -> tuple[Any, ...]:
-        """(size, size), symmetric."""
+        """A new symmetric matrix (size, size)."""
         table = [[0.0] * size for _ in range(size)]
         for i in range(size):
             for j in range(i + 1):
@@ -166,7 +166,7 @@ class Symbols:
 
 
 def general_link(link: LinkConstants, symbols: Symbols) -> LinkConstants:
-    """A link as the published formulas know it, every constant a symbol; no tip body, no joint."""
+    """The link of the published formulas: every constant a symbol, no tip body, no rotor."""
     every = range(len(link.K))
     zero = tuple(tuple(0.0 for _ in row) for row in link.K)
     c_jk: dict[tuple[int, int], Any] = {}
@@ -203,7 +203,7 @@ def general_link(link: LinkConstants, symbols: Symbols) -> LinkConstants:
 
 
 def general_chain(case: Case, rotation: str) -> tuple[Chain, list[Any]]:
-    """A chain of general links under any gravity, and all of its symbols."""
+    """A chain of general links under general gravity, and all its symbols."""
     symbols = Symbols()
     bodies = [body for parts in chain_constants(given_arm(case)) for body in parts]
     links = tuple(general_link(body, symbols) for body in bodies)
@@ -214,7 +214,7 @@ def general_chain(case: Case, rotation: str) -> tuple[Chain, list[Any]]:
 
 
 def count(name: str, chain: Chain, n: int, n_joint: int, constants: list[Any]) -> dict[str, Counts]:
-    """Operations of a formulation: M (one half) and h, and the accelerations."""
+    """Operations of a formulation: for M (one triangle) and h, and for the accelerations."""
     formulation = FORMULATIONS[name]
     q, v, tau = (ca.SX.sym(x, size) for x, size in (("q", n), ("v", n), ("tau", n_joint)))
     x, rates, torques = (ca.vertsplit(y) for y in (q, v, tau))
@@ -250,7 +250,7 @@ def rows() -> Iterator[dict[str, Any]]:
 
 
 def default_rows() -> Iterator[dict[str, Any]]:
-    """One row per preset and formulation, as they are shipped."""
+    """One row per default preset and formulation."""
     for preset in DEFAULT_ARMS:
         model = compile_arm(preset)
         for name in FORMULATIONS:
@@ -262,7 +262,7 @@ def default_rows() -> Iterator[dict[str, Any]]:
 
 
 def shown(counts: Counts) -> str:
-    """Multiplications + additions."""
+    """The counts as "multiplications + additions"."""
     return f"{counts['multiplications']:,} + {counts['additions']:,}".replace(",", " ")
 
 
@@ -276,36 +276,39 @@ def page(result: dict[str, Any]) -> str:
         "modes of each, (n, n_f, m). What each count holds: [formulations](../formulations.md).",
     ]
     for question in ("M and h", "accelerations"):
-        lines += ["", f"## {question}", "", f"| arm | formulation | E | {' | '.join(heads)} |"]
-        lines += ["|---|---|---|" + "---:|" * len(heads)]
-        if question == "M and h":
-            for name in PUBLISHED:
-                cells = [shown(case[name]) for case in result["published"]]
-                lines += [f"| published formula | `{name}` | linear | {' | '.join(cells)} |"]
+        published_rows = [
+            ["published formula", f"`{name}`", "linear"]
+            + [shown(case[name]) for case in result["published"]]
+            for name in PUBLISHED
+            if question == "M and h"
+        ]
         groups: dict[tuple[str, str, str], list[str]] = {}
         for row in result["cases"]:
             key = (row["arm"], row["formulation"], row["rotation"])
             groups.setdefault(key, []).append(shown(row[question]))
-        for (arm, name, rotation), cells in sorted(groups.items()):
-            lines += [f"| {arm} | `{name}` | {rotation} | {' | '.join(cells)} |"]
-    lines += [
-        "",
-        "## Presets",
-        "",
-        "| preset | coordinates | formulation | M and h | accelerations |",
-    ]
-    lines += ["|---|---:|---|---:|---:|"]
-    for row in result["presets"]:
-        lines += [
-            f"| {row['preset']} | {row['coordinates']} | `{row['formulation']}` | "
-            f"{shown(row['M and h'])} | {shown(row['accelerations'])} |"
+        counted = [
+            [arm, f"`{name}`", rotation, *cells]
+            for (arm, name, rotation), cells in sorted(groups.items())
         ]
-    return "\n".join([*lines, ""])
+        header = ["arm", "formulation", "E", *heads]
+        lines += ["", f"## {question}", "", table(header, published_rows + counted, "lllr")]
+    presets = [
+        [
+            row["preset"],
+            str(row["coordinates"]),
+            f"`{row['formulation']}`",
+            shown(row["M and h"]),
+            shown(row["accelerations"]),
+        ]
+        for row in result["presets"]
+    ]
+    header = ["preset", "coordinates", "formulation", "M and h", "accelerations"]
+    return "\n".join([*lines, "", "## Presets", "", table(header, presets, "lrlr"), ""])
 
 
 def main() -> None:
-    """Count, and write JSON and page side by side."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    """Count, and write JSON and the page."""
+    parser = argument_parser("operations", __doc__)
     parser.add_argument("--out", type=Path, default=RESULT)
     out = parser.parse_args().out
     result = {

@@ -1,9 +1,11 @@
-"""What every benchmark writes beside its numbers: where they come from, and pictures."""
+"""Command line and output of every benchmark: provenance, JSON, Markdown tables, figures."""
 
+import argparse
 import json
 import os
 import platform
 import sys
+from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,40 +19,58 @@ RESULTS = ROOT / "docs" / "results"
 REFERENCE = ROOT / "tests" / "reference"
 
 
+def argument_parser(name: str, doc: str | None) -> argparse.ArgumentParser:
+    """Parser of `python -m benchmarks.NAME`, described by the first line of a docstring."""
+    description = (doc or "").splitlines()[0]
+    return argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=description)
+
+
 def provenance(*packages: str) -> dict[str, Any]:
     """Machine, versions of Python and of the packages, commit and command."""
     return {
         "machine": {"processor": processor(), "cores": os.cpu_count()},
         "versions": {"python": platform.python_version(), **{p: version(p) for p in packages}},
         "commit": revision(),
-        "command": " ".join(["python", "-m", _module(), *sys.argv[1:]]),
+        "command": command(),
     }
 
 
-def _module() -> str:
-    """The name after `python -m`."""
+def command() -> str:
+    """Command line of this process, as `python -m MODULE ARGUMENTS`."""
     spec = sys.modules["__main__"].__spec__
-    return spec.name.removesuffix(".__main__") if spec else Path(sys.argv[0]).name
+    module = spec.name.removesuffix(".__main__") if spec else Path(sys.argv[0]).name
+    return " ".join(["python", "-m", module, *sys.argv[1:]])
 
 
 def processor() -> str:
-    """The processor's name where the system tells, else its kind; what code is compiled for."""
-    told = Path("/proc/cpuinfo")  # Linux
-    lines = told.read_text(encoding="utf-8").splitlines() if told.exists() else []
+    """Name of the processor, or its architecture where unknown, and LLVM's name of the target."""
+    cpuinfo = Path("/proc/cpuinfo")  # Linux
+    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     name = next(iter(names), platform.processor() or platform.machine())
     return f"{name}, {get_host_cpu_name()}"
 
 
+def table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = "l") -> str:
+    """Markdown table.
+
+    `align` has one letter per column, l or r; its last letter holds for all further columns.
+    """
+    letters = align.ljust(len(header), align[-1])
+    rule = "".join("---:|" if letter == "r" else "---|" for letter in letters)
+    lines = [f"| {' | '.join(header).lstrip()} |", f"|{rule}"]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
 def save_results(results: dict[str, Any], text: str, path: Path) -> None:
-    """JSON, and the same as a page beside it."""
+    """Write the results as JSON to `path`, and the Markdown page `text` beside it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     path.with_suffix(".md").write_text(text, encoding="utf-8")
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """PNG of a figure, which is closed."""
+    """Write a figure as PNG and close it."""
     import matplotlib.pyplot as plt
 
     figure.savefig(path.with_suffix(".png"), dpi=110)

@@ -1,13 +1,12 @@
-"""Rigid arms: operations of inverse dynamics, and motions returned from their own torques.
+"""Rigid arms: operations of inverse dynamics, and motions recovered from their own torques.
 
     python -m benchmarks.rigid_arms [--quick] [--out FILE]
 
-Newton and Euler's torques of a cycloidal motion, as a function of time, drive the forward dynamics;
-the error is the largest distance of a joint from the motion that was planned. Where the planned
-motion is unstable the error grows as fast as the linearised arm says, whatever the integrator does.
+The Newton-Euler torques of a cycloidal motion, as functions of time, drive the forward dynamics.
+The error is the largest deviation of a joint from the planned motion. Where the planned motion is
+unstable, the error grows at the rate of the linearised arm, whatever the integrator.
 """
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +17,24 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.output import RESULTS, provenance, save_figure, save_results
+from benchmarks.output import (
+    RESULTS,
+    argument_parser,
+    provenance,
+    save_figure,
+    save_results,
+    table,
+)
 from dynamics import ARMS, Arm, compile_arm, simulate
 from dynamics.description import denavit_hartenberg
 from dynamics.description.denavit_hartenberg import Row
 from dynamics.formulations.newton_euler import inverse_dynamics, rigid_links
 from dynamics.simulation.nominal_motion import Cycloidal, NominalTorque
-from dynamics.tracing.ssa import operations
+from dynamics.tracing.operation_counts import operations
 
 SIXTY = np.pi / 3.0
-DURATION = 10.0  # [s] printed, both arms
-MOTIONS = {  # the Stanford arm's is printed (2.14); the PUMA's is lost, this one chosen
+DURATION = 10.0  # [s] printed for both arms
+MOTIONS = {  # the Stanford arm's motion is printed (2.14); the PUMA's is lost and chosen here
     "puma-600": Cycloidal(start=(0.0,) * 6, goal=(SIXTY,) * 6, duration=DURATION),
     "stanford": Cycloidal(
         start=(0.0, np.pi / 2.0, 0.0, 0.0, 0.0, 0.0),
@@ -42,7 +48,7 @@ Rows = list[dict[str, Any]]
 
 
 def general(n_joint: int) -> Arm:
-    """Revolute joints and rows without a zero, so that nothing folds but the first joint's rest."""
+    """Revolute arm with no zero in its rows: only the resting base of joint 1 folds away."""
     rng = np.random.default_rng(0)
     rows = []
     for _ in range(n_joint):
@@ -65,7 +71,7 @@ def counted(arm: Arm) -> dict[str, int]:
 
 
 def counts() -> Rows:
-    """Of a general arm beside the thesis's formulas, and of the presets."""
+    """Operations of general arms, with those of the thesis's formulas, and of the presets."""
     rows: Rows = []
     for n in range(2, 8):
         found = counted(general(n))
@@ -80,7 +86,7 @@ def counts() -> Rows:
 
 
 def round_trip(name: str, samples: int) -> dict[str, Any]:
-    """Torques, errors and growth of one arm along its motion."""
+    """Torques, errors and fastest error growth of one arm along its motion."""
     arm, motion = ARMS[name], MOTIONS[name]
     model, torque = compile_arm(arm), NominalTorque(arm, motion)
     times = np.linspace(0.0, FOLLOWED[name], samples)
@@ -102,26 +108,43 @@ def round_trip(name: str, samples: int) -> dict[str, Any]:
     }
 
 
-def page(table: Rows, trips: dict[str, dict[str, Any]]) -> str:
-    """The tables as Markdown."""
+def page(rows: Rows, trips: dict[str, dict[str, Any]]) -> str:
+    """The results as Markdown."""
+    operation_rows = [
+        [
+            row["arm"],
+            str(row["M"]),
+            str(row["A"]),
+            f"{row['thesis M']}, {row['thesis A']}" if "thesis M" in row else "",
+        ]
+        for row in rows
+    ]
+    trip_rows = [
+        [
+            name,
+            f"{trip['t'][-1]:g} s",
+            f"{max(trip['error']):.1e} rad or m",
+            f"{trip['fastest growth [1/s]']:.2f} /s",
+        ]
+        for name, trip in trips.items()
+    ]
     lines = [
-        "# Rigid arms", "", "Made by `python -m benchmarks.rigid_arms`.", "",
-        "| inverse dynamics of | multiplications | additions | thesis |", "|---|---|---|---|",
-    ]  # fmt: skip
-    for row in table:
-        thesis = f"{row['thesis M']}, {row['thesis A']}" if "thesis M" in row else ""
-        lines.append(f"| {row['arm']} | {row['M']} | {row['A']} | {thesis} |")
-    lines += ["", "| round trip | followed | largest error | fastest growth |", "|---|---|---|---|"]
-    for name, trip in trips.items():
-        lines.append(
-            f"| {name} | {trip['t'][-1]:g} s | {max(trip['error']):.1e} rad or m "
-            f"| {trip['fastest growth [1/s]']:.2f} /s |"
-        )
-    return "\n".join([*lines, "", "![round trips](rigid_arms.png)", ""])
+        "# Rigid arms",
+        "",
+        "Made by `python -m benchmarks.rigid_arms`.",
+        "",
+        table(["inverse dynamics of", "multiplications", "additions", "thesis"], operation_rows),
+        "",
+        table(["round trip", "followed", "largest error", "fastest growth"], trip_rows),
+        "",
+        "![round trips](rigid_arms.png)",
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def draw(trips: dict[str, dict[str, Any]], path: Path) -> None:
-    """Nominal torques of both arms, and the errors of their return."""
+    """Draw the nominal torques of both arms, and the errors of their recovered motions."""
     figure, axes = plt.subplots(1, 3, figsize=(13.0, 3.8), layout="constrained")
     for axis, (name, trip) in zip(axes, trips.items(), strict=False):
         for k, torque in enumerate(np.transpose(trip["torque"])):
@@ -139,16 +162,16 @@ def draw(trips: dict[str, dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     """Write JSON, page and picture."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = argument_parser("rigid_arms", __doc__)
     parser.add_argument("--quick", action="store_true", help="fewer points in the picture")
     parser.add_argument("--out", type=Path, default=RESULTS / "rigid_arms.json")
     options = parser.parse_args()
-    table = counts()
+    rows = counts()
     trips = {name: round_trip(name, 21 if options.quick else 201) for name in MOTIONS}
-    data = {**provenance("numpy", "scipy", "casadi", "numba"), "counts": table, "trips": trips}
-    save_results(data, page(table, trips), options.out)
+    data = {**provenance("numpy", "scipy", "casadi", "numba"), "counts": rows, "trips": trips}
+    save_results(data, page(rows, trips), options.out)
     draw(trips, options.out)
-    print(page(table, trips))
+    print(page(rows, trips))
 
 
 if __name__ == "__main__":

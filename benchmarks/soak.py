@@ -1,14 +1,14 @@
-"""Many steps of every environment under random and bang-bang actions: nothing may go unsaid.
+"""Soak test: many steps of every environment under random and bang-bang actions.
 
     python -m benchmarks.soak [--steps 1e8] [--out docs/results/soak.json]
 
-After every step of every environment: observation, reward and info are finite and the observation
-is within its bounds; the clock goes on by one control step or, after an episode that was said to
-have ended, starts at zero; what diverged has ended and the arm is not left standing still. A tenth
-of the steps is taken at 20 times the torque limit, where arms leave their validity and diverge.
+Checks after every step of every environment: observation, reward and info are finite, and the
+observation is within its bounds; the clock advances by one control step, or starts at zero after an
+episode that was reported as ended; a diverged episode is terminated; the observation changes. A
+tenth of the steps is taken at 20 times the torque limit, where arms leave their validity and
+diverge.
 """
 
-import argparse
 import sys
 import time
 from pathlib import Path
@@ -20,16 +20,16 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import flexarm_env
-from benchmarks.output import RESULTS, provenance, save_results
+from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
 from flexarm_env import FlexArmVectorEnv
 
 BATCH = 4096
-OVERDRIVEN, TOO_MUCH = 0.1, 20.0  # share of the steps, times the torque limit
-SWITCHES = 0.15  # chance of a bang-bang torque to change its sign, per control step
+OVERDRIVEN, OVERDRIVE = 0.1, 20.0  # share of the steps, and their torque over the torque limit
+SWITCHES = 0.15  # probability per control step that a bang-bang torque changes its sign
 
 
 class Soak:
-    """One kind of environment, watched."""
+    """A batch of one environment, and counts of its steps, ends and faults."""
 
     def __init__(self, env_id: str, torque: float, threads: int = 2) -> None:
         nominal: Any = gym.make(env_id).unwrapped
@@ -49,7 +49,7 @@ class Soak:
         )  # fmt: skip
 
     def actions(self) -> NDArray[np.float32]:
-        """Uniform for the first half of the environments, bang-bang for the second."""
+        """Uniform actions for the first half of the environments, bang-bang for the second."""
         flip = self.rng.random(self.sign.shape) < SWITCHES
         self.sign[flip] *= -1.0
         result, half = self.sign.copy(), BATCH // 2
@@ -57,15 +57,15 @@ class Soak:
         return result
 
     def step(self) -> None:
-        """One step of all, and what is wrong with it."""
+        """Step all environments once and count the faults."""
         obs, reward, terminated, truncated, info = self.envs.step(self.actions())
         self.elapsed = np.where(self.ended, 0.0, self.elapsed + 1.0)
-        began, self.ended = self.ended, terminated | truncated
+        restarted, self.ended = self.ended, terminated | truncated
         numbers = [reward, *(x for x in info.values() if isinstance(x, np.ndarray))]
         finite = np.isfinite(obs).all(axis=1)
         for x in numbers:
             finite &= np.isfinite(x).reshape(BATCH, -1).all(axis=1)
-        still = (obs == self.before).all(axis=1) & ~info["diverged"] & ~began
+        still = (obs == self.before).all(axis=1) & ~info["diverged"] & ~restarted
         self.before = obs
         clock = np.abs(info["time"] - self.envs.control_dt * self.elapsed) > 1e-9
         for name, bad in (
@@ -82,41 +82,45 @@ WRONG = ("not finite", "out of bounds", "clock wrong", "divergence not said", "f
 
 
 def soak(env_id: str, steps: int) -> dict[str, int]:
-    """Counts over both torque limits."""
+    """Counts of one environment, summed over both torques."""
     total: dict[str, int] = {}
-    for torque, share in ((1.0, 1.0 - OVERDRIVEN), (TOO_MUCH, OVERDRIVEN)):
-        watched = Soak(env_id, torque)
+    for torque, share in ((1.0, 1.0 - OVERDRIVEN), (OVERDRIVE, OVERDRIVEN)):
+        batch = Soak(env_id, torque)
         for _ in tqdm(range(-int(-share * steps // BATCH)), desc=f"{env_id} x{torque:g}"):
-            watched.step()
-        watched.envs.close()
-        for name, count in watched.counts.items():
+            batch.step()
+        batch.envs.close()
+        for name, count in batch.counts.items():
             total[name] = total.get(name, 0) + count
     return total
 
 
-def table(results: dict[str, Any]) -> str:
-    """The counts as a page."""
+def page(results: dict[str, Any]) -> str:
+    """The counts as Markdown."""
     names = list(next(iter(results["counts"].values())))
     total = sum(row["steps"] for row in results["counts"].values())
     lines = [
         "# Soak\n",
         f"Made by `{results['command']}`: {total:.3g} steps. Half the environments take uniform "
-        f"actions, half bang-bang; a tenth of the steps is at {TOO_MUCH:g} times the torque "
+        f"actions, half bang-bang; a tenth of the steps is at {OVERDRIVE:g} times the torque "
         "limit. The last five columns count what must not happen.\n",
-        "| environment | " + " | ".join(names) + " |",
-        "|---|" + "---:|" * len(names),
-    ]
-    lines += [
-        f"| {env_id} | " + " | ".join(f"{row[name]:,}" for name in names) + " |"
-        for env_id, row in results["counts"].items()
+        table(
+            ["environment", *names],
+            [
+                [env_id, *(f"{row[name]:,}" for name in names)]
+                for env_id, row in results["counts"].items()
+            ],
+            "lr",
+        ),
     ]
     return "\n".join(lines) + "\n"
 
 
 def main() -> int:
-    """Soak, print, write; the exit status is 1 if anything went wrong."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--steps", type=float, default=1e8, help="in all (default 1e8)")
+    """Soak all environments, print and write the counts; returns 1 if there was any fault."""
+    parser = argument_parser("soak", __doc__)
+    parser.add_argument(
+        "--steps", type=float, default=1e8, help="steps of all environments together (1e8)"
+    )
     parser.add_argument("--out", type=Path, default=RESULTS / "soak.json")
     options = parser.parse_args()
     begin = time.perf_counter()
@@ -124,7 +128,7 @@ def main() -> int:
     counts = {env_id: soak(env_id, each) for env_id in flexarm_env.IDS}
     results = {**provenance("numba", "numpy"), "seconds": time.perf_counter() - begin,
                "counts": counts}  # fmt: skip
-    text = table(results)
+    text = page(results)
     print(text)
     save_results(results, text, options.out)
     return int(any(row[name] for row in counts.values() for name in WRONG))

@@ -1,13 +1,12 @@
-"""How fast the three default arms step, beside this machine's multiply-add peak.
+"""Step rates of the three default arms, compared with this machine's multiply-add peak.
 
     python -m benchmarks.speed [--thorough] [--out docs/results/speed.json]
 
-Medians of repeated runs; ratios and the peak come from the same run. Leave the machine alone while
-it runs. `--thorough` chooses a model of six links, too, which takes a quarter of an hour; it is
-kept in the cache folder.
+Results are medians of repeated runs; ratios and the peak come from the same run. Run nothing else
+on the machine meanwhile. `--thorough` also chooses a model of six links, which takes a quarter of
+an hour; the choice is stored in the cache folder.
 """
 
-import argparse
 import itertools
 import math
 import multiprocessing
@@ -25,10 +24,11 @@ from typing import Any, NamedTuple, cast
 import gymnasium as gym
 import numpy as np
 
-from benchmarks.output import RESULTS, provenance, save_results
+from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
 from dynamics import ARMS, Stepper, compile_arm
+from dynamics.backends.numba_llvm.fingerprint import fingerprint
 from dynamics.backends.numba_llvm.module_text import straight_line_text
-from dynamics.backends.numba_llvm.program import cached_module, fingerprint
+from dynamics.backends.numba_llvm.program import cached_module
 from dynamics.backends.numba_llvm.stepper_entries import LANES
 from dynamics.runtime.work_queue import STOP
 from dynamics.tracing.function import written
@@ -39,15 +39,15 @@ from flexarm_env.accuracy.certificates import kept
 DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
 BATCHES = (1024, 16384)
 LANES_OF = {"one lane": 1, "many lanes": LANES}
-TOLERANCE = 1e-3  # tip error in parts of the reach
-RUNS, SECONDS = 150, 1.5  # of each measurement; short runs find the moments when nothing disturbs
-STARTS = 5  # of a process, with a cache and without
-CHAINS, ROUNDS = 12, 200  # a vector register each: 12 of 16 are on the way
-WIDTHS = 4, 8  # of vector registers: AVX2, AVX-512
+TOLERANCE = 1e-3  # tip error over the reach
+RUNS, SECONDS = 150, 1.5  # per measurement; short runs find moments without other load
+STARTS = 5  # process starts with a cache, and without
+CHAINS, ROUNDS = 12, 200  # each chain takes a vector register: 12 of 16 are in use
+WIDTHS = 4, 8  # float64 numbers per vector register: AVX2, AVX-512
 
 
 class Timing(NamedTuple):
-    """Time of one call [s]: what to expect, and what the machine can do when left alone."""
+    """Median time of a call [s], and the best, which has no other load on the machine."""
 
     median: float
     best: float
@@ -62,25 +62,25 @@ class Timing(NamedTuple):
 
 
 def timed(call: Callable[[], Any]) -> Timing:
-    """Many runs of several calls."""
+    """Time one call over many runs."""
     return timed_in_turn({"": call})[""]
 
 
 def timed_in_turn(calls: Mapping[str, Callable[[], Any]]) -> dict[str, Timing]:
-    """A run of each in turn, many times: what disturbs for seconds falls on all."""
-    often: dict[str, int] = {}
+    """Time the calls in turn, many times, so that a disturbance of seconds affects all."""
+    repeats: dict[str, int] = {}
     times: dict[str, list[float]] = {name: [] for name in calls}
     for name, call in calls.items():
         call()
-        often[name] = max(1, int(SECONDS / RUNS / max(_seconds(call, 1), 1e-7)))
+        repeats[name] = max(1, int(SECONDS / RUNS / max(_seconds(call, 1), 1e-7)))
     for _ in range(RUNS):
         for name, call in calls.items():
-            times[name].append(_seconds(call, often[name]))
+            times[name].append(_seconds(call, repeats[name]))
     return {name: Timing(statistics.median(found), min(found)) for name, found in times.items()}
 
 
 def rates(calls: Mapping[str, tuple[Callable[[], Any], float]]) -> dict[str, dict[str, float]]:
-    """Amounts per second of calls that do so much each, timed in turn."""
+    """Amounts per second of (call, amount done by the call), timed in turn."""
     found = timed_in_turn({name: call for name, (call, _) in calls.items()})
     return {name: found[name].per(amount) for name, (_, amount) in calls.items()}
 
@@ -93,14 +93,14 @@ def _seconds(call: Callable[[], Any], times: int) -> float:
 
 
 def multiply_adds(width: int) -> tuple[Callable[[], Any], float]:
-    """A call that does independent chains of fused multiply-adds, and how many operations."""
+    """A call that evaluates independent chains of multiply-adds, and its number of operations."""
     code = Code()
     factor, term, *chains = (code.load(slot) for slot in range(2 + CHAINS))
     for _ in range(ROUNDS):
         chains = [code.emit("+", code.emit("*", x, factor), term) for x in chains]
     rounds = written("rounds", code, dict(enumerate(chains, 2)))
     text = "\n".join([
-        "from dynamics.backends.numba_llvm.vector_code import straight_line",
+        "from dynamics.backends.numba_llvm.lanes import straight_line",
         "from dynamics.runtime.jit import outermost",
         f"LANES = {width}",
         straight_line_text(rounds),
@@ -116,7 +116,7 @@ def multiply_adds(width: int) -> tuple[Callable[[], Any], float]:
 
 
 def right_hand_sides() -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
-    """The peak [FLOP/s] of one core; by arm, ns per environment and share of the peak."""
+    """Peak of one core [FLOP/s]; and per arm ns per environment and share of the peak."""
     peaks = {f"{width} numbers": multiply_adds(width) for width in WIDTHS}
     calls, counts, often = dict(peaks), dict[str, int](), 1000
     for arm in DEFAULT_ARMS.values():
@@ -134,7 +134,7 @@ def right_hand_sides() -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
         for name in LANES_OF:
             rate = found[arm + name]
             if rate["best"] > peak["best"]:
-                raise RuntimeError(f"{arm}, {name}, ran faster than what was measured as the peak.")
+                raise RuntimeError(f"{arm}, {name}, ran faster than the measured peak.")
             row[f"rhs {name} [ns]"] = {key: 1e9 * operations / x for key, x in rate.items()}
             row[f"share of peak, {name}"] = {key: x / peak[key] for key, x in rate.items()}
         rows[arm] = row
@@ -142,7 +142,7 @@ def right_hand_sides() -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
 
 
 def compile_seconds(arm: str) -> dict[str, dict[str, float]]:
-    """First batched step in a fresh process: without a cache, then with it."""
+    """Time to the first batched step in a fresh process, without and with a cache."""
     code = (
         "import time; t = time.perf_counter()\n"
         "from dynamics import Stepper, compile_arm\n"
@@ -186,7 +186,7 @@ def env_steps(family: str) -> dict[str, Any]:
 
 
 def interface_microseconds(env_id: str) -> dict[str, float]:
-    """What a call of a batch costs beside its compiled work, which is left out here."""
+    """Time of a batch's step without its compiled work, which is skipped here [us]."""
     batch = cast(FlexArmVectorEnv, gym.make_vec(env_id, num_envs=LANES))
     batch.reset(seed=0)
     batch.core.shares[STOP] = 0
@@ -194,7 +194,7 @@ def interface_microseconds(env_id: str) -> dict[str, float]:
 
 
 def errors(env_id: str) -> dict[str, float]:
-    """Tip errors of what is timed, as kept with the environment, in parts of the reach."""
+    """Stored tip errors of the environment that is timed, over the reach."""
     core = cast(Any, gym.make(env_id).unwrapped).core
     entry = kept(core.arm, core.control_dt)
     assert entry is not None
@@ -205,9 +205,9 @@ def errors(env_id: str) -> dict[str, float]:
 
 
 def within_tolerance(env_id: str, tolerance: float, most_links: float) -> dict[str, Any]:
-    """The same environment with the cheapest model and step of that error in all, at full torque.
+    """Step rate with the cheapest model and step whose total error is within the tolerance.
 
-    `tolerance` is in parts of the reach; an arm of more links is not tried.
+    `tolerance` is a tip error over the reach, at full torque. Arms of more links are not tried.
     """
     bare = cast(Any, gym.make(env_id).unwrapped)
     size, name = BATCHES[-1], f"within {tolerance:g} of the reach in all"
@@ -229,7 +229,7 @@ def within_tolerance(env_id: str, tolerance: float, most_links: float) -> dict[s
 
 
 def physics_steps(family: str) -> dict[str, Any]:
-    """Control steps per second of the stepper alone, as the environment configures it."""
+    """Control steps per second of the stepper alone, with the environment's settings."""
     bare: Any = gym.make(f"FlexArm/{family}-Reach-v0").unwrapped
     core = bare.core
     calls = {}
@@ -245,9 +245,9 @@ def physics_steps(family: str) -> dict[str, Any]:
 
 def main() -> None:
     """Measure, print a table, and write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argument_parser("speed", __doc__)
     parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
-    parser.add_argument("--thorough", action="store_true", help="choose a model of six links, too")
+    parser.add_argument("--thorough", action="store_true", help="also choose a model of six links")
     options = parser.parse_args()
     most_links = math.inf if options.thorough else 2
     peak, rows = right_hand_sides()
@@ -267,13 +267,13 @@ def main() -> None:
             **within_tolerance(f"FlexArm/{family}-Reach-v0", TOLERANCE, most_links),
             **compile_seconds(arm),
         }
-    text = table(results)
+    text = page(results)
     print(text)
     save_results(results, text, options.out)
 
 
-def table(results: dict[str, Any]) -> str:
-    """The results as a page."""
+def page(results: dict[str, Any]) -> str:
+    """The results as Markdown."""
     machine = results["machine"]
     peak = machine["peak, one core [GFLOP/s]"]
     lines = [
@@ -285,13 +285,15 @@ def table(results: dict[str, Any]) -> str:
         "much, the machine had other work.\n",
         f"Two busy processes side by side had {machine['cores in fact']:.2f} cores: where that is "
         "near one, the two-thread figures say nothing of threads.\n",
-        "| | " + " | ".join(DEFAULT_ARMS) + " |",
-        "|---|" + "---:|" * len(DEFAULT_ARMS),
+        table(
+            ["", *DEFAULT_ARMS],
+            [
+                [key, *(_text(results[family][key]) for family in DEFAULT_ARMS)]
+                for key in results["OneLink"]
+            ],
+            "lr",
+        ),
     ]
-    for key in results["OneLink"]:
-        cells = [results[family][key] for family in DEFAULT_ARMS]
-        texts = [_text(c) for c in cells]
-        lines.append(f"| {key} | " + " | ".join(texts) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -302,7 +304,7 @@ def _text(cell: Any) -> str:
 
 
 def spin(seconds: float) -> float:
-    """Work done in this time by one process [loops]."""
+    """Number of loops that this process runs in the given time [s]."""
     loops, end = 0, time.perf_counter() + seconds
     while time.perf_counter() < end:
         loops += 1
@@ -310,7 +312,7 @@ def spin(seconds: float) -> float:
 
 
 def cores_in_fact() -> float:
-    """How much more two processes do than one, at the same time: 2 on two free cores."""
+    """Work of two simultaneous processes over that of one: 2 on two free cores."""
     with multiprocessing.get_context("spawn").Pool(2) as pool:
         pool.map(spin, [0.1, 0.1])
         alone = pool.map(spin, [1.0])[0]

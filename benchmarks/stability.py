@@ -1,11 +1,11 @@
-"""Where methods and models fail: predicted beside observed boundaries, failing cells kept.
+"""Stability maps of methods and models: predicted and observed boundaries.
 
     python -m benchmarks.stability [--quick] [--out FILE] [--images FOLDER]
 
-Every map is a grid of environments stepped in one batch. `--quick` takes a coarser grid.
+Every map is a grid of environments stepped in one batch; failed cells are kept in the results.
+`--quick` uses a coarser grid.
 """
 
-import argparse
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,18 +21,20 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from benchmarks.output import RESULTS, save_figure
+from benchmarks.output import RESULTS, argument_parser, provenance, save_figure
 from dynamics import Arm, Joint, Link, Mode, Model, Payload, Stepper, compile_arm
 from dynamics.formulations.linearized import linear_arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.simulation.step_limits import GROWS, amplification
 from dynamics.types import Array
 
-GROWTH = 10.0  # [-] an amplitude that grows by more than this has left
-HELD = 1e6  # [kg m^2] a rotor that no link can move: the joint turns at a given rate
+GROWTH = 10.0  # [-] an amplitude that grows by more than this factor is unstable
+HEAVY = 1e6  # [kg m^2] a rotor that no link can move: the joint keeps its rate
 
 
-def beam(count: int = 1, *, kind: str = "clamped-free", rotor: float = HELD, **changes: Any) -> Arm:
+def beam(
+    count: int = 1, *, kind: str = "clamped-free", rotor: float = HEAVY, **changes: Any
+) -> Arm:
     """One planar link of unit length, mass per length and stiffness."""
     modes = tuple(Mode(kind=kind, index=k + 1, direction="y") for k in range(count))
     link = Link(
@@ -43,10 +45,10 @@ def beam(count: int = 1, *, kind: str = "clamped-free", rotor: float = HELD, **c
 
 
 def method_map(integrator: str, cells: int) -> dict[str, Any]:
-    """Step times frequency against damping ratio, on one mode of a held beam.
+    """Stability over step times frequency and damping ratio, for one mode of a clamped beam.
 
-    Stiffness and damping are free parameters: the exponential step's frozen mode is the nominal
-    one, right only where step times frequency is one.
+    Stiffness and damping are free parameters. The exponential step freezes the nominal mode, so it
+    is exact only where step times frequency is one.
     """
     model = compile_arm(beam(damping_ratio=1.0), free_parameters=("stiffness", "damping"))
     omega = float(model.frequencies()[0])
@@ -75,7 +77,7 @@ def method_map(integrator: str, cells: int) -> dict[str, Any]:
 
 
 def spin_map(foreshortening: bool, cells: int) -> dict[str, Any]:
-    """Spin rate against stiffness: the linear model's false instability at Omega = omega_1."""
+    """Stability over spin rate and stiffness: the linear model fails from Omega = omega_1 on."""
     arm = beam()
     arm = Arm(links=arm.links, foreshortening=foreshortening)
     model = compile_arm(arm, free_parameters=("stiffness",))
@@ -97,7 +99,7 @@ def spin_map(foreshortening: bool, cells: int) -> dict[str, Any]:
 
 
 def grows(stepper: Stepper, calls: int, limit: float = GROWTH) -> NDArray[np.bool_]:
-    """Which environments' first modal amplitude outgrows its start, or leaves the numbers."""
+    """(n_env,) whether the first modal amplitude exceeds `limit` times its start, or diverges."""
     start = np.abs(stepper.q[:, 1])
     failed = np.zeros(stepper.n_env, dtype=bool)
     for _ in range(calls):
@@ -107,8 +109,8 @@ def grows(stepper: Stepper, calls: int, limit: float = GROWTH) -> NDArray[np.boo
 
 
 def shape_map() -> dict[str, Any]:
-    """Error of the first joint-free frequency: shapes and their number against hub inertia."""
-    hubs = np.logspace(-4, 1, 26)  # rotor inertia over that of the beam about its joint
+    """Error of the first joint-free frequency over hub inertia, by kind and number of shapes."""
+    hubs = np.logspace(-4, 1, 26)  # rotor inertia over the beam's inertia about its joint
     kinds = ("clamped-free", "pinned-free", "poly")
     counts = range(1, 5)
     errors = {}
@@ -127,7 +129,7 @@ def first_free(arm: Arm) -> float:
     return float(Model(arm).frequencies(joints="free")[0])
 
 
-TORQUES: dict[str, Callable[[Array], Array]] = {  # of time over the duration; all with mean one
+TORQUES: dict[str, Callable[[Array], Array]] = {  # of time over duration; all have mean one
     "step": lambda x: np.where(x < 1.0, 1.0, 0.0),
     "ramp": lambda x: np.where(x < 1.0, 2.0 * x, 0.0),
     "cycloid": lambda x: np.where(x < 1.0, 1.0 - np.cos(2.0 * np.pi * x), 0.0),
@@ -135,7 +137,7 @@ TORQUES: dict[str, Callable[[Array], Array]] = {  # of time over the duration; a
 
 
 def torque_map(cells: int) -> dict[str, Any]:
-    """Tip error against step for each method and type of torque: is stability a matter of type?"""
+    """Tip error over step for every method and torque signal, to show if the signal matters."""
     model = compile_arm(beam(3, rotor=0.05))
     fastest = float(model.frequencies(joints="free").max())
     duration = 4.0 * np.pi / float(model.frequencies(joints="free")[0])
@@ -155,7 +157,7 @@ def torque_map(cells: int) -> dict[str, Any]:
 def driven(
     model: Model, signal: Callable[[Array], Array], duration: float, dt: float, integrator: str
 ) -> Array:
-    """Tip after a torque of twice the duration's length; NaN if it diverged."""
+    """Tip at twice the torque's duration (3,) [m]; NaN if the motion diverged."""
     count = 2 * int(np.ceil(duration / dt))  # even: a step ends where the torque does
     stepper = Stepper(model, 1, dt=2.0 * duration / count, substeps=1, integrator=integrator)
     middles = np.linspace(0.0, 2.0, count, endpoint=False) + 1.0 / count
@@ -168,7 +170,7 @@ def driven(
 
 
 def loop_map(payload: float, cells: int, period: float = 1e-3) -> dict[str, Any]:
-    """Joint PD with delayed measurements on the SLIM arm: delay against gain, at one payload."""
+    """Stability of joint PD with delayed measurements on SLIM, over delay and gain."""
     model = compile_arm("slim", free_parameters=("payload_mass",))
     loaded = Arm(links=model.arm.links, payload=Payload(mass=payload) if payload else None)
     delays = np.unique(np.linspace(0, 40, cells).astype(int))  # control periods
@@ -184,16 +186,16 @@ def loop_map(payload: float, cells: int, period: float = 1e-3) -> dict[str, Any]
     stepper.q[:, 0] = 1e-3
     history = np.zeros((int(delays.max()) + 1, grid_delay.size, 2))
     history[:, :, 0] = 1e-3
-    rows, late = np.arange(grid_delay.size), grid_delay.ravel().astype(int)
+    rows, lag = np.arange(grid_delay.size), grid_delay.ravel().astype(int)
     failed = np.zeros(grid_delay.size, dtype=bool)
     for k in range(int(20.0 / period)):
         history[k % len(history)] = np.stack([stepper.q[:, 0], stepper.v[:, 0]], axis=1)
-        seen = history[(k - late) % len(history), rows]
-        stepper.torque[:, 0] = -kp * seen[:, 0] - kd * seen[:, 1]
+        measured = history[(k - lag) % len(history), rows]
+        stepper.torque[:, 0] = -kp * measured[:, 0] - kd * measured[:, 1]
         stepper.advance()
         failed |= (stepper.status != 0) | (np.abs(stepper.q[:, 0]) > 1e-3 * GROWTH)
         stepper.q[failed], stepper.v[failed] = 0.0, 0.0
-    predicted = [delayed_radius(step, p, d, n) > 1.0 for p, d, n in zip(kp, kd, late, strict=True)]
+    predicted = [delayed_radius(step, p, d, n) > 1.0 for p, d, n in zip(kp, kd, lag, strict=True)]
     return {
         "x": (delays * period * 1e3).tolist(), "y": bandwidths.tolist(),
         "failed": failed.reshape(grid_delay.shape).tolist(),
@@ -204,9 +206,9 @@ def loop_map(payload: float, cells: int, period: float = 1e-3) -> dict[str, Any]
 
 
 def delayed_radius(step: Array, kp: float, kd: float, delay: int) -> float:
-    """Spectral radius of the sampled linear loop, torques on their way as extra states.
+    """Spectral radius of the sampled linear loop, with delayed torques as extra states.
 
-    `step` (n + 1, n + 1) takes state and torque over one period.
+    `step` (n + 1, n + 1) maps state and torque to those one period later.
     """
     n = step.shape[0] - 1
     A, b = step[:n, :n], step[:n, n:]
@@ -227,7 +229,7 @@ def delayed_radius(step: Array, kp: float, kd: float, delay: int) -> float:
 
 
 def draw_maps(maps: list[dict[str, Any]], path: Path) -> None:
-    """Failing cells, and the predicted boundary as a line."""
+    """Draw the failed cells of every map, and the predicted boundary as a line."""
     columns = min(4, len(maps))
     rows = -(-len(maps) // columns)
     figure, axes = plt.subplots(
@@ -254,7 +256,7 @@ def draw_maps(maps: list[dict[str, Any]], path: Path) -> None:
 def draw_lines(
     data: dict[str, Any], x: str, labels: tuple[str, str], kinds: tuple[str, str], path: Path
 ) -> None:
-    """One line per row of errors: the first of its kinds by colour, the second by dashes."""
+    """Draw a line per row of errors, named "KIND, KIND": first kind by colour, second by dashes."""
     figure, axis = plt.subplots(figsize=(9.0, 4.5), layout="constrained")
     groups, rows = (sorted({name.split(", ")[k] for name in data["error"]}) for k in (0, 1))
     colours = {group: f"C{k}" for k, group in enumerate(groups)}
@@ -272,8 +274,8 @@ def draw_lines(
 
 
 def main() -> None:
-    """Make all maps, print how well they were predicted, write JSON and pictures."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    """Compute all maps, print their agreement with prediction, write JSON and pictures."""
+    parser = argument_parser("stability", __doc__)
     parser.add_argument("--quick", action="store_true", help="a coarser grid")
     parser.add_argument("--out", type=Path, default=RESULTS / "stability.json")
     parser.add_argument("--images", type=Path, default=RESULTS)
@@ -303,8 +305,9 @@ def main() -> None:
         torques, "step", ("step x highest frequency [-]", "tip error [m]"),
         ("method", "torque"), options.images / "stability_torques",
     )  # fmt: skip
-    everything = {"maps": maps, "shapes": shapes, "torques": torques}
-    options.out.write_text(json.dumps(everything).replace("NaN", "null") + "\n")
+    results = provenance("numpy", "scipy", "numba", "casadi")
+    results |= {"maps": maps, "shapes": shapes, "torques": torques}
+    options.out.write_text(json.dumps(results).replace("NaN", "null") + "\n")
 
 
 if __name__ == "__main__":

@@ -2,15 +2,13 @@
 
     python -m benchmarks.training --config configs/one_link_reach_ppo.yaml --seeds 0 1 2 3 4
 
-writes docs/results/NAME.json, NAME.md and NAME.png (learning curves); with --gif also NAME.gif
-(the first seed beside joint PD); and experiments.md, an overview of every experiment so far. The
-tables in the documentation come from here.
+Writes docs/results/NAME.json, NAME.md and NAME.png (learning curves), with --gif also NAME.gif (the
+first seed and joint PD), and experiments.md, an overview of all stored experiments. The tables in
+the documentation are made here.
 """
 
-import argparse
 import json
 import math
-import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -36,9 +34,9 @@ from agents.metrics import (
 from agents.policy import Controller, load_policy
 from agents.run_folder.folder import RunFolder, versions
 from agents.training import learn
-from benchmarks.output import RESULTS
+from benchmarks.output import RESULTS, argument_parser, command, table
 
-# At most these shares of joint PD's medians to win, and the same in words.
+# A policy wins if its medians are at most these shares of joint PD's; the rules state it in words.
 SETTLING = {"settling_time": 1.0 / 3.0, "residual_vibration": 1.0 / 10.0}
 FOLLOWING = {"tip_error_rms": 1.0 / 3.0}
 SETTLING_RULE = """\
@@ -47,8 +45,8 @@ vibration and no lower success rate; that joint PD acts at the policy's control 
 FOLLOWING_RULE = """\
 "Wins" means: follows with at most a third of joint PD's RMS tip error and no lower success rate;
 that joint PD acts at the policy's control rate."""
-SMALLEST = 0.001  # printed as "less than" below this
-FASTER = 4  # joint PD is also shown at this multiple of the control rate; it is not the yardstick
+SMALLEST = 0.001  # smaller values are printed as "< 0.001"
+FASTER = 4  # joint PD is also shown at this multiple of the control rate, without a verdict
 COLUMNS = {  # metric: (header, factor, format)
     "success_rate": ("success [%]", 100.0, ".0f"),
     "settling_time": ("settling [s]", 1.0, ".2f"),
@@ -63,10 +61,10 @@ COLUMNS = {  # metric: (header, factor, format)
 def verdict(
     policy: Mapping[str, float], pd: Mapping[str, float], following: bool
 ) -> dict[str, Any]:
-    """How the policy stands against joint PD; `passed` if it wins on every count.
+    """Shares of joint PD's medians, and whether the policy wins on every count (`passed`).
 
-    An arm that follows a moving target neither settles nor stops bending: there its RMS tip error
-    counts instead.
+    With a moving target (`following`) the arm neither settles nor stops bending, so the RMS tip
+    error is compared instead of settling time and residual vibration.
     """
     limits = FOLLOWING if following else SETTLING
     shares = {name: policy[name] / pd[name] for name in limits}
@@ -75,7 +73,7 @@ def verdict(
 
 
 def run_seed(config: Config, folder: Path) -> tuple[RunFolder, float]:
-    """Train one seed; returns its folder and the seconds it took, compiling not included."""
+    """Train one seed; returns its run and the training time [s], compiling not included."""
     folder.mkdir(parents=True)
     run = RunFolder(folder)
     begin = time.monotonic()
@@ -84,7 +82,7 @@ def run_seed(config: Config, folder: Path) -> tuple[RunFolder, float]:
 
 
 def faster_pd(env_id: str, kwargs: Mapping[str, Any], tasks: Sequence[int]) -> dict[str, float]:
-    """Joint PD with its own best gains at a multiple of the policy's control rate."""
+    """Summary of joint PD at FASTER times the control rate, with the best gains for that rate."""
     env = make_batch(env_id, 1, kwargs)
     control_dt = env.unwrapped.control_dt / FASTER
     env.close()
@@ -100,7 +98,7 @@ def faster_pd(env_id: str, kwargs: Mapping[str, Any], tasks: Sequence[int]) -> d
 
 
 def cells(summary: Mapping[str, float]) -> list[str]:
-    """One row of the table."""
+    """Texts of the summary's COLUMNS."""
     texts = []
     for name, (_, factor, style) in COLUMNS.items():
         value = factor * summary[name]
@@ -111,17 +109,16 @@ def cells(summary: Mapping[str, float]) -> list[str]:
     return texts
 
 
-def table(data: Mapping[str, Any]) -> str:
-    """The page: what was run, every seed, the references, the verdict."""
+def page(data: Mapping[str, Any]) -> str:
+    """Markdown page of one experiment: setting, every seed, the references, the verdict."""
     header = ["run", *(h for h, _, _ in COLUMNS.values()), "steps", "training [s]", "verdict"]
-    lines = [" | ".join(header), " | ".join(["---"] + ["---:"] * (len(header) - 1))]
+    rows = []
     for run in data["runs"]:
         mark = "wins" if run["verdict"]["passed"] else "does not win"
         steps, seconds = f"{run['steps']:,}", f"{run['seconds']:.0f}"
-        row = [f"seed {run['seed']}", *cells(run["summary"]), steps, seconds, mark]
-        lines.append(" | ".join(row))
+        rows.append([f"seed {run['seed']}", *cells(run["summary"]), steps, seconds, mark])
     for name, summary in data["references"].items():
-        lines.append(" | ".join([name, *cells(summary), "", "", ""]))
+        rows.append([name, *cells(summary), "", "", ""])
     passed = sum(run["verdict"]["passed"] for run in data["runs"])
     ranges = {
         name: sorted(number(run["verdict"]["shares"][name]) for run in data["runs"])
@@ -129,7 +126,6 @@ def table(data: Mapping[str, Any]) -> str:
     }
     shares = ", ".join(f"{name} {v[0]:.2g} to {v[-1]:.2g}" for name, v in ranges.items())
     rule = FOLLOWING_RULE if data["task"] == "Track" else SETTLING_RULE
-    rows = "\n".join(f"| {line} |" for line in lines)
     return f"""# {data["name"]}
 
 Made by `{data["command"]}`.
@@ -140,7 +136,7 @@ best gains of a grid of {data["pd"]["pairs"]} pairs (frequency ratio
 {data["pd"]["frequency_ratio"]:.3g}, damping ratio {data["pd"]["damping_ratio"]:.3g}), chosen on
 other tasks.
 
-{rows}
+{table(header, rows, "lr")}
 
 {rule}
 {passed} of {len(data["runs"])} win. Shares of joint PD's value: {shares}.
@@ -152,47 +148,44 @@ other tasks.
 
 
 def number(value: float | None) -> float:
-    """A number read from JSON, where null stands for infinity; what is undefined counts so too."""
+    """A number read from JSON; null (an infinite value) and NaN become infinity."""
     return math.inf if value is None or math.isnan(value) else float(value)
 
 
 def overview(out: Path) -> str:
-    """One line per experiment from the JSON files in the folder."""
-    lines = []
+    """Markdown page with all experiments whose JSON files are in the folder."""
+    rows = []
     for path in sorted(out.glob("*.json")):
         data = json.loads(path.read_text(encoding="utf-8"))
         if "references" not in data or "runs" not in data:
             continue
-        summaries = [run["summary"] for run in data["runs"]]
-        rows = [median_of(summaries), *data["references"].values()]
-        names = [f"{len(summaries)} seeds" if len(summaries) > 1 else "1 seed"]
-        names += list(data["references"])
+        seeds = [run["summary"] for run in data["runs"]]
+        own = f"{len(seeds)} seeds" if len(seeds) > 1 else "1 seed"
+        summaries = {own: median_of(seeds), **data["references"]}
         steps, seconds = data["runs"][0]["steps"], data["runs"][0]["seconds"]
         first = f"[{data['name']}]({data['name']}.md), {steps / 1e6:.2g} M steps, {seconds:.0f} s"
-        for name, row in zip(names, rows, strict=True):
-            numbers = {k: number(v) for k, v in row.items()}
-            lines.append(" | ".join([first, name, *cells(numbers)]))
+        for name, summary in summaries.items():
+            numbers = {k: number(v) for k, v in summary.items()}
+            rows.append([first, name, *cells(numbers)])
             first = ""
     header = ["experiment", "controller", *(h for h, _, _ in COLUMNS.values())]
-    rule = ["---", "---"] + ["---:"] * len(COLUMNS)
-    table = "\n".join(f"| {line} |" for line in [" | ".join(header), " | ".join(rule), *lines])
     return f"""# Experiments
 
 Medians over 100 episodes (and over seeds), made by `python -m benchmarks.training`; details behind
 each name. Joint PD has the best gains of a grid and acts at the policy's control rate. On a light
-hub that rate, not the law, is what holds it back, so it is also shown at {FASTER} times the rate.
+hub that rate limits it, not the control law, so it is also shown at {FASTER} times the rate.
 
-{table}
+{table(header, rows, "llr")}
 """
 
 
 def median_of(summaries: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
-    """Median over seeds of every metric; null counts as infinite."""
+    """Median over seeds of every metric, with null as infinity."""
     return {name: median(number(s[name]) for s in summaries) for name in summaries[0]}
 
 
 def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: bool) -> None:
-    """Train, judge, write."""
+    """Train all seeds, evaluate every policy and the references, write JSON, pages and pictures."""
     env_id, kwargs = config.env.id, config.env.make_kwargs
     episodes, first = config.evaluation.episodes, config.evaluation.seed
     tuned = tune_pd(env_id, kwargs)
@@ -229,7 +222,7 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
     envs.close()
     data = {
         "name": config.name,
-        "command": "python -m benchmarks.training " + " ".join(sys.argv[1:]),
+        "command": command(),
         "env": env_id,
         "task": task,
         "episodes": episodes,
@@ -254,7 +247,7 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
     }
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / f"{config.name}.json", data)
-    text = table(data)
+    text = page(data)
     (out / f"{config.name}.md").write_text(text, encoding="utf-8")
     plot_learning_curve(out / f"{config.name}.png", curves)
     shown = {f"policy, seed {seeds[0]}": recordings[f"seed {seeds[0]}"]}
@@ -271,13 +264,13 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--config", type=Path, required=True)
+    parser = argument_parser("training", __doc__)
+    parser.add_argument("--config", type=Path, required=True, help="experiment file")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    parser.add_argument("--steps", type=int, help="instead of the experiment's total_steps")
+    parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
     parser.add_argument("--out", type=Path, default=RESULTS)
-    parser.add_argument("--keep", type=Path, help="folder to keep the runs in")
-    parser.add_argument("--gif", action="store_true", help="film the first seed beside joint PD")
+    parser.add_argument("--keep", type=Path, help="folder that keeps the runs")
+    parser.add_argument("--gif", action="store_true", help="film the first seed and joint PD")
     a = parser.parse_args()
     config = load_config(a.config)
     if a.steps is not None:

@@ -1,9 +1,10 @@
-"""Numbers of the presets that no source gives, tuned to frequencies that one does.
+"""Tune the presets' unpublished parameters to published frequencies, and print them.
 
     python -m benchmarks.tune_presets
 
-Prints what stands in `dynamics/arms`, to its digits. A frequency grows with the root of EI, so
-that one correction settles it; where more is tuned, least squares do.
+Prints the tuned values of `dynamics/arms/presets`, with the digits given there. A frequency grows
+with the square root of EI, so one correction of EI is exact; several parameters are tuned by least
+squares.
 """
 
 from dataclasses import replace
@@ -13,15 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from benchmarks.output import argument_parser
 from dynamics import ARMS, Arm
 from dynamics.arms.measures import alone, hertz
 
-SLIM = {1: 2.096, 2: 13.989, 4: 81.225, 5: 136.352}  # [Hz] held, printed
-SHUTTLE = (0.35, 0.46, 3.554, 4.228)  # [Hz] straight, held, unloaded
+SLIM = {1: 2.096, 2: 13.989, 4: 81.225, 5: 136.352}  # [Hz] by mode, joint locked, printed
+SHUTTLE = (0.35, 0.46, 3.554, 4.228)  # [Hz] straight, joints locked, unloaded
 
 
 def tuned_slim() -> tuple[float, float, float]:
-    """[kg/m] rho_A, [kg] tip mass, [kg m^2] tip inertia of SLIM: four printed frequencies, held."""
+    """rho_A [kg/m], tip mass [kg], tip inertia [kg m^2] of SLIM, from four locked frequencies."""
     (link,) = ARMS["slim"].links
     first = np.array([link.rho_A, link.tip_mass, link.tip_inertia[2][2]])
 
@@ -38,29 +40,29 @@ def tuned_slim() -> tuple[float, float, float]:
 
 
 def tuned_ruler() -> float:
-    """[N m^2] EI of the rotary flexible link: 3.0 Hz clamped."""
+    """EI [N m^2] of the rotary flexible link, from 3.0 Hz clamped."""
     (link,) = ARMS["quanser-rotary-flexible-link"].links
     return (link.EIz or 0.0) * (3.0 / hertz(alone(Arm(links=(link,)), 0, 6))[0]) ** 2
 
 
 def tuned_forearm() -> float:
-    """[N m^2] EI of the flexible forearm: 4.716 Hz on its free joint."""
+    """EI [N m^2] of the flexible forearm, from 4.716 Hz with its joint free."""
     arm = ARMS["sapienza-forearm"]
     found = hertz(alone(arm, 1, 8, "pinned-free"), "free")[0]
     return (arm.links[1].EIz or 0.0) * (4.716 / found) ** 2
 
 
 def tuned_large_arm() -> float:
-    """[N m^2] EI of both links of the arm like RALF: 6.37 Hz held, elbow at 90 degrees."""
+    """EI [N m^2] of both links of `ralf-like`, from 6.37 Hz, joints locked, elbow at 90 degrees."""
     arm = ARMS["ralf-like"]
     found = hertz(arm, angles=(0.0, 0.5 * pi))[0]
     return (arm.links[0].EIz or 0.0) * (6.37 / found) ** 2
 
 
 def tuned_shuttle() -> tuple[float, ...]:
-    """[N m^2] EI of both booms, [N m/rad] springs of yaw, pitch, elbow: the arm like the Shuttle's.
+    """EI [N m^2] of both booms and springs [N m/rad] of yaw, pitch, elbow of `srms-like`.
 
-    Four frequencies, straight, held and unloaded.
+    Tuned to four frequencies of the straight, unloaded arm with locked joints.
     """
     arm = ARMS["srms-like"]
     EI = arm.links[1].EIz or 0.0
@@ -82,7 +84,9 @@ def _shuttle(arm: Arm, EI: float, *springs: float) -> Arm:
     return replace(arm, links=tuple(links))
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Tune all presets and print the values."""
+    argument_parser("tune_presets", __doc__).parse_args()
     rho_A, mass, inertia = tuned_slim()
     print(f"slim                          rho_A {rho_A:.5f} kg/m, tip {mass:.5f} kg, "
           f"{inertia:.3g} kg m^2")  # fmt: skip
@@ -92,3 +96,7 @@ if __name__ == "__main__":
     EI, *springs = tuned_shuttle()
     print(f"srms-like                     EI tuned {EI:.5g} N m^2")
     print(f"  springs of yaw, pitch, elbow {', '.join(f'{k:.5g}' for k in springs)} N m/rad")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,8 +1,9 @@
-"""Dynamics of robot arms whose links bend; SI units throughout.
+"""Dynamics of robot arms with flexible links, in SI units.
 
-An `Arm` describes links, joints and modes; `load_arm` reads one from a preset's name, a file or a
-dict; `compile_arm` makes the `Model` that answers questions, `simulate` follows it through time and
-a `Stepper` steps many at once. The physics knows nothing of environments or learning.
+An `Arm` describes links, joints and modes. `load_arm` returns one from a preset's name, a file or a
+dict. `compile_arm` makes a `Model`, which evaluates the equations of motion and related quantities.
+`simulate` integrates a motion, and a `Stepper` steps a batch of arms. This package does not depend
+on the environments or on learning.
 """
 
 from importlib import import_module

@@ -1,24 +1,63 @@
-"""Evaluate an arm file without a window: `python -m dynamics evaluate CASE.json [--out FILE]`."""
+"""Arms without a window.
+
+python -m dynamics evaluate CASE.json [--out FILE]   # M, h, accelerations, motion
+python -m dynamics list                              # the preset arms
+python -m dynamics source ARM [--env ID]             # the generated module of an arm
+"""
 
 import argparse
 import json
 import os
 import sys
 import warnings
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dynamics.arms import ARMS
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.load import load_arm
 from dynamics.simulation.case_file import Case, Motion, load_case
 
+SOURCES = "flexarm.sources"  # entry points of packages that generate modules of their own
 BAD_INPUT = 2  # exit status: the file cannot be evaluated as it stands
 DIVERGED = 3  # exit status: the motion left the finite numbers
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns the exit status."""
+    options = _parser().parse_args(arguments)
+    try:
+        if options.command == "evaluate":
+            return _evaluate(options.case, options.out)
+        print(listing() if options.command == "list" else source(options))
+    except BrokenPipeError:  # the reader of a pipe, such as `head`, has gone
+        sys.stdout = None
+    except (ValueError, OSError) as error:
+        return _fail(error, BAD_INPUT)
+    return 0
+
+
+def _evaluate(path: Path, out: Path | None) -> int:
+    if out is not None:
+        check_target(out)
+    case = load_case(path)
+    from dynamics.simulation.simulate import Diverged
+
+    try:
+        text = _json(evaluate(case))
+    except Diverged as error:
+        return _fail(error, DIVERGED)
+    if out is None:
+        print(text)
+    else:
+        write(out, text)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m dynamics", description="Arms with flexible links, without a window."
     )
@@ -29,29 +68,16 @@ def main(arguments: list[str] | None = None) -> int:
     evaluation.add_argument("case", type=Path, metavar="CASE", help="arm file (.json, .yaml)")
     evaluation.add_argument("--out", type=Path, metavar="FILE", help="instead of standard output")
     commands.add_parser("list", help="the preset arms")
-    options = parser.parse_args(arguments)
-    if options.command == "list":
-        print(listing())
-        return 0
-    try:
-        if options.out is not None:
-            check_target(options.out)
-        case = load_case(options.case)
-    except ValueError as error:
-        return _fail(error, BAD_INPUT)
-    from dynamics.simulation.simulate import Diverged
-
-    try:
-        text = _json(evaluate(case))
-        if options.out is None:
-            print(text)
-        else:
-            write(options.out, text)
-    except Diverged as error:
-        return _fail(error, DIVERGED)
-    except (ValueError, OSError) as error:
-        return _fail(error, BAD_INPUT)
-    return 0
+    printing = commands.add_parser("source", help="the generated module of an arm, as text")
+    printing.add_argument("arm", metavar="ARM", help="a preset's name or an arm file")
+    printing.add_argument("--env", metavar="ID", help="with the control step of this environment")
+    printing.add_argument(
+        "--integrator", choices=INTEGRATORS, default="rk4", help="without --env (default: rk4)"
+    )
+    printing.add_argument(
+        "--lanes", type=int, choices=(1, 16), default=16, help="environments side by side"
+    )
+    return parser
 
 
 def listing() -> str:
@@ -65,8 +91,28 @@ def listing() -> str:
     return "\n".join(rows)
 
 
+def source(options: argparse.Namespace) -> str:
+    """Text of the generated module of an arm: its stepper's, or an environment's."""
+    if options.env is not None:
+        return environment_source(options.arm, options.env)
+    from dynamics.backends.numba_llvm.program import generate, stepping
+    from dynamics.tracing.traced_arm import TracedArm
+
+    arm = TracedArm(load_arm(options.arm))
+    return generate(arm, "float64", options.lanes, options.integrator, stepping(arm))
+
+
+def environment_source(arm: str, env_id: str) -> str:
+    """Text of an environment's module, from the package that offers it as an entry point."""
+    for entry in entry_points(group=SOURCES):
+        return str(entry.load()(arm, env_id))
+    raise ValueError(
+        "--env needs flexarm's environments, which are not installed: pip install -e ."
+    )
+
+
 def evaluate(case: Case) -> dict[str, Any]:
-    """What a case asks for, as plain lists and numbers."""
+    """Results that a case requests, as plain lists and numbers."""
     from dynamics.model import compile_arm
 
     model = compile_arm(case.arm)

@@ -1,8 +1,8 @@
-"""The user's cache of generated sources, compiled code and chosen models.
+"""User's cache of generated sources, compiled code and chosen models.
 
-Code from the cache runs with the user's rights, so the folder must be private, and a file counts
-only if the digest that ends it is that of its content. Whatever is damaged is made anew, and where
-nothing can be kept every process makes its own: slower, with one warning, but never wrong.
+Code from the cache runs with the user's rights, so the folder must be private, and a file is used
+only if the digest in its last line matches its content. Damaged files are rebuilt. Without a usable
+folder every process rebuilds its files: slower, with one warning, but with the same results.
 """
 
 import hashlib
@@ -15,21 +15,21 @@ from pathlib import Path
 
 import platformdirs
 
-_MARK = b"\n# sha256 "  # begins the last line of every file: a comment in Python sources
+_MARK = b"\n# sha256 "  # starts the last line of every file; a comment in Python sources
 _warned: set[tuple[str, Path]] = set()
 
 
 class CacheWarning(UserWarning):
-    """The cache folder cannot be used as it is; work goes on without it."""
+    """Warning that the cache folder or a file in it cannot be used and is ignored."""
 
 
 def cache_folder() -> Path:
-    """Location of the cache; the variable FLEXARM_CACHE overrides it."""
+    """Path of the cache; the environment variable FLEXARM_CACHE overrides it."""
     return Path(os.environ.get("FLEXARM_CACHE") or platformdirs.user_cache_path("flexarm"))
 
 
 def kept(name: str, build: Callable[[], str]) -> str:
-    """Text of a file of the cache; `build` makes it where there is none that is whole."""
+    """Return the text of a cached file; call `build` and store its result if there is none."""
     known = load(name)
     if known is not None:
         return known.decode()
@@ -39,7 +39,7 @@ def kept(name: str, build: Callable[[], str]) -> str:
 
 
 def load(name: str) -> bytes | None:
-    """Content of a file of the cache; None if it is missing or damaged."""
+    """Return the content of a cached file; None if it is missing or damaged."""
     folder = cache_folder()
     if not _is_trusted(folder):
         return None
@@ -55,7 +55,7 @@ def load(name: str) -> bytes | None:
 
 
 def store(name: str, content: bytes) -> None:
-    """Keep a file in the cache if that is possible; it appears whole or not at all."""
+    """Write a file to the cache atomically; warn if that is not possible."""
     folder = cache_folder()
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -74,7 +74,7 @@ def store(name: str, content: bytes) -> None:
 
 
 def report_damage(name: str) -> None:
-    """Warn, once per process and folder, that a file of the cache is made anew."""
+    """Warn, once per process and folder, that a damaged file is rebuilt."""
     folder = cache_folder()
     if ("damaged", folder) not in _warned:
         _warned.add(("damaged", folder))
@@ -90,10 +90,10 @@ def _digest(content: bytes) -> bytes:
 
 
 def _is_trusted(folder: Path) -> bool:
-    """Whether nobody but this user and root can change what is in the folder."""
+    """Whether only this user and root can change files in the folder."""
     try:
         fault = _fault(folder)
-    except OSError:  # it does not exist, or a part of its path is no folder
+    except OSError:  # it does not exist, or part of its path is not a folder
         return False
     if fault:
         _warn("untrusted", folder, fault)
@@ -101,7 +101,7 @@ def _is_trusted(folder: Path) -> bool:
 
 
 def _fault(folder: Path) -> str:
-    """Reason why the folder is not private; empty if it is."""
+    """Reason why the folder is not private, or an empty string."""
     if not hasattr(os, "geteuid"):  # Windows: folders of a profile are private by inheritance
         return ""
     status = folder.stat()

@@ -1,4 +1,4 @@
-"""An arm by a preset's name, a path, a dict or itself."""
+"""Load an arm from a preset's name, a file or a dict."""
 
 from collections.abc import Mapping
 from os import PathLike, fspath
@@ -11,13 +11,14 @@ from dynamics.description.arm_file import arm_from_dict
 from dynamics.description.data_file import read_mapping
 from dynamics.description.validate import shown
 
-ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm  # what `load_arm` takes
+ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm  # accepted by `load_arm`
 
 
 def load_arm(source: ArmSource) -> Arm:
-    """An arm from a preset's name, a path (.json, .yaml, .yml), a dict, or itself.
+    """Return an arm from a preset's name, a path (.json, .yaml, .yml) or a dict.
 
-    A case file is an arm file too: its motion and expectations are left aside.
+    An `Arm` is returned unchanged. A case file is also an arm file: its motion and expected results
+    are ignored.
     """
     if isinstance(source, Arm):
         return source

@@ -1,4 +1,4 @@
-"""The compiled arm and its questions."""
+"""The compiled arm: dynamics quantities at a state, and programs that step it."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -20,7 +20,7 @@ from dynamics.formulations.link_constants import curvature, parts
 from dynamics.load import ArmSource, load_arm
 from dynamics.runtime.jit import aligned_zeros
 from dynamics.tracing import graphs
-from dynamics.tracing.ssa import operations
+from dynamics.tracing.operation_counts import operations
 from dynamics.tracing.traced_arm import TracedArm
 from dynamics.types import Array
 
@@ -32,20 +32,20 @@ def compile_arm(
     dtype: str = "float64",
     free_parameters: Sequence[str] = (),
 ) -> "Model":
-    """Compile an arm, or whatever `load_arm` accepts.
+    """Compile an arm.
 
     Parameters
     ----------
-    arm : an Arm, a preset's name, a path or a dict.
-    formulation : how the equations of motion are formed, a name in FORMULATIONS; stepping is
+    arm : an Arm, a preset's name, a path or a dict, as `load_arm` accepts.
+    formulation : formulation of the equations of motion, a name in FORMULATIONS; stepping is
         fastest with "gibbs_appell".
     dtype : number type of the compiled stepping code, "float64" or "float32"; descriptions,
-        states and answers are float64 all the same.
-    free_parameters : names in FREE_PARAMETERS that stay inputs instead of folding away.
+        states and results stay float64.
+    free_parameters : names in FREE_PARAMETERS that stay inputs instead of compiled constants.
 
     Raises
     ------
-    ValueError : naming the argument, its value and what is possible.
+    ValueError : with the argument, its value and the possible values.
     """
     validate.known(dtype, "dtype", LANES_OF)
     names = validate.sequence(free_parameters, "free_parameters")
@@ -54,13 +54,13 @@ def compile_arm(
 
 
 class Model:
-    """One arm, compiled; immutable, so one model serves every environment and thread.
+    """One compiled arm; immutable, so that environments and threads can share it.
 
-    Coordinates run link by link, q_i [rad] then the link's modal amplitudes [m];
-    M qdd + h = B tau. Arguments `q`, `v` are (n,) arrays. A free base's six come first: position
-    [m] and rotation vector [rad] from the world; their rates are the velocity in the world and
-    the angular velocity in the base's own frame, their forces a force in the world and a moment
-    in that frame.
+    The equations of motion are M qdd + h = B tau. Arguments `q`, `v` are (n,) arrays. Coordinates
+    run link by link: q_i [rad], then the link's modal amplitudes [m]. The six coordinates of a
+    free base come first: position [m] and rotation vector [rad] from the world. Their rates are
+    the velocity in the world and the angular velocity in the base's own frame; their forces are
+    a force in the world and a moment in the base's own frame.
     """
 
     def __init__(
@@ -86,23 +86,23 @@ class Model:
     def __reduce__(self) -> Any:
         return Model, (self.arm, self.free_parameters, self.dtype, self.formulation)
 
-    # ---- questions -----------------------------------------------------------------------------
+    # ---- quantities at a state -----------------------------------------------------------------
 
     def mass_matrix(self, q: Array) -> Array:
-        """(n, n) M at q."""
-        return self._answer("mass_matrix", q, np.zeros(self.n))
+        """Mass matrix M (n, n) at q."""
+        return self._at_state("mass_matrix", q, np.zeros(self.n))
 
     def bias(self, q: Array, v: Array) -> Array:
-        """(n,) h: inertial, gravity, elastic and dissipative forces."""
-        return self._answer("bias", q, v).ravel()
+        """Bias h (n,): velocity-dependent inertial, gravity, elastic and dissipative forces."""
+        return self._at_state("bias", q, v).ravel()
 
     def christoffel(self, q: Array, v: Array) -> Array:
-        """(n, n) H: H v are the velocity terms of h, dM/dt - 2 H is skew-symmetric."""
-        self._refuse_flight("christoffel")
+        """Matrix H (n, n): H v are the velocity terms of h, and dM/dt - 2 H is skew-symmetric."""
+        self._require_fixed_base("christoffel")
         return np.array(self._christoffel(self._q(q), self._q(v, "v")))
 
     def accelerations(self, q: Array, v: Array, tau: Array) -> Array:
-        """(n,) second derivatives under joint torques tau (n_joint,) [N m]."""
+        """Accelerations (n,) under joint torques tau (n_joint,) [N m]."""
         program = self.program(1, "rk4")
         out = np.empty((1, self.n))
         program.evaluate_states(
@@ -112,14 +112,14 @@ class Model:
         return validate.finite(out[0], "accelerations")
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array, wrench: Array | None = None) -> Array:
-        """(n,) generalized forces M a + h; motion under joint torques alone needs B tau.
+        """Generalized forces M a + h (n,); joint torques alone can only produce B tau.
 
-        `wrench` (6,), force [N] then moment [N m], is what the last link exerts at its tip on its
-        surroundings, in that link's frame.
+        `wrench` (6,), force [N] then moment [N m], is exerted by the last link at its tip on its
+        surroundings, in the link's frame.
         """
         h = self.bias(q, v)
         if wrench is not None:
-            self._refuse_flight("wrench")
+            self._require_fixed_base("wrench")
             x, rates = self._q(q).tolist(), self._q(v, "v").tolist()
             f = validate.array(wrench, "wrench", (6,)).tolist()
             load = gibbs_appell.Wrench(f[:3], f[3:])
@@ -127,27 +127,30 @@ class Model:
         return self.mass_matrix(q) @ self._q(a, "a") + h
 
     def energy(self, q: Array, v: Array) -> tuple[float, float, float]:
-        """(kinetic, elastic, gravity) [J]; gravity is zero with all mass at the world's origin."""
-        kinetic, elastic, gravity = self._answer("energy", q, v).ravel().tolist()
+        """Kinetic, elastic and gravity energy [J].
+
+        The gravity energy is zero with all mass at the world's origin.
+        """
+        kinetic, elastic, gravity = self._at_state("energy", q, v).ravel().tolist()
         return kinetic, elastic, gravity
 
     def momentum(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """(3,) [N s] linear and (3,) [N m s] angular momentum about the world's origin."""
-        values = self._answer("momentum", q, v).ravel()
+        """Linear (3,) [N s] and angular (3,) [N m s] momentum about the world's origin."""
+        values = self._at_state("momentum", q, v).ravel()
         return values[:3], values[3:]
 
     def tip(self, q: Array) -> Array:
-        """(3,) [m] tip of the last link in the world."""
+        """Tip position (3,) [m] of the last link in the world."""
         return self._measure(q, np.zeros(self.n))[self.measurements["tip"]]
 
     def tip_velocity(self, q: Array, v: Array) -> Array:
-        """(3,) [m/s] velocity of that tip."""
+        """Tip velocity (3,) [m/s] of the last link in the world."""
         return self._measure(q, v)[self.measurements["tip_velocity"]]
 
     def strain(self, q: Array, link: int, x: float) -> Array:
-        """(3,) [1/m] twist rate and bending curvatures about y and z of a link at x.
+        """Twist rate and bending curvatures about y and z (3,) [1/m] of a link at x [m].
 
-        The strain a gauge reads is curvature times its distance from the neutral axis.
+        A strain gauge reads the curvature times the gauge's distance from the neutral axis.
         """
         described = self.arm.links[validate.integer(link, "link", 0, self.n_joint - 1)]
         if not 0.0 <= validate.number(x, "x", "m") <= described.length:
@@ -158,10 +161,10 @@ class Model:
         return np.asarray(delta) @ curvature(segment, x - k * segment.length)
 
     def frequencies(self, q: Array | None = None, joints: str = "locked") -> Array:
-        """[rad/s] natural frequencies at the joint angles of q, undeflected, elastic forces only.
+        """Natural frequencies [rad/s] of the undeflected arm at the joint angles of q, no gravity.
 
-        joints="locked" holds the coordinates q_i; "free" leaves them free and omits the rigid
-        motions. A free base flies in both.
+        joints="locked" locks the coordinates q_i; "free" leaves them free and omits the rigid-body
+        modes. A free base moves freely in both.
         """
         validate.choice(joints, "joints", ("locked", "free"))
         rigid = self.rigid(np.zeros(self.n) if q is None else self._q(q))
@@ -169,13 +172,13 @@ class Model:
             np.array(self.equations.mass_matrix(self.chain, [float(x) for x in rigid])),
             self.stiffness,
             self.n - self.n_joint - self.arm.base.n,
-            held=self.arm.joint_index if joints == "locked" else (),
+            locked=self.arm.joint_index if joints == "locked" else (),
         )
 
     def linearize(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
         """A (2n, 2n) and B (2n, n_joint) of d/dt (q, v) = A (q, v) + B tau about a state.
 
-        A free base's rotation is here a small one from the attitude of that state, seen in the
+        The rotation of a free base is here the small rotation from the state's attitude, in the
         base's own frame.
         """
         state = self._state(q, v)
@@ -190,7 +193,7 @@ class Model:
         return A, np.vstack([np.zeros((n, self.n_joint)), dtau])
 
     def operation_count(self) -> dict[str, dict[str, int]]:
-        """Operations of the traced arm, by running through its graphs."""
+        """Operations of each kind in the expression graphs of the arm."""
         counted = {
             "accelerations": self.graph,
             "mass matrix and bias": graphs.mass_matrix_and_bias(self.traced),
@@ -199,16 +202,16 @@ class Model:
 
     @property
     def graph(self) -> Any:
-        """CasADi Function (q, v, tau, parameters, nothing) -> accelerations: see tracing/graphs."""
+        """CasADi Function (q, v, tau, parameters, []) -> accelerations, see tracing/graphs.py."""
         return graphs.accelerations(self.traced)
 
     @cached_property
     def stiffness(self) -> Array:
-        """(n, n) K, zero in the joints."""
+        """Stiffness matrix K (n, n), zero in the joints."""
         return linearized.stiffness(self.chain)
 
     def rigid(self, q: Array) -> Array:
-        """A copy of q, (n,) or (N, n), with every link straight, a free base at the origin."""
+        """Copy of q, (n,) or (N, n), with straight links and a free base at the origin."""
         straight = np.zeros_like(q)
         straight[..., list(self.arm.joint_index)] = q[..., list(self.arm.joint_index)]
         return straight
@@ -216,9 +219,9 @@ class Model:
     # ---- compiled programs ---------------------------------------------------------------------
 
     def program(self, lanes: int, integrator: str, addition: Addition | None = None) -> ModuleType:
-        """The generated module for a number of lanes and a method; from the cache where it can.
+        """Generated module for a number of lanes and an integrator, from the cache if possible.
 
-        `addition` replaces the stepper's measurements and entry points by others.
+        `addition` replaces the measurements and entry points of the stepper.
         """
         kind = lanes, integrator, addition.key if addition else ""
         if kind not in self._programs:
@@ -226,14 +229,14 @@ class Model:
         return self._programs[kind]
 
     def workspace(self, program: ModuleType) -> Array:
-        """Scratch memory for one thread in `program`."""
+        """Workspace of `program` for one thread."""
         return aligned_zeros(program.SLOTS * int(program.LANES), self.dtype)
 
-    # ---- graphs of the questions ---------------------------------------------------------------
+    # ---- expression graphs ---------------------------------------------------------------------
 
     @cached_property
-    def _questions(self) -> dict[str, Any]:
-        return graphs.questions(self.traced)
+    def _state_functions(self) -> dict[str, Any]:
+        return graphs.state_functions(self.traced)
 
     @cached_property
     def _jacobian(self) -> Any:
@@ -243,8 +246,9 @@ class Model:
     def _christoffel(self) -> Any:
         return christoffel(self.equations, self.chain, self.n)
 
-    def _answer(self, question: str, q: Array, v: Array) -> Array:
-        return validate.finite(np.array(self._questions[question](*self._state(q, v))), question)
+    def _at_state(self, quantity: str, q: Array, v: Array) -> Array:
+        function = self._state_functions[quantity]
+        return validate.finite(np.array(function(*self._state(q, v))), quantity)
 
     def _measure(self, q: Array, v: Array) -> Array:
         return validate.finite(
@@ -252,7 +256,7 @@ class Model:
         )
 
     def _state(self, q: Array, v: Array) -> tuple[Array, ...]:
-        """q and v; of a free base, in its own frame, and its attitude (4,)."""
+        """q and v; with a free base, both in the base's own frame, and the attitude (4,)."""
         q, v = self._q(q), self._q(v, "v")
         if not self.arm.base.n:
             return q, v
@@ -261,9 +265,11 @@ class Model:
         rates = free_base.local(v.tolist(), attitude)
         return np.array(own), np.array(rates), np.array(attitude)
 
-    def _refuse_flight(self, what: str) -> None:
+    def _require_fixed_base(self, name: str) -> None:
         if self.arm.base.n:
-            raise ValueError(f"{what} is for an arm with a fixed base; this one flies.")
+            raise ValueError(
+                f"{name} needs an arm with a fixed base, got Base.type {self.arm.base.type!r}."
+            )
 
     def _q(self, x: Array, name: str = "q") -> Array:
         return validate.array(x, name, (self.n,))

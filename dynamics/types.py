@@ -1,4 +1,4 @@
-"""Types that annotations share."""
+"""Type aliases for annotations."""
 
 from collections.abc import Mapping
 from typing import Any

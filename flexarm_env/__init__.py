@@ -1,4 +1,4 @@
-"""Gymnasium environments for robot arms whose links bend.
+"""Gymnasium environments for robot arms with flexible links.
 
 Importing this package registers FlexArm/{OneLink,TwoLink,SixLink}-{Reach,Track,Damp}-v0;
 `gym.make("flexarm_env:FlexArm/OneLink-Reach-v0")` does both at once.
@@ -29,7 +29,7 @@ register()
 
 
 def __getattr__(name: str) -> Any:
-    """`SB3VecEnv` on demand: stable-baselines3 is optional."""
+    """Import `SB3VecEnv` on first use, because stable-baselines3 is optional."""
     if name == "SB3VecEnv":
         from flexarm_env.sb3 import SB3VecEnv
 

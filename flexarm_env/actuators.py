@@ -1,12 +1,13 @@
-"""Actuators between an action and the torque at a joint: a table of them, and presets.
+"""Actuators from an action to the torque at a joint: the table of types, and presets.
 
-An actuator is linear, then limited. With u the action in [-1, 1], w and q the joint's rate and
-angle,
+An actuator is a linear law followed by limits. With the action u in [-1, 1], and the rate w and
+angle q of the joint,
 
-    x' = A x + B u + E w,    torque = C x + D u - damping w - stiffness q,
+    x' = A x + B u + E w,    torque = C x + D u - damping w - stiffness q.
 
-clipped to a torque limit, then to a rate of change. `compiled/actuation.py` makes them part of the
-compiled control step. The rotor inertia and friction of a motor are added to the joint's own.
+The torque is clipped to a torque limit, then its rate of change is limited. `compiled/actuation.py`
+compiles the law into the control step. The rotor inertia and friction of a motor are added to those
+of the joint.
 """
 
 import math
@@ -23,7 +24,7 @@ _INCH, _POUND = 0.0254, 4.4482216  # [m], [N]
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
-    """One joint's actuator in the terms of this module's head; k states."""
+    """Law of one joint's actuator, in the symbols of the module's docstring; k states."""
 
     unit: str  # of the command
     command: float  # at action 1
@@ -36,19 +37,19 @@ class Law:
     stiffness: float = 0.0  # [N m/rad]
     torque_limit: float = math.inf  # [N m]
     rate_limit: float = math.inf  # [N m/s]
-    rest: Vector = ()  # (k,) states without torque, per radian of the joint
+    rest: Vector = ()  # (k,) states at zero torque, per radian of the joint angle
     stall: float | None = None  # [N m] torque at action 1 and rest; None: it grows with time
 
 
 class Actuator(Protocol):
-    """What an entry of ACTUATORS describes."""
+    """Interface of the types in ACTUATORS."""
 
     def law(self, usual: float) -> Law:
-        """Its equations; `usual` [N m] is what an ideal torque source would give this joint."""
+        """Return the law; `usual` [N m] is the joint's torque limit with an ideal torque source."""
 
 
 def _clean(actuator: Any, **units: str) -> None:
-    """Store checked positive numbers; what is None stays it."""
+    """Check that the named fields are positive or None, and store them as floats."""
     for name, unit in units.items():
         value = getattr(actuator, name)
         if value is not None:
@@ -58,10 +59,10 @@ def _clean(actuator: Any, **units: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Limited:
-    """A torque source with a limit on how fast its torque may change."""
+    """Torque source with a limited rate of change."""
 
     type: ClassVar = "limited"
-    torque_limit: float | None = None  # [N m] at action 1; None: the environment's usual one
+    torque_limit: float | None = None  # [N m] at action 1; None: the environment's default
     rate_limit: float | None = None  # [N m/s]
 
     def __post_init__(self) -> None:
@@ -77,9 +78,9 @@ class Limited:
 
 @dataclass(frozen=True, kw_only=True)
 class DCMotor:
-    """A voltage-driven motor with permanent magnets behind a gear.
+    """Voltage-driven motor with permanent magnets and a gear.
 
-    L i' = V - R i - k_e N w,   torque = efficiency N k_t i; without L, L i' is left out. The
+    L i' = V - R i - k_e N w,   torque = efficiency N k_t i; without `inductance`, L = 0. The
     efficiency is the same when the load drives the motor.
     """
 
@@ -91,10 +92,10 @@ class DCMotor:
     inductance: float | None = None  # [H]
     gear: float = 1.0  # [-] turns of the motor per turn of the joint
     efficiency: float = 1.0  # [-]
-    rotor_inertia: float = 0.0  # [kg m^2] on the motor's shaft; the joint feels it times gear^2
+    rotor_inertia: float = 0.0  # [kg m^2] on the motor's shaft; times gear^2 at the joint
     viscous: float = 0.0  # [N m s/rad] friction at the joint, gear included
     coulomb: float = 0.0  # [N m] friction at the joint, gear included
-    torque_limit: float | None = None  # [N m] at the joint, of what the motor gives
+    torque_limit: float | None = None  # [N m] at the joint, on the motor's torque
     rate_limit: float | None = None  # [N m/s] at the joint
 
     def __post_init__(self) -> None:
@@ -115,13 +116,13 @@ class DCMotor:
 
     @property
     def no_load_speed(self) -> float:
-        """[rad/s] of the joint at full voltage, without load and friction."""
+        """Joint rate [rad/s] at full voltage, without load and friction."""
         return self.voltage_limit / (self.back_emf * self.gear)
 
     def law(self, usual: float) -> Law:
-        """The current is the state, or follows at once."""
+        """The state is the current; without inductance there is none."""
         per_ampere = self.efficiency * self.gear * self.torque_constant  # [N m/A] at the joint
-        free = per_ampere * self.voltage_limit / self.resistance  # [N m] at rest, not yet limited
+        free = per_ampere * self.voltage_limit / self.resistance  # [N m] at rest, before the limit
         most = self.torque_limit or math.inf
         result = Law(
             unit="V",
@@ -145,11 +146,12 @@ class DCMotor:
 
 @dataclass(frozen=True, kw_only=True)
 class Hydraulic:
-    """A piston behind a valve that turns the joint through the spring of its oil.
+    """Valve-controlled piston that turns the joint through the spring of its oil.
 
-    Valve voltage to piston position as in Yuan, Book and Huggins (1993), (7.1):
-    x_p / V = velocity_gain w^2 / [s (s^2 + 2 z w s + w^2)], not held up by its load. The joint
-    feels torque = r k (x_p - r q): r the lever arm, k the stiffness of oil and mounting.
+    Transfer function from valve voltage to piston position as in Yuan, Book and Huggins (1993),
+    (7.1): x_p / V = velocity_gain w^2 / [s (s^2 + 2 z w s + w^2)]. The load does not act back on
+    the piston. torque = r k (x_p - r q), with the lever arm r and the stiffness k of oil and
+    mounting.
     """
 
     type: ClassVar = "hydraulic"
@@ -169,7 +171,7 @@ class Hydraulic:
         )  # fmt: skip
 
     def law(self, usual: float) -> Law:
-        """States: the piston's position over the lever arm [rad], its rate and acceleration."""
+        """The states are the piston position over the lever arm [rad], its rate, acceleration."""
         w = self.natural_frequency
         spring = self.stiffness * self.lever_arm**2
         return Law(
@@ -190,15 +192,15 @@ ACTUATORS: dict[str, Any] = {entry.type: entry for entry in (Limited, DCMotor, H
 
 _LEVER = 0.5  # [m]
 PRESETS: dict[str, Actuator] = {
-    # Quanser set-up script config_servo_exp: SRV02 in high gear, +-10 V, amplifier's 5 A. Its
-    # inertia and friction are those of the arm quanser-rotary-flexible-link already.
+    # Quanser set-up script config_servo_exp: SRV02 in high gear, +-10 V, 5 A of the amplifier.
+    # The arm quanser-rotary-flexible-link has its inertia and friction already.
     "quanser-servo": DCMotor(
         resistance=2.6, torque_constant=7.67e-3, back_emf=7.67e-3, gear=70.0,
         efficiency=0.90 * 0.69, voltage_limit=10.0, torque_limit=0.90 * 0.69 * 70.0 * 7.67e-3 * 5.0,
     ),
-    # (7.1a), (7.1b) and hydraulic springs of Yuan, Book and Huggins (1993). In print a digit of
-    # the first damping is illegible (0.700 or 0.709) and gains have no unit: here inches, as the
-    # springs. Lost: lever arms and voltages.
+    # (7.1a), (7.1b) and hydraulic springs of Yuan, Book and Huggins (1993). A digit of the first
+    # damping is illegible in print (0.700 or 0.709). The gains have no unit; inches are assumed, as
+    # for the springs. Lever arms and voltages are not in the source: 0.5 m and 10 V are chosen.
     "ralf-1": Hydraulic(
         natural_frequency=math.sqrt(7.509e4), damping=0.700, velocity_gain=0.0695 * _INCH,
         voltage_limit=10.0, stiffness=1.54e3 * _POUND / _INCH, lever_arm=_LEVER,
@@ -211,7 +213,7 @@ PRESETS: dict[str, Actuator] = {
 
 
 def load_actuators(source: object, n_joint: int) -> tuple[Actuator, ...]:
-    """One actuator per joint from a preset's name, a dict, or a list of them; () for None."""
+    """One actuator per joint from a preset's name, a dict, or a list of these; () for None."""
     if source is None:
         return ()
     if isinstance(source, str | Mapping):
@@ -246,7 +248,7 @@ def _load(source: object) -> Actuator:
 
 
 def mounted(arm: Arm, actuators: tuple[Actuator, ...]) -> Arm:
-    """The arm with what its motors add to the joints: rotor inertia and friction."""
+    """The arm with its motors' rotor inertia and friction added to the joints."""
     links = list(arm.links)
     for i, motor in enumerate(actuators):
         if isinstance(motor, DCMotor):
@@ -262,10 +264,10 @@ def mounted(arm: Arm, actuators: tuple[Actuator, ...]) -> Arm:
 
 
 def refuse_beside_actuators(**keywords: Any) -> None:
-    """Keywords that speak of ideal torque sources only."""
+    """Raise a ValueError for a keyword that only applies to ideal torque sources."""
     for name, value in keywords.items():
         if value is not None:
             raise ValueError(
                 f"{name} ({validate.shown(value)}) is for ideal torque sources; leave it out "
-                "beside actuator, whose own data say what it gives."
+                "beside actuator, which has limits of its own."
             )

@@ -1,4 +1,4 @@
-"""Checks of an environment's keywords: each returns the clean value or raises one sentence."""
+"""Checks of an environment's keywords; each returns the clean value or raises a ValueError."""
 
 from collections.abc import Mapping, Sequence
 from numbers import Real
@@ -13,15 +13,15 @@ from dynamics.types import Array
 
 CONTROL_DT = (1e-6, 10.0)  # [s]
 DEFLECTION_LIMITS = (1e-6, 1.0)  # [-]
-MOST_STEPS = 10_000_000  # of an episode: float32 counts no further than 1.6 times that
-MOST_SUBSTEPS, MOST_BY_RULE = 1_000_000, 5000  # per control step: given, and found by a rule
+MOST_STEPS = 10_000_000  # per episode; float32 counts integers up to 1.6 times this
+MOST_SUBSTEPS, MOST_BY_RULE = 1_000_000, 5000  # per control step: as a keyword, and by a rule
 MOST_DRAWN = 1e6  # of a free parameter: [kg] or times its nominal value
-FARTHEST_START = 1e4  # [rad], [m], [rad/s], [m/s] of a state or target: a thousand turns
+FARTHEST_START = 1e4  # [rad], [m], [rad/s], [m/s] of a state or target; over a thousand turns
 MOST_SEED = 2**128 - 1
 
 
 def torque_limits(given: float | Sequence[float] | None, default: tuple[float, ...]) -> Array:
-    """(n_joint,) [N m] one number for all joints or one per joint; `default` for None."""
+    """(n_joint,) [N m] torque limits from one number, one per joint, or None (`default`)."""
     if given is None:
         return np.array(default)
     count = len(default)
@@ -37,7 +37,7 @@ def torque_limits(given: float | Sequence[float] | None, default: tuple[float, .
 
 
 def ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Ranges (low, high) of free parameters by name."""
+    """Checked ranges (low, high) of free parameters by name."""
     if not isinstance(given, Mapping):
         raise ValueError(
             "randomize must be a dict of (low, high) by free parameter, got "
@@ -57,7 +57,7 @@ def ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, f
 
 
 def within(name: str, value: object, least: float, most: float, unit: str) -> float:
-    """A number between two bounds, both allowed."""
+    """Return a number in [least, most]."""
     result = validate.number(value, name, unit)
     if not least <= result <= most:
         raise ValueError(
@@ -67,7 +67,7 @@ def within(name: str, value: object, least: float, most: float, unit: str) -> fl
 
 
 def placements(options: Any, arm: Arm, n_row: int) -> dict[str, Array]:
-    """Options of a reset: what they put in place of drawn "q", "v" and "centre" (the target)."""
+    """State rows that reset options set instead of drawing: "q", "v" and "centre" (the target)."""
     if not isinstance(options, Mapping):
         raise ValueError(f"options must be a dict, got {validate.shown(options)}.")
     unknown = sorted(set(map(str, options)) - {"state", "target"})
@@ -88,7 +88,7 @@ def placements(options: Any, arm: Arm, n_row: int) -> dict[str, Array]:
 
 
 def _coordinates(name: str, values: Any, size: int, n_row: int) -> Array:
-    """(size,) or (n_row, size) numbers for all of `n_row` environments or each; None: zeros."""
+    """(size,) numbers for all environments or (n_row, size), one row each; zeros for None."""
     if values is None:
         return np.zeros(size)
     shape = (size,) if np.ndim(np.asarray(values, dtype=object)) < 2 else (n_row, size)
@@ -96,7 +96,7 @@ def _coordinates(name: str, values: Any, size: int, n_row: int) -> Array:
 
 
 def whole_seed(seed: Any) -> int | None:
-    """A seed as Python's own integer, or None; NumPy's integers are seeds too."""
+    """Return a seed as a Python int, or None; NumPy integers are allowed."""
     if seed is None:
         return None
     return validate.integer(seed, "seed", 0, MOST_SEED)

@@ -1,11 +1,11 @@
 """Certify the registered environments: `python -m flexarm_env.certify [ARM ...]`.
 
-Each arm's step is chosen first: of every method in METHODS the fewest substeps that keep the tip
-within TIP_ERROR of the reach through episodes of random torques; then the method that takes the
-least time, where a tenth of the error is worth a tenth more of it. That model and step are then
-certified on motions of their kind: all joints bang-bang at full torque for one period of the first
-joint-free mode, then coasting, and random torques held for a control step each. Leave the machine
-alone while it runs.
+Each arm's step is chosen first. For every method in METHODS this finds the fewest substeps that
+keep the tip within TIP_ERROR of the reach through episodes of random torques. Of these it takes the
+method with the least CPU time, allowing a tenth more time for a tenth of the error. Model and step
+are then certified on two motions: all joints bang-bang at full torque for one period of the first
+joint-free mode, then coasting; and random torques, constant over each control step. Run nothing
+else on the machine meanwhile.
 """
 
 import argparse
@@ -25,23 +25,25 @@ from flexarm_env.core import Core
 from flexarm_env.registration import SCENES
 from flexarm_env.scales import SAFE, integration, scales
 
-ACCURACY, LONG_ACCURACY = 1e-4, 1e-3  # of the reach; for more than two links, to end in minutes
+ACCURACY, LONG_ACCURACY = 1e-4, 1e-3  # [of the reach] second: above two links, to end in minutes
 METHODS = ("rk4", "numerov", "exponential", "midpoint")
-TIP_ERROR = 1e-3  # of the reach, at any time of an episode, by the step alone
+TIP_ERROR = 1e-3  # of the reach, at any time of an episode, due to the step alone
 EPISODES = 32
-FINER = 4  # times the Runge-Kutta steps of an arm: the truth for steps
+FINER = 4  # times the Runge-Kutta steps of an arm: the reference for steps
 MOST_STEPS = 16  # per control step; more than that is never the cheapest
 BATCH = 1024  # environments that are timed together
-TIMED = 500  # rounds, a second of each: what is chosen should not hang on the machine's mood
-WORTH = 0.1  # of the time more, for a tenth of the error
+TIMED = 500  # timing rounds, a second of each method: the choice must not depend on disturbances
+TIME_PER_DECADE = 0.1  # relative increase of CPU time that is accepted for a tenth of the error
 
-Step = dict[str, Any]  # integrator, substeps, error in parts of the reach, seconds
+Step = dict[str, Any]  # integrator, substeps, error [of the reach], seconds
 
 
-def strayed(arm: str, control_dt: float, length: int, integrator: str, substeps: int) -> float:
-    """Largest tip error in parts of the reach, over EPISODES of random torques of `length` steps.
+def largest_error(
+    arm: str, control_dt: float, length: int, integrator: str, substeps: int
+) -> float:
+    """Largest tip error [of the reach] over EPISODES of random torques, `length` steps each.
 
-    Infinite where an environment diverges that does not in finer steps.
+    Infinite if at any step more episodes end than with finer steps.
     """
     setting: dict[str, Any] = {"task": "Reach", "arm": arm, "control_dt": control_dt}
     count = FINER * integration(load_arm(arm), control_dt, "rk4")[1]
@@ -63,18 +65,18 @@ def strayed(arm: str, control_dt: float, length: int, integrator: str, substeps:
 
 
 def fewest_steps(arm: str, control_dt: float, length: int, integrator: str) -> Step | None:
-    """The fewest substeps of a method that are stable and accurate; None up to MOST_STEPS."""
+    """Step with the fewest stable and accurate substeps of a method; None above MOST_STEPS."""
     limit = SAFE * INTEGRATORS[integrator].limit
     first = int(control_dt * scales(load_arm(arm)).fastest / limit) + 1
     for substeps in range(first, MOST_STEPS + 1):
-        error = strayed(arm, control_dt, length, integrator, substeps)
+        error = largest_error(arm, control_dt, length, integrator, substeps)
         if error < TIP_ERROR:
             return {"integrator": integrator, "substeps": substeps, "error": error}
     return None
 
 
 def timed(arm: str, control_dt: float, steps: list[Step]) -> list[Step]:
-    """The steps with `seconds`: CPU time of one environment in a batch."""
+    """The steps with `seconds` added: CPU time per control step of one environment in a batch."""
     calls = {}
     for k, step in enumerate(steps):
         core = Core(task="Reach", arm=arm, control_dt=control_dt, n_env=BATCH,
@@ -86,22 +88,26 @@ def timed(arm: str, control_dt: float, steps: list[Step]) -> list[Step]:
 
 
 def best_first(steps: list[Step]) -> list[Step]:
-    """Those that take the least time first, with more time for more accuracy: see WORTH."""
-    return sorted(steps, key=lambda k: math.log(k["seconds"]) + WORTH * math.log10(k["error"]))
+    """Sort by CPU time, corrected for the error by TIME_PER_DECADE."""
+
+    def cost(step: Step) -> float:
+        return math.log(step["seconds"]) + TIME_PER_DECADE * math.log10(step["error"])
+
+    return sorted(steps, key=cost)
 
 
 def measure(name: str, control_dt: float, integrator: str, substeps: int) -> Certificate:
-    """The certificate of a preset at its environments' step."""
+    """Certificate of a preset arm with this step."""
     arm = load_arm(name)
     accuracy = (ACCURACY if arm.n_joint <= 2 else LONG_ACCURACY) * arm.reach
     return certify(arm, scene(arm, control_dt), integrator, control_dt / substeps, accuracy)
 
 
 def main() -> None:
-    """Measure the default arms, or those named, and keep what was found."""
+    """Measure all registered arms, or those named, and write certificates.json."""
     known = {arm: (control_dt, length) for arm, control_dt, length in SCENES.values()}
     parser = argparse.ArgumentParser(description="Certify the environments' arms.")
-    parser.add_argument("arms", nargs="*", metavar="ARM", help=f"of {sorted(known)}; all")
+    parser.add_argument("arms", nargs="*", metavar="ARM", help=f"of {sorted(known)}; default: all")
     names = parser.parse_args().arms or list(known)
     unknown = sorted(set(names) - set(known))
     if unknown:

@@ -18,11 +18,32 @@ Observation = NDArray[np.float32]
 _ONE = np.zeros(1, np.int64)
 
 
-class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
-    """One flexible arm at one task.
+class CoreAttributes:
+    """Attributes that the single and the batch environment read from their `core`."""
 
-    `task` and `arm` come with the id; the other keywords are those of `core.Core`, and
-    `render_mode`: None, "rgb_array" or "human".
+    core: Core
+    _renderer: Any = None  # of the class, so that `close` finds it after a refused construction
+
+    arm = property(lambda self: self.core.arm)
+    model = property(lambda self: self.core.model)
+    task = property(lambda self: self.core.task_name)
+    control_dt = property(lambda self: self.core.control_dt)
+    torque_limit = property(lambda self: self.core.torque_limit.copy())
+    n_joint = property(lambda self: self.core.arm.n_joint)
+    reach = property(lambda self: self.core.arm.reach)
+    certificate = property(lambda self: self.core.certificate)
+    observation_slices = property(lambda self: self.core.layout.slices)
+    observation_scales = property(lambda self: self.core.layout.scales)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}
+
+
+class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
+    """One flexible arm with one task.
+
+    A registered id sets `task`, `arm` and `control_dt`. The other keywords are those of
+    `core.Core`, and `render_mode`: None, "rgb_array" or "human".
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}  # noqa: RUF012
@@ -40,27 +61,15 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
         self._several = self.core.arm.n_joint > 1
         self._seeded = False
-        self._renderer: Any = None
 
-    # ---- what agents ask ---------------------------------------------------------------------
-
-    arm = property(lambda self: self.core.arm)
-    model = property(lambda self: self.core.model)
-    task = property(lambda self: self.core.task_name)
-    control_dt = property(lambda self: self.core.control_dt)
-    torque_limit = property(lambda self: self.core.torque_limit.copy())
-    n_joint = property(lambda self: self.core.arm.n_joint)
-    reach = property(lambda self: self.core.arm.reach)
-    certificate = property(lambda self: self.core.certificate)
-    observation_slices = property(lambda self: self.core.layout.slices)
-    observation_scales = property(lambda self: self.core.layout.scales)
+    # ---- for controllers -----------------------------------------------------------------------
 
     def joint_target(self) -> Array:
-        """(n_joint,) [rad] joint angles that put the tip on the target, links straight."""
+        """(n_joint,) [rad] joint angles that put the tip of the straight-link arm on the target."""
         return self.core.joint_target()[0]
 
     def joint_state(self) -> tuple[Array, Array]:
-        """(n_joint,) [rad] and [rad/s]: what ideal encoders read."""
+        """(n_joint,) [rad] and [rad/s] joint angles and rates, as ideal encoders read."""
         q, v = self.core.joint_state()
         return q[0], v[0]
 
@@ -69,7 +78,7 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """A new episode; `options` may hold "state" {"q", "v"} and "target" (joint angles)."""
+        """Start an episode; `options` may set "state" {"q", "v"} and "target" (joint angles)."""
         super().reset(seed=whole_seed(seed))
         self.core.claim()
         try:
@@ -88,10 +97,10 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One control step."""
+        """Advance by one control step."""
         self.core.claim()
         try:
-            self._take(action)
+            self._store(action)
             out, _ = self.core.step(self._action)
             values, marks = out.values.tolist(), out.marks.tolist()
         finally:
@@ -103,18 +112,18 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
         info = out.described(values, marks)
         return out.observation.copy(), values[0], marks[0], marks[1], info
 
-    def _take(self, action: Any) -> None:
+    def _store(self, action: Any) -> None:
         try:
-            if self._several and len(action) != self._action.size:  # one number would do for all
+            if self._several and len(action) != self._action.size:  # NumPy broadcasts one
                 raise ValueError
             self._action[...] = action
         except (TypeError, ValueError):
             raise ValueError(
-                f"An action is {self._action.size} numbers in [-1, 1], got {shown(action)}."
+                f"An action must be {self._action.size} numbers in [-1, 1], got {shown(action)}."
             ) from None
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The arm now: an (H, W, 3) picture, or a window that shows it."""
+        """Draw the arm: return an (H, W, 3) picture, or show it in a window and return None."""
         if self.render_mode is None:
             gym.logger.warn('render() needs render_mode="rgb_array" or "human" at construction.')
             return None
@@ -134,22 +143,19 @@ class FlexArmEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.close()
             self._renderer = None
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderer": None}
-
 
 def check_render_mode(mode: str | None) -> None:
-    """Refuse unknown render modes with a sentence."""
+    """Raise a ValueError for an unknown render mode."""
     if mode is not None:
         choice(mode, "render_mode", RENDER_MODES)
 
 
 def frames_per_second(core: Core) -> int:
-    """Pictures of a film in real time, one per control step."""
+    """Frame rate of a real-time film with one picture per control step."""
     return max(1, round(1.0 / core.control_dt))
 
 
 def observation_space(layout: Layout) -> Any:
-    """The Box of a layout."""
+    """Gymnasium space of an observation layout."""
     bound = layout.bounds.astype(np.float32)
     return gym.spaces.Box(-bound, bound, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""What a policy sees: which signals, in which units, within which bounds."""
+"""Observation layouts: signals, their order, units and bounds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,25 +12,27 @@ from dynamics.types import Array
 from flexarm_env.scales import MOVE, Scales
 from flexarm_env.tasks import Task
 
-BOUND = 10.0  # [-] every scaled element is clipped to this
+BOUND = 10.0  # [-] scaled elements are clipped to [-BOUND, BOUND]
 MODES = ("state", "sensors")
+TIP_ERROR = "target minus tip, along the axes of the undeformed first link"
+CURVATURE = "curvature at the root of a link, as a strain gauge measures it"
 
 
 @dataclass(frozen=True)
 class Part:
-    """A named run of observation elements."""
+    """Consecutive elements of an observation with one name."""
 
     name: str
     meaning: str
     unit: str
-    entries: tuple[int, ...]  # of the signal of this name in compiled/signals.py
-    scale: tuple[float, ...]  # physical = observation * scale
+    entries: tuple[int, ...]  # indices into the signal of this name in compiled/signals.py
+    scale: tuple[float, ...]  # physical quantity = observation * scale
     bound: float = BOUND
 
 
 @dataclass(frozen=True)
 class Layout:
-    """An observation: its parts in order."""
+    """Parts of an observation, in order."""
 
     parts: tuple[Part, ...]
 
@@ -41,17 +43,17 @@ class Layout:
 
     @property
     def factors(self) -> Array:
-        """(n,) observation = physical * factor, then clipped."""
+        """(n,) factors: observation = physical quantity * factor, then clipped."""
         return np.array([1.0 / scale for part in self.parts for scale in part.scale])
 
     @property
     def bounds(self) -> Array:
-        """(n,) largest magnitude."""
+        """(n,) largest magnitude of each element."""
         return np.array([part.bound for part in self.parts for _ in part.scale])
 
     @property
     def slices(self) -> dict[str, slice]:
-        """Where each part is."""
+        """Slice of each part, by name."""
         stops = np.cumsum([len(part.entries) for part in self.parts]).tolist()
         return {
             part.name: slice(stop - len(part.entries), stop)
@@ -60,12 +62,12 @@ class Layout:
 
     @property
     def scales(self) -> dict[str, Array]:
-        """Factors from observation to physical units."""
+        """Factors from observation to physical units, by part."""
         return {part.name: np.array(part.scale) for part in self.parts}
 
 
 def curvature_columns(arm: Arm) -> tuple[int, ...]:
-    """Columns of the model's "curvature" that can differ from zero: the strain gauges."""
+    """Columns of the model's "curvature" that are not always zero: one per strain gauge."""
     return tuple(
         2 * i + k
         for i, link in enumerate(arm.links)
@@ -75,7 +77,7 @@ def curvature_columns(arm: Arm) -> tuple[int, ...]:
 
 
 def is_planar(arm: Arm) -> bool:
-    """Whether everything stays in the plane of the first joint."""
+    """Whether the arm moves only in the plane normal to its first joint's axis."""
     parallel = all(link.joint.rotation[2][2] == 1.0 for link in arm.links[1:])
     flat = all(link.joint.offset[2] == 0.0 for link in arm.links[1:])
     bending = all(mode.direction == "y" for link in arm.links for mode in link.modes)
@@ -85,20 +87,18 @@ def is_planar(arm: Arm) -> bool:
 def observation_layout(
     arm: Arm, task: Task, kind: str, scales: Scales, rate: float, torques: tuple[float, ...] = ()
 ) -> Layout:
-    """The observation of an arm at a task; `rate` [rad/s] is the joint rate of a typical move.
+    """Observation layout of an arm with a task.
 
-    `torques` [N m] scale the torques at the joints; none: they are not observed.
+    `rate` [rad/s] is the rate scale. `torques` [N m] scale the joint torques; if empty, joint
+    torques are not observed.
     """
     validate.choice(kind, "obs", MODES)
     joints, columns = range(arm.n_joint), curvature_columns(arm)
     modal = [i for i in range(arm.n) if i not in arm.joint_index]
     axes = [k for k in range(3) if (k or arm.n_joint > 1) and (k != 2 or not is_planar(arm))]
-    turned = joints if any(arm.gravity) else joints[1:]  # the first only matters under gravity
-    bend = "curvature at the root of the link, as a strain gauge sees it"
-    named = ", ".join("xyz"[k] for k in axes)
-    frame = f"target minus tip, along the first link's undeformed axes ({named})"
+    turned = joints if any(arm.gravity) else joints[1:]  # the first matters only under gravity
     every = [
-        _part("joint_error", "joint angle minus its target", "rad", joints, MOVE),
+        _part("joint_error", "joint angle minus target joint angle", "rad", joints, MOVE),
         _part("joint_sin", "sine of the joint angle", "-", turned, 1.0, 1.0),
         _part("joint_cos", "cosine of the joint angle", "-", turned, 1.0, 1.0),
         _part("joint_rate", "joint rate", "rad/s", joints, rate),
@@ -107,20 +107,21 @@ def observation_layout(
         every += [
             _part("modal_amplitude", "modal amplitude", "m", modal, scales.modal_scale),
             _part("modal_rate", "modal rate", "m/s", modal, scales.modal_rate),
-            _part("tip_error", frame, "m", axes, MOVE * arm.reach),
+            _part("tip_error", TIP_ERROR, "m", axes, MOVE * arm.reach),
         ]
     else:
-        every.append(_part("root_curvature", bend, "1/m", columns, curvature_scale(arm, columns)))
+        scale = curvature_scale(arm, columns)
+        every.append(_part("root_curvature", CURVATURE, "1/m", columns, scale))
     if task.moving:
-        ahead = "target joint angle {} typical move ahead, minus now"
+        ahead = "target joint angle {} move time ahead, minus the present one"
         every += [
             _part("target_rate", "rate of the target joint angle", "rad/s", joints, rate),
             _part("target_near", ahead.format("half a"), "rad", joints, MOVE),
-            _part("target_far", ahead.format("a"), "rad", joints, MOVE),
+            _part("target_far", ahead.format("one"), "rad", joints, MOVE),
         ]
     sensed = joints if torques else ()
     every.append(_part("joint_torque", "torque at the joint", "N m", sensed, torques))
-    every.append(_part("last_action", "the action before", "-", joints, 1.0, 1.0))
+    every.append(_part("last_action", "action of the last step", "-", joints, 1.0, 1.0))
     return Layout(tuple(part for part in every if part.entries))
 
 

@@ -1,265 +1,391 @@
-"""One page per environment, made from the code: `python -m flexarm_env.pages --out docs/envs`."""
+"""Pages of the environments: `python -m flexarm_env.pages --out docs/envs`.
+
+`common_page` is README.md, with the rules and definitions that hold for every id; `page` has the
+numbers of one id.
+"""
 
 import argparse
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from dynamics.load import load_arm
 from dynamics.simulation.validity import LARGEST_RATE
 from flexarm_env.accuracy.certificates import kept
-from flexarm_env.certify import EPISODES, TIP_ERROR
-from flexarm_env.compiled.signals import LOST
+from flexarm_env.certify import BATCH, EPISODES, TIP_ERROR
+from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core
 from flexarm_env.env import FlexArmEnv
-from flexarm_env.observations import Layout
+from flexarm_env.observations import BOUND, MODES, Part, observation_layout
 from flexarm_env.registration import IDS
 from flexarm_env.rewards import REWARDS, TERMS
-from flexarm_env.scales import DEFLECTION_LIMIT, SLOPE_PER_DEFLECTION
+from flexarm_env.scales import DEFLECTION_LIMIT, MOVE, SLOPE_PER_DEFLECTION, scales
 from flexarm_env.tasks import SETTLED_BAND, TASKS
 
-ARGUMENTS = (
-    ("arm", "the id's", "preset name, path to an arm file (.json, .yaml), dict or `Arm`"),
-    ("obs", '"state"', '"state", or "sensors": encoders, joint rates, strain gauges'),
-    ("reward", "the task's", "a preset's name or a dict of weights of the terms below"),
-    ("control_dt", "the id's", "[s] time between actions"),
+COMMON = """\
+# Environments
+
+{ids}
+
+The page of an id has its numbers. This page has the rules that all ids share.
+
+## Use
+
+```python
+import gymnasium as gym
+import flexarm_env  # registers the ids
+
+env = gym.make("FlexArm/OneLink-Reach-v0")  # one environment
+envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=1024)  # a batch, stepped in one call
+sb3_envs = flexarm_env.SB3VecEnv("FlexArm/OneLink-Reach-v0", 1024)  # for stable-baselines3
+```
+
+Environment i of a batch with `seed=s` is the single environment with seed s + i. All quantities are
+in SI units. `env.unwrapped` has the attributes `arm`, `model`, `task`, `control_dt`,
+`torque_limit`, `n_joint`, `reach`, `certificate`, `observation_slices` and `observation_scales`,
+and the methods `joint_target()` and `joint_state()`. An id never changes its dynamics, observations
+or rewards: a change gets a new version. All ids are at v0, the first.
+
+## Definitions
+
+{terms}
+
+## Actions
+
+`Box(-1, 1, (n_joint,), float32)`: torque of each joint over its torque limit, clipped to [-1, 1]
+and constant over a control step. Numbers that are not finite are refused.
+
+## Observations
+
+`Box((n,), float32)`: each element is a quantity over its scale, clipped to [-{bound:g}, {bound:g}];
+sine, cosine and action to [-1, 1].
+
+{observations}
+
+## Rewards
+
+The reward is the sum of weight times term. Goals lie in [0, 1], costs are at most 0. Joint rates
+are in units of the rate scale, tip speeds (relative to the target) in units of the speed scale. The
+columns are the presets of `reward=`; a dict sets other weights.
+
+{rewards}
+
+## Reset
+
+`reset(seed=..., options=...)` draws the start of the task, except where `options` sets `state`, a
+dict of `q` and `v` (one number per coordinate; zeros if left out), or `target`, joint angles. In a
+batch, options may have one row per environment.
+
+## Termination and truncation
+
+- Terminated, `info["invalid"]`: a link deflects by more than {deflection:.0%} of its length, or
+  its tip turns by more than {slope:.2g} rad (the slope of the first shape of a beam on a light hub
+  at that deflection).
+- Terminated, `info["diverged"]`: a deflection exceeds {lost:g} times that limit, or the state is
+  not finite or too large. In the second case observation and info show the state before the step.
+- Truncated: the episode has the number of steps on the page of the id.
+
+## Info
+
+{info}
+
+## Keywords
+
+{keywords}
+
+## Accuracy
+
+The certificate of an id (`env.unwrapped.certificate`) has the largest tip error on two motions from
+rest at the home posture: bang-bang at full torque in all joints, then coasting; and random torques,
+each constant over a control step. Gentler motions have smaller errors. The reference is a
+foreshortened model in segments, refined until its tip converges. The rich model is the model of the
+id with five bending modes per direction and three torsion modes per link.
+
+{certificate}
+
+The step of an id is chosen by measurement, too: for each integrator, the fewest substeps that keep
+the tip within {tip_error:g} of the reach through {episodes} episodes of random torques. The
+environment uses the first row of its table of steps. It has the least CPU time, where a tenth more
+time is accepted for a tenth of the error. CPU time is per control step of one environment in a
+batch of {batch}, on the machine that measured. `python -m flexarm_env.certify` measures both again.
+"""
+
+TERMINOLOGY = (
     (
-        "integrator",
-        "None",
-        "a method of `dynamics.integrators.INTEGRATORS`; None: the one with the "
-        "fewest evaluations that keeps the tip within 1e-3 of the reach",
+        "coordinates q",
+        "joint angles `q1`, ... [rad]; modal amplitudes `d1_1`, ... [m] of link 1, ...",
     ),
-    ("substeps", "None", "integration steps per control step; None: chosen for the arm"),
-    ("torque_limit", "None", "[N m] one number or one per joint; None: chosen for the arm"),
-    ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
-    ("render_mode", "None", '"rgb_array" or "human"'),
-    ("threads", "1", "worker threads at most, `gym.make_vec` only"),
-    ("fidelity", '"auto"', '"auto", the arm as described; "rigid"; or "reference", fine and slow'),
+    ("straight-link arm", "the arm at its joint angles with all modal amplitudes zero"),
+    ("target", "tip of the straight-link arm at the target joint angles"),
+    ("reach", "length of the stretched arm"),
+    ("locked, free frequencies", "natural frequencies with the joints locked or free"),
     (
-        "tolerance",
-        "None",
-        "[m] instead: the cheapest model, integrator and step within it on "
-        "motions as hard as the torque limits allow; found once, then kept",
+        "bang-bang test",
+        "all joints take full torque for half a period of the first free frequency, the opposite "
+        "torque for the other half, then none",
     ),
-    ("dtype", '"float64"', 'number type of the compiled code: "float64" or "float32"'),
     (
-        "randomize",
-        "None",
-        "ranges (low, high) of `payload_mass` [kg] and of factors of "
-        "`stiffness`, `damping` and `friction`, drawn at every reset: a dict",
+        "torque limit",
+        "torque that gives each joint the same acceleration, the largest for which the model stays "
+        "valid in the bang-bang test; rounded down to two digits",
+    ),
+    ("angle scale", f"{MOVE:g} rad"),
+    ("rate scale", "peak joint rate of a bang-bang move by the angle scale at full torque [rad/s]"),
+    ("move time", "duration of this move [s]"),
+    ("speed scale", "reach times rate scale [m/s]"),
+    ("modal scales", "peaks of modal amplitudes [m] and modal rates [m/s] in the bang-bang test"),
+    ("settled", f"tip error below {SETTLED_BAND:.0%} of the reach"),
+)
+
+PRESENT = {  # observation: (scale, where it is present); its meaning comes from the layout
+    "joint_error": ("angle scale", "always"),
+    "joint_sin": ("1", "joint 2 and later; joint 1 only under gravity"),
+    "joint_cos": ("1", "as `joint_sin`"),
+    "joint_rate": ("rate scale", "always"),
+    "modal_amplitude": ("modal scale", '`obs="state"`'),
+    "modal_rate": ("modal scale", '`obs="state"`'),
+    "tip_error": (f"{MOVE:g} reach", '`obs="state"`; directions in which it can differ from zero'),
+    "root_curvature": ("that of a tip force at 10 % deflection", '`obs="sensors"`'),
+    "target_rate": ("rate scale", "task Track"),
+    "target_near": ("angle scale", "task Track"),
+    "target_far": ("angle scale", "task Track"),
+    "joint_torque": ("torque limit", "with `actuator`"),
+    "last_action": ("1", "always"),
+}
+
+INFO = (
+    ("time", "s", "since the start of the episode"),
+    ("tip_error", "m", "distance from tip to target"),
+    ("tip_speed", "m/s", "speed of the tip relative to the target"),
+    ("deflection", "-", "largest deflection of a link over its length"),
+    ("tip_deflection", "m", "distance from the tip to the tip of the straight-link arm"),
+    ("root_curvature", "1/m", "at the root of each link, per bending direction"),
+    ("torque", "N m", "at the joints, at the end of the step"),
+    ("command", "V or N m", "command of the action, with `actuator` only"),
+    ("reward_terms", "-", "dict of all reward terms"),
+    ("settled", "-", "whether the tip error is in the settled band"),
+    ("invalid", "-", "whether a link bends beyond its limit, see above"),
+    ("diverged", "-", "whether the state diverged, see above"),
+    (
+        "overspeed",
+        "-",
+        f"whether a joint turns faster than {LARGEST_RATE:g} of the first locked frequency, where "
+        "linear modes lose stiffness; never with foreshortening",
     ),
 )
 
+KEYWORDS = (
+    ("arm", "the id's", "preset name, path to an arm file (.json, .yaml), dict or `Arm`"),
+    ("obs", '"state"', '"state", or "sensors": encoders, joint rates, strain gauges'),
+    ("reward", "the task's", "preset name or a dict of weights of reward terms"),
+    ("control_dt", "the id's", "[s] time between actions"),
+    ("integrator", "None",
+     "a method of `dynamics.integrators.table.INTEGRATORS`; None: the measured best; for an arm "
+     "that was not measured, by rule the fewest evaluations for an error of 1e-3 of the reach"),
+    ("substeps", "None", "integration steps per control step; None: chosen with the integrator"),
+    ("torque_limit", "None", "[N m] one number or one per joint; None: as defined above"),
+    ("actuator", "None", "[actuators](../actuators.md) between action and torque; None: ideal"),
+    ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
+    ("render_mode", "None", '"rgb_array" or "human"'),
+    ("threads", "1", "largest number of worker threads, `gym.make_vec` only"),
+    ("fidelity", '"auto"',
+     '"auto", the arm as described; "rigid"; or "reference", fine segments and slow'),
+    ("tolerance", "None",
+     "[m] replaces `fidelity`: the cheapest model, integrator and step with a smaller tip error "
+     "on the motions of the certificate; searched once, then cached"),
+    ("dtype", '"float64"', 'number type of the compiled code: "float64" or "float32"'),
+    ("randomize", "None",
+     "dict of ranges (low, high) of `payload_mass` [kg] and of factors on `stiffness`, "
+     "`damping` and `friction`, drawn at every reset"),
+)  # fmt: skip
+
+CERTIFICATE = (
+    ("error", "model and step together, from the reference"),
+    ("integration", "the step alone, from converged integration of the model"),
+    ("truncation", "the model from the rich model"),
+    ("nonlinear", "the rich model from the reference"),
+    ("residual", "the reference: tip displacement by its last refinement"),
+)
+
+
+def common_page() -> str:
+    """README.md: the list of ids, and all that they have in common."""
+    return COMMON.format(
+        ids=_table(("id", "arm", "task"), _ids()),
+        terms=_table(("term", "meaning"), TERMINOLOGY),
+        bound=BOUND,
+        observations=_table(("name", "meaning", "unit", "scale", "present"), _observation_names()),
+        rewards=_table(("term", "meaning", *(f"`{name}`" for name in REWARDS)), _reward_terms()),
+        deflection=DEFLECTION_LIMIT,
+        slope=SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT,
+        lost=LOST,
+        info=_table(("key", "unit", "meaning"), _code_first(INFO)),
+        keywords=_table(("keyword", "default", "meaning"), _code_first(KEYWORDS)),
+        certificate=_table(("error", "of"), _code_first(CERTIFICATE)),
+        tip_error=TIP_ERROR,
+        episodes=EPISODES,
+        batch=BATCH,
+    )
+
 
 def page(env_id: str) -> str:
-    """The page of one id, as Markdown."""
+    """Page of one id."""
     env = gym.make(env_id).unwrapped
     assert isinstance(env, FlexArmEnv)
     core = env.core
-    steps = IDS[env_id]["max_episode_steps"]
-    task, arm = core.task, core.arm
+    weights = REWARDS[core.task.reward]
+    reward = " + ".join(f"{weight:g} {name}" for name, weight in weights.items())
     sections = [
         f"# {env_id}",
-        f"{arm.name}: {task.title}. {task.description}\n\n{arm.description}",
-        "```python\nimport gymnasium as gym\nimport flexarm_env\n\n"
-        f'env = gym.make("{env_id}")\nenvs = gym.make_vec("{env_id}", num_envs=1024)\n```',
-        _facts(core, steps),
+        f"{core.arm.name}: {core.task.title}. {core.task.description}\n\n{core.arm.description}",
+        "[Environments](README.md) defines the terms, actions, info, episode ends and keywords.",
+        _facts(core, IDS[env_id]["max_episode_steps"]),
+        f"**Start.** {core.task.start_text}",
+        f"**Reward.** Preset `{core.task.reward}`: {reward}.",
+        *(f'## Observations with `obs="{kind}"`\n\n' + _elements(env_id, kind) for kind in MODES),
         "## Accuracy\n\n" + _accuracy(core),
-        "## Actions\n\n" + _actions(core),
-        "## Observations\n\n" + _observations("state", env_id),
-        '### With `obs="sensors"`\n\n' + _observations("sensors", env_id),
-        "## Rewards\n\n" + _rewards(core),
-        f"## Starting state\n\n{task.start_text}\n\nHome posture [rad]: "
-        f"{_numbers(core.scales.home)}. `reset(options=...)` takes `state` (a dict of "
-        f"`q` and `v`, {arm.n} numbers each: {', '.join(arm.names)}) and `target` "
-        f"({arm.n_joint} joint angles).",
-        "## Episode end\n\n" + _end(steps, core),
-        "## Info\n\n" + _info(),
-        "## Arguments\n\n" + _table(("keyword", "default", "meaning"), ARGUMENTS),
-        "## Version history\n\n- v0: first version.",
     ]
     env.close()
     return "\n\n".join(sections) + "\n"
 
 
-def _facts(core: Core, steps: int) -> str:
-    rows = [
-        ("links, coordinates", f"{core.arm.n_joint}, {core.arm.n}"),
-        ("reach", f"{core.arm.reach:.4g} m"),
-        ("control step, episode", f"{core.control_dt:g} s, {steps} steps"),
-        ("integration", f"{core.integrator}, {core.substeps} steps per control step"),
-        ("first frequencies, joints held", f"{_numbers(_hertz(core.scales.held[:2]))} Hz"),
-        ("first frequencies, joints free", f"{_numbers(_hertz(core.scales.free[:2]))} Hz"),
-        ("a typical move (0.5 rad, bang-bang)", f"{core.move_time:.2f} s"),
-    ]
-    return _table(("", ""), rows)
+# ---- tables of the common page ------------------------------------------------------------------
 
 
-def _accuracy(core: Core) -> str:
-    """The certificate as a table."""
-    c = core.certificate
-    assert c is not None, "A registered environment is certified: see certificates.py."
-    meanings = {
-        "error": "in all, from the reference",
-        "integration": "of the step alone",
-        "truncation": "of the modes kept, from more of them",
-        "nonlinear": "of a linear model with those, from the reference",
-        "residual": "of the reference: what its last refinement changed",
-    }
-    if core.arm.foreshortening:
-        meanings["nonlinear"] = "of a foreshortened model with those, from the reference"
-    rows = [
-        (key, text, f"{1e3 * c[key]:.2g} mm", f"{c[key] / c['reach']:.1e}")
-        for key, text in meanings.items()
-    ]
-    return (
-        f"Largest tip error on motions as hard as the torque limits allow ({c['scene']}), measured "
-        f"by `{c['reproduce']}` and kept as `env.unwrapped.certificate`:\n\n"
-        + _table(("part", "meaning", "tip error", "of the reach"), rows)
-        + f"\n\nModel: {c['model']}. Reference: {c['reference']}. Gentler motions err less; "
-        "`tolerance=` chooses another model.\n\n" + _steps(core)
-    )
-
-
-def _steps(core: Core) -> str:
-    """How the step was chosen, as a table."""
-    entry = kept(core.arm, core.control_dt)
-    assert entry is not None
-    rows = [
-        (
-            step["integrator"],
-            str(step["substeps"]),
-            f"{step['error']:.1e}",
-            f"{1e6 * step['seconds']:.2g} us",
-        )
-        for step in entry["steps"]
-    ]
-    head = ("integrator", "steps per control step", "tip error, of the reach", "time")
-    return (
-        f"The step is the first of these: of each method the fewest that keep the tip within "
-        f"{TIP_ERROR:g} of the reach through {EPISODES} episodes of random torques; the time is "
-        "that of one environment in a batch, per control step, on the machine that measured.\n\n"
-        + _table(head, rows)
-    )
-
-
-def _actions(core: Core) -> str:
-    rows = [
-        (str(j), f"torque of joint {j + 1}", "-1", "1", f"{limit:g} N m")
-        for j, limit in enumerate(core.torque_limit)
-    ]
-    space = f"`Box(-1, 1, ({core.arm.n_joint},), float32)`; values beyond are clipped.\n\n"
-    rule = (
-        "\n\nThe limits give every joint the same acceleration, as large as one period of "
-        "bang-bang at the first joint-free frequency, of all joints at once, stays inside the "
-        "model's validity."
-    )
-    return space + _table(("index", "action", "min", "max", "1 means"), rows) + rule
-
-
-def _observations(kind: str, env_id: str) -> str:
-    env = gym.make(env_id, obs=kind).unwrapped
-    assert isinstance(env, FlexArmEnv)
-    layout: Layout = env.core.layout
-    rows = []
-    for part in layout.parts:
-        start = layout.slices[part.name].start
-        for k, scale in enumerate(part.scale):
-            name = f"`{part.name}`" + (f" {k + 1}" if len(part.scale) > 1 else "")
-            bound = f"{part.bound:g}"
-            one = f"{scale:.4g} {part.unit}" if part.unit != "-" else f"{scale:g}"
-            rows.append((str(start + k), name, part.meaning, f"-{bound}", bound, one))
-    space = f"`Box({env.observation_space.shape}, float32)`, clipped to its bounds.\n\n"
-    return space + _table(("index", "name", "meaning", "min", "max", "1 means"), rows)
-
-
-def _rewards(core: Core) -> str:
-    weights = REWARDS[core.task.reward]
-    rows = [
-        (f"`{name}`", " ".join((term.__doc__ or "").split()), f"{weights.get(name, 0.0):g}")
-        for name, term in TERMS.items()
-    ]
-    text = (
-        f'The sum of weight times term; default weights are the preset "{core.task.reward}". '
-        "Goals lie in [0, 1], costs are at most 0. Speeds are counted in those of a typical move "
-        f"({core.rate_scale:.3g} rad/s at a joint, {core.arm.reach * core.rate_scale:.3g} m/s at "
-        f"the tip). Other presets: {', '.join(sorted(set(REWARDS) - {core.task.reward}))}.\n\n"
-    )
-    return text + _table(("term", "meaning", "weight"), rows)
-
-
-def _end(steps: int, core: Core) -> str:
-    limit = SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT
-    return (
-        f"- terminated, `info['invalid']`: a link deflects by more than {DEFLECTION_LIMIT:.0%} of "
-        f"its length, or its tip turns by more than {limit:.2g} rad (what the first shape of a "
-        "beam on a light hub does at that deflection).\n"
-        "- terminated, `info['diverged']`: the state is not finite, or a deflection is "
-        f"{LOST:g} times that limit; the last finite state is reported.\n"
-        f"- truncated after {steps} steps ({steps * core.control_dt:g} s)."
-    )
-
-
-def _info() -> str:
-    rows = [
-        ("time", "s", "since the start of the episode"),
-        ("tip_error", "m", "distance from tip to target"),
-        ("tip_speed", "m/s", "speed of the tip relative to the target"),
-        ("deflection", "-", "largest deflection of a link over its length"),
-        ("tip_deflection", "m", "distance from the tip to that of the straight-link arm"),
-        ("root_curvature", "1/m", "at the root of each link, per bending plane"),
-        ("torque", "N m", "applied in the step"),
-        ("reward_terms", "-", "every term by name"),
-        ("settled", "-", f"tip error below {SETTLED_BAND:.0%} of the reach"),
-        ("diverged, invalid", "-", "see above"),
-        (
-            "overspeed",
-            "-",
-            f"a joint turns faster than {LARGEST_RATE:g} of the first frequency of the held arm: "
-            "linear modes lose stiffness there; never set with foreshortening",
-        ),
-    ]
-    return _table(("key", "unit", "meaning"), [(f"`{key}`", *rest) for key, *rest in rows])
-
-
-def _table(head: tuple[str, ...], rows: Any) -> str:
-    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
-    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
-
-
-def _hertz(frequencies: tuple[float, ...]) -> Any:
-    return np.array(frequencies) / (2.0 * np.pi)
-
-
-def _numbers(values: Any) -> str:
-    return ", ".join(f"{value:.3g}" for value in values)
-
-
-def file_name(env_id: str) -> str:
-    """one-link-reach-v0.md and the like."""
-    return env_id.split("/")[1].replace("Link", "-Link").lower() + ".md"
-
-
-def index() -> str:
-    """The list of the pages."""
-    rows = [
+def _ids() -> list[Sequence[str]]:
+    return [
         (f"[{env_id}]({file_name(env_id)})", spec["kwargs"]["arm"],
          TASKS[spec["kwargs"]["task"]].title)
         for env_id, spec in IDS.items()
     ]  # fmt: skip
-    return "# Environments\n\n" + _table(("id", "arm", "task"), rows) + "\n"
+
+
+def _observation_names() -> list[Sequence[str]]:
+    """Every name that an observation can have, from the layouts of an arm with all of them."""
+    arm = load_arm("six-link")
+    parts: dict[str, Part] = {}
+    for kind in MODES:
+        torques = (1.0,) * arm.n_joint
+        layout = observation_layout(arm, TASKS["Track"], kind, scales(arm), 1.0, torques)
+        parts |= {part.name: part for part in layout.parts}
+    return [
+        (f"`{name}`", parts[name].meaning, parts[name].unit, scale, present)
+        for name, (scale, present) in PRESENT.items()
+    ]
+
+
+def _reward_terms() -> list[Sequence[str]]:
+    return [
+        (f"`{name}`", " ".join((term.__doc__ or "").split()),
+         *(f"{weights[name]:g}" if name in weights else "" for weights in REWARDS.values()))
+        for name, term in TERMS.items()
+    ]  # fmt: skip
+
+
+# ---- sections of an id's page -------------------------------------------------------------------
+
+
+def _facts(core: Core, steps: int) -> str:
+    arm = core.arm
+    locked, free = (np.array(x[:2]) / (2.0 * np.pi) for x in (core.scales.locked, core.scales.free))
+    rows = [
+        ("coordinates", f"{arm.n}: {', '.join(arm.names)}"),
+        ("home posture", f"{_numbers(core.scales.home)} rad"),
+        ("reach", f"{arm.reach:.4g} m"),
+        ("torque limits", f"{_numbers(core.torque_limit)} N m"),
+        ("control step", f"{core.control_dt:g} s"),
+        ("episode", f"{steps} steps, {steps * core.control_dt:g} s"),
+        ("integration", f"{core.integrator}, {core.substeps} steps per control step"),
+        ("first locked frequencies", f"{_numbers(locked)} Hz"),
+        ("first free frequencies", f"{_numbers(free)} Hz"),
+        ("move time", f"{core.move_time:.2f} s"),
+        ("rate scale", f"{core.rate_scale:.3g} rad/s"),
+        ("speed scale", f"{arm.reach * core.rate_scale:.3g} m/s"),
+    ]
+    return _table(("", ""), rows)
+
+
+def _elements(env_id: str, kind: str) -> str:
+    """Elements of an observation, one row per name."""
+    env = gym.make(env_id, obs=kind).unwrapped
+    assert isinstance(env, FlexArmEnv)
+    layout, rows = env.core.layout, []
+    for part in layout.parts:
+        at = layout.slices[part.name]
+        index = f"{at.start}" if at.stop == at.start + 1 else f"{at.start} to {at.stop - 1}"
+        scale = part.scale[:1] if len(set(part.scale)) == 1 else part.scale
+        unit = "" if part.unit == "-" else f" {part.unit}"
+        rows.append((index, f"`{part.name}`", _components(env.core, part), _numbers(scale) + unit))
+    env.close()
+    return f"{layout.size} elements.\n\n" + _table(("index", "name", "of", "scale"), rows)
+
+
+def _components(core: Core, part: Part) -> str:
+    """The joints, coordinates, directions or strain gauges of the elements of a part."""
+    if part.name.startswith("modal"):
+        return ", ".join(core.arm.names[k] for k in part.entries)
+    if part.name == "tip_error":
+        return ", ".join("xyz"[k] for k in part.entries)
+    if part.name == "root_curvature":
+        return ", ".join(f"link {k // 2 + 1} {'yz'[k % 2]}" for k in part.entries)
+    first, last = part.entries[0] + 1, part.entries[-1] + 1
+    return f"joint {first}" if first == last else f"joints {first} to {last}"
+
+
+def _accuracy(core: Core) -> str:
+    """Certificate and measured steps."""
+    c, entry = core.certificate, kept(core.arm, core.control_dt)
+    assert c is not None, "A registered environment is certified: see certificates.py."
+    assert entry is not None
+    errors = [
+        (name, f"{1e3 * c[name]:.2g}", f"{c[name] / c['reach']:.1e}") for name, _ in CERTIFICATE
+    ]
+    steps = [
+        (x["integrator"], str(x["substeps"]), f"{x['error']:.1e}", f"{1e6 * x['seconds']:.2g}")
+        for x in entry["steps"]
+    ]
+    return (
+        f"Certificate (`{c['reproduce']}`):\n\n"
+        + _table(("error", "tip [mm]", "tip [reach]"), errors)
+        + f"\n\nModel: {c['model']}. Reference: {c['reference']}.\n\nMeasured steps:\n\n"
+        + _table(("integrator", "substeps", "tip error [reach]", "CPU time [us]"), steps)
+    )
+
+
+# ---- text ---------------------------------------------------------------------------------------
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def _code_first(rows: Iterable[Sequence[str]]) -> list[Sequence[str]]:
+    """Rows with their first entry as code."""
+    return [(f"`{first}`", *rest) for first, *rest in rows]
+
+
+def _numbers(values: Any) -> str:
+    return ", ".join(f"{value:.4g}" for value in values)
+
+
+def file_name(env_id: str) -> str:
+    """File name of an id's page, such as one-link-reach-v0.md."""
+    return env_id.split("/")[1].replace("Link", "-Link").lower() + ".md"
 
 
 def main() -> None:
     """Write all pages into a folder."""
-    parser = argparse.ArgumentParser(description="Write one page per environment.")
+    parser = argparse.ArgumentParser(description="Write the pages of the environments.")
     parser.add_argument("--out", type=Path, default=Path("docs/envs"))
     folder = parser.parse_args().out
     folder.mkdir(parents=True, exist_ok=True)
     for env_id in IDS:
         (folder / file_name(env_id)).write_text(page(env_id), encoding="utf-8")
-    (folder / "README.md").write_text(index(), encoding="utf-8")
+    (folder / "README.md").write_text(common_page(), encoding="utf-8")
 
 
 if __name__ == "__main__":

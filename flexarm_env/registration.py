@@ -1,4 +1,4 @@
-"""The registered ids: arms and control steps times tasks."""
+"""Registered environment ids: every scene (arm, control step, episode length) with every task."""
 
 import difflib
 from typing import Any
@@ -23,7 +23,7 @@ IDS: dict[str, dict[str, Any]] = {
 
 
 def register() -> None:
-    """Make the ids known to Gymnasium, once."""
+    """Register the ids with Gymnasium, unless they are registered already."""
     for env_id, spec in IDS.items():
         if env_id not in gym.registry:
             gym.register(
@@ -35,9 +35,9 @@ def register() -> None:
 
 
 def registered(env_id: str) -> str:
-    """An id of this package, without the prefix `flexarm_env:`; any other is refused.
+    """Return an id of this package without the prefix `flexarm_env:`; refuse any other id.
 
-    For ids that come from a file: Gymnasium would import whatever module stands before the colon.
+    Ids from a file go through here, because Gymnasium imports the module named before a colon.
     """
     plain = env_id.removeprefix("flexarm_env:")
     if plain in IDS:

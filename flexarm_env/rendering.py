@@ -1,6 +1,6 @@
-"""Pictures of the arm without a display: the true shape, an exaggerated one and the rigid ghost.
+"""Pictures of the arm, drawn without a display: bent, with exaggerated bending, and straight.
 
-A planar arm is seen from above, a spatial one from an oblique direction.
+The view of a planar arm is from above, that of a spatial arm is oblique.
 """
 
 import math
@@ -17,8 +17,8 @@ from flexarm_env.core import Core
 from flexarm_env.observations import is_planar
 
 SIZE = (640, 480)  # [px]
-FINE = 2  # drawn this much larger, then reduced: smooth edges
-EXAGGERATION = 5.0
+FINE = 2  # supersampling factor, for smooth edges
+EXAGGERATION = 5.0  # factor on deflections
 POINTS = 24  # along a link
 TRAIL = 150  # control steps
 STRIP = 3.0  # [s] of deflection in the strip
@@ -34,7 +34,7 @@ STRIP_HEIGHT = 64  # [px]
 
 
 class Renderer:
-    """Draws one environment of a core; remembers the tip's trail and the deflection since."""
+    """Draws environments of a core; records trail and deflection of the first one's tip."""
 
     def __init__(self, core: Core) -> None:
         arm = core.arm
@@ -52,12 +52,12 @@ class Renderer:
         self._fonts = {size: ImageFont.load_default(size=size * FINE) for size in (12, 14)}
 
     def clear(self) -> None:
-        """Forget the trail: a new episode."""
+        """Clear the trail and the deflections, for a new episode."""
         self.trail.clear()
         self.bent.clear()
 
     def follow(self, core: Core, row: int = 0) -> None:
-        """Remember where the tip is now."""
+        """Record the present tip of environment `row`."""
         if core.elapsed(row) <= 1:
             self.clear()
         tip = core.model.tip(core.q[row])
@@ -73,14 +73,14 @@ class Renderer:
     # ---- geometry ----------------------------------------------------------------------------
 
     def shapes(self, core: Core, q: Array, factor: float) -> list[Array]:
-        """(., 3) [m] every link's line in the world, deflections times `factor`.
+        """(., 3) [m] centre line of every link in the world frame, deflections times `factor`.
 
-        R_i = R_{i-1} E_{i-1} F_i Rz(q_i), E the rotation of a bent end; a parallel drive stands
-        on what the joint before stands on.
+        R_i = R_{i-1} E_{i-1} F_i Rz(q_i), with the rotation E of a bent end. A parallel drive
+        turns relative to the base frame of the joint before.
         """
         lines: list[Array] = []
         R, end, E = np.eye(3), np.zeros(3), np.eye(3)
-        stand = R  # of the joint before
+        base = R  # orientation of the base frame of the joint before
         at = 0
         for link, constants in zip(core.arm.links, self.constants, strict=True):
             end = end + R @ E @ np.array(link.joint.offset)
@@ -88,13 +88,13 @@ class Renderer:
             angle = sum(q[at : at + joints].tolist())
             c, s = math.cos(angle), math.sin(angle)
             if link.joint.parallel:
-                R, E = stand, np.eye(3)
+                R, E = base, np.eye(3)
             E = E @ np.array(link.joint.rotation)
-            stand = R @ E
+            base = R @ E
             E = E @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
             at += joints
             line = []
-            for part, known in zip(parts(link), constants[joints - 1 :], strict=True):
+            for part, constant in zip(parts(link), constants[joints - 1 :], strict=True):
                 delta = factor * q[at : at + len(part.modes)]
                 at += len(part.modes)
                 x = np.linspace(0.0, part.length, POINTS)
@@ -102,7 +102,7 @@ class Renderer:
                 theta = np.zeros(3)
                 if part.modes:
                     shape += deflection(part, delta, x)
-                    theta = np.array(known.tip_theta).T @ delta
+                    theta = np.array(constant.tip_theta).T @ delta
                 R = R @ E
                 line.append(end + shape @ R.T)
                 end, E = line[-1][-1], _rotation(theta)
@@ -110,7 +110,7 @@ class Renderer:
         return lines
 
     def pixels(self, points: Array) -> list[tuple[float, float]]:
-        """World points [m] on the enlarged canvas."""
+        """Pixels of world points [m] on the supersampled canvas."""
         flat = np.atleast_2d(points) @ self.view.T * self.scale * (1.0, -1.0) + self.centre
         return [(float(x), float(y)) for x, y in flat * FINE]
 
@@ -131,7 +131,7 @@ class Renderer:
         self._draw_arm(pen, exaggerated, ORANGE, 3)
         self._draw_arm(pen, self.shapes(core, q, 1.0), STEEL, 7, body=True)
         self._draw_target(pen, goal, core.arm.reach)
-        self._draw_words(pen, core, row)
+        self._draw_text(pen, core, row)
         if row == 0:
             self._draw_strip(pen, core)
         return np.asarray(image.resize(SIZE, Image.Resampling.LANCZOS), dtype=np.uint8)
@@ -190,7 +190,7 @@ class Renderer:
                 (x + dx * start, y + dy * start, x + dx * stop, y + dy * stop), GREEN, 2 * FINE
             )
 
-    def _draw_words(self, pen: ImageDraw.ImageDraw, core: Core, row: int) -> None:
+    def _draw_text(self, pen: ImageDraw.ImageDraw, core: Core, row: int) -> None:
         error = float(np.linalg.norm(core.goal(row) - core.model.tip(core.q[row])))
         time = core.elapsed(row) * core.control_dt
         unit, factor = ("mm", 1e3) if core.arm.reach < 10.0 else ("m", 1.0)
@@ -211,7 +211,7 @@ class Renderer:
             pen.text(((x + 19) * FINE, y), word, fill=INK, font=small, anchor="lm")
 
     def _draw_strip(self, pen: ImageDraw.ImageDraw, core: Core) -> None:
-        """Elastic displacement of the tip over the last seconds."""
+        """Plot the elastic tip displacement of the last seconds."""
         left, right = 16 * FINE, (SIZE[0] - 16) * FINE
         bottom = (SIZE[1] - 8) * FINE
         top = bottom - STRIP_HEIGHT * FINE
@@ -233,7 +233,7 @@ class Renderer:
     # ---- window ------------------------------------------------------------------------------
 
     def show(self, picture: NDArray[np.uint8], seconds: float) -> None:
-        """Show a picture in a window; without a display, matplotlib draws it unseen."""
+        """Show a picture in a window for some seconds; without a display, draw it unseen."""
         import matplotlib.pyplot as plt
 
         if self._window is None:
@@ -256,7 +256,7 @@ class Renderer:
 
 
 def _rotation(theta: Array) -> Array:
-    """exp(theta~)."""
+    """Rotation matrix exp(theta~) of a rotation vector [rad]."""
     angle = float(np.linalg.norm(theta))
     T = np.array([[0, -theta[2], theta[1]], [theta[2], 0, -theta[0]], [-theta[1], theta[0], 0]])
     if angle < 1e-12:

@@ -1,10 +1,11 @@
-"""Rewards: a table of terms, and weights of them as presets, as a keyword and as wrappers.
+"""Reward terms, presets of weights, and wrappers that apply other weights.
 
-reward = sum of weight times term. The environment measures the terms at every step and puts them
-into info["reward_terms"]; the keyword `reward=` and the wrappers here only weigh them, so that both
+reward = sum of weight times term. The environment computes the terms at every step and puts them
+into info["reward_terms"]. The keyword `reward=` and the wrappers here only set the weights, so both
 give the same numbers to round-off.
 
-Terms are plain functions on any scalars: floats, or symbols where an environment is compiled.
+A term is a plain function of scalars: floats, or CasADi symbols where an environment is compiled.
+Rates are in units of the rate scale, tip speeds in units of reach times rate scale (`core.Core`).
 """
 
 from collections.abc import Callable, Mapping
@@ -14,33 +15,33 @@ import gymnasium as gym
 
 from dynamics.description import validate
 
-HEAVIEST = 1e9  # weight of a term
+HEAVIEST = 1e9  # largest weight of a term
 
 
 class Measured(NamedTuple):
-    """What a reward term sees, all dimensionless."""
+    """Dimensionless quantities from which reward terms are computed."""
 
     error: Any  # tip error over reach
-    speed: Any  # tip speed relative to the target's, over that of a typical move
+    speed: Any  # tip speed relative to the target, over reach times rate scale
     vibration: Any  # elastic tip displacement over 10 % of the reach
-    rate: Any  # mean square over the joints of rate over that of a typical move
+    rate: Any  # mean square over the joints of the joint rate over the rate scale
     effort: Any  # mean square of the actions
     change: Any  # mean square of the change of the actions
-    failed: Any  # 1 or 0
+    failed: Any  # 1 at a step that ends the episode by failure, else 0
 
 
 def tracking(m: Measured) -> Any:
-    """Closeness of the tip to its target: 1 on it, 1/2 at 10 % of the reach."""
+    """Closeness of the tip to the target: 1 on it, 1/2 at 10 % of the reach."""
     return 1.0 / (1.0 + 10.0 * m.error)
 
 
 def precision(m: Measured) -> Any:
-    """Narrow closeness: 1 on the target, 1/2 at the edge of the settled band, 2 % of the reach."""
+    """Narrow closeness: 1 on the target, 1/2 at the edge of the settled band (2 % of reach)."""
     return 1.0 / (1.0 + (50.0 * m.error) ** 2)
 
 
 def stillness(m: Measured) -> Any:
-    """On the target and at rest: 1 there, 1/2 at 5 % of the reach or 10 % of a move's speed."""
+    """Closeness and rest: 1 at rest on the target, 1/2 at 5 % of the reach or speed 0.1."""
     return 1.0 / (1.0 + (20.0 * m.error) ** 2 + (10.0 * m.speed) ** 2)
 
 
@@ -50,12 +51,12 @@ def distance(m: Measured) -> Any:
 
 
 def tip_speed(m: Measured) -> Any:
-    """Negative squared tip speed (of a typical move's), halved at 10 % of the reach off target."""
+    """Negative squared tip speed, halved at a tip error of 10 % of the reach."""
     return -(m.speed**2) / (1.0 + (10.0 * m.error) ** 2)
 
 
 def vibration(m: Measured) -> Any:
-    """Negative squared elastic tip displacement (of 10 % of the reach)."""
+    """Negative squared elastic tip displacement, in units of 10 % of the reach."""
     return -(m.vibration**2)
 
 
@@ -70,7 +71,7 @@ def smoothness(m: Measured) -> Any:
 
 
 def joint_rate(m: Measured) -> Any:
-    """Negative mean square of the joint rates (of a typical move's)."""
+    """Negative mean square of the joint rates."""
     return -m.rate
 
 
@@ -102,7 +103,7 @@ REWARDS: dict[str, dict[str, float]] = {
 
 
 def resolve_weights(reward: str | Mapping[str, float]) -> dict[str, float]:
-    """Weights of a preset's name or of a dict, checked; terms left out weigh nothing."""
+    """Checked weights by term, from the name of a preset or a dict; other weights are zero."""
     if isinstance(reward, str):
         if reward not in REWARDS:
             raise ValueError(
@@ -128,7 +129,7 @@ def resolve_weights(reward: str | Mapping[str, float]) -> dict[str, float]:
     return weights
 
 
-class _WeighedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+class _WeightedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Replace the reward by a weighted sum of info["reward_terms"]."""
 
     preset: str
@@ -140,7 +141,7 @@ class _WeighedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructo
         self.weights = [chosen.get(name, 0.0) for name in TERMS]
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """One step; the reward is weighed anew."""
+        """Step the environment and return the reward with these weights."""
         observation, _, terminated, truncated, info = self.env.step(action)
         reward = 0.0
         for weight, term in zip(self.weights, info["reward_terms"].values(), strict=True):
@@ -148,13 +149,13 @@ class _WeighedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructo
         return observation, reward, terminated, truncated, info
 
 
-class TipTrackingReward(_WeighedReward):
-    """Reward a tip close to its target; `weights` replaces the preset "tip_tracking"."""
+class TipTrackingReward(_WeightedReward):
+    """Reward a tip close to the target; `weights` replaces the preset "tip_tracking"."""
 
     preset = "tip_tracking"
 
 
-class VibrationSuppressionReward(_WeighedReward):
-    """Reward a tip at rest on its target; `weights` replaces "vibration_suppression"."""
+class VibrationSuppressionReward(_WeightedReward):
+    """Reward a tip at rest on the target; `weights` replaces "vibration_suppression"."""
 
     preset = "vibration_suppression"

@@ -1,4 +1,4 @@
-"""The batch for stable-baselines3, which takes no Gymnasium vector environments."""
+"""Batch environment for stable-baselines3, which has a vector interface of its own."""
 
 import time
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ from flexarm_env.vector import FlexArmVectorEnv
 class SB3VecEnv(VecEnv):
     """N environments of a registered id, stepped together.
 
-    Finished environments restart in the same step; their info holds what a `DummyVecEnv` of
-    monitored environments would: "terminal_observation", "TimeLimit.truncated", "episode" (return,
-    length, time) and "is_success" (the tip on the target at the end), beside the environment's own
-    entries. All other infos are empty.
+    An environment whose episode ended restarts in the same step. Its info has the keys of a
+    `DummyVecEnv` of monitored environments: "terminal_observation", "TimeLimit.truncated",
+    "episode" (return, length, time) and "is_success" (tip on the target at the end), beside the
+    environment's own. The infos of the other environments are empty.
     """
 
     def __init__(self, id: str, n_envs: int, **kwargs: Any) -> None:
@@ -33,7 +33,7 @@ class SB3VecEnv(VecEnv):
         self._started = time.time()
 
     def reset(self) -> NDArray[np.float32]:
-        """First observations; uses the seeds and options that `seed` and `set_options` left."""
+        """Start episodes, with the seeds and options set by `seed` and `set_options`."""
         seeds = [None if seed is None else int(seed) for seed in self._seeds]
         given = any(seed is not None for seed in seeds)
         self.core.claim()
@@ -51,11 +51,11 @@ class SB3VecEnv(VecEnv):
         return out.obs
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Keep the actions for `step_wait`."""
+        """Store the actions for `step_wait`."""
         self._actions = self.envs._actions(actions)
 
     def step_wait(self) -> Any:
-        """One control step of all."""
+        """Advance all by one control step."""
         self.core.claim()
         try:
             return self._stepped()
@@ -73,14 +73,14 @@ class SB3VecEnv(VecEnv):
             rows = np.flatnonzero(dones)
             self._report(rows, out, infos)
             for i in rows.tolist():
-                late = out.truncated[i] and not out.terminated[i]
-                infos[i]["TimeLimit.truncated"] = bool(late)
+                timed_out = out.truncated[i] and not out.terminated[i]
+                infos[i]["TimeLimit.truncated"] = bool(timed_out)
             self.core.restart(rows, out)
             self._returns[rows], self._lengths[rows] = 0.0, 0
         return out.obs, reward, dones, infos
 
     def _report(self, rows: Any, out: BatchOutputs, infos: list[Any]) -> None:
-        """Infos of the environments whose episode ended."""
+        """Fill the infos of the environments whose episode ended."""
         described = out.described()
         terms = described.pop("reward_terms")
         elapsed = round(time.time() - self._started, 6)
@@ -100,12 +100,12 @@ class SB3VecEnv(VecEnv):
             infos[i] = entry
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The attribute once per environment; they share it."""
+        """Return the attribute, which all environments share, once per environment."""
         value = getattr(self.envs, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute; environments share it, so it is all of them or none."""
+        """Set an attribute of all environments; they share it."""
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise ValueError(f"{attr_name!r} is shared by the batch: set it for all environments.")
         setattr(self.envs, attr_name, value)
@@ -113,7 +113,7 @@ class SB3VecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the batch; results with one row per environment are split up."""
+        """Call a method of the batch; a result with one row per environment is split."""
         if method_name == "render":
             pictures = self.get_images()
             return [pictures[i] for i in self._get_indices(indices)]
@@ -126,11 +126,11 @@ class SB3VecEnv(VecEnv):
         return [result for _ in rows]
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Any = None) -> list[bool]:
-        """Nothing is wrapped, but episodes are monitored as `Monitor` would."""
+        """True for `Monitor`, whose job this class does; no other wrapper is present."""
         return [wrapper_class.__name__ == "Monitor" for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[Any]:
-        """One picture per environment."""
+        """Return one picture per environment."""
         return self.envs.render() or [None] * self.num_envs
 
     def close(self) -> None:

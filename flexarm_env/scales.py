@@ -1,6 +1,8 @@
-"""Numbers an environment derives from its arm: torque limits, natural scales, integration steps.
+"""Scales that an environment derives from its arm: torque limits, natural scales, step sizes.
 
-All follow from the linear model about rest, links straight: M a + C v + K q = B tau.
+All follow from the model linearized at rest, links straight: M a + C v + K q = B tau. The torque
+limits come from a bang-bang test: every joint takes its full torque for half a period of the first
+joint-free mode, the opposite torque for the other half, then none.
 """
 
 import math
@@ -19,32 +21,35 @@ from dynamics.model import Model
 from dynamics.types import Array
 
 DEFLECTION_LIMIT = 0.1  # [-] tip deflection of a link over its length; beyond, the model is invalid
-SLOPE_PER_DEFLECTION = 1.6  # [rad] a beam whose tip deflects in its first shape by all of its
-# length turns its tip by 1.38 rad (held, bare) to 1.57 rad (on a free, light hub)
+SLOPE_PER_DEFLECTION = 1.6  # [rad] tip slope of a beam whose first shape deflects the tip by the
+# beam's length: 1.38 rad clamped and bare, 1.57 rad on a free, light hub
 BENT = 0.6  # [rad] home angle of every joint but the first
-MOVE = 0.5  # [rad] a typical move; the scale of angles
+MOVE = 0.5  # [rad] angle scale: the angle of the bang-bang move that sets rate and time scales
 RIGID_RATE = 25.0  # [rad/s] of motions of an arm without flexible links
 RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
 SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequency
-SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # by order: dt omega of the first joint-free mode, which moves
-# excite and a step must follow to 1e-3 of the reach
+SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # largest dt omega by a method's order, omega of the first
+# joint-free mode: moves excite it, and a step must follow it to 1e-3 of the reach
 BY_RULE = ("rk4", "midpoint")  # SMOOTH is not enough for Numerov's method: it has to be measured
-_UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not reach
+_UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not excite
 _SAMPLES = 200  # per period of the first joint-free mode
 
 
 @dataclass(frozen=True)
 class Scales:
-    """What follows from an arm alone."""
+    """Scales of an arm.
+
+    Natural frequencies are "locked" with the joints locked, "free" with the joints free.
+    """
 
     home: tuple[float, ...]  # (n_joint,) [rad] a posture away from the stretched one
-    torque_limit: tuple[float, ...]  # (n_joint,) [N m] what one period of bang-bang may use
-    inertia: tuple[float, ...]  # (n_joint,) [kg m^2] each joint carries, the others held
-    held: tuple[float, ...]  # [rad/s] natural frequencies, joints held
-    free: tuple[float, ...]  # [rad/s] natural frequencies, joints free
-    fastest: float  # [rad/s] the highest of them, or the fastest decay by damping and friction
-    modal_scale: tuple[float, ...]  # (n - n_joint,) [m] amplitude in that bang-bang; 1 if none
-    modal_rate: tuple[float, ...]  # (n - n_joint,) [m/s] rate in it
+    torque_limit: tuple[float, ...]  # (n_joint,) [N m] torque that keeps the bang-bang test valid
+    inertia: tuple[float, ...]  # (n_joint,) [kg m^2] about each joint, all else locked
+    locked: tuple[float, ...]  # [rad/s] natural frequencies
+    free: tuple[float, ...]  # [rad/s] natural frequencies, rigid motions left out
+    fastest: float  # [rad/s] highest frequency, or fastest decay [1/s] by damping and friction
+    modal_scale: tuple[float, ...]  # (n - n_joint,) [m] peak in the bang-bang test; 1 if unmoved
+    modal_rate: tuple[float, ...]  # (n - n_joint,) [m/s] peak rate in the test; 1 if unmoved
 
 
 def home_posture(n_joint: int) -> tuple[float, ...]:
@@ -54,7 +59,7 @@ def home_posture(n_joint: int) -> tuple[float, ...]:
 
 @lru_cache(maxsize=64)
 def scales(arm: Arm) -> Scales:
-    """Everything that follows from an arm alone."""
+    """Scales of an arm; refuses an arm with a joint that does not turn."""
     for i, link in enumerate(arm.links, 1):
         if link.joint.type != "revolute":
             raise ValueError(
@@ -77,7 +82,7 @@ def _derived(arm: Arm) -> Scales:
     C = damping(model.chain) + friction(model.chain)
     decay = float(np.linalg.eigvals(np.linalg.solve(M, C)).real.max())
     inertia = np.diag(M)[joints]
-    held = _frequencies(M[np.ix_(modal, modal)], K[np.ix_(modal, modal)])
+    locked = _frequencies(M[np.ix_(modal, modal)], K[np.ix_(modal, modal)])
     free = _frequencies(M, K)[arm.n_joint :]
     if modal:
         acceleration, peak = _bang_bang(arm, M, K, inertia, float(free[0]))
@@ -88,22 +93,22 @@ def _derived(arm: Arm) -> Scales:
         home=home,
         torque_limit=tuple(two_digits(acceleration * x) for x in inertia),
         inertia=tuple(inertia.tolist()),
-        held=tuple(held.tolist()),
+        locked=tuple(locked.tolist()),
         free=tuple(free.tolist()),
-        fastest=max((decay, *held.tolist(), *free.tolist())),
+        fastest=max((decay, *locked.tolist(), *free.tolist())),
         modal_scale=tuple(scale[modal].tolist()),
         modal_rate=tuple(scale[[arm.n + i for i in modal]].tolist()),
     )
 
 
 def two_digits(x: float) -> float:
-    """Rounded down to two significant digits, so that a limit is a number one can quote."""
+    """Round down to two significant digits, so that a limit is easy to quote."""
     unit = 10.0 ** (math.floor(math.log10(x)) - 1)
     return float(f"{math.floor(x / unit * (1.0 + 1e-9)) * unit:.2g}")
 
 
 def _frequencies(M: Array, K: Array) -> Array:
-    """[rad/s] of M a + K q = 0, ascending."""
+    """[rad/s] natural frequencies of M a + K q = 0, ascending."""
     inverse = np.linalg.inv(np.linalg.cholesky(M)) if M.size else M
     return np.sqrt(np.abs(np.linalg.eigvalsh(inverse @ K @ inverse.T)))
 
@@ -121,14 +126,40 @@ def _exponential(A: Array) -> Array:
 
 
 def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tuple[float, Array]:
-    """Acceleration alpha [rad/s^2] such that torques alpha times inertia stay just valid.
+    """Largest valid acceleration [rad/s^2] in the bang-bang test, and (2 n,) peaks of q and v.
 
-    The test is one period of bang-bang at the first joint-free frequency, +1 then -1, then nothing:
-    what excites that mode most in one period. All joints do it at once and their peaks add up.
-    Also returns (2 n,) the peaks of all coordinates and rates in that test.
+    Joint torques are the acceleration times `inertia`. One period of bang-bang at `first` [rad/s],
+    the first joint-free frequency, excites that mode most. All joints move at once and their peaks
+    add up.
     """
     n, m = arm.n, arm.n_joint
-    C, B, D, S = np.zeros((n, n)), np.zeros((n, m)), np.zeros((m, 3, n)), np.zeros((m, 3, n))
+    C, B, strains = _damping_inputs_strains(arm)
+    dt = 2.0 * math.pi / first / _SAMPLES
+    inverse = np.linalg.inv(M)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ C]])
+    forces = np.vstack([np.zeros((n, m)), inverse @ B * inertia])  # per unit acceleration
+    step = _exponential(np.block([[A, forces], [np.zeros((m, 2 * n + m))]]) * dt)
+    x = np.zeros((2 * n, m))  # one column per joint that is driven alone
+    peak_strain, peak = np.zeros((2 * m, m)), np.zeros((2 * n, m))
+    for k in range(2 * _SAMPLES):
+        sign = 1.0 if k < _SAMPLES // 2 else -1.0 if k < _SAMPLES else 0.0
+        x = step[: 2 * n, : 2 * n] @ x + sign * step[: 2 * n, 2 * n :]
+        peak_strain = np.maximum(peak_strain, np.linalg.norm(strains @ x[:n], axis=1))
+        peak = np.maximum(peak, np.abs(x))
+    largest = float(peak_strain.sum(axis=1).max())
+    acceleration = 1.0 / largest if largest else RIGID_ACCELERATION  # springs alone: any twist
+    return acceleration, acceleration * peak.sum(axis=1)
+
+
+def _damping_inputs_strains(arm: Arm) -> tuple[Array, Array, Array]:
+    """Matrices of the bang-bang test.
+
+    (n, n) modal and spring damping; (n, n_joint) generalized forces of unit joint torques; and
+    (2 n_joint, 3, n) tip deflection and tip slope of each link, over their limits of validity.
+    """
+    n, m = arm.n, arm.n_joint
+    C, B = np.zeros((n, n)), np.zeros((n, m))
+    deflection, slope = np.zeros((m, 3, n)), np.zeros((m, 3, n))
     for i, (start, link) in enumerate(zip(arm.joint_index, chain_constants(arm), strict=True)):
         B[start, i] = 1.0
         stop = start + 1
@@ -145,31 +176,16 @@ def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tu
             shift = shift + np.cross(theta, (beyond, 0.0, 0.0))
             C[modes, modes] = np.array(part.damping).reshape(count, count)
             B[modes, i] = part.root_slope if link[0].driven else 0.0
-            D[i, :, modes] = shift.T / arm.links[i].length / DEFLECTION_LIMIT
-            S[i, :, modes] = theta.T / (SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT)
-    outputs = np.concatenate([D, S])  # (2 m, 3, n): one at the limit of validity
-    dt = 2.0 * math.pi / first / _SAMPLES
-    inverse = np.linalg.inv(M)
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ C]])
-    forces = np.vstack([np.zeros((n, m)), inverse @ B * inertia])  # per unit acceleration
-    step = _exponential(np.block([[A, forces], [np.zeros((m, 2 * n + m))]]) * dt)
-    x = np.zeros((2 * n, m))
-    peak, highest = np.zeros((2 * m, m)), np.zeros((2 * n, m))
-    for k in range(2 * _SAMPLES):
-        sign = 1.0 if k < _SAMPLES // 2 else -1.0 if k < _SAMPLES else 0.0
-        x = step[: 2 * n, : 2 * n] @ x + sign * step[: 2 * n, 2 * n :]
-        peak = np.maximum(peak, np.linalg.norm(outputs @ x[:n], axis=1))
-        highest = np.maximum(highest, np.abs(x))
-    largest = float(peak.sum(axis=1).max())
-    acceleration = 1.0 / largest if largest else RIGID_ACCELERATION  # springs alone: any twist
-    return acceleration, acceleration * highest.sum(axis=1)
+            deflection[i, :, modes] = shift.T / arm.links[i].length / DEFLECTION_LIMIT
+            slope[i, :, modes] = theta.T / (SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT)
+    return C, B, np.concatenate([deflection, slope])
 
 
 def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> tuple[str, int]:
     """Integrator and substeps per control step that keep the tip within 1e-3 of the reach.
 
-    A rule for arms whose steps were never measured (see certify.py): the cheapest of BY_RULE by
-    evaluations of the accelerations, or the one that is asked for.
+    A rule for arms whose steps were never measured (see certify.py). Without `integrator` it takes
+    the method of BY_RULE with the fewest evaluations of the accelerations.
     """
     found = scales(arm)
     first = min(found.free, default=RIGID_RATE)
@@ -179,6 +195,6 @@ def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> t
         stable = found.fastest / (SAFE * method.limit)
         return max(1, math.ceil(control_dt * max(stable, first / SMOOTH[method.order]) - 1e-9))
 
-    known = BY_RULE if integrator is None else (integrator,)
-    counts = {name: steps(name) for name in known}
+    names = BY_RULE if integrator is None else (integrator,)
+    counts = {name: steps(name) for name in names}
     return min(counts.items(), key=lambda item: INTEGRATORS[item[0]].evaluations(item[1]))

@@ -1,7 +1,7 @@
-"""What an arm is asked to do: Reach, Track, Damp.
+"""Tasks of an arm: Reach, Track, Damp.
 
-Every task is a joint reference; the target is the tip of the arm with straight links there. So a
-target can always be reached, and a controller of joints knows where to go.
+A task is a joint reference; its target is the tip of the straight-link arm at these joint angles.
+Every target can therefore be reached, and a joint controller has its reference.
 """
 
 import math
@@ -19,7 +19,10 @@ SETTLED_BAND = 0.02  # [-] tip error over reach
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One task: what its episodes are drawn from, uniformly, by an environment's own stream."""
+    """A task and the ranges of its episodes, drawn uniformly from an environment's own stream.
+
+    Angle, rate and time scales are defined in `scales.MOVE` and `core.Core`.
+    """
 
     title: str
     description: str
@@ -27,9 +30,9 @@ class Task:
     start_text: str
     reward: str  # name of its default reward
     moves: Range = (0.0, 0.0)  # [rad] joint angles from start to target, either sign
-    share: Range = (0.0, 0.0)  # [-] acceleration of each sine of the path, of full torque's
-    tempo: Range = (0.0, 0.0)  # [-] frequency of the sines, of a typical move's
-    shake: Range = (0.0, 0.0)  # [-] modal amplitudes and rates, of those in a bang-bang
+    share: Range = (0.0, 0.0)  # [-] acceleration of each sine over that at full torque
+    tempo: Range = (0.0, 0.0)  # [-] frequency of the sines times move_time / pi
+    shake: Range = (0.0, 0.0)  # [-] modal amplitudes and rates over `Scales.modal_scale`, `_rate`
 
     @property
     def moving(self) -> bool:
@@ -37,7 +40,7 @@ class Task:
         return self.tempo[1] > 0.0
 
     def ranges(self, move_time: float) -> Array:
-        """(5, 2) ranges that `episode.begin` draws from; the rows are named there."""
+        """(5, 2) ranges for `compiled.episode.begin`, which names the rows."""
         base = math.pi / move_time  # [rad/s]
         tempo = (self.tempo[0] * base, self.tempo[1] * base)
         return np.array([self.start, self.moves, self.share, tempo, self.shake])
@@ -62,28 +65,29 @@ TASKS = {
         title="follow a smooth fast path",
         description=(
             "Keep the tip on a target that moves along a smooth path at speeds that bend the arm; "
-            "the observation looks ahead by half and by one typical move."
+            "the observation holds the target half a move time and one move time ahead."
         ),
         start=(-0.3, 0.3),
         share=(0.15, 0.35),
         tempo=(0.4, 1.2),
         start_text=(
             "At rest on the target, links straight. Joint angles: uniform within 0.3 rad of the "
-            "home posture. Path of every joint: two sines with random phase, 0.4 to 1.2 times a "
-            "typical move's frequency, each with 15 to 35 % of the acceleration at full torque "
-            f"(at most {MOVE} rad), faded in over one typical move."
+            "home posture. Path of every joint: two sines with random phases, faded in over one "
+            "move time. Angular frequency of a sine: 0.4 to 1.2 times pi / move time. Acceleration "
+            "amplitude: 15 to 35 % of the acceleration at full torque. Angle amplitude: at most "
+            f"{MOVE} rad."
         ),
         reward="track",
     ),
     "Damp": Task(
-        title="still a shaken arm",
-        description="The arm was shaken and vibrates: bring it to rest where its joints were.",
+        title="damp a vibrating arm",
+        description="The links vibrate: bring the arm to rest at its initial joint angles.",
         start=(-0.5, 0.5),
         shake=(-0.6, 0.6),
         start_text=(
-            "Joints at rest, links vibrating: every modal amplitude and rate uniform within 60 % "
-            "of the peak that one period of bang-bang at full torque gives it. Joint angles: "
-            "uniform within 0.5 rad of the home posture. Target: the same joint angles, still."
+            "Joints at rest, links vibrating. Modal amplitudes and rates: uniform within 60 % of "
+            "their scales (the peaks of the bang-bang test). Joint angles: uniform within 0.5 rad "
+            "of the home posture. Target: the same joint angles, at rest."
         ),
         reward="damp",
     ),
@@ -91,5 +95,5 @@ TASKS = {
 
 
 def find_task(name: str) -> Task:
-    """The task of this name, or a sentence."""
+    """Return the task of this name; a ValueError if there is none."""
     return TASKS[validate.known(name, "task", TASKS)]

@@ -1,4 +1,4 @@
-"""A batch of environments with Gymnasium's vector interface: one compiled call steps them all."""
+"""A batch of environments with Gymnasium's vector interface; one compiled call steps all."""
 
 from collections.abc import Mapping, Sequence
 from numbers import Integral
@@ -18,6 +18,7 @@ from flexarm_env.compiled.outputs import BatchOutputs, masks
 from flexarm_env.core import Core
 from flexarm_env.env import (
     RENDER_MODES,
+    CoreAttributes,
     check_render_mode,
     frames_per_second,
     observation_space,
@@ -27,11 +28,11 @@ Flags = NDArray[np.bool_]
 _AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
 
 
-class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
-    """N flexible arms at one task; environment i equals a single one seeded with `seed + i`.
+class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
+    """N flexible arms with one task; environment i equals a `FlexArmEnv` with seed `seed + i`.
 
-    Keywords as of `FlexArmEnv`, and `max_episode_steps`, `autoreset_mode`, `threads`. Rendering
-    shows the first environment.
+    Keywords are those of `FlexArmEnv`, and `max_episode_steps`, `autoreset_mode`, `threads`.
+    `render_mode` "human" shows the first environment.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -39,8 +40,6 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-
-    _renderer: Any = None  # here, so that closing after a refused construction finds it
 
     def __init__(
         self,
@@ -53,8 +52,8 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     ) -> None:
         check_render_mode(render_mode)
         known = {mode.value: mode for mode in _AUTORESET}
-        asked = getattr(autoreset_mode, "value", autoreset_mode)
-        mode = known[validate.choice(asked, "autoreset_mode", known)]
+        given = getattr(autoreset_mode, "value", autoreset_mode)
+        mode = known[validate.choice(given, "autoreset_mode", known)]
         steps = 0 if max_episode_steps is None else max_episode_steps
         self.core = Core(n_env=num_envs, single=False, max_steps=steps, **arguments)
         self.num_envs, self.render_mode, self.autoreset_mode = self.core.n_env, render_mode, mode
@@ -72,31 +71,20 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
         self._seeded = False
 
-    # ---- what agents ask ---------------------------------------------------------------------
-
-    arm = property(lambda self: self.core.arm)
-    model = property(lambda self: self.core.model)
-    task = property(lambda self: self.core.task_name)
-    control_dt = property(lambda self: self.core.control_dt)
-    torque_limit = property(lambda self: self.core.torque_limit.copy())
-    n_joint = property(lambda self: self.core.arm.n_joint)
-    reach = property(lambda self: self.core.arm.reach)
-    certificate = property(lambda self: self.core.certificate)
-    observation_slices = property(lambda self: self.core.layout.slices)
-    observation_scales = property(lambda self: self.core.layout.scales)
+    # ---- for controllers -----------------------------------------------------------------------
 
     def joint_target(self) -> Array:
-        """(num_envs, n_joint) [rad] joint angles that put the tips on their targets."""
+        """(num_envs, n_joint) [rad] joint angles of `FlexArmEnv.joint_target`."""
         return self.core.joint_target()
 
     def joint_state(self) -> tuple[Array, Array]:
-        """(num_envs, n_joint) [rad] and [rad/s]: what ideal encoders read."""
+        """(num_envs, n_joint) [rad] and [rad/s] joint angles and rates, as ideal encoders read."""
         return self.core.joint_state()
 
     # ---- the Gymnasium interface -------------------------------------------------------------
 
     def seed_streams(self, seed: int | Sequence[int | None] | None) -> None:
-        """Start random streams as single environments with these seeds would."""
+        """Seed the random streams as single environments with these seeds do."""
         if seed is None:
             if not self._seeded:
                 for i in range(self.num_envs):
@@ -110,13 +98,15 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._seeded = True
 
     def _seeds(self, seed: Any) -> list[int | None]:
-        """One per environment."""
+        """One seed per environment."""
         if isinstance(seed, Integral):
             first = whole_seed(seed) or 0
             return [first + i for i in range(self.num_envs)]
         seeds = validate.sequence(seed, "seed")
         if len(seeds) != self.num_envs:
-            raise ValueError(f"{self.num_envs} seeds are needed, got {len(seeds)}.")
+            raise ValueError(
+                f"seed must hold {self.num_envs} seeds (one per environment), got {len(seeds)}."
+            )
         return [whole_seed(one) for one in seeds]
 
     def reset(
@@ -125,7 +115,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """New episodes; env i gets `seed + i`, or `seed[i]`. Options as of `FlexArmEnv.reset`."""
+        """Start episodes; environment i gets `seed + i` or `seed[i]`; options of `FlexArmEnv`."""
         self.core.claim()
         try:
             self.seed_streams(seed)
@@ -140,9 +130,9 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         return out.obs, out.marked()
 
     def step(self, actions: Any) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
-        """One control step of all; ended episodes restart as `autoreset_mode` says.
+        """Advance all by one control step; ended episodes restart by `autoreset_mode`.
 
-        What it returns stays as it is: arrays are filled again when nobody holds them any more.
+        Later steps do not overwrite a returned array while the caller keeps a reference to it.
         """
         array = self._actions(actions)
         self.core.claim()
@@ -181,7 +171,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def _restart_now(
         self, out: BatchOutputs, ended: int
     ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
-        """SAME_STEP: the observation is the new episode's first, the last is in final_obs."""
+        """SAME_STEP: return the first observation of a new episode, with the last in final_obs."""
         outcome = out.reward, out.terminated, out.truncated
         final: dict[str, Any] = {}
         if ended:
@@ -201,7 +191,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         return out.obs, *outcome, out.marked() | final
 
     def _final_info(self, out: BatchOutputs, done: Flags) -> dict[str, Any]:
-        """Copies of the last info of the environments that are `done`."""
+        """Copies of the info of this step, masked by `done`."""
         described = out.described()
         terms = described.pop("reward_terms")
         copies: dict[str, Any] = {name: values.copy() for name, values in described.items()}
@@ -210,7 +200,7 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         return copies | masks(copies, done)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Pictures of the environments in rgb_array mode; a window with the first in human mode."""
+        """Return a picture per environment, or show the first in a window and return None."""
         if self.render_mode is None:
             gym.logger.warn('render() needs render_mode="rgb_array" or "human" at construction.')
             return None
@@ -228,6 +218,3 @@ class FlexArmVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderer": None}

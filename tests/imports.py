@@ -38,6 +38,7 @@ ROOMS = (
     "flexarm_env.compiled",
     "flexarm_env.accuracy",
     "flexarm_env.core",
+    "flexarm_env.source",
     "flexarm_env.rendering",
     "flexarm_env.env",
     "flexarm_env.vector",

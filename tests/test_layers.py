@@ -93,3 +93,15 @@ def test_importing_the_lower_layers_loads_no_learning_library(package: str) -> N
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert result.stdout.split() == []
+
+
+def test_docstrings_name_their_subject() -> None:
+    """First a noun or a verb of the field, not a question word or a reference to another text."""
+    riddles = ("What", "How", "Where", "The same", "That", "Those", "This")
+    for path in sources(".", *PACKAGES, "tests"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+                text = ast.get_docstring(node) or ""
+                opening = next((x for x in riddles if text.startswith(f"{x} ")), None)
+                where = f"{path.relative_to(ROOT)}: {text.splitlines()[0] if text else ''}"
+                assert opening is None, where

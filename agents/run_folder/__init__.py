@@ -1,1 +1,1 @@
-"""Files of a training run: its folder, log and checkpoints, and what writes them."""
+"""Files of a training run: its folder, log and checkpoints, and the callback that writes them."""

@@ -1,4 +1,4 @@
-"""Checkpoints of a run as arrays plus JSON: written whole, verified, read without unpickling."""
+"""Checkpoints of a run as arrays plus JSON: written atomically, verified, read without pickle."""
 
 import hashlib
 import json
@@ -28,21 +28,22 @@ class CheckpointError(ValueError):
 
 
 def save_checkpoint(model: Any, folder: Path, progress: dict[str, Any]) -> Path:
-    """Write the model's complete state below the folder; a kill leaves the previous one whole.
+    """Write the model's complete state to a new checkpoint below the folder; returns its path.
 
-    Everything goes to a temporary folder first, reaches the disk, and appears under its final
-    name in one rename. Its sums are those that `sha256sum -c SHA256SUMS` verifies.
+    The files are written to a temporary folder and flushed to the disk; then one rename gives the
+    folder its final name, so a kill leaves the previous checkpoint intact.
+    `sha256sum -c SHA256SUMS` verifies the files.
     """
     final = folder / f"step_{model.num_timesteps:012d}"
     if final.exists():
-        if is_whole(final):
+        if is_intact(final):
             return final
         shutil.rmtree(final)
     if not folder.is_dir():
         folder.mkdir(parents=True)
         sync(folder.parent)
     temporary = folder / ".partial"
-    shutil.rmtree(temporary, ignore_errors=True)  # of a process that was killed while writing
+    shutil.rmtree(temporary, ignore_errors=True)  # leftover of a process killed while writing
     try:
         temporary.mkdir()
         write_state(model, temporary, progress)
@@ -60,7 +61,7 @@ def save_checkpoint(model: Any, folder: Path, progress: dict[str, Any]) -> Path:
 
 
 def write_state(model: Any, folder: Path, progress: dict[str, Any]) -> None:
-    """Write the arrays and the rest of the model's state into the folder."""
+    """Write the arrays and the other state of the model into the folder."""
     arrays: dict[str, Any] = {}
     state = {
         "parameters": flattened(model.get_parameters(), arrays),
@@ -86,7 +87,7 @@ def digest(path: Path) -> str:
 
 
 def prune(folder: Path, newest: Path) -> None:
-    """Remove all but the newest checkpoints; those of later steps are damaged ones it replaces."""
+    """Keep `newest` and KEPT - 1 before it; later checkpoints are damaged and removed too."""
     found = list_checkpoints(folder)
     kept = found[: found.index(newest) + 1][-KEPT:]
     for path in found:
@@ -95,12 +96,12 @@ def prune(folder: Path, newest: Path) -> None:
 
 
 def list_checkpoints(folder: Path) -> list[Path]:
-    """Checkpoints in the folder, whole or not, oldest first."""
+    """All checkpoints in the folder, oldest first, including damaged ones."""
     return sorted(path for path in folder.glob(f"step_{12 * '[0-9]'}") if path.is_dir())
 
 
-def newest_whole(folder: Path) -> tuple[Path | None, list[str]]:
-    """The newest checkpoint that is whole, and a sentence about each newer one that is not."""
+def newest_intact(folder: Path) -> tuple[Path | None, list[str]]:
+    """The newest intact checkpoint, and a sentence about each newer one that is not intact."""
     flaws: list[str] = []
     for path in reversed(list_checkpoints(folder)):
         try:
@@ -111,8 +112,8 @@ def newest_whole(folder: Path) -> tuple[Path | None, list[str]]:
     return None, flaws
 
 
-def is_whole(folder: Path) -> bool:
-    """True for a checkpoint that can be verified."""
+def is_intact(folder: Path) -> bool:
+    """Whether a checkpoint passes verification."""
     try:
         verified(folder)
     except CheckpointError:
@@ -121,7 +122,7 @@ def is_whole(folder: Path) -> bool:
 
 
 def verified(folder: Path) -> dict[str, Any]:
-    """State of a checkpoint whose files have the sums and values that they must have."""
+    """Read the state of a checkpoint after checking sums and values; raises CheckpointError."""
     try:
         sums = (folder / SUMS).read_bytes()
         names = (ARRAYS, STATE)
@@ -137,15 +138,15 @@ def verified(folder: Path) -> dict[str, Any]:
         validate.nonnegative(progress.get("seconds"), "progress.seconds", "s")
         return state
     except OSError as error:
-        raise CheckpointError(f"{folder}: is not whole ({error.strerror or error}).") from None
+        raise CheckpointError(f"{folder}: is not intact ({error.strerror or error}).") from None
     except ValueError as error:
-        raise CheckpointError(f"{folder}: is not whole: {error}") from None
+        raise CheckpointError(f"{folder}: is not intact: {error}") from None
 
 
 def restore_checkpoint(model: Any, folder: Path) -> dict[str, Any]:
-    """Put the state saved in the folder into a freshly built model; returns the progress.
+    """Restore a checkpoint into a newly built model; returns the progress.
 
-    After a CheckpointError the model holds a part of that state and must not be used.
+    After a CheckpointError the model is partly restored and must not be used.
     """
     state = verified(folder)
     try:
@@ -170,14 +171,14 @@ def restore_checkpoint(model: Any, folder: Path) -> dict[str, Any]:
 
 
 def loose_variables(model: Any) -> dict[str, Any]:
-    """Tensors that belong to no module, such as SAC's entropy coefficient."""
+    """Tensors outside the modules, such as SAC's entropy coefficient."""
     return {name: getattr(model, name) for name in model._get_torch_save_params()[1]}
 
 
 def flattened(tree: Any, arrays: dict[str, Any]) -> Any:
-    """The tree as JSON, its tensors moved into `arrays` and replaced by their names there.
+    """The tree as JSON; its tensors are put into `arrays` and replaced by their names.
 
-    Optimizer states have integer keys, which JSON lacks: a table becomes a list of pairs.
+    A dict becomes a list of pairs, because optimizer states have integer keys.
     """
     import torch
 

@@ -1,4 +1,4 @@
-"""A run's folder: what lies where, and the log that survives a kill."""
+"""Folder of a training run: paths and contents of its files, and provenance."""
 
 import csv
 import itertools
@@ -15,9 +15,9 @@ from typing import Any
 import yaml
 
 from agents.config import Config, load_config
-from agents.files import FolderError, check_folder, written_whole
+from agents.files import FolderError, atomic_write, check_folder
 from agents.metrics import without_infinities, write_json
-from agents.run_folder.log import append_row, is_count, mend_log, read_rows
+from agents.run_folder.log import append_row, is_count, read_rows, repair_log
 from dynamics.description.data_file import read_mapping
 
 PACKAGES = "flexarm numpy scipy numba casadi gymnasium stable_baselines3 torch matplotlib pillow"
@@ -27,28 +27,28 @@ CURVE_COLUMNS = "session steps seconds episodes return tip_error settled failed 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The names inside a run's folder."""
+    """Paths in a run's folder, and functions that read and write its files."""
 
     path: Path
 
     @property
     def config(self) -> Path:
-        """The experiment as it was run."""
+        """The experiment, with overrides and defaults."""
         return self.path / "config.yaml"
 
     @property
     def versions(self) -> Path:
-        """Versions of Python and packages; FINISHED stands in it once the run is."""
+        """Versions of Python and packages; has the key FINISHED once the run is finished."""
         return self.path / "versions.json"
 
     @property
     def log(self) -> Path:
-        """One JSON row per line, appended and flushed while training."""
+        """Training log, one JSON row per line."""
         return self.path / "metrics.jsonl"
 
     @property
     def checkpoints(self) -> Path:
-        """Complete states to resume from."""
+        """Complete states for resuming."""
         return self.path / "checkpoints"
 
     @property
@@ -67,21 +67,21 @@ class RunFolder:
             raise FolderError(f"{self.path}: is not a run (it holds no config.yaml).")
 
     def read_config(self) -> Config:
-        """The experiment of this run."""
+        """Read the experiment of this run."""
         return load_config(self.config)
 
     def write_config(self, config: Config) -> None:
-        """Keep the experiment, complete with its defaults."""
+        """Write the experiment, including its defaults."""
         text = yaml.safe_dump(config.to_dict(), sort_keys=False)
-        with written_whole(self.config) as path:
+        with atomic_write(self.config) as path:
             path.write_text(text, encoding="utf-8")
 
     def write_versions(self, more: Mapping[str, Any]) -> None:
-        """Keep the versions of all that the run is made with, and more about it."""
+        """Write the versions of the run's software, and the entries of `more`."""
         write_json(self.versions, versions() | dict(more))
 
     def finished_at(self) -> int | None:
-        """Steps of a run that was trained and judged to its end; None before."""
+        """Number of steps of a trained and evaluated run; None if it is not finished."""
         try:
             steps = read_mapping(self.versions).get(FINISHED)
         except ValueError:
@@ -89,12 +89,12 @@ class RunFolder:
         return steps if is_count(steps) else None
 
     def refuse_links(self) -> None:
-        """Refuse a folder from which writing would lead elsewhere."""
+        """Refuse a folder with links or devices, through which writes would leave the folder."""
         for path in self.path.rglob("*"):
             if path.is_symlink() or not (path.is_file() or path.is_dir()):
                 raise FolderError(
-                    f"{path}: is a link or a device, and a run has files of its own only; put a "
-                    "copy in its place."
+                    f"{path}: is a link or a device, but a run must have its own files; replace it "
+                    "by a copy."
                 )
 
     def append(self, row: Mapping[str, Any]) -> None:
@@ -105,16 +105,16 @@ class RunFolder:
         """Every row of the log."""
         return read_rows(self.log)[0]
 
-    def mend_log(self) -> list[str]:
-        """Make the log ready for more rows; returns a sentence about each thing that is wrong."""
-        sentences = [mend_log(self.log)]
-        strange = read_rows(self.log)[1]
-        if strange:
-            sentences.append(f"{self.log}: passed over lines that are no rows ({strange} of them).")
+    def repair_log(self) -> list[str]:
+        """Repair the log before appending rows; returns a sentence per kind of damage."""
+        sentences = [repair_log(self.log)]
+        invalid = read_rows(self.log)[1]
+        if invalid:
+            sentences.append(f"{self.log}: skipped lines that are not rows ({invalid} of them).")
         return [sentence for sentence in sentences if sentence]
 
     def curve(self) -> list[dict[str, Any]]:
-        """The rows of the learning curve: where a resumed session repeats steps, the later one."""
+        """Rows of the learning curve; a resumed session replaces the steps that it repeats."""
         curve: list[dict[str, Any]] = []
         for row in self.rows():
             while curve and curve[-1]["steps"] >= row["steps"]:
@@ -123,9 +123,9 @@ class RunFolder:
         return curve
 
     def write_curve(self) -> None:
-        """`metrics.csv` beside the log, for spreadsheets."""
+        """Write the learning curve to `metrics.csv`, for spreadsheets."""
         with (
-            written_whole(self.path / "metrics.csv") as path,
+            atomic_write(self.path / "metrics.csv") as path,
             open(path, "w", newline="", encoding="utf-8") as file,
         ):
             writer = csv.DictWriter(file, CURVE_COLUMNS.split(), extrasaction="ignore")
@@ -134,20 +134,20 @@ class RunFolder:
 
 
 def check_out(out: Path | None) -> None:
-    """Refuse a folder that a new run cannot have, and make nothing."""
+    """Refuse a folder that a new run cannot use, without creating it."""
     check_folder(out or Path("runs"))
     if out is not None:
         refuse_used(out)
 
 
 def refuse_used(out: Path) -> None:
-    """Refuse a folder with anything but hidden files, such as its lock."""
+    """Refuse a folder with files other than hidden ones, such as its lock."""
     if out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
         raise FolderError(f"{out}: is not empty; choose another --out, or --resume {out}.")
 
 
 def new_run(out: Path | None, config: Config) -> RunFolder:
-    """The folder of a run: `out`, or runs/NAME/seedN with a number if that is taken."""
+    """Create the folder of a run: `out`, or runs/NAME/seedN with a number if that exists."""
     base = Path("runs") / config.name
     try:
         if out is not None:
@@ -156,7 +156,7 @@ def new_run(out: Path | None, config: Config) -> RunFolder:
         base.mkdir(parents=True, exist_ok=True)
         for i in itertools.count(1):
             path = base / f"seed{config.seed}{f'-{i}' if i > 1 else ''}"
-            with suppress(FileExistsError):  # also if another process makes it just now
+            with suppress(FileExistsError):  # possibly created by another process meanwhile
                 path.mkdir()
                 break
         return RunFolder(path)
@@ -182,8 +182,8 @@ def versions() -> dict[str, Any]:
 
 
 def revision() -> str | None:
-    """The git commit of the source, with '+' where files differ from it; None outside git."""
-    root = Path(__file__).resolve().parents[1]
+    """Git commit of the source, with '+' if tracked files differ from it; None outside git."""
+    root = Path(__file__).resolve().parents[2]
 
     def git(arguments: Sequence[str]) -> str:
         command = ["git", "-C", str(root), *arguments]

@@ -1,4 +1,4 @@
-"""The keeper of a training: it logs, shows progress, writes checkpoints, and stops where it may."""
+"""Callback of the training that logs, shows progress, writes checkpoints and stops on signals."""
 
 import threading
 import time
@@ -16,20 +16,20 @@ from agents.run_folder.folder import RunFolder
 from agents.signals import StopLater
 from dynamics.types import AnyArray
 
-CHECKPOINT_SHARE = 0.05  # of the training time at most, however long a checkpoint takes
-ROWS = 250  # about so many rows in the log of a whole run
+CHECKPOINT_SHARE = 0.05  # largest share of the training time that goes into checkpoints
+ROWS = 250  # approximate number of rows in the log of a run
 
 
 class EpisodeStatistics:
-    """Means over the latest episodes, from what every step of the batch returns."""
+    """Means over the latest episodes of a batch."""
 
     def __init__(self, n_env: int) -> None:
-        self.running = np.zeros(n_env)  # return so far
+        self.running = np.zeros(n_env)  # returns of the current episodes
         self.episodes = 0
         self.latest: deque[tuple[float, float, float, float]] = deque(maxlen=max(100, n_env))
 
     def add(self, rewards: AnyArray, dones: AnyArray, infos: Any) -> None:
-        """Account for one step."""
+        """Add the results of one step of the batch."""
         self.running += rewards
         for i in np.flatnonzero(dones):
             info = infos[i]
@@ -41,7 +41,7 @@ class EpisodeStatistics:
             self.episodes += 1
 
     def means(self) -> dict[str, float | None]:
-        """Return, final tip error [m], share that ends on target, share that failed."""
+        """Mean return, mean final tip error [m], share settled at the end, share failed."""
         names = ("return", "tip_error", "settled", "failed")
         if not self.latest:
             return dict.fromkeys(names)
@@ -56,7 +56,7 @@ def make_keeper(
     bar: "Progress",
     stop: StopLater,
 ) -> Any:
-    """A stable-baselines3 callback that logs, shows progress, writes checkpoints and stops."""
+    """stable-baselines3 callback that logs, shows progress, writes checkpoints and stops."""
     from stable_baselines3.common.callbacks import BaseCallback
 
     class Keeper(BaseCallback):
@@ -127,7 +127,7 @@ def make_keeper(
 
 
 class Progress:
-    """A bar on a terminal, ten plain lines elsewhere."""
+    """Progress bar on a terminal, or about ten plain lines without one."""
 
     def __init__(self, total: int, done: int) -> None:
         from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
@@ -148,7 +148,7 @@ class Progress:
         self.task = self.bar.add_task("training", total=total, completed=done, note="")
 
     def update(self, steps: int, speed: float, means: dict[str, float | None]) -> None:
-        """Show where training stands."""
+        """Show the progress of the training."""
         note = f"{steps:,} steps, {speed:,.0f} per s"
         if means["return"] is not None and means["settled"] is not None:
             note += f", return {means['return']:.2f}, on target {100 * means['settled']:.0f} %"
@@ -158,13 +158,13 @@ class Progress:
             self.next_line = steps + self.total // 10
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
+        """Remove the bar and restore the terminal."""
         self.bar.stop()
 
 
 @contextmanager
-def errors_in_the_main_thread() -> Iterator[None]:
-    """Keep TensorBoard's thread silent about the disk: its next call raises the error again."""
+def silent_disk_errors() -> Iterator[None]:
+    """Silence OSErrors in TensorBoard's thread; TensorBoard's next call raises them again."""
     before = threading.excepthook
 
     def report(arguments: threading.ExceptHookArgs) -> None:

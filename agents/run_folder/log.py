@@ -1,4 +1,4 @@
-"""The log of a training: one JSON row per line, appended whole, mended after a kill."""
+"""Training log: one JSON row per line, appended atomically and repaired after a kill."""
 
 import json
 import os
@@ -11,16 +11,16 @@ from agents.files import sync
 Row = dict[str, Any]
 COUNTS = ("session", "steps")  # in every row
 LARGEST_COUNT = 10**12
-LARGEST = 1e300  # of a number in a row
+LARGEST = 1e300  # bound on the magnitude of numbers in a row
 
 
 def append_row(path: Path, row: Mapping[str, Any]) -> None:
-    """Add a row and bring it to the disk; a row that does not fit there is taken back."""
+    """Append a row and flush it to the disk; an incomplete row is removed again."""
     extend(path, json.dumps(row, allow_nan=False).encode() + b"\n")
 
 
 def extend(path: Path, rest: bytes) -> None:
-    """Add bytes to a file, all of them or none."""
+    """Append bytes to a file, all or none."""
     descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     try:
         length = os.fstat(descriptor).st_size
@@ -36,7 +36,7 @@ def extend(path: Path, rest: bytes) -> None:
 
 
 def read_rows(path: Path) -> tuple[list[Row], int]:
-    """Every row of the log, and the number of lines that are none."""
+    """Rows of the log, and the number of lines that are not rows."""
     content = path.read_bytes() if path.exists() else b""
     lines = [line for line in content.split(b"\n") if line]
     rows = [row for row in map(parsed, lines) if row is not None]
@@ -44,7 +44,7 @@ def read_rows(path: Path) -> tuple[list[Row], int]:
 
 
 def parsed(line: bytes) -> Row | None:
-    """The row in a line; None if the line holds anything else."""
+    """Row in a line; None if the line is not a row."""
     try:
         row = json.loads(line.decode())
     except (ValueError, RecursionError):
@@ -55,19 +55,19 @@ def parsed(line: bytes) -> Row | None:
 
 
 def is_count(value: Any) -> bool:
-    """True for a whole number that counts something."""
+    """Whether the value is an int from 0 to LARGEST_COUNT."""
     return type(value) is int and 0 <= value <= LARGEST_COUNT
 
 
 def is_value(value: Any) -> bool:
-    """True for what a row may hold: a finite number, or null for one that was not finite."""
+    """Whether a row may have the value: a finite number, or None in place of an infinite one."""
     return value is None or (type(value) in (int, float) and abs(value) < LARGEST)
 
 
-def mend_log(path: Path) -> str:
-    """End the last line before others follow: a whole row stays, a fragment is cut off.
+def repair_log(path: Path) -> str:
+    """Terminate the last line: a complete row gets its line end, a fragment is cut off.
 
-    Returns a sentence about the fragment, or nothing.
+    Returns a sentence about the fragment, or an empty text.
     """
     content = path.read_bytes() if path.exists() else b""
     end = content.rfind(b"\n") + 1
@@ -79,4 +79,4 @@ def mend_log(path: Path) -> str:
         return ""
     os.truncate(path, end)
     sync(path)
-    return f"{path}: cut off a last line of {len(fragment)} bytes that was never finished."
+    return f"{path}: cut off an incomplete last line of {len(fragment)} bytes."

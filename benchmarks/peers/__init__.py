@@ -1,1 +1,1 @@
-"""Flexible scenes in other engines and in ours: error against processor time."""
+"""Flexible scenes in other engines and in flexarm: error against processor time."""

@@ -1,5 +1,6 @@
-"""`python -m benchmarks.peers.run`: see run.py."""
+"""`python -m benchmarks.peers`: see run.py."""
 
 from benchmarks.peers.run import main
 
-main()
+if __name__ == "__main__":
+    main()

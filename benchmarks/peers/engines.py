@@ -1,6 +1,6 @@
-"""Exudyn and MuJoCo on the peers' scenes, set up as a careful user of each would.
+"""Models of the peers' scenes in Exudyn and MuJoCo, set up with care for speed and accuracy.
 
-A model is built once per run; a run returns the tip at the truth's times and the processor time of
+A model is built once per run. A run returns the tip at the truth's times and the processor time of
 its stepping loop alone, on one thread.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.peers.lines import Run
-from benchmarks.peers.scenes import HELD, PeerScene
+from benchmarks.peers.scenes import HEAVY, PeerScene
 from dynamics.types import Array
 
 setattr(sys, "exudynFast", True)  # Exudyn's build without range checks  # noqa: B010
@@ -37,25 +37,25 @@ mujoco.set_mju_user_warning(lambda message: None)
 
 
 class Stopped(RuntimeError):
-    """An engine gave up on a run."""
+    """An engine failed to complete a run."""
 
 
 @dataclass(frozen=True)
 class Cell:
     """A rigid piece of a link behind a hinge."""
 
-    offset: float  # [m] from the hinge before
+    offset: float  # [m] from the previous hinge
     length: float  # [m]
     mass: float  # [kg]
     com: float  # [m] from its hinge
-    inertia: float  # [kg m^2] about that
+    inertia: float  # [kg m^2] about its center of mass
     rotor: float  # [kg m^2]
-    stiffness: float  # [N m/rad]; zero in a joint of the arm
+    stiffness: float  # [N m/rad]; zero at a joint of the arm
     angle: float  # [rad] at the start
 
 
 def cells(scene: PeerScene, hinges: int) -> list[Cell]:
-    """Every link as a chain with springs EI / dx in the middles of `hinges` equal parts."""
+    """The arm as a chain: each link has a spring EI / dx in the middle of `hinges` equal parts."""
     chain: list[Cell] = []
     for link, angle in zip(scene.arm.links, scene.motion.joint_angles, strict=True):
         dx = link.length / hinges
@@ -76,7 +76,7 @@ def cells(scene: PeerScene, hinges: int) -> list[Cell]:
 
 
 def chain_tips(chain: list[Cell], q: Array) -> Array:
-    """(N, 2) [m] end of a chain at its hinge angles (N, n)."""
+    """(N, 2) [m] tip of a chain at its hinge angles (N, n)."""
     angles = np.cumsum(q, axis=1)
     length = np.array([cell.length for cell in chain])
     return np.stack([np.cos(angles) @ length, np.sin(angles) @ length], axis=1)
@@ -90,7 +90,7 @@ MUJOCO_METHODS = ("RK4", "Euler", "implicitfast", "discrete")
 def mujoco_chain(
     scene: PeerScene, hinges: int, method: str, rate: Fraction, record: bool = True
 ) -> Run:
-    """Hinges with springs; torques enter as applied forces, step by step, in native code."""
+    """Run a chain of spring hinges; torques are applied forces per step, all in native code."""
     chain = cells(scene, hinges)
     bodies = "".join(
         f'<body pos="{c.offset!r} 0 0"><joint type="hinge" axis="0 0 1" armature="{c.rotor!r}"'
@@ -133,13 +133,13 @@ class System:
 
     mbs: Any
     set_torque: Callable[[float], None]
-    tips: Callable[[Array], Array]  # of the sensor's rows
+    tips: Callable[[Array], Array]  # sensor rows -> (N, 2) [m]
     sensor: Any
 
 
 @dataclass(frozen=True)
 class Method:
-    """A time integration of Exudyn's."""
+    """A time integration method of Exudyn."""
 
     solver: str
     radius: float = 1.0  # spectral radius at infinity
@@ -147,7 +147,7 @@ class Method:
 
     @property
     def explicit(self) -> bool:
-        """Whether no equation is solved in a step."""
+        """Whether a step solves no equations."""
         return self.solver != "GeneralizedAlpha"
 
 
@@ -160,7 +160,7 @@ EXUDYN_METHODS = {
 
 
 def cable(scene: PeerScene, elements: int, axial: float, explicit: bool) -> System:
-    """ANCF cable elements; a heavy mount holds the root, which costs less than constraints."""
+    """ANCF cable elements; a heavy mass fixes the root, which is cheaper than constraints."""
     container = exudyn.SystemContainer()
     mbs = container.AddSystem()
     mbs.sys["container"] = container
@@ -219,15 +219,15 @@ def _equal(mbs: Any, a: Any, b: Any, coordinate: int) -> None:
 
 
 def _drive(mbs: Any, scene: PeerScene, root: Any, explicit: bool) -> Callable[[float], None]:
-    """Hold the root's position; its slope carries the hub, or turns as prescribed."""
+    """Fix the root's position; its slope has the hub's inertia, or turns as prescribed."""
     hub = scene.arm.links[0].joint.rotor_inertia
-    if hub < HELD:
-        _weigh(mbs, root, [HELD, HELD, hub, hub])
+    if hub < HEAVY:
+        _weigh(mbs, root, [HEAVY, HEAVY, hub, hub])
         marker = mbs.AddMarker(item.MarkerNodeRigid(nodeNumber=root))
         load = mbs.AddLoad(item.LoadTorqueVector(markerNumber=marker, loadVector=[0.0, 0.0, 0.0]))
         return lambda torque: mbs.SetLoadParameter(load, "loadVector", [0.0, 0.0, torque])
-    slope = HELD if explicit else 0.0
-    _weigh(mbs, root, [HELD, HELD, slope, slope])
+    slope = HEAVY if explicit else 0.0
+    _weigh(mbs, root, [HEAVY, HEAVY, slope, slope])
     for c in (2, 3):
         marker = mbs.AddMarker(item.MarkerNodeCoordinate(nodeNumber=root, coordinate=c))
         if explicit:
@@ -238,12 +238,12 @@ def _drive(mbs: Any, scene: PeerScene, root: Any, explicit: bool) -> Callable[[f
 
 
 def _slope_force(coordinate: int, t: Any) -> Any:
-    """[N m] what turns a heavy slope as prescribed."""
-    return HELD * direction(t)[coordinate]
+    """Torque that turns a heavy slope as prescribed [N m]."""
+    return HEAVY * direction(t)[coordinate]
 
 
 def _slope_change(coordinate: int, t: Any) -> Any:
-    """[-] a slope's coordinate 2 or 3, less what it was at the start."""
+    """Change of a slope's coordinate 2 or 3 since the start [-]."""
     return direction(t)[coordinate - 2] - (1.0 if coordinate == 2 else 0.0)
 
 
@@ -291,7 +291,7 @@ def _prescribe(mbs: Any, marker: Any, offset: Callable[[Any], Any]) -> None:
 
 
 def tree(scene: PeerScene, hinges: int) -> System:
-    """The chain of hinges in minimal coordinates."""
+    """The chain of hinges as a kinematic tree in minimal coordinates."""
     container = exudyn.SystemContainer()
     mbs = container.AddSystem()
     mbs.sys["container"] = container
@@ -323,10 +323,10 @@ def tree(scene: PeerScene, hinges: int) -> System:
     )  # fmt: skip
     marker = mbs.AddMarker(item.MarkerNodeCoordinate(nodeNumber=node, coordinate=0))
     hub = chain[0].rotor
-    if hub < HELD:
+    if hub < HEAVY:
         load = mbs.AddLoad(item.LoadCoordinate(markerNumber=marker, load=0.0))
     else:
-        _force(mbs, marker, lambda t: (HELD + 400.0) * spin(t)[2])
+        _force(mbs, marker, lambda t: (HEAVY + 400.0) * spin(t)[2])
     sensor = mbs.AddSensor(
         item.SensorNode(
             nodeNumber=node, storeInternal=True,
@@ -336,7 +336,7 @@ def tree(scene: PeerScene, hinges: int) -> System:
     mbs.Assemble()
 
     def set_torque(torque: float) -> None:
-        if hub < HELD:
+        if hub < HEAVY:
             mbs.SetLoadParameter(load, "load", torque)
 
     return System(mbs, set_torque, lambda rows: chain_tips(chain, rows), sensor)
@@ -345,7 +345,7 @@ def tree(scene: PeerScene, hinges: int) -> System:
 def follow(
     system: System, scene: PeerScene, method: Method, rate: Fraction, record: bool = True
 ) -> Run:
-    """Integrate from jump to jump of the torque; without `record` nothing is stored on the way."""
+    """Integrate from one torque jump to the next; store the tips only with `record`."""
     mbs, seconds, rows = system.mbs, 0.0, []
     settings = exudyn.SimulationSettings()
     settings.solution.file.write = False
@@ -373,7 +373,7 @@ def follow(
         seconds += time.process_time() - clock
         solver.FinalizeSolver(mbs, settings)
         if not solved:
-            raise Stopped(f"Newton's iterations gave up before {end} s.")
+            raise Stopped(f"Newton's iterations failed before {end} s.")
         state = mbs.systemData.GetSystemState(configuration=exudyn.ConfigurationType.Current)
         mbs.systemData.SetSystemState(state, configuration=exudyn.ConfigurationType.Initial)
         if record:

@@ -1,4 +1,4 @@
-"""Runs of the peers' benchmark, every engine's line through them, and how both are shown."""
+"""Runs of the peers' benchmark, each engine's line of cheapest runs, the page and the chart."""
 
 import math
 from collections.abc import Callable
@@ -12,20 +12,25 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from benchmarks.output import save_figure
+from benchmarks.output import save_figure, table
 from benchmarks.peers.scenes import SCENES, PeerScene
 from dynamics.types import Array
 
 BATCH = 1024
 OURS, BATCHED = "ours, one environment", f"ours, per environment in a batch of {BATCH}"
 ENGINES = (OURS, "Exudyn, cable", "Exudyn, tree", "MuJoCo")
+RATIOS = {  # key in the results: column of the page
+    "ratio": "measured",
+    "steady": "without luck",
+    "foreshortened": "foreshortened",
+}
 
 Run = tuple[Array, float]  # (N, 2) [m] tips; [s] processor time of the stepping loop
 
 
 @dataclass(frozen=True)
 class Family:
-    """A model and a method of one engine; its runs differ in the step."""
+    """A model and a method of one engine; its runs differ in their step."""
 
     engine: str
     model: str
@@ -35,7 +40,7 @@ class Family:
 
 @dataclass(frozen=True)
 class Point:
-    """What one run came to."""
+    """Error and cost of one run."""
 
     family: Family
     rate: Fraction
@@ -43,7 +48,7 @@ class Point:
     cost: float  # [s] processor time per simulated second
 
     def to_dict(self, scene: PeerScene) -> dict[str, Any]:
-        """As JSON holds it."""
+        """Plain data for JSON."""
         return {
             "engine": self.family.engine, "model": self.family.model, "method": self.family.method,
             "dt": scene.step(self.rate), "error": self.error, "cpu_seconds_per_second": self.cost,
@@ -51,7 +56,7 @@ class Point:
 
 
 def front(points: list[Point], near: float = 1.0) -> list[Point]:
-    """Points at most `near` times as slow as any that errs as little, by error."""
+    """Points at most `near` times as slow as any point of no larger error, sorted by error."""
     finite = sorted((p for p in points if p.error < 0.3), key=lambda p: p.error)
     result, fastest = [], math.inf
     for point in finite:
@@ -62,35 +67,40 @@ def front(points: list[Point], near: float = 1.0) -> list[Point]:
 
 
 def best(points: list[Point], error: float) -> Point | None:
-    """The cheapest that errs no more."""
+    """The cheapest point within an error."""
     return min((p for p in points if p.error <= error), key=lambda p: p.cost, default=None)
 
 
 def steady(points: list[Point], error: float) -> list[Point]:
-    """Runs within an error that all runs of the same model by smaller steps keep, at least one.
+    """Runs within an error that all runs of the same family with smaller steps also meet.
 
-    The others owe their error to chance: that of the step cancels that of the model.
+    There must be at least one such run. The error of any other run is small by chance: the error
+    of its step cancels that of its model.
     """
-    largest: dict[Family, list[tuple[Fraction, float]]] = {}
+    errors: dict[Family, list[tuple[Fraction, float]]] = {}
     for p in points:
-        largest.setdefault(p.family, []).append((p.rate, p.error))
+        errors.setdefault(p.family, []).append((p.rate, p.error))
     result = []
     for p in points:
-        finer = [e for rate, e in largest[p.family] if rate > p.rate]
+        finer = [e for rate, e in errors[p.family] if rate > p.rate]
         if finer and max(p.error, *finer) <= error:
             result.append(p)
     return result
 
 
 def comparisons(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[str, Any]]:
-    """Our best beside that of whom each demand names."""
+    """For every demand of a scene: the cheapest run of flexarm and of the named peer."""
     rows = []
     for error, whose, wanted in scene.demands:
         named = [e for e in ENGINES[1:] if whose == "any" or e.startswith(whose)]
         ours, theirs = points[OURS], [p for engine in named for p in points[engine]]
-        sure = steady(ours, error), steady(theirs, error)
-        bent = [p for p in sure[0] if p.family.model.endswith("foreshortened")]
-        pairs = {"ratio": (ours, theirs), "steady": sure, "foreshortened": (bent, sure[1])}
+        reliable = steady(ours, error), steady(theirs, error)
+        short = [p for p in reliable[0] if p.family.model.endswith("foreshortened")]
+        pairs = {
+            "ratio": (ours, theirs),
+            "steady": reliable,
+            "foreshortened": (short, reliable[1]),
+        }
         row: dict[str, Any] = {
             "scene": scene.title, "error": error,
             "beside": "the best peer" if whose == "any" else whose, "wanted": wanted,
@@ -106,7 +116,7 @@ def comparisons(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[s
 
 
 def verdict(reached: dict[str, bool]) -> str:
-    """Whether a demand is met, and on what conditions."""
+    """Whether a demand is met, and under which conditions."""
     if all(reached.values()):
         return "yes"
     if reached["ratio"] and reached["steady"]:
@@ -114,8 +124,8 @@ def verdict(reached: dict[str, bool]) -> str:
     return "only by luck" if reached["ratio"] else "**no**"
 
 
-def table(results: dict[str, Any]) -> str:
-    """The results as a page."""
+def page(results: dict[str, Any]) -> str:
+    """The results as Markdown."""
     machine = results["machine"]
     versions = ", ".join(f"{name} {number}" for name, number in results["versions"].items())
     lines = [
@@ -125,36 +135,40 @@ def table(results: dict[str, Any]) -> str:
         "truth over the reach.\n",
         "Without luck: only runs whose error all smaller steps of the same model keep. Of those, "
         "the last column but one takes our foreshortened models alone.\n",
-        "| scene | error at most | beside | wanted | measured | without luck | foreshortened "
-        "| reached |",
-        "|---|---|---|---:|---:|---:|---:|---|",
+        table(
+            ["scene", "error at most", "beside", "wanted", *RATIOS.values(), "reached"],
+            [
+                [
+                    row["scene"],
+                    f"{row['error']:g}",
+                    row["beside"],
+                    f"{row['wanted']:g}",
+                    *("-" if row[name] is None else f"{row[name]:.3g}" for name in RATIOS),
+                    verdict(row["reached"]),
+                ]
+                for row in results["comparisons"]
+            ],
+            "lllrrrrl",
+        ),
     ]
-    for row in results["comparisons"]:
-        ratios = " | ".join(
-            "-" if row[name] is None else f"{row[name]:.3g}"
-            for name in ("ratio", "steady", "foreshortened")
-        )
-        lines.append(
-            f"| {row['scene']} | {row['error']:g} | {row['beside']} | {row['wanted']:g} | {ratios} "
-            f"| {verdict(row['reached'])} |"
-        )
+    header = ["error at most", "which", "engine", "model", "method", "step", "error", "cost"]
     for scene in results["scenes"].values():
-        lines += [
-            f"\n## {scene['title']}\n",
-            "| error at most | which | engine | model | method | step | error | cost |",
-            "|---|---|---|---|---|---:|---:|---:|",
-        ]
-        lines += [
-            f"| {row['at_most']:g} | {row['which']} | {row['engine']} | {row['model']} "
-            f"| {row['method']} | {1e3 * row['dt']:.3g} ms | {row['error']:.2g} "
-            f"| {1e6 * row['cpu_seconds_per_second']:.4g} us/s |"
+        rows = [
+            [
+                f"{row['at_most']:g}",
+                *(row[key] for key in ("which", "engine", "model", "method")),
+                f"{1e3 * row['dt']:.3g} ms",
+                f"{row['error']:.2g}",
+                f"{1e6 * row['cpu_seconds_per_second']:.4g} us/s",
+            ]
             for row in scene["best"]
         ]
+        lines += [f"\n## {scene['title']}\n", table(header, rows, "lllllr")]
     return "\n".join(lines) + "\n"
 
 
 def bests(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[str, Any]]:
-    """Every engine's cheapest run within each demanded error."""
+    """The cheapest run of every engine within each demanded error."""
     rows = []
     for error in sorted({error for error, _, _ in scene.demands}, reverse=True):
         for engine in (*ENGINES, BATCHED):
@@ -169,7 +183,7 @@ def bests(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[str, An
 
 
 def draw(everything: dict[str, dict[str, list[Point]]], path: Path) -> None:
-    """One panel per scene: all runs as dots, each engine's cheapest as a line."""
+    """Draw a panel per scene: all runs as dots, each engine's cheapest runs as a line."""
     figure, axes = plt.subplots(1, len(everything), figsize=(16.0, 5.4), layout="constrained")
     for axis, (name, points) in zip(axes, everything.items(), strict=True):
         scene = SCENES[name]

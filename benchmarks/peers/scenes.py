@@ -1,6 +1,6 @@
-"""Three planar scenes with truths that no assumed mode had a part in.
+"""Three planar scenes whose true tips are computed without assumed modes.
 
-Each is an arm of links without modes, a motion in joint space, and the tip of a converged
+Each scene is an arm of links without modes, a motion in joint space, and the tip of a converged
 geometrically nonlinear beam (tests/reference/*_nonlinear_beam.csv).
 """
 
@@ -17,9 +17,9 @@ from dynamics import Arm, Joint, Link
 from dynamics.accuracy.scene import JointMotion, bang_bang, release
 from dynamics.types import Array
 
-HELD = 1e9  # [kg m^2] a rotor that no link can move: its joint turns as prescribed
+HEAVY = 1e9  # [kg m^2] a rotor that no link can move: its joint turns as prescribed
 SPUN = Arm(
-    links=(Link(length=10.0, rho_A=1.2, EIz=1.4e4, joint=Joint(rotor_inertia=HELD)),),
+    links=(Link(length=10.0, rho_A=1.2, EIz=1.4e4, joint=Joint(rotor_inertia=HEAVY)),),
 )
 _SWUNG = Link(length=1.0, rho_A=5.0, EIz=1000.0)
 SWUNG = Arm(links=(_SWUNG, _SWUNG), gravity=(0.0, -9.81, 0.0))
@@ -27,16 +27,16 @@ SWUNG = Arm(links=(_SWUNG, _SWUNG), gravity=(0.0, -9.81, 0.0))
 
 @dataclass(frozen=True)
 class PeerScene:
-    """A scene that every engine can follow."""
+    """A scene for every engine."""
 
-    name: str  # as in S1_nonlinear_beam.csv
+    name: str  # as in tests/reference/NAME_nonlinear_beam.csv
     title: str
     arm: Arm  # without modes
     motion: JointMotion
     interval: float  # [s] between rows of the truth
-    axial: float  # [N] EA where an engine has one
-    softer: tuple[float, ...]  # [N] smaller EA, faster to integrate, which may do as well
-    demands: tuple[tuple[float, str, float], ...]  # error [-], whose best, wanted ratio
+    axial: float  # [N] EA, for engines with axial stretch
+    softer: tuple[float, ...]  # [N] smaller EA, which allow longer steps and may suffice
+    demands: tuple[tuple[float, str, float], ...]  # error [-], peer, wanted ratio of costs
 
     @property
     def rows(self) -> int:
@@ -45,7 +45,7 @@ class PeerScene:
 
     @property
     def start(self) -> Array:
-        """(2,) [m] tip of the straight links."""
+        """(2,) [m] tip at the start, where the links are straight."""
         angles = np.cumsum(self.motion.joint_angles)
         return np.array([link.length for link in self.arm.links]) @ np.stack(
             [np.cos(angles), np.sin(angles)], axis=1
@@ -58,20 +58,20 @@ class PeerScene:
         return np.loadtxt(path, delimiter=",", comments=("#", "t"))[:, :3]
 
     def sampled(self, rate: Fraction) -> Array:
-        """The rows of the truth that a run at `rate` steps per row reaches."""
+        """Rows of the truth at which a run of `rate` steps per row has a step's end."""
         return self.truth[:: rate.denominator]
 
     def step(self, rate: Fraction) -> float:
-        """[s] time step at `rate` steps per row of the truth."""
+        """Time step at `rate` steps per row of the truth [s]."""
         return self.interval / float(rate)
 
     def allows(self, rate: Fraction) -> bool:
-        """Whether steps end where the motion does and where torques jump."""
+        """Whether steps end at the end of the motion and at every jump of the torque."""
         steps = np.array(self.motion.knots) / self.interval / rate.denominator
         return bool(np.all(np.abs(steps - np.round(steps)) < 1e-9))
 
     def torques(self, rate: Fraction) -> Array:
-        """(n,) [N m] at the first joint in the middle of every step."""
+        """(n,) [N m] torque of the first joint at the middle of every step."""
         h = self.step(rate)
         count = round(self.motion.t_end / h)
         if self.motion.torque is None:
@@ -80,7 +80,7 @@ class PeerScene:
         return np.array([np.asarray(torque((k + 0.5) * h))[0] for k in range(count)])
 
     def error(self, tips: Array, rate: Fraction) -> float:
-        """[-] largest distance from the truth over the reach; infinite where one diverged."""
+        """Largest tip distance from the truth over the reach [-]; infinite if the run diverged."""
         largest = np.hypot(*(tips - self.sampled(rate)[1:, 1:]).T).max()
         return float(largest) / self.arm.reach if np.isfinite(largest) else math.inf
 
@@ -96,7 +96,7 @@ SCENES = {
         PeerScene(
             "S3", "S3: spin-up of a long beam", SPUN,
             JointMotion(
-                joint_angles=(0.0,), joint_rates=(0.0,), t_end=20.0, torque=SpinUp(HELD + 400.0)
+                joint_angles=(0.0,), joint_rates=(0.0,), t_end=20.0, torque=SpinUp(HEAVY + 400.0)
             ),
             0.05, 2.8e7, (2.8e6, 2.8e5), ((1e-2, "any", 4.0), (1e-3, "any", 10.0)),
         ),

@@ -1,1 +1,1 @@
-"""Named scenarios of the literature, followed and drawn."""
+"""Named scenarios of the literature, simulated and drawn."""

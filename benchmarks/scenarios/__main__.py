@@ -1,5 +1,8 @@
-"""`python -m benchmarks.scenarios.run`: see run.py."""
+"""`python -m benchmarks.scenarios`: see run.py."""
+
+import sys
 
 from benchmarks.scenarios.run import main
 
-main()
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,20 +1,20 @@
-"""Scenarios: an arm, a start, joint torques and a duration in one YAML file, checked as a whole.
+"""Scenario files: an arm, its start, joint torques and a duration in one YAML file.
 
     title: Two links hanging, one mode
-    about: What is shown, what is chosen.
+    about: Purpose, and chosen parameters.
     arm: korayem-two-link        # a preset, or an arm file's mapping
     keep: [1, 2]                 # links of the arm, in order; default all
-    flexible: {modes: [...]}     # what every link with modes has instead
-    links: {2: {length: 1.5}}    # what single links have instead, numbered after `keep`
-    payload: {mass: 1.0}         # instead of the arm's
-    initial: {q: {q1: -1.57}, qd: {}}   # by coordinate; what is not named is zero
+    flexible: {modes: [...]}     # changes of every link with modes
+    links: {2: {length: 1.5}}    # changes of single links, numbered after `keep`
+    payload: {mass: 1.0}         # replaces the arm's payload
+    initial: {q: {q1: -1.57}, qd: {}}   # by coordinate; zero by default
     torque: {type: step, values: {q1: 5.0}}
     t_end: 2.0
     n_out: 401
 
-Torques are "step" (constant `values`), "ramp" (`rates` times t) or "nominal": the rigid arm's
-inverse dynamics along a cycloid from the initial joint angles to `goal` within `duration`. SI units
-and radians.
+A torque is a "step" (constant `values`), a "ramp" (`rates` times t) or "nominal": the rigid arm's
+inverse dynamics along a cycloid from the initial joint angles to `goal` within `duration`. Units
+are SI and radians.
 """
 
 from collections.abc import Callable, Mapping
@@ -36,22 +36,22 @@ KEYS = (
     "title", "about", "arm", "keep", "flexible", "links", "payload", "initial", "torque", "t_end",
     "n_out",
 )  # fmt: skip
-TORQUES = {  # type -> its keys
+TORQUES = {  # type -> keys
     "step": ("values",),
     "ramp": ("rates",),
     "nominal": ("goal", "duration"),
 }
-N_OUT = 401  # if the file does not say
+N_OUT = 401  # default
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """What a file describes."""
+    """A scenario as read from its file."""
 
     title: str
     about: str
     arm: Arm
-    q: dict[str, float]  # by coordinate [rad, m]; zero where it is not named
+    q: dict[str, float]  # initial values by coordinate [rad, m]; zero if not named
     qd: dict[str, float]  # [rad/s, m/s]
     torque: Callable[[float], Array] | None  # (n_joint,) [N m]
     t_end: float  # [s]
@@ -59,11 +59,11 @@ class Scenario:
 
     @property
     def times(self) -> Array:
-        """(n_out,) [s] equally spaced from zero."""
+        """(n_out,) [s] output times, equally spaced from zero."""
         return np.linspace(0.0, self.t_end, self.n_out)
 
     def start(self, arm: Arm) -> tuple[Array, Array]:
-        """Where the arm or its rigid twin starts; a free base where its description says."""
+        """Initial coordinates and rates of the arm or its rigid twin, without a free base's."""
         names = arm.names[arm.base.n :]
         q, qd = (np.array([x.get(name, 0.0) for name in names]) for x in (self.q, self.qd))
         return q, qd
@@ -71,7 +71,7 @@ class Scenario:
 
 @dataclass(frozen=True)
 class Ramp:
-    """Torques that grow from zero."""
+    """Torques that grow linearly from zero."""
 
     rates: Array  # (n_joint,) [N m/s]
 
@@ -81,7 +81,7 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Step:
-    """Torques that are there from the start on."""
+    """Constant torques from the start."""
 
     values: Array  # (n_joint,) [N m]
 
@@ -90,7 +90,7 @@ class Step:
 
 
 class Nominal:
-    """`NominalTorque` traced once: more than ten times quicker to ask."""
+    """`NominalTorque` traced once, which evaluates more than ten times faster."""
 
     def __init__(self, nominal: NominalTorque) -> None:
         self.motion, self.breakpoints = nominal.motion, nominal.breakpoints
@@ -114,7 +114,7 @@ def load_scenario(path: Path) -> Scenario:
 
 
 def scenario_from_dict(data: Mapping[str, object]) -> Scenario:
-    """A scenario from plain lists, numbers and text; every unknown key is refused."""
+    """A scenario from plain lists, numbers and text; unknown keys are refused."""
     values = validate.mapping(data, "the scenario", KEYS)
     for key in ("title", "about", "arm", "t_end"):
         if key not in values:
@@ -136,7 +136,7 @@ def scenario_from_dict(data: Mapping[str, object]) -> Scenario:
 
 
 def _arm(values: Mapping[str, object]) -> Arm:
-    """The named or described arm, changed as the file says."""
+    """The named or described arm with the file's changes."""
     source = values["arm"]
     if not isinstance(source, str | Mapping):
         raise ValueError(f"arm must be a preset's name or an arm file's mapping, got {source!r}.")
@@ -155,7 +155,7 @@ def _arm(values: Mapping[str, object]) -> Arm:
 
 
 def merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    """`old` with the entries of `new`; a mapping within is merged in turn."""
+    """`old` with the entries of `new`; nested mappings are merged too."""
     result = dict(old)
     for key, value in new.items():
         both = isinstance(value, Mapping) and isinstance(old.get(key), Mapping)
@@ -181,7 +181,7 @@ def _named(data: object, name: str, known: tuple[str, ...]) -> dict[str, float]:
 def _torque(
     data: object, arm: Arm, q: Mapping[str, float], qd: Mapping[str, float]
 ) -> Callable[[float], Array]:
-    """The torque signal of one of TORQUES."""
+    """The torque signal of a type in TORQUES."""
     kind = validate.choice(_mapping(data, "torque").get("type"), "torque.type", TORQUES)
     values = validate.mapping(data, "torque", ("type", *TORQUES[kind]))
     for key in TORQUES[kind]:
@@ -205,8 +205,8 @@ def _nominal(
 ) -> Nominal:
     if arm.base.n or any(qd.values()):
         raise ValueError(
-            "torque.type 'nominal' moves from rest on a fixed base, got "
-            f"base {arm.base.type!r} and initial.qd {dict(qd)!r}; take step or ramp."
+            "torque.type 'nominal' needs a fixed base and a start at rest, got "
+            f"base {arm.base.type!r} and initial.qd {dict(qd)!r}; use 'step' or 'ramp'."
         )
     goal = _named(values["goal"], "torque.goal", joints)
     start = tuple(q.get(joint, 0.0) for joint in joints)

@@ -1,4 +1,4 @@
-"""A scenario's motions, by the arm and by its rigid twin, and the figures they come to."""
+"""Simulated motions of a scenario's arm and of its rigid twin, and their summary figures."""
 
 import warnings
 from dataclasses import dataclass
@@ -23,38 +23,38 @@ DEGREE = np.pi / 180.0
 
 @dataclass(frozen=True)
 class Run:
-    """A motion and what the pictures show of it."""
+    """A simulated motion with the quantities that the pictures show."""
 
     model: Model
     path: Trajectory
-    joints: Array  # (N, n_joint) [rad, m] link against link: rotor and twist of a spring together
+    joints: Array  # (N, n_joint) [rad, m] between links: rotor coordinate plus joint spring
     rates: Array  # (N, n_joint) [rad/s, m/s]
-    bend: Array  # (N, n_joint, 2) [m] tip of each link along y and z, from its undeflected place
+    bend: Array  # (N, n_joint, 2) [m] deflection of each link's tip along y and z
     bend_rates: Array  # (N, n_joint, 2) [m/s]
     warnings: tuple[str, ...]  # of the model's validity
 
 
 def twins(scenario: Scenario) -> tuple[Run, Run]:
-    """The motions of the arm and of its rigid twin; of a rigid arm, one motion twice."""
+    """Motions of the arm and of its rigid twin; the same object twice if the arm is rigid."""
     twin = stiffened(scenario.arm)
     first = follow(scenario, scenario.arm)
     return first, first if twin == scenario.arm else follow(scenario, twin)
 
 
 def follow(scenario: Scenario, arm: Arm) -> Run:
-    """One arm through a scenario."""
+    """Simulate one arm in a scenario."""
     model = compile_arm(arm)
     q, v = scenario.start(arm)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         path = simulate(model, q, v, scenario.torque, scenario.times, rtol=RTOL)
-    said = tuple(dict.fromkeys(str(warning.message) for warning in caught))
+    messages = tuple(dict.fromkeys(str(warning.message) for warning in caught))
     joints, rates = (across(arm, x) for x in (path.q, path.v))
-    return Run(model, path, joints, rates, *deflections(model, path.q, path.v), said)
+    return Run(model, path, joints, rates, *deflections(model, path.q, path.v), messages)
 
 
 def across(arm: Arm, x: Array) -> Array:
-    """(N, n_joint) coordinates (N, n) of the joints with the twists of their springs."""
+    """(N, n_joint) joint coordinates plus the deflections of their springs, from x (N, n)."""
     columns = [
         x[:, k] + (x[:, k + 1] if link.joint.elastic else 0.0)
         for k, link in zip(arm.joint_index, arm.links, strict=True)
@@ -63,7 +63,7 @@ def across(arm: Arm, x: Array) -> Array:
 
 
 def deflections(model: Model, q: Array, v: Array) -> tuple[Array, Array]:
-    """(N, n_joint, 2) [m] tips along y and z of their links' root frames, and [m/s] rates."""
+    """(N, n_joint, 2) tip deflections [m] along y and z of the root frames, and rates [m/s]."""
     arm, count = model.arm, len(q)
     if model.n == arm.base.n + arm.n_joint:
         return np.zeros((count, arm.n_joint, 2)), np.zeros((count, arm.n_joint, 2))
@@ -78,13 +78,13 @@ def deflections(model: Model, q: Array, v: Array) -> tuple[Array, Array]:
 
 
 def _tip(bodies: list[Frame]) -> Any:
-    """The tip of a link of welded parts, in its own root frame."""
+    """Tip of a link of welded segments, in the link's root frame."""
     pairs = list(zip(bodies[-2::-1], bodies[:0:-1], strict=True))
     return reduce(lambda tip, pair: add(pair[0].r, matvec(pair[1].R, tip)), pairs, bodies[-1].r)
 
 
 def figures(scenario: Scenario, flexible: Run, rigid: Run) -> dict[str, Any]:
-    """What the page tells of a scenario."""
+    """Figures of a scenario for the page."""
     arm, path = flexible.model.arm, flexible.path
     result: dict[str, Any] = {
         "coordinates": flexible.model.n,
@@ -105,7 +105,7 @@ def figures(scenario: Scenario, flexible: Run, rigid: Run) -> dict[str, Any]:
 
 
 def drifts(scenario: Scenario, run: Run) -> dict[str, float]:
-    """Relative changes of what a motion keeps: energy where nothing acts, a free base's momenta."""
+    """Relative drifts: of energy without torque and damping, of a free base's momenta."""
     states = list(zip(run.path.q, run.path.v, strict=True))
     result = {}
     if scenario.torque is None and not _damped(run.model.arm):

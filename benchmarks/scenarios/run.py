@@ -1,13 +1,12 @@
-"""Named scenarios: every motion by the flexible arm (solid) and by its rigid twin (dashed).
+"""Named scenarios: the motion of each flexible arm (solid) and of its rigid twin (dashed).
 
     python -m benchmarks.scenarios [NAME ...] [--quick] [--out docs/scenarios.md]
 
-Follows `configs/scenarios/NAME.yaml`, all of them by default, and writes a picture of each, their
-figures (`results/scenarios.json`) and the page; what is not named keeps its figures. `--quick`
-follows the first twentieth of each motion and writes nothing.
+Simulates `configs/scenarios/NAME.yaml`, by default all of them, and writes a picture of each, the
+figures (`results/scenarios.json`) and the page. Scenarios that are not named keep their figures.
+`--quick` simulates the first twentieth of each motion and writes nothing.
 """
 
-import argparse
 import json
 import sys
 from dataclasses import replace
@@ -20,14 +19,14 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.output import ROOT, provenance, save_figure
+from benchmarks.output import ROOT, argument_parser, provenance, save_figure, table
 from benchmarks.scenarios.file import Scenario, load_scenario
 from benchmarks.scenarios.motions import DEGREE, Run, figures, twins
 from dynamics.description.rotations import to_euler
 from dynamics.types import Array
 
 FOLDER = ROOT / "configs" / "scenarios"
-ORDER = (  # of the page; any other stands behind
+ORDER = (  # of the page; other scenarios come last
     "one-link-step", "one-link-ramp", "one-link-nominal",
     "two-links-one-mode", "two-links-two-modes", "two-links-payload",
     "planar-arm", "planar-arm-100kg",
@@ -35,7 +34,7 @@ ORDER = (  # of the page; any other stands behind
     "flying-body", "flying-beam", "flying-rigid-links", "flying-long-links",
     "fixed-base", "double-pendulum",
 )  # fmt: skip
-QUICK = 20  # part of a motion that --quick follows
+QUICK = 20  # --quick simulates this fraction of a motion: 1 / QUICK
 COLUMNS = {  # of the page: name in the results -> format
     "deflection [mm]": ".3g",
     "of its length [%]": ".2g",
@@ -54,7 +53,7 @@ def names() -> list[str]:
 
 
 def draw(scenario: Scenario, flexible: Run, rigid: Run, path: Path) -> None:
-    """Joint angles, their rates, deflections and theirs; of a free base, its attitude first."""
+    """Draw a free base's attitude, joint angles and deflections, each with its rate."""
     arm = scenario.arm
     rows = []
     if arm.base.n:
@@ -100,7 +99,7 @@ def _draw_joints(axes: Any, flexible: Run, rigid: Run) -> None:
 
 
 def _draw_bending(axes: Any, flexible: Run, rigid: Run) -> None:
-    """Along y solid, along z dotted where it bends that way; the rigid arm's are zero."""
+    """Draw deflections along y (solid) and z (dotted); the rigid arm's are zero (dashed)."""
     t = flexible.path.t
     for values, axis in ((flexible.bend, axes[0]), (flexible.bend_rates, axes[1])):
         axis.axhline(0.0, color="0.3", linestyle="--", linewidth=1.0)
@@ -119,7 +118,7 @@ def _styles(flexible: Run, rigid: Run) -> list[tuple[Run, str]]:
 
 
 def _lines(axis: Any, t: Array, values: Array, style: str, labels: tuple[str, ...]) -> None:
-    """Flexible coloured, rigid black and thin on top of it."""
+    """Draw the flexible arm's lines coloured, the rigid arm's thin and black."""
     for k, (column, label) in enumerate(zip(values.T, labels, strict=True)):
         if style == "-":
             axis.plot(t, column, style, color=f"C{k}", linewidth=1.4, label=label)
@@ -130,27 +129,28 @@ def _lines(axis: Any, t: Array, values: Array, style: str, labels: tuple[str, ..
 def page(results: dict[str, Any]) -> str:
     """The page as Markdown."""
     stored, scenarios = results["scenarios"], {name: load(name) for name in results["scenarios"]}
+    rows = [
+        [f"[{name}](#{name})", str(row["coordinates"]), row["integrator"]]
+        + [format(row[key], form) if key in row else "" for key, form in COLUMNS.items()]
+        for name, row in stored.items()
+    ]
     lines = [
         "# Scenarios", "",
-        "Motions of named arms, each by the flexible arm and by its rigid twin: the same arm "
-        "without modes and joint springs under the same torque. Made by", "",
-        "```\npython -m benchmarks.scenarios\n```", "",
-        "from `configs/scenarios` ([data](results/scenarios.json)); a name follows one alone. They "
-        "are the systems of Cyril's FLEXLINK thesis (first three groups) and the special cases of "
-        "Zohoor and Khorsandijou's flying arm. Of the thesis's tables and trajectories none is "
-        "legible and the second paper has no numbers, so that no number below is theirs; what was "
-        "chosen stands with each.", "",
-        "*Deflection* is the largest of all links' tips from their undeflected place, *apart* the "
-        "largest distance between the flexible and the rigid motion; a joint with a spring counts "
-        "with its twist. Drifts are relative: of the energy, where nothing acts and nothing damps, "
-        "to the largest kinetic energy; of the momenta, to themselves.", "",
-        "| scenario | coordinates | integrator | " + " | ".join(COLUMNS) + " |",
-        "|---|" + "---:|" * (2 + len(COLUMNS)),
+        "Motions of named arms. Each scenario is simulated with the flexible arm and with its "
+        "rigid twin: the same arm without modes and joint springs, under the same torque. Made by",
+        "", "```\npython -m benchmarks.scenarios\n```", "",
+        "from `configs/scenarios` ([data](results/scenarios.json)); names as arguments select "
+        "single scenarios. They are the systems of Cyril's FLEXLINK thesis (first three groups) "
+        "and the special cases of Zohoor and Khorsandijou's flying arm. The tables and "
+        "trajectories of the thesis are illegible and the second paper has no numbers, so no "
+        "number below is from either source; each scenario lists the parameters chosen here.", "",
+        "*Deflection* is the largest distance of a link's tip from its undeflected position. "
+        "*Apart* is the largest distance between the flexible and the rigid motion; the angle of a "
+        "joint with a spring includes the spring's deflection. Drifts are relative: energy drift, "
+        "given without torque and damping, to the largest kinetic energy; momentum drift to the "
+        "initial momentum.", "",
+        table(["scenario", "coordinates", "integrator", *COLUMNS], rows, "lr"),
     ]  # fmt: skip
-    for name, row in stored.items():
-        cells = [format(row[key], form) if key in row else "" for key, form in COLUMNS.items()]
-        head = f"[{name}](#{name})", str(row["coordinates"]), row["integrator"]
-        lines.append("| " + " | ".join([*head, *cells]) + " |")
     for name, row in stored.items():
         scenario = scenarios[name]
         lines += ["", f"## {name}", "", f"{scenario.title}. {scenario.about.strip()}", ""]
@@ -168,15 +168,17 @@ def load(name: str) -> Scenario:
 
 
 def shortened(scenario: Scenario) -> Scenario:
-    """The beginning of a scenario."""
+    """The first part of a scenario, for --quick."""
     return replace(scenario, t_end=scenario.t_end / QUICK, n_out=21)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Follow the named scenarios; returns the exit status."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help="default: all")
-    parser.add_argument("--quick", action="store_true", help="the beginnings; write nothing")
+    """Simulate the named scenarios; returns the exit status."""
+    parser = argument_parser("scenarios", __doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="scenarios (default: all)")
+    parser.add_argument(
+        "--quick", action="store_true", help="simulate the beginnings and write nothing"
+    )
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "scenarios.md")
     options = parser.parse_args(arguments)
     try:
@@ -201,7 +203,3 @@ def main(arguments: list[str] | None = None) -> int:
     target.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     options.out.write_text(page(results), encoding="utf-8")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,1 +1,1 @@
-"""Published numbers beside ours, with verdicts."""
+"""Published numbers compared with ours, with verdicts."""

@@ -1,5 +1,8 @@
-"""`python -m benchmarks.validation.run`: see run.py."""
+"""`python -m benchmarks.validation`: see run.py."""
+
+import sys
 
 from benchmarks.validation.run import main
 
-main()
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,8 +1,8 @@
 """Beam theory: spinning and heavily loaded beams, limit equations, and two nonlinear motions.
 
-The numbers of spinning and loaded beams are classical; the digits are those of a converged shooting
-solution of the exact beam. S1 and S3 are motions of geometrically nonlinear beams, in
-tests/reference/ with their data; ours are the assumed-mode models.
+Spinning and loaded beams are classical problems; the digits are from a converged shooting solution
+of the exact beam. S1 and S3 are motions of geometrically nonlinear beams, stored with their data in
+tests/reference/; our numbers are from assumed-mode models.
 """
 
 from collections.abc import Sequence
@@ -39,11 +39,11 @@ DEAD_LOAD = {  # P L^2 / EI: drop / L and x / L of the tip
     2.0: "0.49345748 0.83935828",
 }
 END_MOMENT = (0.5, 1.0)  # M L / EI
-SPEED = 3.0  # of the linear beam's false softening
+SPEED = 3.0  # Omega sqrt(rho_A L^4 / EI) at which the linear beam softens falsely
 
 
 def _unit(modes: int, direction: str, kind: str = "clamped-free", **changes: Any) -> Arm:
-    """A cantilever of unit length, mass per length and stiffness, foreshortened unless told."""
+    """Cantilever of unit length, mass per length and stiffness, by default foreshortened."""
     short = bool(changes.pop("foreshortening", True))
     gravity = changes.pop("gravity", (0.0, 0.0, 0.0))
     shapes = tuple(Mode(kind=kind, index=k + 1, direction=direction) for k in range(modes))
@@ -53,7 +53,7 @@ def _unit(modes: int, direction: str, kind: str = "clamped-free", **changes: Any
 
 
 def spinning(arm: Arm, rate: float) -> float:
-    """[rad/s] lowest frequency while the joint turns steadily: slopes of the bias at rest."""
+    """Lowest frequency at a constant joint rate, from slopes of the bias [rad/s]."""
     model = compile_arm(arm)
     v = np.zeros(model.n)
     v[0] = rate
@@ -68,7 +68,7 @@ def spinning(arm: Arm, rate: float) -> float:
 
 
 def loaded(arm: Arm, generalized: Array | None = None) -> Array:
-    """(3,) [m] tip of a cantilever at rest under its gravity, or under forces on its modes [N]."""
+    """(3,) [m] tip of a cantilever in equilibrium with its gravity and modal forces [N]."""
     model = compile_arm(arm)
     rest = np.zeros(model.n)
     push = np.zeros(model.n - 1) if generalized is None else generalized
@@ -83,9 +83,9 @@ def loaded(arm: Arm, generalized: Array | None = None) -> Array:
 
 
 def bent_by_moment(moment: float) -> tuple[float, float]:
-    """Tip x and y of the unit cantilever under an end moment: it turns the sum of all tip slopes.
+    """Tip x and y of the unit cantilever under an end moment.
 
-    With a tip that turns by the sum of its segments' slopes, the moment does work on every slope.
+    The tip turns by the sum of its segments' slopes, so the moment does work on every slope.
     """
     arm = _unit(2, "y", "poly", segments=4)
     model = compile_arm(arm)
@@ -96,7 +96,7 @@ def bent_by_moment(moment: float) -> tuple[float, float]:
 
 @cache
 def scene(name: str, level: Level) -> Array:
-    """(N, 3) [m] tip of a scene's arm, with so much of it kept, by DOP853 at 1e-9."""
+    """(N, 3) [m] tip of a scene's arm at a fidelity level, by DOP853 at 1e-9."""
     setting = SETTINGS[name]
     model = compile_arm(level.arm(setting.arm))
     q, v = setting.start(model)
@@ -107,14 +107,14 @@ def scene(name: str, level: Level) -> Array:
 
 
 def _apart(name: str, level: Level) -> float:
-    """[of the reach] largest distance from the truth."""
+    """Largest tip distance from the truth over the reach [-]."""
     setting = SETTINGS[name]
     far = np.linalg.norm(scene(name, level) - setting.truth, axis=1).max()
     return float(far) / setting.arm.reach
 
 
 def _across_hub(tip: Array) -> Array:
-    """(N,) [m] tip of S3 across the hub's direction, which is prescribed."""
+    """(N,) [m] tip of S3 perpendicular to the hub's prescribed direction."""
     t = SETTINGS["S3"].times
     psi = 0.4 * (t**2 / 2 + (15 / (2 * pi)) ** 2 * (np.cos(2 * pi * t / 15) - 1))
     psi = np.where(t < 15.0, psi, 6.0 * t - 45.0)
@@ -131,7 +131,7 @@ def _peaks() -> Sequence[float]:
 
 
 def limits() -> list[float]:
-    """Limit equations of Zohoor and Khorsandijou, as shares of the closed forms.
+    """Frequencies of Zohoor and Khorsandijou's limit equations over the closed forms.
 
     (35) torsion by its own shapes, (36) stretching by polynomials, (37), (38) bending in y and z.
     """
@@ -240,7 +240,7 @@ def _motions() -> list[Table]:
 
 
 def tables() -> list[Table]:
-    """All of them."""
+    """All tables of this chapter."""
     names = ("(35) torsion, mode 1", "mode 2", "mode 3", "(36) stretching, mode 1",
              "mode 2", "(37) bending in y, mode 1", "(38) bending in z, mode 1",
              "in y, mode 2", "in z, mode 2")  # fmt: skip

@@ -1,4 +1,4 @@
-"""Operation counts: the printed formulas evaluated, and our own counts beside them.
+"""Operation counts: the printed formulas evaluated, and our own counts.
 
 n joints, f flexible links (n_f in the papers), m modes each. Multiplications come first.
 """
@@ -53,7 +53,7 @@ def gibbs_appell(n: int, f: int, m: int) -> Pair:
 
 
 def book(n: int, f: int, m: int) -> Pair:
-    """The same table, Book's recursive Lagrangian."""
+    """Korayem and Shafei, table 2, Book's recursive Lagrangian."""
     return (
         6 * m**2 * f**2 + 17.5 * m**2 * f + 118 * m * f**2 + 74 * n * f * m + 137.5 * m * f
         + 84 * n**2 + 86 * n * f + 279 * n + 126 * f - 57,
@@ -106,7 +106,7 @@ def _case(title: str, formula: Callable[[int, int, int], Pair], case: tuple[int,
 
 
 def _misprints() -> list[Table]:
-    """Where the printed case or count is not what the printed formulas give."""
+    """Tables whose printed case or count differs from the printed formulas."""
     return [
         Table(
             chapter=CHAPTER, title="Korayem's first case, labelled m = 3", demand=_EXACT,
@@ -156,7 +156,7 @@ def _misprints() -> list[Table]:
 
 
 def _unprinted() -> Table:
-    """The formulas where the papers print no count: few flexible links, and the smallest arm."""
+    """The formulas for cases without a printed count: few flexible links, the smallest arm."""
     cases = ((6, 2, 3), (2, 2, 1))
     methods: tuple[tuple[str, Callable[[int, int, int], Pair]], ...] = (
         ("Gibbs-Appell", gibbs_appell), ("Book", book),
@@ -201,7 +201,7 @@ def _cyril() -> list[Table]:
 
 
 def counted() -> list[Table]:
-    """M and h in our own code beside the printed counts, as benchmarks/operations.py found them."""
+    """Printed counts and our own for M and h, as stored by `python -m benchmarks.operations`."""
     if not COUNTED.exists():
         return []
     found = json.loads(COUNTED.read_text())
@@ -238,7 +238,7 @@ def counted() -> list[Table]:
 
 
 def tables() -> list[Table]:
-    """All counts."""
+    """All tables of this chapter."""
     return [
         _case("Gibbs-Appell", gibbs_appell, (6, 6, 2), "19557 18332", "printed as m = 3"),
         _case("Book", book, (6, 6, 2), "25251 24569", "printed as m = 3"),

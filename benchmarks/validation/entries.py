@@ -1,4 +1,4 @@
-"""What the validation page is made of: numbers of a source beside ours, and verdicts on them."""
+"""Entries of the validation page: printed numbers, our numbers, and verdicts."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ VERDICTS = (REPRODUCED, ERROR, REPLACED, LOST, INCOMPARABLE, MISSED)
 
 @dataclass(frozen=True, kw_only=True)
 class Number:
-    """One number as a source prints it, and what it takes to reproduce it."""
+    """A printed number and the condition for reproducing it."""
 
     quantity: str
-    printed: str  # the source's digits; "" where none are left
+    printed: str  # the source's digits; "" if none are legible
     unit: str = ""
-    within: float = nan  # [unit] the farthest ours may be; nan where nothing is claimed
-    correct: float | None = None  # what the source should print, where it errs
+    within: float = nan  # [unit] largest deviation of ours; nan if nothing is claimed
+    correct: float | None = None  # the correct number, if the print is wrong
     remark: str = ""
-    claim: str = REPRODUCED  # what a comparison can show at best
+    claim: str = REPRODUCED  # best possible verdict
 
     @property
     def theirs(self) -> float:
@@ -31,7 +31,7 @@ class Number:
         return float(self.printed.replace(" ", "")) if self.printed else nan
 
     def verdict(self, ours: float) -> str:
-        """By comparison where one is claimed; an error in print must show itself as one."""
+        """Verdict on our number; "error in print" needs ours at `correct` and not at the print."""
         if self.claim != REPRODUCED:
             return self.claim
         if self.correct is None:
@@ -42,17 +42,17 @@ class Number:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Numbers that one run gives together."""
+    """Numbers that are computed together."""
 
     chapter: str
     title: str
     rows: tuple[Number, ...]
-    ours: Callable[[], Sequence[float]]  # one per row; nan where there is nothing of ours
-    demand: str  # what "reproduced" means here
+    ours: Callable[[], Sequence[float]]  # one per row; nan if we have none
+    demand: str  # condition for "reproduced"
     quick: bool = True  # part of the short form
 
     def results(self) -> list[dict[str, object]]:
-        """One entry per row, as JSON holds it."""
+        """One entry per row, for JSON."""
         found = list(self.ours())
         if len(found) != len(self.rows):
             raise ValueError(f"{self.title}: {len(self.rows)} numbers but {len(found)} results.")
@@ -75,7 +75,7 @@ def _entry(row: Number, ours: float) -> dict[str, object]:
 def as_printed(
     names: Sequence[str], digits: str, unit: str = "", units: float = 0.51, remark: str = ""
 ) -> tuple[Number, ...]:
-    """Numbers to be met within `units` of each last printed digit (half of one: rounding)."""
+    """Numbers to reproduce within `units` of the last printed digit (0.5 is rounding)."""
     return tuple(
         Number(
             quantity=name, printed=text, unit=unit, within=units * last_digit(text), remark=remark
@@ -87,7 +87,7 @@ def as_printed(
 def relatively(
     names: Sequence[str], digits: str, unit: str, share: float, remark: str = ""
 ) -> tuple[Number, ...]:
-    """Numbers to be met within a share of themselves."""
+    """Numbers to reproduce within the relative deviation `share`."""
     return tuple(
         Number(
             quantity=name, printed=text, unit=unit, within=share * abs(float(text)), remark=remark
@@ -97,6 +97,6 @@ def relatively(
 
 
 def last_digit(text: str) -> float:
-    """What one unit of the last digit of a printed number is worth."""
+    """Value of one unit in the last digit of a printed number."""
     mantissa, _, exponent = text.lower().partition("e")
     return float(10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])))

@@ -1,7 +1,8 @@
-"""The two hanging links of Korayem and Shafei (2009): frequencies, and the motion when released.
+"""The two hanging links of Korayem and Shafei (2009): frequencies, and the motion after release.
 
-Their figures have no tables. The numbers are those of an independent implementation of their data:
-finite elements with tension stiffening; assumed modes by another method, DOP853 at rtol 1e-9.
+The paper prints figures without tables. The numbers here are from an independent implementation of
+its data: finite elements with tension stiffening, and assumed modes by another method with DOP853
+at rtol 1e-9.
 """
 
 from collections.abc import Sequence
@@ -79,7 +80,7 @@ EXTREMES = {  # name: modes, payload [kg], smallest and largest w1, w2 over one 
 
 
 def hanging(modes: int, payload: float = 0.0, kind: str = "clamped-free", segments: int = 1) -> Arm:
-    """The arm with so many modes per link or segment; segments are foreshortened."""
+    """The arm with `modes` modes per link or segment; segments are foreshortened."""
     shapes = tuple(Mode(kind=kind, index=k, direction="y") for k in range(1, modes + 1))
     link = replace(DATA, modes=shapes, segments=segments)
     carried = Payload(mass=payload) if payload else None
@@ -90,7 +91,7 @@ def hanging(modes: int, payload: float = 0.0, kind: str = "clamped-free", segmen
 
 
 def swinging(arm: Arm) -> list[float]:
-    """[Hz] of small motions about hanging at rest: slopes of the bias, and M, on plain floats."""
+    """Frequencies of the hanging arm [Hz], from M and slopes of the bias, on plain floats."""
     chain = Model(arm).chain
     q, rest = np.zeros(arm.n), [0.0] * arm.n
     q[0] = -0.5 * pi
@@ -111,7 +112,7 @@ def swinging(arm: Arm) -> list[float]:
 
 @cache
 def released(modes: int, payload: float) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) [s] times, (N, 6) joint angles [deg], tip [m], tip deflections [mm], from rest."""
+    """Motion from rest: times (N,) [s]; angles [deg], tip [m], deflections [mm] (N, 6)."""
     arm = hanging(modes, payload)
     model = compile_arm(arm)
     q = np.zeros(model.n)
@@ -156,7 +157,7 @@ def _extremes(name: str) -> Sequence[float]:
 
 
 def _sag() -> float:
-    """[mm] of one link held horizontally under its own weight, by square, cubic, quartic shapes."""
+    """Tip sag of one horizontal clamped link under its weight, by three polynomials [mm]."""
     shapes = tuple(Mode(kind="poly", index=k, direction="y") for k in (1, 2, 3))
     model = compile_arm(Arm(links=(replace(DATA, modes=shapes),), gravity=(0.0, -GRAVITY, 0.0)))
     rest = np.zeros(model.n)
@@ -165,7 +166,7 @@ def _sag() -> float:
 
 
 def _cut(payload: float) -> list[float]:
-    """[Hz] of the arm cut into foreshortened segments, stiffened by tension as the elements are."""
+    """Frequencies [Hz] of the arm with two foreshortened segments per link, stiff by tension."""
     return swinging(hanging(5, payload, "poly", 2))
 
 
@@ -174,7 +175,7 @@ def _modes(count: int) -> list[str]:
 
 
 def tables() -> list[Table]:
-    """All tables of this arm."""
+    """All tables of this chapter."""
     result = [
         Table(
             chapter=CHAPTER, title="One link", demand="within rounding of the printed digits",
@@ -244,7 +245,7 @@ def _square_section() -> tuple[float, float, float]:
 
 
 def draw(folder: Path) -> None:
-    """Tip deflections of the released arm, one and two modes, and the tabulated points."""
+    """Draw tip deflections of the released arm with one and two modes, and tabulated points."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,6 +1,6 @@
-"""The large arms: RALF of Yuan, Book and Huggins (1993), and the Shuttle's, Cyril's subject.
+"""The large arms: RALF of Yuan, Book and Huggins (1993), and the Shuttle's arm, Cyril's subject.
 
-Neither source has what a model needs; the presets beside them are tuned and say so.
+Neither source has all the data of a model, so the presets `ralf-like` and `srms-like` are tuned.
 """
 
 from collections.abc import Callable, Sequence
@@ -61,14 +61,14 @@ LEVER = 0.5  # [m] chosen for the actuators `ralf-1` and `ralf-2`
 
 
 def finer() -> Arm:
-    """The arm like RALF with five shapes per link."""
+    """The preset `ralf-like` with five shapes per link."""
     like = ARMS["ralf-like"]
     modes = tuple(Mode(kind="poly", index=k, direction="y") for k in range(1, 6))
     return replace(like, links=tuple(replace(link, modes=modes) for link in like.links))
 
 
 def on_springs(lever: float) -> list[float]:
-    """[Hz] of the same, its joints held by the printed springs, both on one lever arm [m]."""
+    """Frequencies [Hz] of `finer`, its joints on the printed springs with one lever arm [m]."""
     M, K, joints = _matrices()
     springs = np.zeros(len(K))
     springs[joints] = np.array(SPRINGS) * lever**2
@@ -78,7 +78,7 @@ def on_springs(lever: float) -> list[float]:
 
 @cache
 def _matrices() -> tuple[Array, Array, list[int]]:
-    """M and K of the finer arm at the elbow's posture, and the places of its joints."""
+    """M and K of `finer` at the posture ELBOW, and the indices of its joints."""
     arm = finer()
     model, q, joints = Model(arm), np.zeros(arm.n), list(arm.joint_index)
     q[joints] = ELBOW
@@ -86,26 +86,26 @@ def _matrices() -> tuple[Array, Array, list[int]]:
 
 
 def tuned_lever() -> float:
-    """[m] the lever arm of both springs that gives 5.70 Hz."""
+    """Lever arm of both springs that gives 5.70 Hz [m]."""
     return float(brentq(lambda lever: on_springs(lever)[0] - 5.70, 0.1, 10.0))
 
 
-def held() -> list[float]:
-    """[Hz] the first by the preset's own shapes, which it is tuned with; others by more."""
+def locked() -> list[float]:
+    """Frequencies with joints locked [Hz]: the first by the tuned preset, others by `finer`."""
     return [hertz(ARMS["ralf-like"], angles=ELBOW)[0], *hertz(finer(), angles=ELBOW)[1:]]
 
 
 TUNED = "ours: on springs, one lever arm of both tuned to this"
 CHOSEN = "ours: on springs, lever arms of 0.5 m, chosen"
-RALF_OURS: tuple[tuple[Callable[[], list[float]], str, str], ...] = (  # beside each experiment
-    (held, "ours: ralf-like, EI tuned to this", "ours: ralf-like, five shapes per link"),
+RALF_OURS: tuple[tuple[Callable[[], list[float]], str, str], ...] = (  # for each experiment
+    (locked, "ours: ralf-like, EI tuned to this", "ours: ralf-like, five shapes per link"),
     (lambda: on_springs(LEVER), CHOSEN, CHOSEN),
     (lambda: on_springs(tuned_lever()), TUNED, "ours: on springs, with that lever arm"),
 )
 
 
 def ralf_tables() -> list[Table]:
-    """The large arm: arithmetic of the printed actuators, and tables whose geometry is lost."""
+    """RALF: arithmetic of the printed actuators, and tables whose geometry is lost."""
     result = [
         Table(
             chapter=RALF, title="Printed data", demand="within rounding of the print",
@@ -145,9 +145,12 @@ def _ralf_table(
     first: str,
     others: str,
 ) -> Table:
-    """Experiments beside ours, with remarks on the first number and the others; models alone."""
+    """One RALF table: our frequencies for the experiment, none for the printed models.
+
+    `first` is the remark on the first experimental number, `others` on the others.
+    """
     rows: list[Number] = []
-    places: list[int | None] = []  # of each row among our frequencies
+    places: list[int | None] = []  # index of our frequency for each row
     for k, pair in enumerate(pairs):
         for column, digits in zip(("experiment", "model"), pair, strict=True):
             if digits is None:
@@ -184,7 +187,7 @@ CONFIGURATION_S = {  # configuration S, presumably straight: printed [Hz], light
 
 
 def shuttle_tables() -> list[Table]:
-    """The Shuttle's arm: public frequencies of another model, beside the tuned preset."""
+    """The Shuttle's arm: public frequencies of another model, and those of the tuned preset."""
     like = ARMS["srms-like"]
     loaded = replace(like, payload=Payload(mass=32_000 * POUND))
     own = {"light": hertz(like), "heavy": hertz(loaded)}
@@ -216,5 +219,5 @@ def _load_remark(load: str, mode: int) -> str:
 
 
 def tables() -> list[Table]:
-    """RALF and the Shuttle's arm."""
+    """All tables of RALF and the Shuttle's arm."""
     return [*ralf_tables(), *shuttle_tables()]

@@ -1,24 +1,25 @@
-"""The validation page: Markdown from the results."""
+"""Markdown page of the validation results."""
 
 from typing import Any
 
+from benchmarks.output import table
 from benchmarks.validation.entries import VERDICTS
 
 MEANING = {
-    "reproduced": "ours is within the demand that the table states",
-    "error in print": "ours misses the print and meets the corrected number",
-    "replaced": "the source's way or data do not work or are lost; ours are named",
-    "lost in source": "the source lacks what a comparison needs",
-    "not comparable": "shown side by side; not the same thing",
-    "not reproduced": "ours misses the demand",
+    "reproduced": "our number meets the demand stated with its table",
+    "error in print": "our number differs from the printed one and agrees with its correction",
+    "replaced": "the source's method or data fail or are lost; the remark names ours",
+    "lost in source": "the source lacks information that the comparison needs",
+    "not comparable": "shown side by side, but the quantities differ",
+    "not reproduced": "our number does not meet the demand",
 }
 FIGURES = (
     ("validation_slim_step.png", "SLIM's step under joint PD: joint angle, strain at base and mid"),
     ("validation_lyapunov.png", "The theorem's function V, and V(0) less the work of K_D"),
-    ("validation_held_free.png", "SLIM's frequencies from a free to a held joint"),
+    ("validation_held_free.png", "SLIM's frequencies from a free to a locked joint"),
     ("validation_release.png", "Korayem's arm released: tip deflections, and the tabulated ones"),
 )
-HONESTY = (  # source, what it says or lacks, kind, what is done here
+HONESTY = (  # source, its statement or gap, kind, treatment here
     ("Korayem 2009", "(70) drops ω × θ̇, (69) drops ω̇_v × r, (44) has a wrong sign",
      "error in print", "corrected; see [theory](theory.md)"),
     ("Korayem 2009", "rotation of a bent tip 1 + θ̃, with θ̇ as its rate: energy is not kept in 3-D",
@@ -56,47 +57,46 @@ HONESTY = (  # source, what it says or lacks, kind, what is done here
 
 
 def page(results: dict[str, Any]) -> str:
-    """The whole page."""
+    """The page as Markdown."""
     tables = results["tables"]
     lines = [
         "# Validation", "",
-        "Published numbers beside ours. Every one of ours was computed by", "",
+        "Published numbers compared with ours. All of ours were computed by", "",
         f"```\n{results['command']}\n```", "",
         "which writes this page, its [data](results/validation.json) and its pictures. The tests "
-        "run its short form, `--quick`, and fail on a changed verdict. Deviations are in per cent "
-        "of theirs.", "",
+        "run its short form, `--quick`, and fail if a verdict changes. *Theirs* is the published "
+        "number; deviations of ours are in per cent of it.", "",
         *_summary(tables),
         "## Lost, replaced, wrong in print", "",
-        "| source | what | kind | here |", "|---|---|---|---|",
-        *("| " + " | ".join(row) + " |" for row in HONESTY), "",
+        table(["source", "what", "kind", "here"], HONESTY), "",
         "## Pictures", "",
     ]  # fmt: skip
     for file, caption in FIGURES:
         lines += [f"![{caption}](results/{file})", "", f"*{caption}.*", ""]
     chapter = None
-    for table in tables:
-        if table["chapter"] != chapter:
-            chapter = table["chapter"]
+    for entry in tables:
+        if entry["chapter"] != chapter:
+            chapter = entry["chapter"]
             lines += [f"## {chapter}", "", results["notes"][chapter], ""]
-        lines += _table(table)
+        lines += _details(entry)
     return "\n".join(lines)
 
 
 def _summary(tables: list[dict[str, Any]]) -> list[str]:
     chapters = list(dict.fromkeys(table["chapter"] for table in tables))
     found = [verdict for verdict in VERDICTS if _count(tables, verdict)]
-    lines = ["| | " + " | ".join(found) + " |", "|---|" + "---:|" * len(found)]
+    rows = []
     for chapter in chapters:
-        own = [table for table in tables if table["chapter"] == chapter]
-        cells = [str(_count(own, verdict) or "") for verdict in found]
-        lines.append(f"| [{chapter}](#{_anchor(chapter)}) | " + " | ".join(cells) + " |")
-    total = [f"**{_count(tables, verdict)}**" for verdict in found]
-    lines += ["| all | " + " | ".join(total) + " |", ""]
-    return lines + [f"- *{verdict}*: {MEANING[verdict]}." for verdict in found] + [""]
+        own = [entry for entry in tables if entry["chapter"] == chapter]
+        counts = [str(_count(own, verdict) or "") for verdict in found]
+        rows.append([f"[{chapter}](#{_anchor(chapter)})", *counts])
+    rows.append(["all", *(f"**{_count(tables, verdict)}**" for verdict in found)])
+    meanings = [f"- *{verdict}*: {MEANING[verdict]}." for verdict in found]
+    return [table(["", *found], rows, "lr"), "", *meanings, ""]
 
 
 def _count(tables: list[dict[str, Any]], verdict: str) -> int:
-    return sum(row["verdict"] == verdict for table in tables for row in table["rows"])
+    return sum(row["verdict"] == verdict for entry in tables for row in entry["rows"])
 
 
 def _anchor(title: str) -> str:
@@ -104,27 +104,28 @@ def _anchor(title: str) -> str:
     return "".join(kept).replace(" ", "-")
 
 
-def _table(table: dict[str, Any]) -> list[str]:
-    rows = table["rows"]
-    verdicts = ", ".join(f"{_count([table], v)} {v}" for v in VERDICTS if _count([table], v))
-    remarks = any(row["remark"] for row in rows)
-    lines = [
-        "<details>", f"<summary>{table['title']}: {verdicts}</summary>", "",
-        f"Demand: {table['demand']}.", "",
-        "| quantity | unit | theirs | ours | deviation | verdict |" + " remark |" * remarks,
-        "|---|---|---:|---:|---:|---|" + "---|" * remarks,
-    ]  # fmt: skip
-    for row in rows:
-        cells = [
+def _details(entry: dict[str, Any]) -> list[str]:
+    """A folded table; the column of remarks is left out if it is empty."""
+    verdicts = ", ".join(f"{_count([entry], v)} {v}" for v in VERDICTS if _count([entry], v))
+    header = ["quantity", "unit", "theirs", "ours", "deviation", "verdict", "remark"]
+    rows = [
+        [
             row["quantity"], row["unit"], row["theirs"] or "–", shown(row["ours"], row["theirs"]),
-            deviation(row), row["verdict"],
-        ]  # fmt: skip
-        lines.append("| " + " | ".join(cells + [row["remark"]] * remarks) + " |")
-    return [*lines, "", "</details>", ""]
+            deviation(row), row["verdict"], row["remark"],
+        ]
+        for row in entry["rows"]
+    ]  # fmt: skip
+    width = 7 if any(row["remark"] for row in entry["rows"]) else 6
+    return [
+        "<details>", f"<summary>{entry['title']}: {verdicts}</summary>", "",
+        f"Demand: {entry['demand']}.", "",
+        table(header[:width], [row[:width] for row in rows], "llrrrl"),
+        "", "</details>", "",
+    ]  # fmt: skip
 
 
 def shown(ours: float | None, printed: str) -> str:
-    """Ours to two more digits than the print."""
+    """Our number with two more digits than the print."""
     if ours is None:
         return "–"
     if printed and float(printed) == 0.0:
@@ -134,7 +135,7 @@ def shown(ours: float | None, printed: str) -> str:
 
 
 def deviation(row: dict[str, Any]) -> str:
-    """In per cent of theirs; absolute where theirs is zero."""
+    """Deviation in per cent of the printed number; absolute if that is zero."""
     if row["deviation"] is None:
         return "–"
     theirs = float(row["theirs"])

@@ -1,9 +1,9 @@
 """Joint PD control after Yuan, Book and Huggins: the step of SLIM, and the theorem's function V.
 
-V = 1/2 (v'Mv + x'Kx + e'K_P e) with e the joints' error falls at the rate v'K_D v of the joints, as
-long as there is neither gravity nor delay: printed appendix B, with K_D in place of the misprinted
-K_P. The dissipated work is integrated beside the motion and V is taken from M and K afterwards, so
-that the two meet only if the dynamics is right.
+V = 1/2 (v'Mv + x'Kx + e'K_P e), with e the joint errors, falls at the rate v'K_D v of the joints if
+there is neither gravity nor delay (printed appendix B, with K_D for the misprinted K_P). The
+dissipated work is integrated with the motion, and V is computed from M and K afterwards, so the two
+balance only if the dynamics is right.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from benchmarks.validation.entries import Number, Table
-from benchmarks.validation.slim import BEAM, HALF, SLIM, held, on_hub
+from benchmarks.validation.slim import BEAM, HALF, SLIM, locked, on_hub
 from benchmarks.work_precision.scenes import undamped
 from dynamics import ARMS, Arm, Model, compile_arm
 from dynamics.types import Array
@@ -32,7 +32,7 @@ SECONDS = 1.4  # printed length of the plots
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """Joints at rest are sent to a target by tau = -K_P (q - target) - K_D v."""
+    """A step of the joints' target, from rest, under tau = -K_P (q - target) - K_D v."""
 
     title: str
     arm: Arm
@@ -58,18 +58,18 @@ STEPS = {
 
 @dataclass(frozen=True)
 class Response:
-    """What a step does, one row per time."""
+    """Response to a step, one row per time."""
 
     t: Array  # (N,) [s]
     q: Array  # (N, n)
     v: Array  # (N, n)
-    spent: Array  # (N,) [J] by K_D since the start
+    spent: Array  # (N,) [J] energy dissipated by K_D since the start
     V: Array  # (N,) [J] the theorem's function
 
 
 @cache
 def respond(step: Step, seconds: float = SECONDS) -> Response:
-    """Follow a step by DOP853 at 1e-11."""
+    """Response to a step, by DOP853 at 1e-11."""
     model = compile_arm(step.arm)
     n, joints = model.n, list(step.arm.joint_index)
     target, K_P, K_D = (np.array(x) for x in (step.target, step.K_P, step.K_D))
@@ -100,7 +100,7 @@ def strains(model: Model, q: Array) -> Array:
 
 
 def balance(step: Step) -> tuple[float, float]:
-    """Largest fault of V + spent = V(0), and largest rise of V between samples, over V(0)."""
+    """Largest error of V + spent = V(0), and largest rise of V between samples, over V(0)."""
     response = respond(step)
     fault = float(np.abs(response.V + response.spent - response.V[0]).max())
     rise = float(max(0.0, np.diff(response.V).max()))
@@ -108,7 +108,7 @@ def balance(step: Step) -> tuple[float, float]:
 
 
 def stiffened(gains: Sequence[float]) -> Array:
-    """(N, 2) [Hz] lowest two frequencies of SLIM, its joint on a spring K_P and undamped."""
+    """(N, 2) [Hz] lowest two frequencies of undamped SLIM with its joint on a spring K_P."""
     import scipy.linalg
 
     link = replace(BEAM, modes=STEPS["slim"].arm.links[0].modes)
@@ -159,7 +159,7 @@ def tables() -> list[Table]:
 
 
 def draw(folder: Path) -> None:
-    """The step of SLIM, V of both arms, and the frequencies between free and held."""
+    """Draw the step of SLIM, V of both arms, and frequencies from a free to a locked joint."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -201,12 +201,12 @@ def draw(folder: Path) -> None:
     gains = np.geomspace(1e-2, 1e4, 121)
     figure, axis = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
     axis.loglog(gains, stiffened(gains.tolist()))
-    limits: list[tuple[str, Any]] = [("held", held()[:2]), ("free", on_hub(0.01, 2)[:1])]
+    limits: list[tuple[str, Any]] = [("locked", locked()[:2]), ("free", on_hub(0.01, 2)[:1])]
     for label, values in limits:
         for value in values:
             axis.axhline(value, color="0.5", linestyle="--", linewidth=1)
             axis.text(gains[0], 1.03 * value, f"{label}: {value:.3f} Hz", fontsize=9)
     axis.set(xlabel="joint gain K_P [N m/rad]", ylabel="frequency [Hz]", ylim=(0.1, 30.0))
-    axis.set_title("SLIM between a free and a held joint (hub 0.01 kg m²)")
+    axis.set_title("SLIM between a free and a locked joint (hub 0.01 kg m²)")
     axis.grid(alpha=0.3, which="both")
     save_figure(figure, folder / "validation_held_free")

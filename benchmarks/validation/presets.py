@@ -1,4 +1,4 @@
-"""The presets beside their published numbers; the files of `dynamics/arms` hold both."""
+"""Published numbers of the presets; the files of `dynamics/arms/presets` hold arms and numbers."""
 
 from benchmarks.validation.entries import Number, Table
 from dynamics.arms import ARMS, CHECKS
@@ -11,7 +11,7 @@ NOTES = {
 
 
 def tables() -> list[Table]:
-    """One per preset."""
+    """One table per preset."""
     return [
         Table(
             chapter=CHAPTER, title=name,

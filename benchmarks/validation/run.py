@@ -1,45 +1,35 @@
-"""Every published number that can be checked, beside ours: docs/validation.md and its data.
+"""Published numbers compared with ours: docs/validation.md and its data.
 
     python -m benchmarks.validation [--quick] [--out docs/validation.md]
 
-Writes the page, `results/validation.json` beside it and the figures. `--quick` runs the short form
-and only compares its verdicts with the stored ones; it exits with 1 where one differs.
-Each source has a module validation_*.py, listed in SOURCES: tables() of its numbers, and NOTES that
-say for each of its chapters what "theirs" are.
+Writes the page, `results/validation.json` beside it and the figures. `--quick` runs the short form,
+compares its verdicts with the stored ones and writes nothing; it exits with 1 if one differs.
+Each source has a module in benchmarks/validation, listed in SOURCES. The module has `tables()` of
+its numbers, and `NOTES` that define "theirs" for each of its chapters.
 """
 
-import argparse
 import json
 import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks.output import ROOT, provenance
-from benchmarks.validation import beams as validation_beams
-from benchmarks.validation import counts as validation_counts
-from benchmarks.validation import korayem as validation_korayem
-from benchmarks.validation import large_arms as validation_large_arms
-from benchmarks.validation import pd as validation_pd
-from benchmarks.validation import presets as validation_presets
-from benchmarks.validation import slim as validation_slim
+from benchmarks.output import ROOT, argument_parser, provenance
+from benchmarks.validation import beams, counts, korayem, large_arms, pd, presets, slim
 from benchmarks.validation.entries import Table
 from benchmarks.validation.page import page
 
-SOURCES = (
-    validation_korayem, validation_slim, validation_pd, validation_large_arms, validation_beams,
-    validation_counts, validation_presets,
-)  # fmt: skip
-PICTURES = (validation_pd, validation_korayem)
+SOURCES = (korayem, slim, pd, large_arms, beams, counts, presets)
+PICTURES = (pd, korayem)
 PAGE = ROOT / "docs" / "validation.md"
 
 
 def data_of(page_file: Path) -> Path:
-    """Where the numbers of a page lie."""
+    """File of a page's numbers."""
     return page_file.parent / "results" / "validation.json"
 
 
 def run(quick: bool = False) -> list[dict[str, Any]]:
-    """All tables, or those of the short form, with their results."""
+    """Results of all tables, or of those in the short form."""
     result = []
     for table in _tables(quick):
         print(f"{table.chapter}: {table.title}", file=sys.stderr, flush=True)
@@ -59,7 +49,7 @@ def _tables(quick: bool) -> list[Table]:
 
 
 def verdicts(tables: list[dict[str, Any]], quick: bool = False) -> dict[str, str]:
-    """Every number's full name -> its verdict."""
+    """Verdict of every number, by the number's full name."""
     return {
         " / ".join((table["chapter"], table["title"], str(k), row["quantity"])): row["verdict"]
         for table in tables
@@ -69,7 +59,7 @@ def verdicts(tables: list[dict[str, Any]], quick: bool = False) -> dict[str, str
 
 
 def changed(found: dict[str, str], stored: dict[str, str]) -> list[str]:
-    """One line per verdict that differs, is new, or has gone."""
+    """A line for each verdict that is different, new or missing."""
     return [
         f"{name}: {stored.get(name, 'not stored')} -> {found.get(name, 'gone')}"
         for name in sorted(found.keys() | stored.keys())
@@ -78,9 +68,11 @@ def changed(found: dict[str, str], stored: dict[str, str]) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write the page, or check the short form against the stored verdicts."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="compare verdicts only, a minute")
+    """Write the page, or compare the short form with the stored verdicts."""
+    parser = argument_parser("validation", __doc__)
+    parser.add_argument(
+        "--quick", action="store_true", help="only compare the verdicts of the short form (1 min)"
+    )
     parser.add_argument("--out", type=Path, default=PAGE)
     options = parser.parse_args(arguments)
     tables = run(options.quick)
@@ -99,7 +91,3 @@ def main(arguments: list[str] | None = None) -> int:
     stored.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     options.out.write_text(page(results) + "\n", encoding="utf-8")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

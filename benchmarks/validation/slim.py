@@ -28,8 +28,8 @@ POINT: dict[str, Any] = {  # handbook density; fitted to mode 1
 }
 INCH, POUND = 0.0254, 0.45359237  # [m], [kg]
 FORCE = 4.4482216152605  # [N] of a pound
-HALF = 0.5 * 4.7625e-3  # [m] of the thickness: from the neutral axis to a gauge
-NO_HUB = 1e-10  # [kg m^2] stands for none
+HALF = 0.5 * 4.7625e-3  # [m] half the thickness: distance of a gauge from the neutral axis
+NO_HUB = 1e-10  # [kg m^2] rotor inertia in place of none
 HUBS = {  # [kg m^2]: printed [Hz] exact 1, 2; one clamped-mass; two of them; two clamped-free
     0.0: ("9.664 32.58", "12.78", "9.674 48.0", "9.685 51.3"),
     1e-3: ("9.409 29.19", "11.80", "9.418 33.33", "9.428 34.44"),
@@ -51,21 +51,21 @@ def _modes(count: int) -> list[str]:
     return [f"mode {k}" for k in range(1, count + 1)]
 
 
-def held(**changes: Any) -> list[float]:
-    """[Hz] five frequencies of the clamped beam by seven shapes that know its tip body."""
+def locked(**changes: Any) -> list[float]:
+    """Five frequencies of the clamped beam [Hz], by seven shapes that include its tip body."""
     return hertz(alone(SLIM, 0, 7, **changes))[:5]
 
 
 def on_hub(
     inertia: float, count: int, kind: str = "clamped-tip-mass", **changes: Any
 ) -> list[float]:
-    """[Hz] joint free, on a hub [kg m^2], with so many shapes of a kind."""
+    """Frequencies with the joint free [Hz], for a hub inertia and `count` shapes of a kind."""
     joint = Joint(rotor_inertia=inertia or NO_HUB)
     return hertz(alone(SLIM, 0, count, kind, joint=joint, **changes), "free")
 
 
 def strain_per_tip_deflection() -> float:
-    """[1/m] at the root, of a static tip load: square and cubic shapes bend as it does."""
+    """Root strain per tip deflection under a static tip load, exact with two polynomials [1/m]."""
     model = compile_arm(alone(SLIM, 0, 2, "poly"))
     delta = np.linalg.solve(model.stiffness[1:, 1:], np.ones(2))  # both shapes are 1 at the tip
     q = np.array([0.0, *(delta / delta.sum())])
@@ -73,7 +73,7 @@ def strain_per_tip_deflection() -> float:
 
 
 def _frequencies() -> list[Table]:
-    own = held()
+    own = locked()
     printed = (
         ("analytical", "2.096 13.989 41.524 81.225 136.352", 40.524, 1e-3),
         ("finite elements", "2.088 13.955 41.452 81.203 136.345", 40.452, 5e-3),
@@ -111,7 +111,7 @@ def _data() -> list[float]:
 
 
 def tables() -> list[Table]:
-    """Data, held and free frequencies."""
+    """Tables of the beam's data, and of frequencies with locked and free joint."""
     names = ("I", "EI", "E", "mass per length", "inertia of beam and tip about the joint",
              "of the beam alone", "root strain per tip deflection")  # fmt: skip
     units = ("in⁴", "N m²", "GPa", "kg/m", "kg m²", "kg m²", "10⁻³/m")
@@ -134,7 +134,7 @@ def tables() -> list[Table]:
             chapter=CHAPTER, title="Joint held, as the fit of density and tip body has it",
             demand="within 0.002 %",
             rows=relatively(_modes(5), "2.09600 13.98909 40.5217 81.2242 136.3527", "Hz", 2e-5),
-            ours=held,
+            ours=locked,
         ),
     ]  # fmt: skip
     for name, (changes, printed) in VARIANTS.items():
@@ -143,7 +143,7 @@ def tables() -> list[Table]:
                 chapter=CHAPTER, title=f"Joint held, {name}",
                 demand="within 0.02 %: data rounded to four digits",
                 rows=relatively(_modes(5), printed, "Hz", 2e-4),
-                ours=lambda c=changes: held(**{**POINT, **c}),  # type: ignore[misc]
+                ours=lambda c=changes: locked(**{**POINT, **c}),  # type: ignore[misc]
             )
         )  # fmt: skip
     for inertia, (exact, one, two, free) in HUBS.items():

@@ -1,5 +1,6 @@
-"""`python -m benchmarks.work_precision.run`: see run.py."""
+"""`python -m benchmarks.work_precision`: see run.py."""
 
 from benchmarks.work_precision.run import main
 
-main()
+if __name__ == "__main__":
+    main()

@@ -1,4 +1,4 @@
-"""The charts and the table of work_precision.py."""
+"""Charts and page of the work-precision benchmark."""
 
 import math
 from itertools import groupby
@@ -10,13 +10,13 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from benchmarks.output import save_figure
+from benchmarks.output import save_figure, table
 from dynamics.integrators.table import INTEGRATORS
 
-TARGETS = (1e-2, 1e-3, 1e-4)  # of the reach
-SMALL = 0.3  # of a model's error: an integration error below leaves the model's to be seen
-LOWEST, HIGHEST = 3e-8, 2.0  # errors drawn; diverged runs lie on the upper edge
-NEAR = 1.6  # ratio of costs, and of errors, within which models share a place for their names
+TARGETS = (1e-2, 1e-3, 1e-4)  # [reach]
+SMALL = 0.3  # largest integration error over model error of a run that shows the model error
+LOWEST, HIGHEST = 3e-8, 2.0  # errors drawn; diverged runs lie at 1
+NEAR = 1.6  # models within this ratio of costs and of errors share one label
 STEP = "The step: distance from the default model's own exact motion"
 MODEL = "The model: distance of its exact motion from the truth"
 BOTH = "Both added: every run"
@@ -24,15 +24,19 @@ STAR: dict[str, Any] = {
     "color": "gold", "markeredgecolor": "k", "markersize": 14, "zorder": 5, "linestyle": "none",
 }  # fmt: skip
 CODE = "modes x segments, f: foreshortened"
-BELOW: dict[str, Any] = {  # a legend where it hides no run
+BELOW: dict[str, Any] = {  # legend below the axes, where it hides no run
     "loc": "upper center", "bbox_to_anchor": (0.5, -0.07), "ncols": 3, "fontsize": 7.5,
     "title_fontsize": 8, "columnspacing": 1.0, "handletextpad": 0.4,
 }  # fmt: skip
+COLUMNS = (
+    "wanted", "model", "integrator", "step [ms]", "CPU [us/s]", "error", "of the model",
+    "of the step", "measured",
+)  # fmt: skip
 Row = dict[str, Any]
 
 
 def draw(results: Row, folder: Path) -> None:
-    """One figure per scene, its step, its model and both apart, and one of all scenes."""
+    """Draw a figure per scene (step, model, both errors), and one of all scenes."""
     scenes = results["scenes"]
     for name, scene in scenes.items():
         figure, axes = plt.subplots(1, 3, figsize=(14.5, 6.4), sharey=True, layout="constrained")
@@ -80,7 +84,7 @@ def _drawn(error: float) -> float:
 
 
 def _short(model: str) -> str:
-    """A model's name at a point: modes, times segments, f where foreshortened."""
+    """Label of a model at its point: modes x segments, then f if foreshortened."""
     if model == "rigid":
         return model
     cut = model.split(" segments")[0].split()[-1] if "segments" in model else ""
@@ -98,11 +102,11 @@ def _prepare(axis: Any, title: str, scene: Row) -> None:
 
 
 def _draw_steps(axis: Any, scene: Row) -> None:
-    """Integration error of the default model, a line per integrator."""
+    """Draw the integration error of the default model, a line per integrator."""
     _prepare(axis, STEP, scene)
     model = scene["default"]["model"]
-    mine = [p for p in scene["points"] if p["model"] == model]
-    for name, group in groupby(mine, key=lambda p: p["integrator"]):
+    runs = [p for p in scene["points"] if p["model"] == model]
+    for name, group in groupby(runs, key=lambda p: p["integrator"]):
         line = [p for p in group if p["integration"] < math.inf]
         known = name in INTEGRATORS
         label = f"{name} (order {INTEGRATORS[name].order})" if known else f"SciPy {name}"
@@ -112,21 +116,21 @@ def _draw_steps(axis: Any, scene: Row) -> None:
             marker=marker, markersize=3.5, linewidth=1.3, color=_colour(name),
             linestyle="-" if known else ":", label=label,
         )  # fmt: skip
-        lost = [p["cpu"] for p in mine if p["integrator"] == name and p not in line]
-        axis.plot(lost, [1.0] * len(lost), "x", color=_colour(name), markersize=5)
+        diverged = [p["cpu"] for p in runs if p["integrator"] == name and p not in line]
+        axis.plot(diverged, [1.0] * len(diverged), "x", color=_colour(name), markersize=5)
     _draw_default(axis, scene, "integration")
     axis.legend(title=model, **BELOW)
 
 
 def _draw_models(axis: Any, scene: Row) -> None:
-    """Model error against what it costs to integrate a model so well that only that is left."""
+    """Draw each model's error over the least cost at which its integration error is small."""
     _prepare(axis, MODEL, scene)
     groups: dict[str, list[tuple[float, float, str]]] = {}
     for name, row in scene["models"].items():
         error = row["model error"]
-        mine = [p for p in scene["points"] if p["model"] == name and "rtol" not in p]
-        good = [p["cpu"] for p in mine if p["integration"] <= SMALL * error < math.inf]
-        place = min(good) if good else min(p["cpu"] for p in mine)
+        runs = [p for p in scene["points"] if p["model"] == name and "rtol" not in p]
+        good = [p["cpu"] for p in runs if p["integration"] <= SMALL * error < math.inf]
+        place = min(good) if good else min(p["cpu"] for p in runs)
         kind = "foreshortened" if "foreshortened" in name else "linear"
         kind = f"{kind}, in segments" if "segments" in name else kind
         kind = "rigid" if name == "rigid" else kind if good else "diverged"
@@ -146,18 +150,18 @@ def _draw_models(axis: Any, scene: Row) -> None:
 
 
 def _draw_runs(axis: Any, scene: Row) -> None:
-    """Every run of the table's integrators, the Pareto line, and the default."""
+    """Draw every run of the compiled integrators, the Pareto line, and the default."""
     _prepare(axis, BOTH, scene)
     for name in INTEGRATORS:
-        mine = [p for p in scene["points"] if p["integrator"] == name]
-        held = [p for p in mine if p["error"] < math.inf]
+        runs = [p for p in scene["points"] if p["integrator"] == name]
+        finite = [p for p in runs if p["error"] < math.inf]
         axis.plot(
-            [p["cpu"] for p in held], [_drawn(p["error"]) for p in held], ".",
+            [p["cpu"] for p in finite], [_drawn(p["error"]) for p in finite], ".",
             color=_colour(name), alpha=0.45, markersize=5, rasterized=True, label=name,
         )  # fmt: skip
-        lost = [p["cpu"] for p in mine if p["error"] == math.inf]
+        diverged = [p["cpu"] for p in runs if p["error"] == math.inf]
         axis.plot(
-            lost, [1.0] * len(lost), "x", color=_colour(name), alpha=0.3, markersize=3,
+            diverged, [1.0] * len(diverged), "x", color=_colour(name), alpha=0.3, markersize=3,
             rasterized=True,
         )  # fmt: skip
     line = scene["front"]
@@ -186,14 +190,14 @@ def _draw_runs(axis: Any, scene: Row) -> None:
 
 
 def _draw_default(axis: Any, scene: Row, error: str) -> None:
-    """A star where the default is."""
+    """Draw a star at the default."""
     for point in scene["points"]:
         if point["default"]:
             axis.plot(point["cpu"], _drawn(point[error]), "*", label="default", **STAR)
 
 
-def table(results: Row) -> str:
-    """Per scene the cheapest runs within each target, and the default's place."""
+def page(results: Row) -> str:
+    """Markdown page: the cheapest runs of every scene within each target, and the default."""
     machine = results["machine"]
     lines = [
         "# Speed against accuracy: the cheapest runs",
@@ -209,15 +213,12 @@ def table(results: Row) -> str:
         lines += [
             f"## {scene['title']}", "",
             f"Truth good to {scene['floor']:.1e} of the reach ({scene['reach [m]']:.4g} m).", "",
-            "| wanted | model | integrator | step [ms] | CPU [us/s] | error | of the model | "
-            "of the step | measured |",
-            "|---|---|---|---:|---:|---:|---:|---:|---:|",
         ]  # fmt: skip
         default = next(p for p in scene["points"] if p["default"])
         wanted = {f"{target:.0e}": cheapest(scene, target) for target in TARGETS}
         wanted |= {"default": default, "as good as it": cheapest(scene, default["error"])}
-        lines += [_line(label, point, scene) for label, point in wanted.items()]
-        lines.append("")
+        rows = [_cells(label, point, scene) for label, point in wanted.items()]
+        lines += [table(COLUMNS, rows, "lllr"), ""]
     return "\n".join(lines)
 
 
@@ -226,14 +227,13 @@ def cheapest(scene: Row, target: float) -> Row | None:
     return next((p for p in scene["front"] if p["error"] <= target), None)
 
 
-def _line(label: str, point: Row | None, scene: Row) -> str:
+def _cells(label: str, point: Row | None, scene: Row) -> list[str]:
     if point is None:
-        return f"| {label} | none |" + " |" * 7
-    cells = [
+        return [label, "none", *[""] * 7]
+    return [
         label, point["model"], point["integrator"],
         f"{1e3 * point['dt']:.3g}" if "dt" in point else "by error control",
         f"{1e6 * point['cpu']:.3g}", f"{point['error']:.1e}",
         f"{scene['models'][point['model']]['model error']:.1e}",
         f"{point['integration']:.1e}", f"{point['total']:.1e}",
     ]  # fmt: skip
-    return "| " + " | ".join(cells) + " |"

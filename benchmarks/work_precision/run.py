@@ -1,19 +1,18 @@
-"""Tip error against CPU time: every integrator, step, number of modes, foreshortening, segments.
+"""Tip error against CPU time over integrators, steps, modes, foreshortening and segments.
 
     python -m benchmarks.work_precision [--quick] [--only NAME ...] [--out FILE] [--images FOLDER]
     python -m benchmarks.work_precision --redraw | --truth [--only NAME ...]
 
-CPU time is that of one environment in a batch of 1024 on one thread, calls and measurements
-included, per simulated second. Errors are the largest distance of the tip over the motion, in
-parts of the reach: of a run from the converged integration of its own model (integration), of that
-from the truth (model). Their sum is what a run is charted and chosen by, for they may cancel by
-luck; the distance of the run itself from the truth (total) is kept beside it. Every model is
-followed by the method of highest order; the others follow those models that no cheaper one
-betters, and the default.
-`--truth` makes the truths in tests/reference/ again, which takes many minutes.
+CPU time is per simulated second of one environment in a batch of 1024 on one thread, including
+calls and measurements. Errors are the largest tip distance over the motion, divided by the reach:
+the integration error is that of a run from the converged integration of its own model, the model
+error is that of the converged integration from the truth. Runs are charted and chosen by the sum of
+both, because the two may cancel by chance; the total error, that of the run from the truth, is
+stored too. The method of highest order runs on every model; the other methods run on the default
+model and on each model that is more accurate than all cheaper ones.
+`--truth` recomputes the truths in tests/reference/, which takes many minutes.
 """
 
-import argparse
 import json
 import math
 import time
@@ -26,28 +25,28 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.output import RESULTS, provenance
+from benchmarks.output import RESULTS, argument_parser, provenance
 from benchmarks.work_precision import charts as precision_charts
 from benchmarks.work_precision.scenes import GOOD, SETTINGS, Level, Setting
 from dynamics import Arm, Diverged, Model, Stepper, compile_arm, simulate
-from dynamics.backends.numba_llvm.methods import LONGEST
+from dynamics.backends.numba_llvm.integrator_text import LONGEST
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.tracing import graphs
-from dynamics.tracing.ssa import operations
+from dynamics.tracing.operation_counts import operations
 from dynamics.types import Array
 from flexarm_env.accuracy.certificates import stored
 from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.core import Core
 
 BATCH = 1024  # environments per timed call
-LONG = 17  # substeps of the longer of two timed calls
+LONG = 17  # substeps of the longer of the two timed calls
 ACCURATE = max(INTEGRATORS, key=lambda name: INTEGRATORS[name].order)
-SETTLED = 1e-8  # of the reach: what halving the reference's step may still change
-ENOUGH = 1e-7  # of the reach: integration errors below are not pursued
+CONVERGED = 1e-8  # [reach] a reference is converged if halving its step changes it by less
+ENOUGH = 1e-7  # [reach] steps are refined until the integration error is below this
 MOST_STEPS = 2**20  # per motion of a reference
-MOST_SECONDS = 0.01  # of CPU time per simulated second; dearer steps are not taken
-MOST_CALLS = 2**14  # per motion under a torque that varies
-FAR = 2.0  # of the reach: a tip farther off has diverged
+MOST_SECONDS = 0.01  # of CPU time per simulated second; more expensive steps are skipped
+MOST_CALLS = 2**14  # per motion under a torque that varies between output times
+FAR = 2.0  # [reach] a motion whose tip is farther from the base has diverged
 SUBSTEPS = tuple(round(2 ** (k / 2)) for k in range(1, 40))
 SCIPY = ("dop853", "bdf")
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)
@@ -63,20 +62,20 @@ class Step:
     substeps: int
 
     def dt(self, setting: Setting) -> float:
-        """Its length [s]."""
+        """Length of the step [s]."""
         return setting.period * self.stride / self.substeps
 
 
 @dataclass(frozen=True)
 class Cost:
-    """CPU time of one environment in a batch [s]: per call, and per step inside it."""
+    """CPU time of one environment in a batch [s]: per call, and per step in a call."""
 
     call: float
     step: float
 
     def per_second(self, setting: Setting, step: Step) -> float:
-        """CPU time per simulated second [-]; a torque that varies needs a call per step."""
-        calls = 1 if setting.held else step.substeps
+        """CPU time per simulated second [-]; a varying torque needs a call per step."""
+        calls = 1 if setting.constant_torque else step.substeps
         period = setting.period * step.stride
         return (calls * self.call + step.substeps * self.step) / period
 
@@ -87,12 +86,13 @@ class Cost:
 def follow(
     model: Model, setting: Setting, integrator: str, step: Step, n_env: int = 2
 ) -> Array | None:
-    """(N, 3) [m] tip at every `stride`-th output time; None where it diverges.
+    """(N, 3) [m] tip at every `stride`-th output time; None if the motion diverges.
 
-    Two environments take the many-lane code. A torque that varies is held at its value in mid-step.
+    With two environments or more the many-lane code runs. A varying torque is constant over a step,
+    at its value in the middle.
     """
     times, dt = setting.times[:: step.stride], step.dt(setting)
-    calls = 1 if setting.held else step.substeps
+    calls = 1 if setting.constant_torque else step.substeps
     stepper = Stepper(model, n_env, dt=dt, substeps=step.substeps // calls, integrator=integrator)
     stepper.q[:], stepper.v[:] = setting.start(model)
     tip, torque = model.measurements["tip"], setting.motion.torque
@@ -111,8 +111,8 @@ def follow(
     return tips
 
 
-def settled(model: Model, setting: Setting, n_env: int = 2) -> tuple[Array | None, float]:
-    """Tips free of integration error, and what the last halving changed [of the reach]."""
+def converged(model: Model, setting: Setting, n_env: int = 2) -> tuple[Array | None, float]:
+    """Tips by a converged integration, and their change by the last halving of the step [reach]."""
     q, _ = setting.start(model)
     fastest = float(model.frequencies(q, joints="free").max(initial=0.0))
     substeps = max(2, math.ceil(setting.period * fastest))
@@ -120,14 +120,14 @@ def settled(model: Model, setting: Setting, n_env: int = 2) -> tuple[Array | Non
     while substeps * setting.times.size < MOST_STEPS:
         tips = follow(model, setting, ACCURATE, Step(1, substeps), n_env)
         change = apart(tips, before, setting)
-        if change <= SETTLED:
+        if change <= CONVERGED:
             return tips, change
         before, substeps = tips, 2 * substeps
     return before, change
 
 
 def apart(a: Array | None, b: Array | None, setting: Setting) -> float:
-    """Largest distance of two tips, in parts of the reach; infinite where one diverged."""
+    """Largest distance of two tips over the reach [-]; infinite if a motion diverged."""
     if a is None or b is None:
         return math.inf
     return float(np.linalg.norm(a - b, axis=1).max()) / setting.arm.reach
@@ -136,7 +136,7 @@ def apart(a: Array | None, b: Array | None, setting: Setting) -> float:
 def costs(
     models: dict[str, Model], setting: Setting, pairs: list[tuple[str, str]]
 ) -> dict[tuple[str, str], Cost]:
-    """Of models by methods, on batches at the start of the motion, too short to leave it."""
+    """Costs of (model, method) pairs, timed on batches that stay near the start of the motion."""
     calls = {}
     for name, integrator in pairs:
         for substeps in (1, LONG):
@@ -163,16 +163,19 @@ def sweep(
     integrator: str,
     price: Cost,
     exact: Array | None,
-    more: Step | None,
+    default_step: Step | None,
 ) -> Iterator[Row]:
-    """One integrator from its longest step to where its error or its cost no longer matters."""
+    """Runs of one integrator from its longest step down to the limit on error or cost.
+
+    The step `default_step`, if any, is always run.
+    """
     steps = {*(Step(k, 1) for k in setting.strides), *(Step(1, k) for k in SUBSTEPS)}
-    steps |= {more} if more is not None else set()
+    steps |= {default_step} if default_step is not None else set()
     done = False
     for step in sorted(steps, key=lambda step: -step.dt(setting)):
         work = price.per_second(setting, step)
-        many = not setting.held and setting.times.size * step.substeps > MOST_CALLS
-        if (done or many or work > MOST_SECONDS) and step != more:
+        calls = 0 if setting.constant_torque else setting.times.size * step.substeps
+        if (done or calls > MOST_CALLS or work > MOST_SECONDS) and step != default_step:
             continue
         tips = follow(model, setting, integrator, step)
         error = apart(tips, None if exact is None else exact[:: step.stride], setting)
@@ -181,15 +184,15 @@ def sweep(
             "integrator": integrator, "stride": step.stride, "substeps": step.substeps,
             "dt": step.dt(setting), "cpu": work, "integration": error,
             "total": apart(tips, setting.truth[:: step.stride], setting),
-            "default": step == more,
+            "default": step == default_step,
         }  # fmt: skip
 
 
 def scipy_points(model: Model, setting: Setting, exact: Array | None) -> Iterator[Row]:
-    """SciPy's methods with error control: one environment, driven from Python."""
+    """Runs of SciPy's methods with error control: one environment, called from Python."""
     q, v = setting.start(model)
     torque, times = setting.motion.torque, setting.times
-    simulate(model, q, v, torque, times[:2], integrator=SCIPY[0])  # compiles what is timed below
+    simulate(model, q, v, torque, times[:2], integrator=SCIPY[0])  # compiles before timing
     for name in SCIPY:
         for rtol in TOLERANCES:
             begin = time.process_time()
@@ -200,7 +203,7 @@ def scipy_points(model: Model, setting: Setting, exact: Array | None) -> Iterato
             except Diverged:
                 tips = None
             except ValueError:
-                break  # a method that this version does not have
+                break  # this version lacks the method
             work = (time.process_time() - begin) / setting.motion.t_end
             yield {
                 "integrator": name, "rtol": rtol, "cpu": work,
@@ -210,7 +213,7 @@ def scipy_points(model: Model, setting: Setting, exact: Array | None) -> Iterato
 
 
 def default_of(setting: Setting) -> tuple[str, Step]:
-    """Integrator and step that an environment of this arm, damped as it is, takes."""
+    """Integrator and step of an environment with this arm."""
     entry = stored().get(setting.arm.name)
     if entry is not None and entry["control_dt"] == setting.period:
         best = entry["steps"][0]
@@ -220,18 +223,18 @@ def default_of(setting: Setting) -> tuple[str, Step]:
 
 
 def models_of(setting: Setting) -> tuple[str, dict[str, Arm]]:
-    """The default model's name, and all models by name."""
+    """Name of the default model, and all models by name."""
     arms = {str(level): level.arm(setting.arm) for level in setting.levels}
     default = next((name for name, arm in arms.items() if arm == setting.arm), "default")
     return default, {**arms, default: setting.arm}
 
 
 def measured(setting: Setting, compile_all: Compile) -> dict[str, Any]:
-    """All points of one scene."""
+    """Models, runs and Pareto line of one scene."""
     integrator, step = default_of(setting)
     default, arms = models_of(setting)
     models = {name: compile_arm(arm) for name, arm in arms.items()}
-    exact = {name: settled(model, setting) for name, model in models.items()}
+    exact = {name: converged(model, setting) for name, model in models.items()}
     rows = {
         name: {
             "coordinates": model.n,
@@ -241,7 +244,7 @@ def measured(setting: Setting, compile_all: Compile) -> dict[str, Any]:
         }
         for name, model in models.items()
     }
-    best = {name for name in rows if not bettered(name, rows)} | {default}
+    best = {name for name in rows if not dominated(name, rows)} | {default}
     pairs = [
         (name, method)
         for name in models
@@ -252,9 +255,9 @@ def measured(setting: Setting, compile_all: Compile) -> dict[str, Any]:
     prices = costs(models, setting, pairs)
     points: list[Row] = []
     for name, method in pairs:
-        more = step if (name, method) == (default, integrator) else None
-        price, truth = prices[name, method], exact[name][0]
-        found = sweep(models[name], setting, method, price, truth, more)
+        default_step = step if (name, method) == (default, integrator) else None
+        price, reference = prices[name, method], exact[name][0]
+        found = sweep(models[name], setting, method, price, reference, default_step)
         points += [{"model": name, **row} for row in found]
     others = scipy_points(models[default], setting, exact[default][0])
     points += [{"model": default, **row} for row in others]
@@ -267,31 +270,31 @@ def measured(setting: Setting, compile_all: Compile) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def bettered(name: str, rows: dict[str, Row]) -> bool:
-    """Whether a model of no more operations is nearer to the truth."""
-    mine = rows[name]
-    return not mine["model error"] < math.inf or any(
-        row["operations"] <= mine["operations"] and row["model error"] < mine["model error"]
+def dominated(name: str, rows: dict[str, Row]) -> bool:
+    """Whether another model is more accurate with no more operations, or this one diverges."""
+    own = rows[name]
+    return not own["model error"] < math.inf or any(
+        row["operations"] <= own["operations"] and row["model error"] < own["model error"]
         for other, row in rows.items()
         if other != name
     )
 
 
 def compile_one(program: tuple[Arm, str]) -> None:
-    """Compile, or find compiled, one arm for one integrator, many lanes."""
+    """Compile the many-lane code of one arm for one integrator, unless it is cached."""
     arm, integrator = program
     Stepper(compile_arm(arm), 2, dt=1e-7, substeps=1, integrator=integrator).advance()
 
 
 def compiles(model: Model, method: str) -> bool:
-    """Whether the method's code for this model is short enough."""
+    """Whether the method's code for this model is short enough to compile."""
     if INTEGRATORS[method].aid != "jacobian":
         return True
     return bool(graphs.state_jacobian(model.traced).n_instructions() <= LONGEST)
 
 
 def front(points: list[Row]) -> list[Row]:
-    """The Pareto line: points in order of cost, each of a smaller error than all before."""
+    """The Pareto line: points by increasing cost, each with a smaller error than all before."""
     line: list[Row] = []
     for point in sorted(points, key=lambda p: (p["cpu"], p["error"])):
         if point["error"] < (line[-1]["error"] if line else math.inf):
@@ -303,9 +306,9 @@ def front(points: list[Row]) -> list[Row]:
 
 
 def make_truth(setting: Setting) -> None:
-    """Write the tip of the finer of two models, and how far refining moved it."""
+    """Write the tip of the finer of two models, and its distance from that of the other."""
     models = [compile_arm(level.arm(setting.arm)) for level in setting.refined]
-    tips = [settled(model, setting, 1)[0] for model in models]
+    tips = [converged(model, setting, 1)[0] for model in models]
     change = apart(tips[0], tips[1], setting)
     if tips[1] is None or not change < math.inf:
         raise RuntimeError(f"No truth for {setting.title!r}: {setting.refined} diverge.")
@@ -319,12 +322,12 @@ def make_truth(setting: Setting) -> None:
 
 def main() -> None:
     """Measure all scenes, write JSON, a table and the charts."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argument_parser("work_precision", __doc__)
     parser.add_argument("--quick", action="store_true", help="one scene, three models")
-    parser.add_argument("--truth", action="store_true", help="make the truths again, nothing else")
-    parser.add_argument("--redraw", action="store_true", help="charts of stored results, no runs")
+    parser.add_argument("--truth", action="store_true", help="only recompute the truths")
+    parser.add_argument("--redraw", action="store_true", help="only redraw the stored results")
     parser.add_argument("--only", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
-    parser.add_argument("--jobs", type=int, default=2, help="processes that compile")
+    parser.add_argument("--jobs", type=int, default=2, help="number of compiling processes")
     parser.add_argument("--out", type=Path, default=RESULTS / "work_precision.json")
     parser.add_argument("--images", type=Path, default=RESULTS)
     options = parser.parse_args()
@@ -342,20 +345,20 @@ def main() -> None:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.images.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(plain(results)) + "\n")
-    text = precision_charts.table(results)
+    text = precision_charts.page(results)
     options.out.with_suffix(".md").write_text(text)
     print(text)
     precision_charts.draw(results, options.images)
 
 
 def quick() -> dict[str, Any]:
-    """A short form: one scene, three models."""
+    """Results of the short form: one scene, three models."""
     levels = tuple(Level(modes=m) for m in (0, 1, 2))
     return run([replace(SETTINGS["S1"], levels=levels)])
 
 
 def run(settings: list[Setting], jobs: int = 1) -> dict[str, Any]:
-    """Results of all these scenes, each with its Pareto line; `jobs` processes compile."""
+    """Results of the scenes, compiled by `jobs` processes."""
     origin = provenance("numpy", "scipy", "numba", "casadi")
     results: dict[str, Any] = {**origin, "batch": BATCH, "scenes": {}}
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -376,7 +379,7 @@ def run(settings: list[Setting], jobs: int = 1) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Numbers of four digits, and "diverged" for those that JSON does not know."""
+    """A copy for JSON: numbers rounded to four digits, "diverged" for infinity and NaN."""
     if isinstance(value, dict):
         return {key: plain(entry) for key, entry in value.items()}
     if isinstance(value, list):
@@ -384,7 +387,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.4g}") if math.isfinite(value) else "diverged"
     return value
-
-
-if __name__ == "__main__":
-    main()

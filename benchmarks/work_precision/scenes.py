@@ -1,8 +1,8 @@
-"""The scenes of the work-precision charts: an arm, a motion, and the truth about its tip.
+"""Scenes of the work-precision charts: an arm, a motion, and the true motion of its tip.
 
-The truths lie in tests/reference/: for S1 and S3 a geometrically nonlinear beam, for the others
-links of many foreshortened segments, made by `work_precision.py --truth`. No scene is damped: a
-damping ratio means another force for every set of modes.
+The truths are stored in tests/reference/: for S1 and S3 a geometrically nonlinear beam, for the
+others links of many foreshortened segments, computed by `python -m benchmarks.work_precision
+--truth`. No scene is damped: a damping ratio is a different force for every set of modes.
 """
 
 import math
@@ -21,21 +21,21 @@ from dynamics.types import Array
 from flexarm_env.registration import SCENES
 from flexarm_env.scales import scales
 
-HELD = 1e8  # [kg m^2] a rotor that no link can move: its joint turns as prescribed
-FEWEST = 12  # output times that a run with long steps must still meet
-GOOD = "Good to"  # what follows in a file of truth is a share of the reach
+HEAVY = 1e8  # [kg m^2] a rotor that no link can move: its joint turns as prescribed
+FEWEST = 12  # least number of output times of a run with long steps
+GOOD = "Good to"  # in a truth's file, the error over the reach follows this text
 
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """How much of an arm a model keeps, the same for every link."""
+    """Fidelity of a model, equal for all links: modes, foreshortening, segments."""
 
     modes: int  # per link (or segment) and direction
     foreshortening: bool = False
     segments: int = 1
 
     def arm(self, arm: Arm) -> Arm:
-        """The arm with just so much; segments take polynomials, whole links the arm's shapes."""
+        """The arm at this fidelity; segments have polynomial shapes, whole links the arm's own."""
         fidelity = Fidelity(
             counts=everything(arm, self.modes, 0),
             segments=(self.segments if self.modes else 1,) * arm.n_joint,
@@ -46,17 +46,16 @@ class Level:
 
     @property
     def kind(self) -> str:
-        """What it is apart from the number of modes."""
+        """The fidelity without the number of modes, in words."""
         if self.modes == 0:
             return "rigid"
         cut = f"{self.segments} segments, " if self.segments > 1 else ""
         return cut + ("foreshortened" if self.foreshortening else "linear")
 
     def __str__(self) -> str:
-        return (
-            f"{self.modes} {'mode' if self.modes == 1 else 'modes'}, {self.kind}" * (self.modes > 0)
-            or "rigid"
-        )
+        if self.modes == 0:
+            return self.kind
+        return f"{self.modes} {'mode' if self.modes == 1 else 'modes'}, {self.kind}"
 
 
 WHOLE = (
@@ -78,19 +77,20 @@ SHORT = (  # for an arm of six links
 class Setting:
     """A scene, and the models that are measured on it."""
 
-    name: str  # as its file of truth has it
+    name: str  # as in the truth's file name
     title: str
-    arm: Arm  # as an environment would take it, undamped
+    arm: Arm  # undamped, with the environment's modes
     motion: JointMotion
-    period: float  # [s] between output times; a torque jumps at those only
-    held: bool = True  # whether the torque is constant between output times
+    period: float  # [s] between output times; the torque jumps only at output times
+    constant_torque: bool = True  # between output times
     levels: tuple[Level, ...] = (*WHOLE, *CUT)
-    refined: tuple[Level, ...] = ()  # two, whose distance is what the second's tip is good to;
-    # none where a geometrically nonlinear beam is the truth
+    # Two models: the tip of the second is the truth, its distance from the first the error. None
+    # if a geometrically nonlinear beam is the truth.
+    refined: tuple[Level, ...] = ()
 
     @property
     def _knots(self) -> list[int]:
-        """Output times at which the torque jumps, both ends included."""
+        """Indices of the output times at which the torque jumps, including both ends."""
         return [round(t / self.period) for t in self.motion.knots]
 
     @property
@@ -100,13 +100,13 @@ class Setting:
 
     @property
     def file(self) -> Path:
-        """Where its truth lies."""
+        """File of the truth."""
         kind = "segments" if self.refined else "nonlinear_beam"
         return REFERENCE / f"{self.name}_{kind}.csv"
 
     @cached_property
     def floor(self) -> float:
-        """[of the reach] below which the truth is not to be read."""
+        """Error of the truth over the reach [-]."""
         return float(self.file.read_text().split(GOOD)[1].split()[0])
 
     @cached_property
@@ -115,13 +115,13 @@ class Setting:
         table = np.loadtxt(self.file, delimiter=",", comments=("#", "t"))
         known, wanted = table[:, 0], self.times
         if known.size != wanted.size or np.abs(known - wanted).max() > 1e-9:
-            raise ValueError(f"{self.file.name} is not about the output times of {self.title!r}.")
+            raise ValueError(f"{self.file.name} does not have the output times of {self.title!r}.")
         if not self.refined:
-            table[:, 3] = 0.0  # the hub's angle; these beams move in a plane
+            table[:, 3] = 0.0  # the column holds the hub's angle; these beams move in a plane
         return table[:, 1:]
 
     def start(self, model: Model) -> tuple[Array, Array]:
-        """(n,), (n,) where the motion starts, links straight."""
+        """(n,) coordinates and (n,) velocities at the start, with straight links."""
         q, v = np.zeros(model.n), np.zeros(model.n)
         joints = list(model.arm.joint_index)
         q[joints], v[joints] = self.motion.joint_angles, self.motion.joint_rates
@@ -129,20 +129,20 @@ class Setting:
 
     @property
     def strides(self) -> tuple[int, ...]:
-        """How many output times one step may span, jumps still at ends of steps; descending."""
+        """Numbers of output times that one step may span without crossing a jump, descending."""
         common = math.gcd(*self._knots)
         fit = [k for k in range(1, common + 1) if common % k == 0]
         return tuple(k for k in reversed(fit) if self._knots[-1] // k >= FEWEST)
 
 
 def undamped(arm: Arm) -> Arm:
-    """The arm without any damping of its links."""
+    """The arm without damping of its links."""
     links = tuple(replace(link, damping_ratio=0.0, damping_beta=0.0) for link in arm.links)
     return replace(arm, links=links)
 
 
 def _clamped(arm: Arm, foreshortening: bool = False) -> Arm:
-    """Two clamped modes per link, those of the tip body, as the presets have them."""
+    """The arm with two clamped-tip-mass modes per link, as the presets have."""
     modes = tuple(Mode(kind="clamped-tip-mass", index=k, direction="y") for k in (1, 2))
     links = tuple(replace(link, modes=modes) for link in arm.links)
     return replace(arm, links=links, foreshortening=foreshortening)
@@ -156,10 +156,11 @@ def _of_env(
     levels: tuple[Level, ...] = (*WHOLE, *CUT),
     refined: tuple[Level, ...] = _FINER,
 ) -> Setting:
-    """Full torque at all joints for `pulse` control steps, reversed, off; `count` steps in all.
+    """Scene of a family: full torque of all joints for `pulse` control steps, reversed, then off.
 
-    From the home posture, at the limits that the environment sets; the pulse is half a period of
-    the first joint-free mode, as nearly as control steps and halves of them allow.
+    The motion has `count` control steps and starts at the home posture, with the environment's
+    torque limits. The pulse is half a period of the first joint-free mode, as nearly as control
+    steps and halves of them allow.
     """
     preset, control_dt, _ = SCENES[family]
     arm = undamped(ARMS[preset])
@@ -176,7 +177,7 @@ def _of_env(
     )
 
 
-_SPUN = Link(length=10.0, rho_A=1.2, EIz=1.4e4, joint=Joint(rotor_inertia=HELD))
+_SPUN = Link(length=10.0, rho_A=1.2, EIz=1.4e4, joint=Joint(rotor_inertia=HEAVY))
 SETTINGS = {
     setting.name: setting
     for setting in (
@@ -188,10 +189,10 @@ SETTINGS = {
             motion=bang_bang((0.5,), pulse=0.25, t_end=2.0), levels=(*WHOLE, *CUT, *DEEP),
         ),
         Setting(
-            name="S3", title="S3: spin-up of a soft beam", held=False, period=0.05,
+            name="S3", title="S3: spin-up of a soft beam", constant_torque=False, period=0.05,
             arm=_clamped(Arm(links=(_SPUN,)), foreshortening=True), levels=(*WHOLE, *CUT, *DEEP),
             motion=JointMotion(
-                joint_angles=(0.0,), joint_rates=(0.0,), t_end=20.0, torque=SpinUp(HELD + 400.0)
+                joint_angles=(0.0,), joint_rates=(0.0,), t_end=20.0, torque=SpinUp(HEAVY + 400.0)
             ),
         ),
         Setting(

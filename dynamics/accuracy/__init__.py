@@ -1,1 +1,1 @@
-"""Errors of models against the nonlinear beam, and models chosen by their error."""
+"""Tip errors of models against the nonlinear beam, and the choice of a model by its error."""

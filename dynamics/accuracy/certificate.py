@@ -1,10 +1,10 @@
-"""How far a model and its step are from the truth on a scene, by cause: measured, not promised."""
+"""Measured tip errors of a model and its step on a scene, separated by cause."""
 
 from dataclasses import dataclass, replace
 from typing import Any
 
 from dynamics.accuracy.fidelity import Fidelity, everything
-from dynamics.accuracy.reference import Bench, apart
+from dynamics.accuracy.reference import ModelErrors, largest_distance
 from dynamics.accuracy.rollout import Rollout
 from dynamics.accuracy.scene import Scene
 from dynamics.description import validate
@@ -15,83 +15,81 @@ from dynamics.load import ArmSource, load_arm
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """Measured errors of a model, an integrator and a step; the largest distance of the tip [m].
+    """Tip errors [m] of a model with an integrator and a step: largest over time and motions.
 
-    error: of model and step together, from the reference. integration: of the step alone.
-    truncation: of the modes kept, with their damping ratio, from more of them, with the viscosity
-    that stands for it. nonlinear: of those, from the reference.
-    residual: what the last refinement of the reference moved its tip by.
+    The rich model is this model with five bending and three torsion modes per link, and with a
+    viscosity in place of each damping ratio.
     """
 
     model: str
     integrator: str
     dt: float  # [s]
-    error: float
-    integration: float
-    truncation: float
-    nonlinear: float
-    residual: float
-    reach: float  # [m] of the arm, to compare
+    error: float  # model and step together, from the reference
+    integration: float  # the step alone, from converged integration of this model
+    truncation: float  # this model from the rich one, both with converged integration
+    nonlinear: float  # the rich model from the reference
+    residual: float  # tip displacement by the last refinement of the reference
+    reach: float  # [m] of the arm, for comparison
     cost: float  # operations per simulated second
     reference: str
     scene: str
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers and text, as JSON holds them."""
+        """Fields as JSON numbers and text."""
         return dict(vars(self))
 
 
 def certify(
     arm: ArmSource, scene: Scene, integrator: str, dt: float, accuracy: float
 ) -> Certificate:
-    """Measure a model on a scene's motions.
+    """Measure the errors of a model on a scene's motions.
 
     Parameters
     ----------
     arm : the model as it is stepped, modes included.
     integrator, dt : a method of INTEGRATORS and its step [s].
-    accuracy : [m] to which the reference has to converge, and every motion free of its own steps
-        by a fifth of it.
+    accuracy : [m] residual allowed in the reference; a fifth of it is allowed as integration
+        error in every converged motion.
 
     Raises
     ------
-    RuntimeError : naming numbers, if the reference does not converge that far.
+    RuntimeError : if the reference does not converge; the message states the residual.
     ValueError : for a scene that does not fit the arm.
     """
     arm = load_arm(arm)
     validate.instance(scene, "scene", Scene).check(arm)
     validate.known(integrator, "integrator", INTEGRATORS)
     validate.positive(dt, "dt", "s")
-    bench = Bench(arm, scene, 10.0 * validate.positive(accuracy, "accuracy", "m"))
-    reference = bench.converge()
+    errors = ModelErrors(arm, scene, 10.0 * validate.positive(accuracy, "accuracy", "m"))
+    reference = errors.converge()
     own = fidelity_of(arm)
-    richer = replace(own, counts=everything(arm, 5, 3), polynomial=True)
+    rich = replace(own, counts=everything(arm, 5, 3), polynomial=True)
     rollout = Rollout(arm)
-    tips = bench.follow(rollout)
-    traced = rollout.method(integrator)
+    tips = errors.tips_of(rollout)
+    method = rollout.method(integrator)
     runs = [rollout.run(motion, integrator, dt) for motion in scene.motions]
-    kept = [slice(None, None, run.stride) for run in runs]
+    samples = [slice(None, None, run.stride) for run in runs]
     stepped = [run.tips for run in runs]
-    settled = [x[k] for x, k in zip(tips, kept, strict=True)]
-    truth = [x[k] for x, k in zip(bench.truth, kept, strict=True)]
+    converged = [x[k] for x, k in zip(tips, samples, strict=True)]
+    true = [x[k] for x, k in zip(errors.reference, samples, strict=True)]
     return Certificate(
         model=str(own),
         integrator=integrator,
         dt=dt,
-        error=apart(stepped, truth),
-        integration=apart(stepped, settled),
-        truncation=apart(tips, bench.tips(richer)),
-        nonlinear=bench.error(richer),
-        residual=bench.residual,
+        error=largest_distance(stepped, true),
+        integration=largest_distance(stepped, converged),
+        truncation=largest_distance(tips, errors.tips(rich)),
+        nonlinear=errors.error(rich),
+        residual=errors.residual,
         reach=arm.reach,
-        cost=traced.evaluations * traced.operations / dt,
+        cost=method.evaluations * method.operations / dt,
         reference=reference,
         scene=scene.name,
     )
 
 
 def fidelity_of(arm: Arm) -> Fidelity:
-    """What an arm keeps of its links, as `choose_model` would call it."""
+    """Fidelity of an arm as described, in the terms of `choose_model`."""
     counts = tuple(
         (len(link.in_direction("y")), len(link.in_direction("z")), len(link.in_direction("x")))
         for link in arm.links

@@ -1,6 +1,6 @@
-"""How much of an arm a model keeps: modes per link and direction, foreshortening, segments.
+"""Fidelity of a model: modes per link and direction, segments per link, foreshortening.
 
-Models of all kinds damp a link alike: see formulations/damping.py.
+Damping does not depend on fidelity: see formulations/damping.py.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from dynamics.description.mode_shapes import Mode
 from dynamics.formulations.damping import viscous_links, yields
 
 DIRECTIONS = ("y", "z", "x")  # bending, bending, torsion
-MOST_MODES = 4  # per link and direction on the ladder
+MOST_MODES = 4  # per link and direction, in models that `choose_model` tries
 MOST_SEGMENTS = 8
 _NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass"}
 _POLYNOMIAL = {"x": "torsion-poly", "y": "poly", "z": "poly"}
@@ -23,12 +23,12 @@ Change = tuple[int, str]  # link, direction or "segments"
 
 @dataclass(frozen=True, kw_only=True)
 class Fidelity:
-    """A rung: what is kept of every link."""
+    """Modes and segments of every link, and whether bending foreshortens it."""
 
     counts: tuple[Counts, ...]  # per link
     segments: tuple[int, ...]  # per link
     foreshortening: bool = False
-    polynomial: bool = False  # polynomial shapes; else the arm's own, or natural ones
+    polynomial: bool = False  # polynomial shapes, else the arm's own family or beam modes
 
     @property
     def rigid(self) -> bool:
@@ -36,7 +36,7 @@ class Fidelity:
         return not any(map(any, self.counts))
 
     def arm(self, arm: Arm) -> Arm:
-        """The arm with just so much, its links' damping as `viscous_links` has it."""
+        """The arm reduced to this fidelity, damped as `viscous_links` returns it."""
         links = tuple(
             replace(link, modes=tuple(self._modes(link, counts)), segments=segments)
             for link, counts, segments in zip(
@@ -53,8 +53,8 @@ class Fidelity:
             for index in range(1, count + 1):
                 yield Mode(kind=kind, index=index, direction=direction)
 
-    def richer(self, most: tuple[Counts, ...], most_segments: int) -> dict[Change, "Fidelity"]:
-        """Every model with one mode more, or one link cut into twice as many segments."""
+    def refinements(self, most: tuple[Counts, ...], most_segments: int) -> dict[Change, "Fidelity"]:
+        """All fidelities with one more mode, or with the segments of one link doubled."""
         result = {}
         for i, counts in enumerate(self.counts):
             for d, name in enumerate(DIRECTIONS):
@@ -64,16 +64,16 @@ class Fidelity:
                 result[i, "segments"] = self._with_segments(i, 2 * self.segments[i])
         return result
 
-    def thicker(self, most: tuple[Counts, ...]) -> "Fidelity":
-        """One mode more everywhere at once, where there is room."""
+    def one_mode_more(self, most: tuple[Counts, ...]) -> "Fidelity":
+        """One more mode in every link and direction at once, up to `most`."""
         counts = tuple(
             (min(y + 1, a), min(z + 1, b), min(x + 1, c))
             for (y, z, x), (a, b, c) in zip(self.counts, most, strict=True)
         )
         return replace(self, counts=counts)
 
-    def poorer(self) -> dict[Change, "Fidelity"]:
-        """Every model with one mode less, or one link cut into half as many segments."""
+    def reductions(self) -> dict[Change, "Fidelity"]:
+        """All fidelities with one mode less, or with the segments of one link halved."""
         result = {}
         for i, counts in enumerate(self.counts):
             for d, name in enumerate(DIRECTIONS):
@@ -87,25 +87,25 @@ class Fidelity:
         row = list(self.counts[link])
         row[direction] = count
         counts = (*self.counts[:link], (row[0], row[1], row[2]), *self.counts[link + 1 :])
-        segments = self.segments if any(row) else _set(self.segments, link, 1)
+        segments = self.segments if any(row) else _replaced(self.segments, link, 1)
         return replace(self, counts=counts, segments=segments)
 
     def _with_segments(self, link: int, segments: int) -> "Fidelity":
-        return replace(self, segments=_set(self.segments, link, segments))
+        return replace(self, segments=_replaced(self.segments, link, segments))
 
     def __str__(self) -> str:
         if self.rigid:
             return "rigid links"
         alike: dict[str, list[int]] = {}
         for i, kept in enumerate(zip(self.counts, self.segments, strict=True), 1):
-            alike.setdefault(_named(*kept), []).append(i)
-        texts = [f"{_listed(links)}: {kept}" for kept, links in alike.items()]
+            alike.setdefault(_link_text(*kept), []).append(i)
+        texts = [f"{_link_list(links)}: {text}" for text, links in alike.items()]
         shapes = ", polynomial" if self.polynomial else ""
         return "; ".join(texts) + shapes + (", foreshortened" if self.foreshortening else "")
 
 
 def rigid(arm: Arm, foreshortening: bool = False, polynomial: bool = False) -> Fidelity:
-    """No modes at all."""
+    """Fidelity without modes."""
     n = arm.n_joint
     return Fidelity(
         counts=((0, 0, 0),) * n,
@@ -116,7 +116,10 @@ def rigid(arm: Arm, foreshortening: bool = False, polynomial: bool = False) -> F
 
 
 def everything(arm: Arm, bending: int, torsion: int) -> tuple[Counts, ...]:
-    """So many modes per link wherever it has a stiffness, and an inertia to twist."""
+    """Mode counts per link: `bending` and `torsion`, in the directions with a stiffness.
+
+    Torsion also needs an inertia to twist. A link without rho_Ip gets one torsion mode at most.
+    """
     return tuple(_possible(arm, i, bending, torsion) for i in range(arm.n_joint))
 
 
@@ -129,15 +132,15 @@ def _possible(arm: Arm, i: int, bending: int, torsion: int) -> Counts:
     return bending * y, bending * z, (torsion if link.rho_Ip else min(torsion, 1)) * twists
 
 
-def _named(counts: Counts, segments: int) -> str:
+def _link_text(counts: Counts, segments: int) -> str:
     if not any(counts):
         return "rigid"
     modes = " + ".join(f"{n} {d}" for n, d in zip(counts, DIRECTIONS, strict=True) if n)
     return f"{segments} x ({modes})" if segments > 1 else modes
 
 
-def _listed(links: list[int]) -> str:
-    """As "link 2", "links 1, 2" or "links 1 to 4, 6"."""
+def _link_list(links: list[int]) -> str:
+    """Link numbers as "link 2", "links 1, 2" or "links 1 to 4, 6"."""
     starts = [i for i in links if i - 1 not in links]
     ends = [i for i in links if i + 1 not in links]
     runs = zip(starts, ends, strict=True)
@@ -145,5 +148,5 @@ def _listed(links: list[int]) -> str:
     return f"link{'s' * (len(links) > 1)} {', '.join(texts)}"
 
 
-def _set(values: tuple[int, ...], place: int, value: int) -> tuple[int, ...]:
+def _replaced(values: tuple[int, ...], place: int, value: int) -> tuple[int, ...]:
     return (*values[:place], value, *values[place + 1 :])

@@ -1,8 +1,9 @@
-"""The cheapest model of an arm whose tip stays within a tolerance on a scene's own motions.
+"""The cheapest model of an arm whose tip error stays within a tolerance on a scene.
 
-Found by measurement: a reference is refined until refining it no longer matters, then models are
-tried from rigid links upwards, one mode or cut at a time, and last the integration step. The arm
-gives lengths, masses and stiffnesses; of its modes only the family of shapes counts.
+All errors are measured. A reference is refined until its tip settles. Models are then refined from
+rigid links upwards, by one mode or by doubling the segments of one link, and last the integration
+step is chosen. The arm gives lengths, masses and stiffnesses; its own modes only name the family of
+shapes. The ladder lists all measured models and steps.
 """
 
 import math
@@ -19,7 +20,7 @@ from dynamics.accuracy.fidelity import (
     everything,
     rigid,
 )
-from dynamics.accuracy.reference import Bench, apart
+from dynamics.accuracy.reference import ModelErrors, largest_distance
 from dynamics.accuracy.rollout import SAMPLES, STRIDES, distance
 from dynamics.accuracy.scene import Scene
 from dynamics.description import validate
@@ -27,25 +28,25 @@ from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
 
-SAFE = 0.7  # of an explicit method's stability limit: frequencies change with the pose
-TRIALS = 3  # changes measured per rung, the most promising ones, once all have been seen
-CROWDED = 0.3  # of the tolerance: a model that leaves its steps less may be the dearer one
-ROOMIER = 2.0  # times as much for the steps, for a richer model to be tried
-IDLE = 0.05  # gain of a change below which it counts as useless alone
+STABILITY_SHARE = 0.7  # of a method's stability limit: frequencies change with the pose
+TRIALS = 3  # changes with the largest known gain that are measured again at each refinement
+SMALL_BUDGET = 0.3  # of the tolerance: below it, a refined model with longer steps may be cheaper
+LARGER_BUDGET = 2.0  # ratio of step budgets from which such a refined model is tried
+USELESS = 0.05  # gain below which no single change helps, and all modes are raised together
 STEPPING = tuple(name for name, method in INTEGRATORS.items() if method.aid != "jacobian")
-# a Jacobian is worth 3 (one link) to 19 (six links) evaluations: never the cheapest
-FINER = 10.0**0.1  # ratio of neighbouring steps
-FINEST = 1e6  # steps per motion
+# a Jacobian costs 3 (one link) to 19 (six links) evaluations: never the cheapest method
+STEP_RATIO = 10.0**0.1  # of consecutive trial steps
+MOST_STEPS = 1e6  # per motion
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rung:
-    """One model or step of the ladder; errors are the largest distance of the tip [m]."""
+    """One measured model or step; errors are the largest distance of the tip [m]."""
 
     description: str
-    error: float  # from the reference, steps added to it; infinite if the motion diverges
-    truncation: float | None = None  # from all modes of its kind
-    nonlinear: float | None = None  # of its kind with all modes, from the reference
+    error: float  # from the reference, a step's integration error added; infinite if diverged
+    truncation: float | None = None  # from the model of the same kind with all modes
+    nonlinear: float | None = None  # of the model of the same kind with all modes
     integration: float | None = None  # of this step alone
     operations: int  # per evaluation of the accelerations
     cost: float | None = None  # operations per simulated second
@@ -53,14 +54,14 @@ class Rung:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """What `choose_model` found, and how."""
+    """Model, integrator and step that `choose_model` found, with all measured alternatives."""
 
     arm: Arm
     integrator: str
     dt: float  # [s]
     tolerance: float  # [m]
-    error: float  # [m] of arm and of integrator and dt, added
-    residual: float  # [m] what the last refinement of the reference changed
+    error: float  # [m] model error plus integration error
+    residual: float  # [m] tip displacement by the last refinement of the reference
     cost: float  # operations per simulated second
     reason: str
     reference: str
@@ -68,7 +69,7 @@ class Choice:
     ladder: tuple[Rung, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain lists, numbers and text, as JSON would hold them; a diverged error is text."""
+        """Fields as JSON lists, numbers and text; an infinite error becomes "diverged"."""
         values = {**vars(self), "arm": self.arm.to_dict()}
         values["ladder"] = [
             {k: "diverged" if v == math.inf else v for k, v in vars(rung).items()}
@@ -89,49 +90,51 @@ class Choice:
 
 
 def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
-    """The cheapest model, integrator and step with a tip error of at most `tolerance` [m].
+    """Find the cheapest model, integrator and step with a tip error of at most `tolerance` [m].
 
     Parameters
     ----------
-    arm : whatever `load_arm` takes: lengths, masses, stiffnesses, tip bodies and joints; its modes
-        name the family of shapes, a damping ratio the viscosity, see `damping.viscous`.
-    scene : the motions that count; the error is the largest over time and motions.
+    arm : an Arm or any other source that `load_arm` accepts. Lengths, masses, stiffnesses, tip
+        bodies and joints are used as described. Modes only name the family of shapes; a damping
+        ratio becomes a viscosity, see `damping.viscous`.
+    scene : motions on which the tip error is measured, as the largest over time and motions.
     tolerance : [m]
 
     Raises
     ------
     ValueError : for a scene that does not fit the arm, or a tolerance that is not positive.
-    RuntimeError : naming numbers, if the reference does not converge or no step is small enough.
+    RuntimeError : if the reference does not converge, or no model or step is accurate enough; the
+        message states the error reached.
     """
     arm = load_arm(arm)
     validate.instance(scene, "scene", Scene).check(arm)
-    bench = Bench(arm, scene, validate.positive(tolerance, "tolerance", "m"))
-    reference = bench.converge()
+    errors = ModelErrors(arm, scene, validate.positive(tolerance, "tolerance", "m"))
+    reference = errors.converge()
     ladder: list[Rung] = []
-    enough = _climb_all(bench, ladder)
-    steps = list(_steps(bench, enough))
+    sufficient = _cheapest_sufficient(errors, ladder)
+    steps = list(_steps(errors, sufficient))
     ladder += [step.rung for step in steps]
-    roomier = _roomier(bench, enough)
-    if roomier:
-        further = list(_steps(bench, roomier, min(step.cost for step in steps)))
-        ladder += [_rung(bench, roomier, None), *(step.rung for step in further)]
+    rival = _rival(errors, sufficient)
+    if rival:
+        further = list(_steps(errors, rival, min(step.cost for step in steps)))
+        ladder += [_rung(errors, rival, None), *(step.rung for step in further)]
         steps += further
     step = min(steps, key=lambda step: step.cost)
     chosen, best = step.model, step.rung
     if best.cost is None:
         raise RuntimeError(
-            f"No step keeps '{chosen}' within {tolerance:.3g} m of the reference; "
-            f"smallest error {min(k.rung.error for k in steps):.3g} m."
+            f"No step keeps '{chosen}' within {tolerance:.3g} m of the reference; the smallest "
+            f"error is {min(k.rung.error for k in steps):.3g} m. Take a larger tolerance."
         )
     return Choice(
         arm=chosen.arm(arm),
         integrator=step.integrator,
         dt=step.dt,
-        tolerance=bench.tolerance,
+        tolerance=errors.tolerance,
         error=best.error,
-        residual=bench.residual,
+        residual=errors.residual,
         cost=best.cost,
-        reason=_reason(bench, chosen, best),
+        reason=_reason(errors, chosen, best),
         reference=reference,
         scene=scene.name,
         ladder=tuple(ladder),
@@ -140,16 +143,16 @@ def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
 
 @dataclass(frozen=True)
 class _Kind:
-    """Models of one kind: where to start, how far to go, and the best it can do."""
+    """Models of one kind (linear, foreshortened or segmented) with one family of shapes."""
 
     start: Fidelity
     most: tuple[Counts, ...]  # modes
     most_segments: int = 1
-    best: Fidelity | None = None  # all modes; None where segments converge to the reference
+    best: Fidelity | None = None  # all modes; None for segments, which converge to the reference
 
 
 def _kinds(arm: Arm) -> list[list[_Kind]]:
-    """From cheap to dear; of shapes, the cheaper is for measurement to say."""
+    """Kinds in order of cost, each with its families of shapes, whose costs have to be measured."""
     few, most = everything(arm, 3, 2), everything(arm, MOST_MODES, 2)
     result = []
     for foreshortening, modes in ((False, (5, 3)), (True, (4, 2))):
@@ -162,74 +165,77 @@ def _kinds(arm: Arm) -> list[list[_Kind]]:
     return [*result, [_Kind(rigid(arm, True, polynomial=True), few, MOST_SEGMENTS)]]
 
 
-def _climb_all(bench: Bench, ladder: list[Rung]) -> Fidelity:
-    """The cheapest model that is good enough; a kind that cannot be is not climbed."""
-    start, kinds = rigid(bench.arm), _kinds(bench.arm)
-    ladder.append(_rung(bench, start, kinds[0][0].best))
-    if bench.error(start) <= bench.enough:
+def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
+    """Cheapest model within the model tolerance, of the first kind that has one.
+
+    Kinds and families that fail with all their modes are not refined step by step.
+    """
+    start, kinds = rigid(errors.arm), _kinds(errors.arm)
+    ladder.append(_rung(errors, start, kinds[0][0].best))
+    if errors.error(start) <= errors.model_tolerance:
         return start
     for families in kinds:
-        good = []
+        sufficient = []
         best = families[0].best
-        if best is not None and bench.error(best) > bench.enough:
-            ladder.append(_rung(bench, best, best))
+        if best is not None and errors.error(best) > errors.model_tolerance:
+            ladder.append(_rung(errors, best, best))
             continue
         for kind in families:
             all_modes = replace(kind.start, counts=kind.most)
-            if best is not None and bench.error(all_modes) > bench.enough:
-                ladder.append(_rung(bench, all_modes, best))
+            if best is not None and errors.error(all_modes) > errors.model_tolerance:
+                ladder.append(_rung(errors, all_modes, best))
                 continue
-            path = _climb(bench, kind)
-            if bench.error(path[-1]) <= bench.enough:
-                good.append(_pruned(bench, path[-1]))
-                path += good[-1:] if good[-1] != path[-1] else []
-            ladder += [_rung(bench, f, best) for f in path[1:]]
-        if good:
-            return min(good, key=bench.operations)
+            path = _refined(errors, kind)
+            if errors.error(path[-1]) <= errors.model_tolerance:
+                sufficient.append(_pruned(errors, path[-1]))
+                path += sufficient[-1:] if sufficient[-1] != path[-1] else []
+            ladder += [_rung(errors, f, best) for f in path[1:]]
+        if sufficient:
+            return min(sufficient, key=errors.operations)
     last = ladder[-1]
     raise RuntimeError(
-        f"No model on the ladder is within {bench.enough:.3g} m of the reference; the last, "
-        f"'{last.description}', errs by {last.error:.3g} m."
+        f"No model is within {errors.model_tolerance:.3g} m of the reference; the last one tried, "
+        f"'{last.description}', has an error of {last.error:.3g} m. Take a larger tolerance."
     )
 
 
-def _climb(bench: Bench, kind: _Kind) -> list[Fidelity]:
-    """Add what reduces the error most for its cost, until it is enough or nothing is left."""
-    path, promise = [kind.start], dict[Change, float]()
-    while bench.error(path[-1]) > bench.enough:
-        options = path[-1].richer(kind.most, kind.most_segments)
+def _refined(errors: ModelErrors, kind: _Kind) -> list[Fidelity]:
+    """Models from the kind's start up to a sufficient one; each adds the change of largest gain."""
+    path, gains = [kind.start], dict[Change, float]()
+    while errors.error(path[-1]) > errors.model_tolerance:
+        options = path[-1].refinements(kind.most, kind.most_segments)
         if not options:
             break
-        unseen = [change for change in options if change not in promise]
-        seen = sorted((c for c in options if c in promise), key=lambda c: -promise[c])
-        tried = unseen + seen[:TRIALS]
+        new = [change for change in options if change not in gains]
+        known = sorted((c for c in options if c in gains), key=lambda c: -gains[c])
+        tried = new + known[:TRIALS]
         for change in tried:
-            promise[change] = _gain(bench, path[-1], options[change])
-        best = max(tried, key=lambda change: promise[change])
-        together = path[-1].thicker(kind.most)  # modes may help only in company; prune later
-        alone = promise[best] > IDLE or together == path[-1]
+            gains[change] = _gain(errors, path[-1], options[change])
+        best = max(tried, key=lambda change: gains[change])
+        together = path[-1].one_mode_more(kind.most)  # modes may help only together; pruned later
+        alone = gains[best] > USELESS or together == path[-1]
         path.append(options[best] if alone else together)
     return path
 
 
-def _gain(bench: Bench, before: Fidelity, after: Fidelity) -> float:
-    """Error reduced per cost added, both as ratios."""
-    far = 1e3 * bench.arm.reach
-    errors = [min(max(bench.error(f), 1e-15), far) for f in (before, after)]
-    work = bench.operations(after) / bench.operations(before)
-    return math.log(errors[0] / errors[1]) / math.log(max(work, 1.01))
+def _gain(errors: ModelErrors, before: Fidelity, after: Fidelity) -> float:
+    """Logarithm of the error ratio over the logarithm of the cost ratio."""
+    far = 1e3 * errors.arm.reach
+    limited = [min(max(errors.error(f), 1e-15), far) for f in (before, after)]
+    work = errors.operations(after) / errors.operations(before)
+    return math.log(limited[0] / limited[1]) / math.log(max(work, 1.01))
 
 
-def _pruned(bench: Bench, fidelity: Fidelity) -> Fidelity:
-    """Take away, cheapest remainder first, whatever turns out not to be needed.
+def _pruned(errors: ModelErrors, fidelity: Fidelity) -> Fidelity:
+    """Remove modes and segments that the tolerance does not need, cheapest remainder first.
 
-    What is needed beside much is not tried again beside less.
+    A removal that has failed once is not tried again on a smaller model.
     """
     needed: set[Change] = set()
     while True:
-        options = {c: f for c, f in fidelity.poorer().items() if c not in needed}
-        for change in sorted(options, key=lambda c: bench.operations(options[c])):
-            if bench.error(options[change]) <= bench.enough:
+        options = {c: f for c, f in fidelity.reductions().items() if c not in needed}
+        for change in sorted(options, key=lambda c: errors.operations(options[c])):
+            if errors.error(options[change]) <= errors.model_tolerance:
                 fidelity = options[change]
                 break
             needed.add(change)
@@ -237,24 +243,24 @@ def _pruned(bench: Bench, fidelity: Fidelity) -> Fidelity:
             return fidelity
 
 
-def _rung(bench: Bench, fidelity: Fidelity, best: Fidelity | None) -> Rung:
+def _rung(errors: ModelErrors, fidelity: Fidelity, best: Fidelity | None) -> Rung:
     truncation = nonlinear = None
     if best is not None:
-        nonlinear = bench.error(best)
+        nonlinear = errors.error(best)
         if nonlinear < math.inf:
-            truncation = apart(bench.tips(fidelity), bench.tips(best))
+            truncation = largest_distance(errors.tips(fidelity), errors.tips(best))
     return Rung(
         description=str(fidelity),
-        error=bench.error(fidelity),
+        error=errors.error(fidelity),
         truncation=truncation,
         nonlinear=nonlinear,
-        operations=bench.operations(fidelity),
+        operations=errors.operations(fidelity),
     )
 
 
 @dataclass(frozen=True)
 class _Step:
-    """A method's largest step with a model."""
+    """An integrator's largest sufficient step with a model."""
 
     model: Fidelity
     integrator: str
@@ -266,67 +272,70 @@ class _Step:
         return math.inf if self.rung.cost is None else self.rung.cost
 
 
-def _roomier(bench: Bench, enough: Fidelity) -> Fidelity | None:
-    """Where a model leaves little to its steps, a richer one that leaves them several times that.
+def _rival(errors: ModelErrors, sufficient: Fidelity) -> Fidelity | None:
+    """The cheapest refinement with a larger step budget, if the sufficient model's is small.
 
-    The more accurate model may be the cheaper one, for its longer steps.
+    The refined model may be the cheaper one, because its steps may be longer.
     """
-    left = bench.left(enough)
-    if left > CROWDED * bench.tolerance:
+    budget = errors.step_budget(sufficient)
+    if budget > SMALL_BUDGET * errors.tolerance:
         return None
-    segments = MOST_SEGMENTS if max(enough.segments) > 1 else 1
-    options = enough.richer(everything(bench.arm, MOST_MODES, 2), segments).values()
-    roomy = [f for f in options if bench.left(f) > ROOMIER * left]
-    return min(roomy, key=bench.operations, default=None)
+    segments = MOST_SEGMENTS if max(sufficient.segments) > 1 else 1
+    most = everything(errors.arm, MOST_MODES, 2)
+    options = sufficient.refinements(most, segments).values()
+    rivals = [f for f in options if errors.step_budget(f) > LARGER_BUDGET * budget]
+    return min(rivals, key=errors.operations, default=None)
 
 
-def _steps(bench: Bench, fidelity: Fidelity, cheapest: float = math.inf) -> Iterator[_Step]:
-    """Per integrator its largest step within the tolerance, if any costs less than `cheapest`."""
-    model, left = bench.error(fidelity), bench.left(fidelity)
+def _steps(errors: ModelErrors, fidelity: Fidelity, cheapest: float = math.inf) -> Iterator[_Step]:
+    """For each integrator the largest step within the budget, unless it exceeds `cheapest`."""
+    model, budget = errors.error(fidelity), errors.step_budget(fidelity)
     for name in STEPPING:
-        traced = bench.rollout(fidelity).method(name)
-        work = traced.evaluations * traced.operations
+        method = errors.rollout(fidelity).method(name)
+        work = method.evaluations * method.operations
         dt, integration = math.inf, math.inf
-        for finer, error in _trials(bench, fidelity, name):
-            if max(integration, error) <= left:  # twice: not by luck
+        for finer, error in _trials(errors, fidelity, name):
+            if max(integration, error) <= budget:  # the next smaller step confirms this one
                 cheapest = min(cheapest, work / dt)
                 break
             dt, integration = finer, error
-            if work / dt > cheapest:  # another method has done it for less
+            if work / dt > cheapest:
                 break
         rung = Rung(
             description=f"{name}, dt {dt:.4g} s",
             error=model + integration,
             integration=integration,
-            operations=traced.operations,
-            cost=work / dt if integration <= left else None,
+            operations=method.operations,
+            cost=work / dt if integration <= budget else None,
         )
         yield _Step(fidelity, name, dt, rung)
 
 
-def _trials(bench: Bench, fidelity: Fidelity, integrator: str) -> Iterator[tuple[float, float]]:
-    """Ever smaller steps [s], and how far each moves the tip [m]."""
-    rollout, motions = bench.rollout(fidelity), bench.scene.motions
+def _trials(
+    errors: ModelErrors, fidelity: Fidelity, integrator: str
+) -> Iterator[tuple[float, float]]:
+    """Ever smaller steps [s], each with its integration error [m]."""
+    rollout, motions = errors.rollout(fidelity), errors.scene.motions
     fastest = max(rollout.fastest(motion) for motion in motions)
     shortest = min(motion.t_end for motion in motions)
     dt = shortest / (SAMPLES / STRIDES[0])
     if fastest:
-        dt = min(dt, SAFE * INTEGRATORS[integrator].limit / fastest)
-    while shortest / dt < FINEST:
+        dt = min(dt, STABILITY_SHARE * INTEGRATORS[integrator].limit / fastest)
+    while shortest / dt < MOST_STEPS:
         runs = [rollout.run(motion, integrator, dt) for motion in motions]
-        settled = zip(runs, bench.tips(fidelity), strict=True)
-        yield max(r.dt for r in runs), max(distance(r.tips, t[:: r.stride]) for r, t in settled)
-        dt /= FINER
+        pairs = zip(runs, errors.tips(fidelity), strict=True)
+        yield max(r.dt for r in runs), max(distance(r.tips, t[:: r.stride]) for r, t in pairs)
+        dt /= STEP_RATIO
 
 
-def _reason(bench: Bench, chosen: Fidelity, best: Rung) -> str:
-    poorer = [bench.error(f) for f in chosen.poorer().values()]
-    less = f"; the next simpler model errs by {_metres(min(poorer))} m" if poorer else ""
-    if poorer and min(poorer) <= bench.enough:
+def _reason(errors: ModelErrors, chosen: Fidelity, best: Rung) -> str:
+    simpler = [errors.error(f) for f in chosen.reductions().values()]
+    less = f"; the next simpler model errs by {_metres(min(simpler))} m" if simpler else ""
+    if simpler and min(simpler) <= errors.model_tolerance:
         less += ", and its shorter steps cost more"
     return (
         f"{str(chosen).capitalize()} with {best.description} keeps the tip within "
-        f"{_metres(best.error)} m of the reference, {bench.tolerance:.3g} m are allowed{less}."
+        f"{_metres(best.error)} m of the reference, {errors.tolerance:.3g} m are allowed{less}."
     )
 
 

@@ -1,8 +1,8 @@
-"""Follow an arm's tip by the methods of the table, without compiling it.
+"""Tip motions of an arm by any integrator, without compilation.
 
-The step functions of integrators.py run on any workspace: given symbols instead of numbers they
-yield the expression graph of one step, and CasADi runs that over many. A model is ready in
-a fraction of a second, so that many can be compared.
+The step functions of the integrators run on a workspace of symbols, which gives the expression
+graph of one step. CasADi evaluates that graph step after step. Preparing a model takes a fraction
+of a second, so many models can be compared.
 """
 
 import warnings
@@ -23,33 +23,36 @@ from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
 from dynamics.simulation import step_limits
 from dynamics.tracing import graphs
-from dynamics.tracing.ssa import operations
+from dynamics.tracing.operation_counts import operations
 from dynamics.types import Array
 
-SAMPLES = 256  # at least so many tip positions of a motion are compared
-STRIDES = (8, 4, 2, 1)  # a large step keeps every so many of them only
-MANY = 1e8  # operations (under a second) from which an implicit method tries first
-FEW = 3  # samples: who leaves sooner, leaves because of the step
-TOO_MANY = 5e9  # operations after which a motion counts as not computable
+SAMPLES = 256  # least number of tip positions at which motions are compared
+STRIDES = (8, 4, 2, 1)  # distances between compared samples; large steps take a large stride
+EXPLICIT_WORK = 1e8  # [operations] (under a second) above which an implicit method starts
+EARLY = 3  # samples: a tip that leaves the reach within them does so because of the step
+MOST_WORK = 5e9  # [operations] after which a motion is given up
 
 
-class Unsettled(RuntimeError):
-    """A motion diverges, or no affordable step makes it independent of the step."""
+class NotConverged(RuntimeError):
+    """A motion diverges, or still depends on the step at the smallest affordable step."""
 
 
 @dataclass(frozen=True)
-class Traced:
-    """One integration method on one arm; states are (q, v) and what it keeps between steps."""
+class TracedMethod:
+    """CasADi functions of one integrator on one arm.
+
+    A state is the part of the workspace that outlives a step: q and v come first.
+    """
 
     start: Any  # (state, torque, step) -> state
     step: Any
-    evaluations: float  # of the accelerations that a step is worth, by its operations
-    operations: int  # per evaluation
+    evaluations: float  # operations of a step over operations of one evaluation
+    operations: int  # per evaluation of the accelerations
 
 
 @dataclass(frozen=True)
 class Run:
-    """A motion by one fixed step."""
+    """Tip motion by one fixed step."""
 
     tips: Array  # (N, 3) [m] at every `stride`-th sample
     stride: int
@@ -57,11 +60,11 @@ class Run:
 
 
 class Rollout:
-    """One arm, ready to follow motions."""
+    """Tip motions of one arm."""
 
     def __init__(self, arm: Arm) -> None:
         self.arm, self.model = arm, Model(arm)
-        self._traced: dict[str, Traced] = {}
+        self._methods: dict[str, TracedMethod] = {}
 
     @cached_property
     def operations(self) -> int:
@@ -74,31 +77,31 @@ class Rollout:
         q[list(self.arm.joint_index)] = motion.joint_angles
         return step_limits.fastest(self.model, q)
 
-    def method(self, integrator: str) -> Traced:
-        """The traced steps of one method."""
-        if integrator not in self._traced:
-            self._traced[integrator] = _trace(self.model, integrator)
-        return self._traced[integrator]
+    def method(self, integrator: str) -> TracedMethod:
+        """CasADi functions of one integrator."""
+        if integrator not in self._methods:
+            self._methods[integrator] = _trace(self.model, integrator)
+        return self._methods[integrator]
 
     def tips(self, motion: JointMotion, integrator: str, dt: float, stride: int = 1) -> Array:
         """(N, 3) [m] tip at every `stride`-th sample, by equal steps of at most `dt`.
 
-        A torque that varies is held at its value in mid-step, as `simulate` does. From where
-        it diverges on, the tip is NaN.
+        Each step takes the torque at its midpoint, as `simulate` does. After a motion diverges,
+        its tip is NaN.
         """
-        traced = self.method(integrator)
+        method = self.method(integrator)
         pieces = _pieces(motion, stride)
         steps = max(1, int(np.ceil(max(width for _, width in pieces) / dt - 1e-9)))
-        roll = traced.step.mapaccum("roll", steps)
+        roll = method.step.mapaccum("roll", steps)
         n, joints = self.model.n, list(self.arm.joint_index)
-        x = np.zeros(traced.start.size1_in(0))
+        x = np.zeros(method.start.size1_in(0))
         x[joints], x[[n + j for j in joints]] = motion.joint_angles, motion.joint_rates
         states, jumps = [x], motion.knots[:-1]
         for begin, width in pieces:
             h = width / steps
             tau = self._torque(motion, [begin + h * (k + 0.5) for k in range(steps)])
             if begin in jumps:
-                x = traced.start(x, tau[:, 0], h)
+                x = method.start(x, tau[:, 0], h)
             x = np.array(roll(x, tau, np.full((1, steps), h))[:, -1]).ravel()
             states.append(x)
             if not np.all(np.isfinite(x)):
@@ -108,7 +111,7 @@ class Rollout:
         return tips
 
     def run(self, motion: JointMotion, integrator: str, dt: float) -> Run:
-        """A motion by steps of about `dt`, which may be longer than the time between samples."""
+        """Tip by steps of about `dt`, which may be longer than the time between samples."""
         for stride in reversed(STRIDES):
             width = max(width for _, width in _pieces(motion, stride))
             if width >= 4.0 * dt:
@@ -116,19 +119,19 @@ class Rollout:
         steps = max(1, round(width / dt))
         return Run(self.tips(motion, integrator, width / steps, stride), stride, width / steps)
 
-    def settled(self, motion: JointMotion, accuracy: float) -> Array:
-        """(N, 3) [m] tip at all samples, free of the integration's own error up to `accuracy`.
+    def converged(self, motion: JointMotion, accuracy: float) -> Array:
+        """(N, 3) [m] tip at all samples, with an integration error of at most `accuracy`.
 
-        Steps are halved until they agree, then extrapolated to none.
+        Steps are halved until two results agree; these are extrapolated to zero step.
 
         Raises
         ------
-        Unsettled : where that does not end.
+        NotConverged : if the motion diverges or needs too small a step.
         """
         fastest, method = self.fastest(motion), "rk4"
         dt = min(2.0 / fastest if fastest else np.inf, motion.t_end / (2 * SAMPLES))
         work = 4.0 * self.operations * motion.t_end
-        if work / dt > MANY:
+        if work / dt > EXPLICIT_WORK:
             method, dt = "midpoint", motion.t_end / (8 * SAMPLES)
             work /= 4.0
         gain = 2.0 ** INTEGRATORS[method].order - 1.0
@@ -136,22 +139,25 @@ class Rollout:
         while True:
             dt /= 2.0
             fine = self.tips(motion, method, dt)
-            left = [self._leaves(t) for t in (coarse, fine)]
-            alike = min(left) > FEW and max(left) <= 1.1 * min(left)  # later with finer steps, else
-            if max(left) < len(fine) and (alike or work / dt > TOO_MANY):
-                raise Unsettled(f"The motion leaves the reach ({self.arm.reach:.6g} m): diverged.")
+            exits = [self._exit(t) for t in (coarse, fine)]
+            # an exit that the step causes comes much later with half the step
+            alike = min(exits) > EARLY and max(exits) <= 1.1 * min(exits)
+            if max(exits) < len(fine) and (alike or work / dt > MOST_WORK):
+                raise NotConverged(
+                    f"The motion leaves the reach ({self.arm.reach:.6g} m): diverged."
+                )
             if distance(fine, coarse) <= accuracy:
                 return fine + (fine - coarse) / gain
-            if work / dt > TOO_MANY:
+            if work / dt > MOST_WORK:
                 break
             coarse = fine
-        raise Unsettled(
+        raise NotConverged(
             f"Steps of {dt:.3g} s still move the tip by {distance(fine, coarse):.3g} m, more than "
             f"{accuracy:.3g} m; the motion is too long, too stiff or chaotic."
         )
 
-    def _leaves(self, tips: Array) -> int:
-        """The first sample far beyond the reach, or not a number; their count if there is none."""
+    def _exit(self, tips: Array) -> int:
+        """Index of the first sample beyond twice the reach or NaN, else the number of samples."""
         far = ~(np.abs(tips).max(axis=1) <= 2.0 * self.arm.reach)
         return int(np.argmax(far)) if far.any() else len(tips)
 
@@ -170,14 +176,14 @@ class Rollout:
 
 
 def distance(a: Array, b: Array) -> float:
-    """[m] largest distance between two tips; infinite where one diverged."""
-    with np.errstate(over="ignore"):  # of a motion that diverges
+    """[m] largest distance between two tip motions; infinite if one diverged."""
+    with np.errstate(over="ignore"):  # a diverging motion may overflow
         largest = float(np.linalg.norm(a - b, axis=1).max())
     return largest if np.isfinite(largest) else float("inf")
 
 
 def _pieces(motion: JointMotion, stride: int) -> list[tuple[float, float]]:
-    """Start and width [s] of every interval between samples; a torque jumps at starts only."""
+    """Start and width [s] of every interval between samples; torque jumps lie on starts."""
     result = []
     for begin, end in pairwise(motion.knots):
         count = STRIDES[0] * int(np.ceil(SAMPLES / STRIDES[0] * (end - begin) / motion.t_end))
@@ -186,15 +192,15 @@ def _pieces(motion: JointMotion, stride: int) -> list[tuple[float, float]]:
     return result
 
 
-def _trace(model: Model, integrator: str) -> Traced:
-    """Run a method's step functions on a workspace of symbols: see integrators.py."""
+def _trace(model: Model, integrator: str) -> TracedMethod:
+    """Run an integrator's step functions on a workspace of symbols."""
     import casadi as ca
 
     method, n = INTEGRATORS[integrator], model.n
     Q, V, A, W, GUESS, SCRATCH = 0, n, 2 * n, 3 * n, 3 * n + 2, 4 * n + 2
     places = Slots(n, Q, V, A, W, SCRATCH)
     keep = SCRATCH + method.kept(n)
-    x = ca.vertsplit(ca.SX.sym("x", keep))  # the workspace, but for what no step keeps
+    x = ca.vertsplit(ca.SX.sym("x", keep))  # the part of the workspace that steps keep
     tau, h = ca.SX.sym("tau", model.n_joint), ca.SX.sym("h")
     implicit = Implicit(x[W], x[W + 1], x[GUESS:SCRATCH]) if method.implicit else None
     result = accelerations(model.chain, x[Q:V], x[V:A], ca.vertsplit(tau), implicit)
@@ -220,10 +226,10 @@ def _trace(model: Model, integrator: str) -> Traced:
     for function in (start, method.step):
         w = np.zeros(SCRATCH + method.scratch(n), dtype=object)
         w[:keep] = x
-        with warnings.catch_warnings():  # CasADi's, of numpy.cos on its symbols: as meant
+        with warnings.catch_warnings():  # CasADi warns of numpy.cos on symbols, which is intended
             warnings.simplefilter("ignore")
             function(w, h, evaluate, places, aid)
         after = ca.vertcat(*w[:keep])
         steps.append(ca.Function("step", [ca.vertcat(*x), tau, h], [after]))
     cost, whole = (sum(operations(x).values()) for x in (graph, steps[1]))
-    return Traced(steps[0], steps[1], whole / cost, cost)
+    return TracedMethod(steps[0], steps[1], whole / cost, cost)

@@ -1,7 +1,7 @@
 """Scenes: motions in joint space that any model of an arm can follow.
 
-They hold joint angles, joint rates and joint torques, nothing of modes: every link starts straight
-and at rest in its own frame. `choose_model` compares models of an arm on them.
+A scene gives joint angles, joint rates and joint torques, and no modal amplitudes: every link
+starts straight and without modal rates. `choose_model` compares models of an arm on a scene.
 """
 
 import math
@@ -20,7 +20,7 @@ TorqueSignal = Callable[[float], ArrayLike]  # (n_joint,) [N m]; jumps listed in
 
 @dataclass(frozen=True, kw_only=True)
 class JointMotion:
-    """One motion: where the joints start and what drives them."""
+    """One motion: initial joint angles and rates, torques and duration."""
 
     joint_angles: Numbers  # (n_joint,) [rad]
     joint_rates: Numbers  # (n_joint,) [rad/s]
@@ -43,14 +43,14 @@ class JointMotion:
 
     @property
     def knots(self) -> Numbers:
-        """Times [s] between which the torque is smooth, both ends included."""
+        """Start, torque jumps and end [s]; the torque is smooth between them."""
         jumps = {float(t) for t in getattr(self.torque, "breakpoints", ())}
         return (0.0, *sorted(t for t in jumps if 0.0 < t < self.t_end), self.t_end)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What an arm is for: the motions on which a model of it must be right."""
+    """Motions on which a model of an arm has to be accurate."""
 
     motions: tuple[JointMotion, ...]
     name: str = ""
@@ -65,17 +65,18 @@ class Scene:
         object.__setattr__(self, "name", validate.text(self.name, "Scene.name"))
 
     def check(self, arm: Arm) -> None:
-        """Refuse an arm with another number of joints, on a free base, or driven in parallel."""
+        """Refuse an arm with another number of joints, a free base or a parallel drive."""
         if arm.base.n:
             raise ValueError(
-                f"Base.type must be 'fixed' for a scene, got {arm.base.type!r}: joint motions do "
-                "not say how a base moves."
+                f"Base.type must be 'fixed' for a scene, got {arm.base.type!r}: a scene has no "
+                "initial state of a base."
             )
         for i, link in enumerate(arm.links, 1):
             if link.joint.parallel:
                 raise ValueError(
-                    f"Joint.parallel of link {i} must be false for a scene, got True: references "
-                    "cut links into segments, and the one before it stays in one piece."
+                    f"Joint.parallel of link {i} must be false for a scene, got True: the "
+                    "reference cuts links into segments, which a link before a parallel drive "
+                    "cannot have."
                 )
         for k, motion in enumerate(self.motions):
             shapes = {"joint_angles": (len(motion.joint_angles),)}
@@ -91,7 +92,7 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class Cycloid:
-    """Torques amplitude sin(2 pi t / duration), then none: a smooth move and stop."""
+    """Torques amplitude sin(2 pi t / duration), zero after `duration`: a smooth move and stop."""
 
     amplitude: Numbers  # (n_joint,) [N m]
     duration: float  # [s]
@@ -102,12 +103,12 @@ class Cycloid:
 
     @property
     def breakpoints(self) -> Numbers:
-        """When the torque ends [s]."""
+        """Time [s] at which the torque ends."""
         return (self.duration,)
 
 
 def bang_bang(torques: Numbers, pulse: float, t_end: float) -> JointMotion:
-    """Straight arm at rest; constant torques [N m] for `pulse` [s], reversed as long, then none."""
+    """Straight arm at rest: torques [N m] for `pulse` [s], reversed for `pulse` [s], then zero."""
     pulse = validate.positive(pulse, "pulse", "s")
     torques = validate.numbers(torques, "torques", unit="N m")
     signals = tuple(
@@ -120,7 +121,7 @@ def bang_bang(torques: Numbers, pulse: float, t_end: float) -> JointMotion:
 
 
 def cycloid(torques: Numbers, duration: float, t_end: float) -> JointMotion:
-    """Straight arm at rest; torques [N m] over one sine wave of `duration` [s], then none."""
+    """Straight arm at rest: torques [N m] over one sine wave of `duration` [s], then zero."""
     duration = validate.positive(duration, "duration", "s")
     torques = validate.numbers(torques, "torques", unit="N m")
     rest = (0.0,) * len(torques)
@@ -129,7 +130,7 @@ def cycloid(torques: Numbers, duration: float, t_end: float) -> JointMotion:
 
 
 def release(joint_angles: Numbers, t_end: float) -> JointMotion:
-    """No torque: the arm falls from rest at these joint angles [rad]."""
+    """Motion without torque from rest at `joint_angles` [rad]."""
     joint_angles = validate.numbers(joint_angles, "joint_angles", unit="rad")
     rest = (0.0,) * len(joint_angles)
     return JointMotion(joint_angles=joint_angles, joint_rates=rest, t_end=t_end)

@@ -1,6 +1,6 @@
-"""Preset arms by name: every file in `presets` holds an ARM, its sources and its CHECKS.
+"""Preset arms by name. Every file in `presets` defines an ARM with its sources and CHECKS.
 
-A new file, named as its arm, is found without a second place to edit, and read when asked for.
+To add a preset, add a file named after the arm. Files are imported on first access.
 """
 
 from collections.abc import Iterator, Mapping
@@ -18,14 +18,14 @@ _FILES = {
 }
 
 
-class _Each(Mapping[str, Any]):
-    """One thing of every file, by the arm's name."""
+class _PresetAttribute(Mapping[str, Any]):
+    """Read-only mapping from an arm's name to one attribute of its preset file."""
 
-    def __init__(self, thing: str) -> None:
-        self._thing = thing
+    def __init__(self, attribute: str) -> None:
+        self._attribute = attribute
 
     def __getitem__(self, name: str) -> Any:
-        return getattr(import_module(_FILES[name]), self._thing)
+        return getattr(import_module(_FILES[name]), self._attribute)
 
     def __iter__(self) -> Iterator[str]:
         return iter(_FILES)
@@ -37,5 +37,5 @@ class _Each(Mapping[str, Any]):
         return repr(dict(self))
 
 
-ARMS: Mapping[str, Arm] = _Each("ARM")
-CHECKS: Mapping[str, tuple[Check, ...]] = _Each("CHECKS")
+ARMS: Mapping[str, Arm] = _PresetAttribute("ARM")
+CHECKS: Mapping[str, tuple[Check, ...]] = _PresetAttribute("CHECKS")

@@ -1,6 +1,6 @@
-"""Published numbers that a preset is held to.
+"""Published numbers that a preset must reproduce.
 
-Every preset lists its own as CHECKS; the tests and the validation page run them.
+Every preset lists them as CHECKS; the tests and the validation page evaluate them.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from dynamics.description.arm import Arm
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """A published or independent number beside a preset, and what the preset says."""
+    """Published or independently computed value, and the function that measures it on the arm."""
 
     quantity: str
     unit: str
@@ -21,5 +21,5 @@ class Check:
     measure: Callable[[Arm], float]
 
     def passes(self, arm: Arm) -> bool:
-        """Whether the arm meets the number."""
+        """Whether the arm's value is within the tolerance."""
         return abs(self.measure(arm) - self.expected) <= self.tolerance * abs(self.expected)

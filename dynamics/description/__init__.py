@@ -1,1 +1,1 @@
-"""Arms as data: links, joints, modes, drives and files."""
+"""Arm descriptions: links, joints, modes, parallel drives and arm files."""

@@ -1,4 +1,7 @@
-"""An arm: links on a base, and a payload at the last tip. SI units; a description checks itself."""
+"""Arm description: links on a base, and a payload at the last tip. SI units.
+
+Every description validates itself on construction.
+"""
 
 import math
 from dataclasses import MISSING, dataclass, field, fields
@@ -10,17 +13,17 @@ from dynamics.description.rotations import Quaternion, to_rotation_vector
 from dynamics.description.validate import ZEROS, clean
 from dynamics.types import Matrix3, Vector3
 
-ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # word in a file -> meaning
+ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # accepted name -> stored name
 MOST_LINKS = 1000
-MOST_COORDINATES = 1000  # they compile in minutes
+MOST_COORDINATES = 1000  # an arm of this size compiles in minutes
 BASE_NAMES = ("base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Payload:
-    """A rigid body held at the last link's tip; it joins that link's tip mass and inertia.
+    """Rigid body fixed to the last link's tip, added to that link's tip mass and tip inertia.
 
-    It does not change the assumed shapes, so one arm can carry many payloads.
+    Mode shapes do not depend on it.
     """
 
     mass: float  # [kg]
@@ -36,20 +39,20 @@ class Payload:
 
 @dataclass(frozen=True, kw_only=True)
 class Base:
-    """What the first joint stands on: the ground, or a rigid body that flies freely.
+    """Base of the first joint: fixed to the ground, or a free-flying rigid body.
 
-    A free base has its own frame: the first joint's offset and rotation, centre of mass and
-    inertia are given in it. Where it starts is part of the description.
+    The first joint's offset and rotation, and the base's centre of mass and inertia, are given in
+    the base's frame. The description of a free base includes its initial state.
     """
 
     type: str = "fixed"  # | "free"
     mass: float = 0.0  # [kg]
     com: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of mass
     inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the centre of mass
-    position: Vector3 = (0.0, 0.0, 0.0)  # [m] of the frame's origin in the world
-    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z: from the frame to the world
-    velocity: Vector3 = (0.0, 0.0, 0.0)  # [m/s] of the origin in the world
-    angular_velocity_body: Vector3 = (0.0, 0.0, 0.0)  # [rad/s] in the frame
+    position: Vector3 = (0.0, 0.0, 0.0)  # [m] origin of the base's frame in the world
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z: from the base's frame to the world
+    velocity: Vector3 = (0.0, 0.0, 0.0)  # [m/s] of the origin, in the world
+    angular_velocity_body: Vector3 = (0.0, 0.0, 0.0)  # [rad/s] in the base's frame
 
     def __post_init__(self) -> None:
         kind = validate.choice(self.type, "Base.type", ("fixed", "free"))
@@ -73,7 +76,7 @@ class Base:
             value = getattr(self, entry.name)
             if entry.name != "type" and value != entry.default:
                 raise ValueError(
-                    f'Base.{entry.name} ({value!r}) is of a free base; give type "free", or '
+                    f'Base.{entry.name} ({value!r}) needs a free base; set type to "free", or '
                     "leave it out."
                 )
 
@@ -84,25 +87,25 @@ class Base:
 
     @property
     def q(self) -> tuple[float, ...]:
-        """(n,) [m], [rad] position and rotation vector at the start."""
+        """(n,) [m], [rad] initial position and rotation vector."""
         return (*self.position, *to_rotation_vector(self.quaternion))[: self.n]
 
     @property
     def v(self) -> tuple[float, ...]:
-        """(n,) [m/s], [rad/s] velocity in the world, angular velocity in the base's own frame."""
+        """(n,) [m/s], [rad/s] initial velocity in the world, angular velocity in base's frame."""
         return (*self.velocity, *self.angular_velocity_body)[: self.n]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arm:
-    """A serial chain of links on a base."""
+    """Serial chain of links on a base."""
 
     links: tuple[Link, ...]
     name: str = ""
     description: str = ""
     gravity: Vector3 = (0.0, 0.0, 0.0)  # [m/s^2] in the world frame
-    rotation: str = "exp"  # of a bent end: "exp" is a true rotation, "linear" is 1 + theta~
-    foreshortening: bool = False  # u = -1/2 int (y'^2 + z'^2): fast spins stiffen
+    rotation: str = "exp"  # of a deflected tip: "exp" is a true rotation, "linear" is 1 + theta~
+    foreshortening: bool = False  # u = -1/2 int (y'^2 + z'^2): fast rotation stiffens links
     base: Base = field(default_factory=Base)
     payload: Payload | None = None
 
@@ -133,12 +136,12 @@ class Arm:
         parallel_drive.check(self.links)
         if not links:
             if self.payload is not None:
-                raise ValueError(f"Arm.payload ({self.payload!r}) needs a link that holds it.")
+                raise ValueError(f"Arm.payload ({self.payload!r}) needs a link to be fixed to.")
             return
         last = self.links[-1]
-        if not _moved(last, self.payload) > 0.0:
+        if not _joint_inertia(last, self.payload) > 0.0:
             raise ValueError(
-                "The last link has no inertia that its joint could move (the mass matrix would be "
+                "The last link has no inertia about its joint axis (the mass matrix would be "
                 f"singular), got Link.body = {last.body!r}; give mass off the axis or inertia."
             )
         polar = last.rho_Ip + last.tip_inertia[0][0]
@@ -151,7 +154,7 @@ class Arm:
 
     @property
     def n(self) -> int:
-        """Number of coordinates: base, joint angles, twists of joint springs, modal amplitudes."""
+        """Number of coordinates: base, joints, spring deflections and modal amplitudes."""
         return len(self.names)
 
     @property
@@ -161,40 +164,43 @@ class Arm:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """A free base's six, then link by link, inside out: "q1", "d1_1", "d1_2", ..., "q2", ...
+        """Coordinate names: six of a free base, then per link "q1", "d1_1", "d1_2", ..., "q2", ...
 
-        q is the rotor of an elastic joint; the twist of its spring follows it: "q1", "s1", "d1_1".
+        In an elastic joint q is the rotor; the spring deflection follows it: "q1", "s1", "d1_1".
         """
-        return BASE_NAMES[: self.base.n] + tuple(
-            name
-            for i, link in enumerate(self.links, 1)
-            for modes in [range(1, link.segments * len(link.modes) + 1)]
-            for twist in [() if not link.joint.elastic else (f"s{i}",)]
-            for name in (f"q{i}", *twist, *(f"d{i}_{j}" for j in modes))
-        )
+        names = list(BASE_NAMES[: self.base.n])
+        for i, link in enumerate(self.links, 1):
+            names.append(f"q{i}")
+            if link.joint.elastic:
+                names.append(f"s{i}")
+            names += [f"d{i}_{j}" for j in range(1, link.segments * len(link.modes) + 1)]
+        return tuple(names)
 
     @property
     def joint_index(self) -> tuple[int, ...]:
-        """(n_joint,) place of each joint angle among the coordinates."""
+        """(n_joint,) index of each joint coordinate."""
         return tuple(k for k, name in enumerate(self.names) if name.startswith("q"))
 
     @property
     def reach(self) -> float:
-        """Length of the stretched arm, joint offsets included [m]."""
+        """Length of the stretched arm with joint offsets [m]."""
         return sum(link.length + math.hypot(*link.joint.offset) for link in self.links)
 
     @property
     def carried(self) -> tuple[Payload | None, ...]:
-        """(n_joint,) what each link carries beyond its own tip mass: the last one the payload."""
+        """(n_joint,) payload per link: None except for the last link."""
         return (*len(self.links) * (None,), self.payload)[1:]
 
     def to_dict(self) -> dict[str, Any]:
-        """The arm as plain lists, numbers and text, defaults left out; `load_arm` reads it back."""
+        """Description as plain lists, numbers and text without defaults; `load_arm` reads it."""
         return _plain(self)
 
 
-def _moved(link: Link, payload: Payload | None) -> float:
-    """Inertia about the joint axis, or mass, that a last link's joint moves [kg m^2 or kg]."""
+def _joint_inertia(link: Link, payload: Payload | None) -> float:
+    """Positive if the last link's joint moves any inertia [kg m^2], or mass [kg] if prismatic.
+
+    Off-axis mass is not weighted by its squared distance, so only the sign is meaningful.
+    """
     tip_mass, tip_inertia = link.tip_mass, link.tip_inertia[2][2]
     if payload is not None:
         tip_mass, tip_inertia = tip_mass + payload.mass, tip_inertia + payload.inertia[2][2]
@@ -202,13 +208,13 @@ def _moved(link: Link, payload: Payload | None) -> float:
     body = link.body or Body(mass=0.0)
     if link.joint.type == "prismatic":
         return rotor + link.rho_A * link.length + body.mass + tip_mass
-    turned = link.rho_A * link.length + tip_mass  # at a distance, if the link has a length
+    off_axis = link.rho_A * link.length + tip_mass  # [kg] off the axis if the link has a length
     own = body.inertia[2][2] + body.mass * math.hypot(*body.com[:2]) + tip_inertia
-    return rotor + link.joint.hub_inertia + own + turned * link.length
+    return rotor + link.joint.hub_inertia + own + off_axis * link.length
 
 
 def _plain(value: Any) -> Any:
-    """A description as JSON would hold it."""
+    """Convert a description to JSON types."""
     if isinstance(value, tuple):
         return [_plain(entry) for entry in value]
     if not hasattr(value, "__dataclass_fields__"):
@@ -221,5 +227,5 @@ def _plain(value: Any) -> Any:
 
 
 def _default(entry: Any) -> object:
-    """Default of a dataclass field; MISSING equals no value."""
+    """Default of a dataclass field; MISSING, which equals no value, if there is none."""
     return entry.default if entry.default_factory is MISSING else entry.default_factory()

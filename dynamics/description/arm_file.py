@@ -1,4 +1,4 @@
-"""An arm from the plain data of an arm file; `Arm.to_dict` is the way back."""
+"""Build an arm from the plain data of an arm file; `Arm.to_dict` is the inverse."""
 
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
@@ -11,9 +11,9 @@ from dynamics.description.link import MOST_MODES, Body, Link
 from dynamics.description.mode_shapes import Mode
 from dynamics.description.rotations import from_euler
 
-TABLE = "denavit_hartenberg"  # instead of links: rows of a table, see that module
+TABLE = "denavit_hartenberg"  # key that replaces links by table rows, see that module
 ARM_KEYS = (*(entry.name for entry in fields(Arm)), "units", TABLE)
-CASE_KEYS = (  # what an arm file may hold besides the arm: a motion and what is known of it
+CASE_KEYS = (  # further keys of an arm file: a motion and its reference results
     "initial",
     "torque",
     "t_end",
@@ -26,7 +26,7 @@ CASE_KEYS = (  # what an arm file may hold besides the arm: a motion and what is
 
 
 def arm_from_dict(data: Mapping[str, Any]) -> Arm:
-    """An arm from plain lists, numbers and text; every unknown key is refused."""
+    """Build an arm from plain lists, numbers and text; unknown keys raise ValueError."""
     keys = validate.mapping(data, "the arm", (*ARM_KEYS, *CASE_KEYS))
     if keys.get("units", "SI") != "SI":
         raise ValueError(f'units must be "SI", got {validate.shown(keys["units"])}.')
@@ -61,7 +61,7 @@ def _link(data: object, where: str) -> Link:
 
 
 def _base(data: object) -> Base:
-    """A base; 3-2-1 Euler angles (theta about 3, phi about 2, psi about 1) may stand for it."""
+    """Build a base; `euler` (theta about 3, phi about 2, psi about 1) may replace quaternion."""
     names = [entry.name for entry in fields(Base)]
     values = validate.mapping(data, "base", [*names, "euler"])
     if "euler" in values:
@@ -74,7 +74,7 @@ def _base(data: object) -> Base:
 
 
 def _build(cls: Any, data: object, where: str) -> Any:
-    """A description from a mapping; errors say where in the file it stands."""
+    """Build a description from a mapping; errors start with its location in the file."""
     values = validate.mapping(data, where, [entry.name for entry in fields(cls)])
     for entry in fields(cls):
         required = entry.default is MISSING and entry.default_factory is MISSING

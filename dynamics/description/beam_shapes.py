@@ -1,8 +1,8 @@
-"""Functions of bending beams: exponentials and sines of one wave number, and powers.
+"""Shape functions of beams: exponentials and sines of one wave number, and powers.
 
 A beam shape is s = a e^(b (x/l - 1)) + d e^(-b x/l) + c cos(b x/l) + s sin(b x/l): growing and
-decaying exponentials that never exceed one, so that high modes do not cancel as they would in
-cosh - sigma sinh.
+decaying exponentials that never exceed one, which avoids the cancellation of cosh - sigma sinh in
+high modes.
 """
 
 import math
@@ -13,17 +13,17 @@ import numpy as np
 
 from dynamics.types import Array
 
-_BRACKETS = {  # (tip mass, tip inertia) -> root k lies between (k + these) pi
+_BRACKETS = {  # (tip mass, tip inertia) -> (low, high): root k is in (k + low) pi .. (k + high) pi
     (0.0, 0.0): (-1.0, 0.0),  # free
     (math.inf, 0.0): (0.0, 0.5),  # pinned
-    (0.0, math.inf): (-0.5, 0.0),  # slope held
+    (0.0, math.inf): (-0.5, 0.0),  # slope fixed
     (math.inf, math.inf): (0.0, 1.0),  # clamped
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class BeamShape:
-    """Exponentials and sines of one wave number."""
+    """s(x) from exponentials and sines of one wave number; see the module docstring."""
 
     length: float  # [m]
     beta: float  # [-] wave number times length
@@ -45,7 +45,7 @@ class BeamShape:
         return self._terms(x, 1.0, -self.cos, -self.sin) * (self.beta / self.length) ** 2
 
     def scaled(self, factor: float) -> "BeamShape":
-        """The same shape, larger."""
+        """Return factor times this shape."""
         return replace(
             self,
             grow=factor * self.grow,
@@ -86,7 +86,7 @@ class PowerShape:
         return self._term(x, self.power * (self.power - 1) / self.length**2, 2)
 
     def scaled(self, factor: float) -> "PowerShape":
-        """The same shape, larger."""
+        """Return factor times this shape."""
         return replace(self, factor=factor * self.factor)
 
     def _term(self, x: Array | float, coefficient: float, order: int) -> Array:
@@ -99,15 +99,16 @@ Shape = BeamShape | PowerShape
 
 
 def clamped_root(index: int, mass: float, inertia: float) -> float:
-    """Wave number beta l of a cantilever with a body at its tip.
+    """Wave number times length of mode `index` of a cantilever with a body at its tip.
 
-    Adding a mass lowers every root, but not below the root before it of the beam held there
-    (infinite mass); likewise for the rotary inertia. These bounds leave one root in each bracket.
+    A tip mass lowers every root, but not below the preceding root of the beam with a pinned tip
+    (infinite mass). The same holds for the rotary inertia and a fixed tip slope. These bounds
+    bracket exactly one root each.
 
     Parameters
     ----------
     mass : [-] tip mass over beam mass; infinite: tip pinned.
-    inertia : [-] tip inertia over (rho_A l^3); infinite: tip slope held.
+    inertia : [-] tip inertia over (rho_A l^3); infinite: tip slope fixed.
     """
     if (mass, inertia) in _BRACKETS:
         low, high = ((index + bound) * math.pi for bound in _BRACKETS[mass, inertia])
@@ -117,16 +118,16 @@ def clamped_root(index: int, mass: float, inertia: float) -> float:
     else:
         low = clamped_root(index - 1, mass, math.inf) if index > 1 else 0.0
         high = clamped_root(index, mass, 0.0)
-    if low == 0.0 and mass < math.inf:  # Dunkerley's bound from below
+    if low == 0.0 and mass < math.inf:  # Dunkerley's lower bound
         alone = mass / 3.0 + inertia if inertia < math.inf else mass / 12.0
         low = 0.99 * (1.0 / 1.85**4 + alone) ** -0.25
     return _bisect(lambda beta: _clamped_determinant(beta, mass, inertia), low, high)
 
 
 def clamped(beta: float, mass: float, inertia: float, length: float) -> BeamShape:
-    """s = s' = 0 at the root, s = cosh - cos - sigma (sinh - sin)."""
+    """Shape cosh - cos - sigma (sinh - sin), clamped at the root, with the tip body's sigma."""
     moment, force = _tip_conditions(beta, mass, inertia)
-    # Either condition fixes the ratio; the larger one does so without cancelling.
+    # Either condition gives the ratio grow : decay; the larger one has no cancellation.
     row = max((moment, force), key=lambda pair: abs(pair[0]) + abs(pair[1]))
     grow, decay = -row[1], row[0]
     end = math.exp(-beta)
@@ -140,7 +141,7 @@ def clamped(beta: float, mass: float, inertia: float, length: float) -> BeamShap
 def _tip_conditions(
     beta: float, mass: float, inertia: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Moment and force at the tip of the two functions that are clamped at the root.
+    """Residuals of the moment and force balance at the tip, for two functions clamped at the root.
 
     f = e^(b(xi - 1)) - e^-b (cos b xi + sin b xi),   g = e^(-b xi) - cos b xi + sin b xi;
     moment: s'' - inertia b^4 s' = 0, force: s''' + mass b^4 s = 0, derivatives in xi.
@@ -157,7 +158,7 @@ def _tip_conditions(
 
 
 def _shares(ratio: float) -> tuple[float, float]:
-    """(1, ratio), scaled to sum one; also for an infinite ratio."""
+    """(1, ratio) scaled to sum one; the ratio may be infinite."""
     return (0.0, 1.0) if ratio == math.inf else (1.0 / (1.0 + ratio), ratio / (1.0 + ratio))
 
 
@@ -167,7 +168,7 @@ def _clamped_determinant(beta: float, mass: float, inertia: float) -> float:
 
 
 def _bisect(function: Callable[[float], float], low: float, high: float) -> float:
-    """The one root in a bracket, to the last bit; an end that is a root to round-off counts."""
+    """Root in a bracket to the last bit; without a sign change, the end nearest to a root."""
     low, high = low * (1.0 - 1e-12), high * (1.0 + 1e-12)
     at_low, at_high = function(low), function(high)
     if (at_low > 0.0) == (at_high > 0.0):

@@ -1,4 +1,4 @@
-"""JSON and YAML files of strangers: read as data, within stated limits, never guessed at."""
+"""Read untrusted JSON and YAML files as plain data, within size limits."""
 
 import json
 import stat
@@ -10,15 +10,15 @@ import yaml
 from dynamics.description.validate import shown
 
 MOST_BYTES = {".json": 16_777_216, ".yaml": 1_048_576, ".yml": 1_048_576}
-MOST_NODES = 50_000  # values of a YAML file, each alias counted as all that it stands for
+MOST_NODES = 50_000  # values of a YAML file with aliases expanded
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
-    """The mapping in a JSON or YAML file; a key given twice is refused.
+    """Read the mapping in a JSON or YAML file.
 
     Raises
     ------
-    ValueError : one sentence on why the file cannot be read.
+    ValueError : if the file cannot be read or repeats a key; one sentence with the reason.
     """
     content = _text(path)
     try:
@@ -34,7 +34,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
         raise ValueError(f"is not valid YAML: {' '.join(str(error).split())}.") from None
     except RecursionError:
         raise ValueError("is nested too deeply.") from None
-    except (TypeError, OverflowError) as error:  # PyYAML's, of odd keys, dates and numbers
+    except (TypeError, OverflowError) as error:  # from PyYAML: odd keys, dates, numbers
         raise ValueError(f"holds a value that cannot be read: {error}.") from None
     if not isinstance(data, dict):
         raise ValueError(f"must hold a mapping at the top, got a {type(data).__name__}.")
@@ -46,13 +46,13 @@ def _text(path: Path) -> str:
         raise ValueError(f"must end in .json, .yaml or .yml, got {shown(path.suffix)}.")
     most = MOST_BYTES[path.suffix]
     try:
-        if not stat.S_ISREG(path.stat().st_mode):  # a pipe would be waited for
+        if not stat.S_ISREG(path.stat().st_mode):  # reading a pipe would block
             raise OSError("not a regular file")
         with open(path, "rb") as file:
             content = file.read(most + 1)
     except FileNotFoundError:
         raise ValueError(f"no such file: {path}.") from None
-    except (OSError, ValueError) as error:  # a ValueError of a path with a zero byte
+    except (OSError, ValueError) as error:  # ValueError: a path with a zero byte
         raise ValueError(f"cannot read {shown(str(path))}: {error}.") from None
     if len(content) > most:
         raise ValueError(f"must have at most {most} bytes, got more.")
@@ -63,7 +63,7 @@ def _text(path: Path) -> str:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object; a key given twice is refused."""
+    """Build a JSON object; raise ValueError for a repeated key."""
     result = dict(pairs)
     if len(result) < len(pairs):
         names = [name for name, _ in pairs]
@@ -73,25 +73,25 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML's safe loader, with limits, and without its silence about two equal keys."""
+    """YAML's safe loader with a limit on values; raises ValueError for a repeated key."""
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
-        self._sizes: dict[int, int] = {}  # by node, its values and those within it
+        self._sizes: dict[int, int] = {}  # node id -> number of values in the node, itself included
         self._count = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Count values; an alias counts as all that it stands for."""
+        """Count values; an alias adds the size of its node."""
         alias = self.check_event(yaml.AliasEvent)
         node: Any = super().compose_node(parent, index)
         if alias and id(node) not in self._sizes:
-            raise ValueError("must not hold an alias within what it stands for.")
+            raise ValueError("must not contain an alias inside the node it refers to.")
         if not alias:
             within = (self._sizes[id(child)] for child in _children(node))
             self._sizes[id(node)] = 1 + sum(within)
         self._count += self._sizes[id(node)] if alias else 1
         if self._count > MOST_NODES:
-            raise ValueError(f"must hold at most {MOST_NODES} values, aliases written out.")
+            raise ValueError(f"must hold at most {MOST_NODES} values with aliases expanded.")
         return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:

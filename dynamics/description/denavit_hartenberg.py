@@ -1,15 +1,16 @@
 """Rigid arms from a table of modified Denavit-Hartenberg parameters.
 
-The convention of Cyril's FLEXLINK, which is Craig's: frame i sits on link i with z along joint i,
+The convention is that of Cyril's FLEXLINK and of Craig: frame i is fixed to link i with z along
+joint i,
 
     R_i = Rot_x(alpha_{i-1}) Rot_z(theta_i)                                              (2.1)
     O_{i+1} = O_i + a_i x_i + d_{i+1} z_{i+1}                                            (2.2)
 
 so a row's a and alpha lead from its own joint to the next (alpha_0 = a_0 = 0), its d and theta
-belong to its own joint, and its frame stands behind d, at the joint. Centre of mass and inertia are
-those of the link in that frame. The rows are those of the classical convention too, in which the
-same chain of joints carries its link frames behind a and alpha instead: with a centre of mass
-given there, this table is another arm.
+belong to its own joint, and its frame is at the joint, behind d. Centre of mass and inertia of the
+link are given in that frame. The classical convention has the same rows for the same chain of
+joints, but places the link frames behind a and alpha: with centres of mass given in those frames,
+a table describes another arm.
 """
 
 import math
@@ -25,17 +26,17 @@ from dynamics.description.link import Body, Link
 from dynamics.description.validate import ZEROS
 from dynamics.types import Matrix3, Vector3
 
-_EXACT = 1e-15  # [-] a sine or cosine this close to 0 or 1 belongs to a multiple of 90 degrees
+_EXACT = 1e-15  # [-] sines and cosines below this are zero: the angle is a multiple of 90 degrees
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A joint and the link behind it."""
+    """Table row: a joint and the link behind it."""
 
     a: float = 0.0  # [m] along x to the next joint's axis
-    d: float = 0.0  # [m] along z to the frame; of a prismatic joint, at q = 0
+    d: float = 0.0  # [m] along z to the frame; for a prismatic joint, at q = 0
     alpha: float = 0.0  # [rad] about x, from this joint's axis to the next
-    theta: float = 0.0  # [rad] about z; of a revolute joint, at q = 0
+    theta: float = 0.0  # [rad] about z; for a revolute joint, at q = 0
     type: str = "revolute"  # | "prismatic"
     mass: float  # [kg]
     com: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of mass
@@ -48,7 +49,7 @@ class Row:
 
 
 def rows(data: object, where: str = "denavit_hartenberg") -> tuple[Row, ...]:
-    """A table from plain mappings, as an arm file holds it."""
+    """Build a table from the plain mappings of an arm file."""
     known = [entry.name for entry in fields(Row)]
     result = []
     for k, entry in enumerate(validate.sequence(data, where)):
@@ -63,7 +64,7 @@ def rows(data: object, where: str = "denavit_hartenberg") -> tuple[Row, ...]:
 
 
 def links(table: Sequence[Row]) -> tuple[Link, ...]:
-    """The links of a table; each link's length is its a, and its body what the row says."""
+    """Links of a table: a row's a is the link's length, its mass properties the link's body."""
     if table and table[-1].a < 0.0:
         raise ValueError(
             f"The last row's a must not be negative, got {table[-1].a!r}: it is the last link's "
@@ -73,14 +74,14 @@ def links(table: Sequence[Row]) -> tuple[Link, ...]:
 
 
 def arm(table: Sequence[Row], **values: Any) -> Arm:
-    """The arm of a table; further values (name, gravity, payload, ...) are those of `Arm`."""
+    """Build the arm of a table; `values` are further fields of `Arm` (name, gravity, ...)."""
     return Arm(links=links(table), **values)
 
 
 def _link(before: Row, row: Row) -> Link:
     ca, sa = _cos_sin(before.alpha)
     ct, st = _cos_sin(row.theta)
-    back = min(before.a, 0.0)  # a link's length is not negative: the joint's offset is
+    back = min(before.a, 0.0)  # a negative a becomes a joint offset: link lengths are not negative
     return Link(
         length=max(row.a, 0.0),
         body=Body(mass=row.mass, com=row.com, inertia=row.inertia),

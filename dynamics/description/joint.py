@@ -11,27 +11,28 @@ TYPES = ("revolute", "prismatic")
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """A joint turns about its local z, or slides along it.
+    """Joint that turns about its local z axis (revolute) or slides along it (prismatic).
 
-    Units are those of a revolute joint. Of a prismatic one q is a length [m] and the rotor inertia
-    a mass [kg]; the rest follows: [N s/m], [N], [m/s], [N/m].
+    Units are those of a revolute joint. For a prismatic joint q is a length [m], rotor_inertia a
+    mass [kg], and the other units are [N s/m], [N], [m/s], [N/m].
 
-    A parallel drive is a massless parallelogram along the link before: it grounds this joint's
-    drive on what the joint before stands on. q is then the angle from there, whatever the joint
-    before turns and the link before bends, and the torque reacts there; see parallel.py.
+    With `parallel`, a massless parallelogram along the link before grounds this joint's drive on
+    the base of the joint before. q is measured from that base, independent of the rotation of the
+    joint before and of the bending of the link before, and the torque reacts on that base; see
+    parallel_drive.py.
     """
 
-    rotation: Matrix3 = IDENTITY  # (3, 3) [-] end frame of the link before -> joint frame at q = 0
-    offset: Vector3 = (0.0, 0.0, 0.0)  # [m] from that end to the joint, in that end frame
-    rotor_inertia: float = 0.0  # [kg m^2] turns with the joint rate (relative)
-    hub_inertia: float = 0.0  # [kg m^2] about z, turns with the link's root (absolute)
+    rotation: Matrix3 = IDENTITY  # (3, 3) [-] joint frame at q = 0 to end frame of the link before
+    offset: Vector3 = (0.0, 0.0, 0.0)  # [m] from that link's tip to the joint, in its end frame
+    rotor_inertia: float = 0.0  # [kg m^2] acts on the joint rate, relative to the joint's base
+    hub_inertia: float = 0.0  # [kg m^2] about z; acts on the absolute rate of the link's root
     viscous: float = 0.0  # [N m s/rad] friction
-    coulomb: float = 0.0  # [N m] friction, times tanh(rate / coulomb_speed)
+    coulomb: float = 0.0  # [N m] friction torque, times tanh(rate / coulomb_speed)
     coulomb_speed: float = 0.05  # [rad/s]
     type: str = "revolute"  # | "prismatic"
     stiffness: float | None = None  # [N m/rad] of a spring between rotor and link; None: no spring
-    spring_damping: float = 0.0  # [N m s/rad] beside that spring
-    parallel: bool = False  # driven in parallel to the link before
+    spring_damping: float = 0.0  # [N m s/rad] damper parallel to that spring
+    parallel: bool = False  # driven through a parallelogram along the link before
 
     def __post_init__(self) -> None:
         positive, nonnegative = validate.positive, validate.nonnegative
@@ -62,10 +63,10 @@ class Joint:
         if self.stiffness is not None and self.rotor_inertia == 0.0:
             raise ValueError(
                 f"Joint.rotor_inertia must be positive with Joint.stiffness ({self.stiffness!r}), "
-                "got 0.0: the spring leaves the rotor to itself."
+                "got 0.0: the rotor is a separate body in front of the spring."
             )
 
     @property
     def elastic(self) -> bool:
-        """Whether a spring stands between rotor and link."""
+        """Whether there is a spring between rotor and link."""
         return self.stiffness is not None

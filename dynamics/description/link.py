@@ -1,4 +1,4 @@
-"""A link: beam, joint and tip body, with the shapes it may bend in."""
+"""Link description: beam, joint, tip body and mode shapes."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ MOST_MODES = 200
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """The mass of a rigid link of any form, in the frame of the link."""
+    """Mass properties of a rigid link of any form, in the frame of the link."""
 
     mass: float  # [kg]
     com: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of mass
@@ -31,9 +31,9 @@ class Body:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """A slender link behind a joint; flexible if it has modes, rigid if it has none.
+    """Slender link behind a joint; flexible with modes, rigid without.
 
-    A rigid link may have a `body` instead of a mass per unit length, or both, and with a body the
+    A rigid link may have a `body` in place of a mass per unit length, or both. With a body, the
     length may be zero.
     """
 
@@ -47,11 +47,11 @@ class Link:
     tip_mass: float = 0.0  # [kg] point mass at the tip
     tip_inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
     modes: tuple[Mode, ...] = ()
-    damping_ratio: float = 0.0  # [-] the same for every bending mode, of a segment's own
+    damping_ratio: float = 0.0  # [-] of every bending mode; of a segment's modes if segmented
     damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
-    segments: int = 1  # equal welded parts, each with all the modes: for large deflections
+    segments: int = 1  # equal parts welded together, each with all modes: for large deflections
     joint: Joint = field(default_factory=Joint)
-    body: Body | None = None  # of a rigid link
+    body: Body | None = None  # only for a rigid link
 
     def __post_init__(self) -> None:
         at_least = validate.positive if self.body is None else validate.nonnegative
@@ -89,8 +89,8 @@ class Link:
     def _check_body(self) -> None:
         if self.joint.type == "prismatic" and any(m.kind == "pinned-free" for m in self.modes):
             raise ValueError(
-                "Link.modes must not hold pinned-free with a prismatic joint: it would not turn "
-                "their root."
+                "Link.modes must not be pinned-free with a prismatic joint: it cannot "
+                "rotate their root."
             )
         if self.body is None:
             return
@@ -131,7 +131,7 @@ class Link:
                 'got 0.0 for both; use "tip-unit".'
             )
         for mode in self.modes:
-            shape(mode, self.beam)  # refuses what it cannot shape
+            shape(mode, self.beam)  # raises ValueError if the shape cannot be computed
         for direction in STIFFNESS:
             modes = self.in_direction(direction)
             if not are_independent(modes, self.beam):
@@ -143,7 +143,7 @@ class Link:
 
     @property
     def beam(self) -> Beam:
-        """The beam that the shapes of the modes belong to."""
+        """Beam and tip body that determine the mode shapes."""
         return Beam(
             length=self.length,
             rho_A=self.rho_A,
@@ -153,5 +153,5 @@ class Link:
         )
 
     def in_direction(self, direction: str) -> tuple[Mode, ...]:
-        """The link's modes along "x" (torsion), "y" or "z" (bending), or "axial"."""
+        """Modes along "x" (torsion), "y" or "z" (bending), or "axial"."""
         return tuple(mode for mode in self.modes if mode.direction == direction)

@@ -1,18 +1,19 @@
-"""Mode shapes s(x) of one uniform link, 0 <= x <= l.
+"""Mode shapes s(x) of a uniform link, 0 <= x <= l.
 
-| kind               | conditions                          | raw                             |
-|--------------------|-------------------------------------|---------------------------------|
-| clamped-free       | s = s' = 0 at the root; tip free    | cosh - cos - sigma (sinh - sin) |
-| clamped-tip-mass   | the link's own tip body at its tip  | the same                        |
-| pinned-free        | s = s'' = 0 at the root; tip free   | sin + (sin b / sinh b) sinh     |
-| poly               | none; enough for a clamped root     | (x/l)^(index + 1)               |
-| torsion-fixed-free | twist 0 at the root; tip free       | sin                             |
-| torsion-poly       | none; twist 0 at the root           | (x/l)^index                     |
-| axial-fixed-free   | held at the root; tip free          | sin                             |
-| axial-poly         | none; held at the root              | (x/l)^index                     |
+| kind               | root         | tip                 | raw shape                       |
+|--------------------|--------------|---------------------|---------------------------------|
+| clamped-free       | s = s' = 0   | free                | cosh - cos - sigma (sinh - sin) |
+| clamped-tip-mass   | s = s' = 0   | the link's tip body | cosh - cos - sigma (sinh - sin) |
+| pinned-free        | s = s'' = 0  | free                | sin + (sin b / sinh b) sinh     |
+| poly               | s = s' = 0   | no condition        | (x/l)^(index + 1)               |
+| torsion-fixed-free | s = 0        | free                | sin                             |
+| torsion-poly       | s = 0        | no condition        | (x/l)^index                     |
+| axial-fixed-free   | s = 0        | free                | sin                             |
+| axial-poly         | s = 0        | no condition        | (x/l)^index                     |
 
-Raw arguments are b x/l. Of pinned-free only the elastic modes count: the joint turns the rigid one.
-The tip body of clamped-tip-mass is the link's tip mass and its tip inertia about the bending axis.
+Arguments of the raw functions are b x/l, with the wave number b/l. The index of pinned-free starts
+at the first elastic mode: the rigid rotation is the joint's. The tip body of clamped-tip-mass is
+the link's tip mass and its tip inertia about the bending axis.
 """
 
 import math
@@ -36,17 +37,17 @@ KINDS: dict[str, tuple[str, ...]] = {  # kind -> directions it may act in
     "axial-fixed-free": ("axial",),
     "axial-poly": ("axial",),
 }
-# direction of a mode -> what resists it
+# direction of a mode -> rigidity of the link that resists it
 STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy", "axial": "EA"}
 NORMS = ("tip-unit", "mass", "raw")
 MAX_INDEX = 50
-_HEAVIEST = 1e4  # [-] tip body over beam for which the shapes keep 11 digits
-_DEPENDENT = 1e-12  # [-] smallest eigenvalue of the shapes' correlation matrix
+_HEAVIEST = 1e4  # [-] ratio of tip body to beam up to which the shapes keep 11 digits
+_DEPENDENT = 1e-12  # [-] least eigenvalue of the correlation matrix of independent shapes
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """One assumed shape s(x) of a link; see the table above for the kinds."""
+    """Assumed mode shape s(x) of a link; the module docstring lists the kinds."""
 
     kind: str
     index: int  # 1, 2, ... within its kind
@@ -68,7 +69,7 @@ class Mode:
 
 @dataclass(frozen=True, kw_only=True)
 class Beam:
-    """A uniform beam and the body at its tip: all of a link that its shapes depend on."""
+    """Uniform beam with a body at its tip: the properties of a link that determine its shapes."""
 
     length: float  # [m]
     rho_A: float  # [kg/m]
@@ -79,7 +80,7 @@ class Beam:
 
 @lru_cache(maxsize=1024)
 def shape(mode: Mode, beam: Beam) -> Shape:
-    """A mode's shape on a beam, normalised as the mode says."""
+    """Shape of a mode on a beam, normalised according to `mode.norm`."""
     raw = _raw(mode, beam)
     if mode.norm == "raw":
         return raw
@@ -89,13 +90,13 @@ def shape(mode: Mode, beam: Beam) -> Shape:
 
 
 def quadrature(length: float, modes: Sequence[Mode]) -> tuple[Array, Array]:
-    """Gauss-Legendre points and weights, round-off exact for products of two of these shapes."""
+    """Gauss-Legendre points [m] and weights, exact to round-off for products of two shapes."""
     nodes, weights = _gauss_legendre(60 + 8 * max((mode.index for mode in modes), default=0))
     return 0.5 * length * (nodes + 1.0), 0.5 * length * weights
 
 
 def are_independent(modes: Sequence[Mode], beam: Beam) -> bool:
-    """Whether no shape is a combination of the others (to 1e-6 of its root mean square)."""
+    """Whether the shapes are linearly independent (to 1e-6 of their root mean squares)."""
     if len(modes) < 2:
         return True
     x, weights = quadrature(beam.length, modes)
@@ -114,31 +115,31 @@ def _raw(mode: Mode, beam: Beam) -> Shape:
     if mode.kind in ("torsion-fixed-free", "axial-fixed-free"):
         return BeamShape(length=length, beta=(index - 0.5) * math.pi, sin=1.0)
     if mode.kind == "pinned-free":
-        beta = clamped_root(index, math.inf, 0.0)  # tan = tanh, as for clamped-pinned
+        beta = clamped_root(index, math.inf, 0.0)  # root of tan b = tanh b, as for clamped-pinned
         ratio = math.sin(beta) / -math.expm1(-2.0 * beta)  # sin b / (2 sinh b e^-b)
         return BeamShape(
             length=length, beta=beta, grow=ratio, decay=-ratio * math.exp(-beta), sin=1.0
         )
-    bare = mode.kind == "clamped-free"
-    mass, inertia = (0.0, 0.0) if bare else _tip_ratios(mode, beam)
+    free = mode.kind == "clamped-free"
+    mass, inertia = (0.0, 0.0) if free else _tip_ratios(mode, beam)
     return clamped(clamped_root(index, mass, inertia), mass, inertia, length)
 
 
 def _tip_ratios(mode: Mode, beam: Beam) -> tuple[float, float]:
-    """Tip mass and tip inertia over those of the beam [-]."""
+    """Tip mass over rho_A l and tip inertia over rho_A l^3 [-]."""
     axis = {"y": 2, "z": 1}[mode.direction]
     mass = beam.rho_A * beam.length
     ratios = (beam.tip_mass / mass, beam.tip_inertia[axis][axis] / (mass * beam.length**2))
     if max(ratios) > _HEAVIEST:
         raise ValueError(
             f"Link.tip_mass or Link.tip_inertia is {max(ratios):.3g} times that of the link; above "
-            f"{_HEAVIEST:g} clamped-tip-mass shapes lose their digits, use another kind."
+            f"{_HEAVIEST:g} clamped-tip-mass shapes lose precision; use another kind."
         )
     return ratios
 
 
 def _modal_mass(raw: Shape, mode: Mode, beam: Beam) -> float:
-    """What norm "mass" makes one: the inertia the shape was made with.
+    """Modal mass that norm "mass" sets to one, with the tip body that the shape depends on.
 
     Bending, axial: int rho_A s^2; for clamped-tip-mass with tip_mass s(l)^2 + tip inertia s'(l)^2;
     torsion: int rho_Ip s^2 + tip_inertia_xx s(l)^2.

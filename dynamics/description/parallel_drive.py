@@ -1,12 +1,14 @@
-"""Parallel drives: a joint whose motor stands at the base of the joint before it.
+"""Parallel drive: joint i is driven through a massless parallelogram along link i-1.
 
-A massless parallelogram along link i-1 carries the drive of joint i, as on RALF of Yuan, Book and
-Huggins (1993): link 2's transform does not know link 1's rotation. Only the position of link i then
-follows the tip of link i-1. Its angle q_i is that from what joint i-1 stands on, and there its
-torque and every couple it passes on react. In the recursion link i-1 is `bypassed`: the next frame
-stands on its joint's base (kinematics.outward), its own coordinates feel the next link's force but
-no couple (gibbs_appell.felt, block_of), and its joint is no free axis for what lies beyond
-(elimination._reduced).
+The parallelogram grounds the drive on the base of joint i-1, as on RALF of Yuan, Book and Huggins
+(1993), where link 2's transform does not depend on link 1's rotation. The tip of link i-1 carries
+link i in position only. The angle q_i is measured from the base of joint i-1, where the torque and
+every moment of link i react. In the recursion link i-1 is `bypassed`:
+
+- the next joint's base keeps the orientation of joint i-1's base (kinematics.outward),
+- the next link exerts a force but no moment on its coordinates (gibbs_appell.wrench_on_link,
+  block_of),
+- its joint is not a free axis for the links beyond (articulated_body._articulated_inertia).
 """
 
 from collections.abc import Iterator
@@ -15,7 +17,7 @@ from dynamics.description.link import Link
 
 
 def check(links: tuple[Link, ...]) -> None:
-    """Refuse a parallel drive where a planar parallelogram along one link cannot be."""
+    """Raise ValueError if a parallel drive has no planar parallelogram along the link before."""
     for i, link in enumerate(links, 1):
         if link.joint.parallel:
             for found, remedy in _faults(links[i - 2] if i > 1 else None, link):
@@ -25,7 +27,7 @@ def check(links: tuple[Link, ...]) -> None:
 
 
 def _faults(before: Link | None, link: Link) -> Iterator[tuple[str, str]]:
-    """What stands against it: what was found, and what to give instead."""
+    """Yield (finding, remedy) for each reason why `link` cannot have a parallel drive."""
     if before is None:
         yield "the first joint", "the joint behind another"
         return

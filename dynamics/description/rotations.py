@@ -1,8 +1,8 @@
 """Attitudes: unit quaternions [w, x, y, z], rotation vectors, 3-2-1 Euler angles.
 
-Plain arithmetic, so that `rotation_matrix` and `product` also run on symbols and, with
-`from_rotation_vector` and `to_rotation_vector`, in numba's loops. A rotation vector is the axis
-times the angle; every quaternion has one no longer than pi.
+`rotation_matrix` and `product` accept floats and symbols. They, `from_rotation_vector` and
+`to_rotation_vector` use plain arithmetic that numba compiles. A rotation vector is the rotation
+axis times the angle; every attitude has one no longer than pi.
 """
 
 import math
@@ -11,11 +11,11 @@ from typing import Any
 Numbers = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-_TINY = 1e-4  # [rad] up to which a series of two terms is exact
+_TINY = 1e-4  # [rad] limit below which a two-term series is exact to round-off
 
 
 def rotation_matrix(quaternion: Any) -> Any:
-    """(3, 3) from the turned frame to the unturned one, of a unit quaternion of any scalar."""
+    """(3, 3) rotation matrix of a unit quaternion, from the rotated to the reference frame."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
@@ -25,7 +25,7 @@ def rotation_matrix(quaternion: Any) -> Any:
 
 
 def product(p: Any, q: Any) -> Any:
-    """p q of two quaternions: first the turn q inside the frame that p has turned."""
+    """Quaternion product p q: the rotation p followed by q about the rotated axes."""
     return (
         p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
         p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
@@ -35,7 +35,7 @@ def product(p: Any, q: Any) -> Any:
 
 
 def from_rotation_vector(vector: Any) -> Quaternion:
-    """Quaternion of a rotation vector [rad] of any length."""
+    """Unit quaternion of a rotation vector [rad] of any length."""
     x, y, z = vector[0], vector[1], vector[2]
     half = 0.5 * math.sqrt(x * x + y * y + z * z)
     scale = 0.5 - half * half / 12.0 if half < _TINY else 0.5 * math.sin(half) / half
@@ -53,7 +53,7 @@ def to_rotation_vector(quaternion: Any) -> Numbers:
 
 
 def from_euler(angles: Any) -> Quaternion:
-    """Quaternion of 3-2-1 Euler angles [rad]: theta about axis 3, then phi about 2, psi about 1."""
+    """Quaternion of 3-2-1 Euler angles (theta, phi, psi) [rad] about axes 3, 2 and 1 in turn."""
     theta, phi, psi = angles
     turns = ((0.0, 0.0, theta), (0.0, phi, 0.0), (psi, 0.0, 0.0))
     first, second, third = (from_rotation_vector(turn) for turn in turns)
@@ -62,9 +62,9 @@ def from_euler(angles: Any) -> Quaternion:
 
 
 def to_euler(quaternion: Any) -> Numbers:
-    """(theta, phi, psi) [rad] of a unit quaternion, phi within a quarter turn.
+    """3-2-1 Euler angles (theta, phi, psi) [rad] of a unit quaternion, |phi| <= pi/2.
 
-    Where phi is a quarter turn, theta and psi turn about one axis and psi is set to zero.
+    At |phi| = pi/2 theta and psi rotate about the same axis, and psi is set to zero.
     """
     R = rotation_matrix(quaternion)
     level = math.hypot(R[0][0], R[1][0])  # cosine of phi

@@ -1,4 +1,4 @@
-"""Checks of single values at the boundary: each returns the clean value or raises one sentence."""
+"""Input checks: each returns the converted value or raises ValueError with one sentence."""
 
 import difflib
 import math
@@ -18,18 +18,18 @@ T = TypeVar("T")
 ZEROS: Matrix3 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 IDENTITY: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
-_REPR = reprlib.Repr()  # visits few entries of what is large or nested
+_REPR = reprlib.Repr()  # shortens large and nested values
 _REPR.maxlist = _REPR.maxtuple = _REPR.maxdict = 12
 _REPR.maxstring = _REPR.maxother = _REPR.maxlong = 80
-_LARGEST = 1e30  # in any SI unit; beyond it, and for a length below its inverse, floats overflow
+_LARGEST = 1e30  # in any SI unit; above it, or for a length below 1 / _LARGEST, floats overflow
 _ORTHONORMAL = 1e-9  # [-] largest entry of R'R - 1 of a mounting rotation
-_ROUND_OFF = 1e-15  # [-] of a length that is one
+_ROUND_OFF = 1e-15  # [-] error of a quaternion's length that is left as it is
 _UNIT = 1e-6  # [-] largest error of a quaternion's length
 _SYMMETRIC = 1e-9  # [-] largest asymmetry of an inertia, relative to its largest entry
 
 
 def number(value: object, name: str, unit: str = "") -> float:
-    """A finite float; booleans and text are not numbers."""
+    """Return a finite float; refuse booleans and text."""
     what = f"{name}{f' [{unit}]' if unit else ''}"
     if isinstance(value, str):
         remedy = "remove the quotes; YAML reads 3e-4 as text, write 3.0e-4"
@@ -48,7 +48,7 @@ def number(value: object, name: str, unit: str = "") -> float:
 
 
 def positive(value: object, name: str, unit: str) -> float:
-    """A finite float above zero."""
+    """Return a finite float above zero."""
     result = number(value, name, unit)
     if not result > 0.0:
         raise ValueError(f"{name} must be positive, got {result!r}. Unit: [{unit}].")
@@ -58,7 +58,7 @@ def positive(value: object, name: str, unit: str) -> float:
 
 
 def nonnegative(value: object, name: str, unit: str) -> float:
-    """A finite float, zero or above."""
+    """Return a finite float, zero or above."""
     result = number(value, name, unit)
     if not result >= 0.0:
         raise ValueError(f"{name} must not be negative, got {result!r}. Unit: [{unit}].")
@@ -66,7 +66,7 @@ def nonnegative(value: object, name: str, unit: str) -> float:
 
 
 def integer(value: object, name: str, least: int, most: int) -> int:
-    """An int between two bounds, both allowed; 2.0 is not an int."""
+    """Return an int in least..most; refuse floats such as 2.0."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise ValueError(f"{name} must be an int, got {shown(value)}.")
     result = int(value)
@@ -76,7 +76,7 @@ def integer(value: object, name: str, least: int, most: int) -> int:
 
 
 def choice(value: object, name: str, known: Collection[str]) -> str:
-    """One of a few words."""
+    """Return a string if it is one of `known`; the message names the field."""
     if not isinstance(value, str) or value not in known:
         raise ValueError(f"{name} must be one of {sorted(known)}, got {shown(value)}.")
     return value
@@ -89,35 +89,35 @@ def clean(described: object, **values: object) -> None:
 
 
 def instance(value: object, name: str, kind: type[T]) -> T:
-    """An object of a class."""
+    """Return an instance of the class `kind`."""
     if not isinstance(value, kind):
         raise ValueError(f"{name} must be a {kind.__name__}, got {shown(value)}.")
     return value
 
 
 def known(value: object, noun: str, names: Collection[str]) -> str:
-    """One of the names in a table."""
+    """Return a name if it is in a table; the message names the kind of entry."""
     if not isinstance(value, str) or value not in names:
         raise ValueError(f"Unknown {noun} {shown(value)}. Known: {sorted(names)}.")
     return value
 
 
 def boolean(value: object, name: str) -> bool:
-    """True or false, and not a number that stands for it."""
+    """Return a bool; refuse 0 and 1."""
     if not isinstance(value, bool):
         raise ValueError(f"{name} must be true or false, got {shown(value)}.")
     return value
 
 
 def text(value: object, name: str) -> str:
-    """A string."""
+    """Return a string."""
     if not isinstance(value, str):
         raise ValueError(f"{name} must be text, got {shown(value)}.")
     return value
 
 
 def numbers(value: object, name: str, size: int | None = None, unit: str = "") -> tuple[float, ...]:
-    """(size,) finite floats from a list, tuple or array."""
+    """Return (size,) finite floats from a list, tuple or array."""
     entries = sequence(value, name)
     if size is not None and len(entries) != size:
         raise ValueError(f"{name} must have {size} numbers, got {len(entries)}: {shown(value)}.")
@@ -127,7 +127,7 @@ def numbers(value: object, name: str, size: int | None = None, unit: str = "") -
 def array(
     value: object, name: str, shape: tuple[int | None, ...], most: float = sys.float_info.max
 ) -> np.ndarray:
-    """A float64 array of finite numbers, a copy; None in the shape stands for any length."""
+    """Return a copy as a float64 array of finite numbers; None in `shape` allows any length."""
     try:
         given = np.asarray(value)
         result = np.array(given, dtype=np.float64) if given.dtype.kind in "iufO" else None
@@ -146,18 +146,18 @@ def array(
 
 
 def finite(values: np.ndarray, name: str) -> np.ndarray:
-    """Answers about a state, all finite."""
+    """Return results at a state if all are finite."""
     if not np.isfinite(values).all():
         raise ValueError(
-            f"{name} at this state must be finite: its deflections or rates are beyond what the "
-            "model can mean."
+            f"{name} at this state must be finite: its deflections or rates are far beyond the "
+            "range of the model."
         )
     return values
 
 
 @contextmanager
 def double_precision(what: str) -> Iterator[None]:
-    """Refuse an arm whose computation overflows, divides by zero or meets a singular matrix."""
+    """Raise ValueError if the block overflows, divides by zero or meets a singular matrix."""
     try:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
             yield
@@ -169,13 +169,13 @@ def double_precision(what: str) -> Iterator[None]:
 
 
 def vector(value: object, name: str, unit: str) -> Vector3:
-    """(3,) finite floats."""
+    """Return (3,) finite floats."""
     x, y, z = numbers(value, name, 3, unit)
     return (x, y, z)
 
 
 def matrix(value: object, name: str, unit: str) -> Matrix3:
-    """(3, 3) finite floats, row by row."""
+    """Return (3, 3) finite floats, row by row."""
     rows = sequence(value, name)
     if len(rows) != 3:
         raise ValueError(f"{name} must have 3 rows of 3 numbers, got {len(rows)} rows.")
@@ -184,7 +184,7 @@ def matrix(value: object, name: str, unit: str) -> Matrix3:
 
 
 def inertia(value: object, name: str) -> Matrix3:
-    """A symmetric, positive semidefinite inertia matrix (3, 3) [kg m^2]; zero is allowed."""
+    """Return a symmetric, positive semidefinite inertia (3, 3) [kg m^2]; zero is allowed."""
     result = matrix(value, name, "kg m^2")
     entries = np.array(result)
     largest = float(np.abs(entries).max())
@@ -199,7 +199,7 @@ def inertia(value: object, name: str) -> Matrix3:
 
 
 def solid(value: Matrix3, name: str) -> None:
-    """Refuse an inertia (3, 3) that no body with extent has."""
+    """Raise ValueError unless the inertia (3, 3) is that of a body with volume."""
     least, middle, most = (float(x) for x in np.linalg.eigvalsh(np.array(value)))
     if not least > _SYMMETRIC * most or most > (1.0 + _SYMMETRIC) * (least + middle):
         raise ValueError(
@@ -209,7 +209,7 @@ def solid(value: Matrix3, name: str) -> None:
 
 
 def quaternion(value: object, name: str) -> tuple[float, float, float, float]:
-    """A unit quaternion [w, x, y, z]; rounding is taken back."""
+    """Return a unit quaternion [w, x, y, z], normalised; refuse other lengths."""
     w, x, y, z = numbers(value, name, 4)
     size = math.hypot(w, x, y, z)
     if abs(size - 1.0) > _UNIT:
@@ -217,13 +217,13 @@ def quaternion(value: object, name: str) -> tuple[float, float, float, float]:
             f"{name} must have length 1 [w, x, y, z], got length {size:.6g} in {shown(value)}; "
             "divide by it."
         )
-    if abs(size - 1.0) < _ROUND_OFF:  # normalised before: leave it
+    if abs(size - 1.0) < _ROUND_OFF:  # already normalised
         return (w, x, y, z)
     return (w / size, x / size, y / size, z / size)
 
 
 def rotation(value: object, name: str) -> Matrix3:
-    """A proper rotation matrix (3, 3): orthonormal, determinant +1."""
+    """Return a proper rotation matrix (3, 3): orthonormal, determinant +1."""
     result = matrix(value, name, "-")
     entries = np.array(result)
     determinant = float(np.linalg.det(entries))
@@ -236,7 +236,7 @@ def rotation(value: object, name: str) -> Matrix3:
 
 
 def sequence(value: object, name: str, most: int | None = None) -> list[object]:
-    """The entries of a list, tuple or array, `most` of them at most."""
+    """Return the entries of a list, tuple or array, at most `most`."""
     if not isinstance(value, list | tuple | np.ndarray) or getattr(value, "ndim", 1) == 0:
         raise ValueError(f"{name} must be a list, got {shown(value)}.")
     if most is not None and len(value) > most:
@@ -245,7 +245,7 @@ def sequence(value: object, name: str, most: int | None = None) -> list[object]:
 
 
 def mapping(value: object, name: str, known: Collection[str]) -> dict[str, object]:
-    """A mapping whose keys are all known."""
+    """Return a mapping as a dict; refuse unknown keys."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a mapping of keys to values, got {shown(value)}.")
     for key in value:
@@ -256,10 +256,10 @@ def mapping(value: object, name: str, known: Collection[str]) -> dict[str, objec
 
 
 def shown(value: object) -> str:
-    """A value as it looks in an error sentence: one line, not too long."""
+    """Format a value for an error message: one line of at most 80 characters."""
     plain = value.tolist() if isinstance(value, np.ndarray) and value.size < 20 else value
     try:
         text = " ".join(_REPR.repr(plain).split())
-    except Exception:  # of an object that cannot be shown
+    except Exception:  # an object whose repr fails
         text = f"a {type(value).__name__}"
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -1,1 +1,1 @@
-"""Equations of motion of chains of flexible links."""
+"""Equations of motion of chains of flexible links, in three formulations."""

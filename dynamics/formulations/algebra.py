@@ -1,7 +1,7 @@
-"""Three-vectors and 3x3 matrices as tuples of any scalar: floats, or CasADi symbols.
+"""Algebra of 3-vectors and 3x3 matrices as tuples of any scalar type: floats or CasADi symbols.
 
-A Python `0.0` is a structural zero: it is never multiplied or added, so whatever an arm lacks
-disappears while its recursion is traced. Nothing here knows which kind of scalar it works on.
+A Python `0.0` is a structural zero: it is never multiplied or added, so terms that an arm lacks
+disappear while its recursion is traced.
 """
 
 import math
@@ -160,7 +160,7 @@ def skew(a: Vector) -> Matrix:
 
 
 def congruence(R: Matrix, A: Matrix, rotation: bool = True) -> Matrix:
-    """R A R' of a symmetric A; with a true rotation R a multiple of unity does not turn."""
+    """R A R' of a symmetric A; for a true rotation R, a constant multiple of unity is A itself."""
     constant = all(isinstance(x, float) for row in A for x in row)
     if rotation and constant and mscale(A[0][0], EYE) == A:
         return A

@@ -1,7 +1,7 @@
-"""Accelerations in O(n): each link's modes and joint are eliminated on the way inward.
+"""Accelerations in O(n) by an articulated-body algorithm for flexible links, over any scalar type.
 
-The same blocks as the mass matrix of gibbs_appell.py, solved link by link, as articulated-body
-algorithms do with rigid links; over any scalar type.
+Blocks of the mass matrix come from gibbs_appell.py; each link's modes and joint are eliminated
+from tip to base.
 """
 
 from collections.abc import Sequence
@@ -25,13 +25,13 @@ from dynamics.formulations.algebra import (
     tmatvec,
 )
 from dynamics.formulations.gibbs_appell import (
-    NOTHING,
+    NO_INERTIA,
     Block,
     Inertia,
     Wrench,
     block_of,
-    joint_first,
-    load_of,
+    in_coordinate_order,
+    joint_load,
 )
 from dynamics.formulations.kinematics import Chain, Frame, outward
 from dynamics.formulations.link_constants import LinkConstants
@@ -40,7 +40,7 @@ from dynamics.formulations.link_constants import LinkConstants
 class Implicit(NamedTuple):
     """Linear forces taken implicitly: (M + W) a = B tau - h + W guess, W = stiffness K + damping C.
 
-    `guess` are the accelerations with which q and v were extrapolated (integrators.py).
+    `guess` holds the accelerations with which the integrator extrapolated q and v.
     """
 
     stiffness: Scalar = 0.0  # [s^2]
@@ -55,30 +55,30 @@ def accelerations(
     tau: Sequence[Scalar],
     implicit: Implicit | None = None,
 ) -> list[Scalar]:
-    """(n,) accelerations in O(n): each link's modes and joint are eliminated on the way inward."""
+    """(n,) accelerations; one pass inward eliminates, one pass outward substitutes."""
     frames = outward(chain, q, v)
     rates = chain.split(v)
     guesses = chain.split(implicit.guess) if implicit else [(0.0, ())] * len(frames)
     torques = iter(reversed(list(tau)))
     solved = []
-    outer, load = NOTHING, Wrench(ZERO, ZERO)
+    outer, load = NO_INERTIA, Wrench(ZERO, ZERO)
     for i in reversed(range(len(frames))):
         f = frames[i]
-        wrench, forces = load_of(f, rates[i][0], load)
+        wrench, forces = joint_load(f, rates[i][0], load)
         block = block_of(f, outer)
         torque = next(torques) if f.link.driven else 0.0
         drive = [*(mul(s, torque) for s in f.link.root_slope), torque]
         residual = [minus(t, h) for t, h in zip(drive, forces, strict=False)]
         if implicit:
-            take_implicitly(f.link, block.D, residual, implicit, guesses[i])
+            add_implicit(f.link, block.D, residual, implicit, guesses[i])
         pivots = _eliminate(block, residual)
         solved.append((block, residual, pivots))
         if i:
-            held = f.link.rotor_inertia  # what resists the joint but does not load the link before
+            own = f.link.rotor_inertia  # on the joint coordinate alone, not on the link before
             if implicit:
-                held = plus(held, mul(implicit.damping, f.link.viscous))
-                held = plus(held, mul(implicit.stiffness, f.link.spring))
-            inertia = _reduced(f.link, block, pivots, held)
+                own = plus(own, mul(implicit.damping, f.link.viscous))
+                own = plus(own, mul(implicit.stiffness, f.link.spring))
+            inertia = _articulated_inertia(f.link, block, pivots, own)
             outer = inertia.turned(f.R).moved(f.offset)
             push = [mul(e, p) for e, p in zip(residual, pivots, strict=True)]
             load = Wrench(
@@ -88,22 +88,22 @@ def accelerations(
     return _outward_solution(frames, solved[::-1])
 
 
-def take_implicitly(
+def add_implicit(
     link: LinkConstants,
     D: list[list[Scalar]],
     residual: list[Scalar],
     implicit: Implicit,
     guess: tuple[Scalar, Sequence[Scalar]],
 ) -> None:
-    """Add stiffness K + damping C to one link's block, and what of them the guess has taken."""
+    """Add one link's W = stiffness K + damping C to D, and W guess to the residual."""
     m = len(link.K)
     slopes = [*link.root_slope, 1.0]
     values = [*guess[1], guess[0]][: len(D)]
     for j in range(len(D)):
         row: list[Scalar] = []
         for k in range(len(D)):
-            both = slopes[j] * slopes[k]
-            C, K = mul(link.viscous, both), mul(link.spring, both)
+            slope_product = slopes[j] * slopes[k]
+            C, K = mul(link.viscous, slope_product), mul(link.spring, slope_product)
             if j < m and k < m:
                 C, K = plus(C, link.damping[j][k]), plus(K, link.K[j][k])
             row.append(plus(mul(implicit.damping, C), mul(implicit.stiffness, K)))
@@ -112,7 +112,10 @@ def take_implicitly(
 
 
 def _eliminate(block: Block, residual: list[Scalar]) -> list[Scalar]:
-    """LDL' of one link's coordinates, modes first: inverse pivots; columns and D are reduced."""
+    """Factor one link's D as L D L', modes first; reduce columns and residual along with it.
+
+    Works in place. Returns the inverse pivots.
+    """
     D, columns = block.D, block.columns
     pivots = []
     for c in range(len(columns)):
@@ -133,8 +136,10 @@ def _eliminate(block: Block, residual: list[Scalar]) -> list[Scalar]:
     return pivots
 
 
-def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar], held: Scalar) -> Inertia:
-    """Articulated inertia: what is left at the joint once the link's coordinates move freely."""
+def _articulated_inertia(
+    link: LinkConstants, block: Block, pivots: list[Scalar], own: Scalar
+) -> Inertia:
+    """Articulated inertia at the joint; `own` is the joint coordinate's own inertia."""
     A, B, D = block.inertia
     for column, pivot in zip(block.columns, pivots, strict=True):
         F, N = column
@@ -142,11 +147,11 @@ def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar], held: Scal
         A = symmetric(lambda i, j, A=A, pF=pF, F=F: minus(A[i][j], mul(pF[i], F[j])))
         B = msub(B, tuple(tuple(mul(pN[i], F[j]) for j in range(3)) for i in range(3)))
         D = symmetric(lambda i, j, D=D, pN=pN, N=N: minus(D[i][j], mul(pN[i], N[j])))
-    loose = any(link.root_slope) and not is_zero(held)
-    if link.welded or link.bypassed or loose:
+    root_turns = any(link.root_slope) and not is_zero(own)
+    if link.welded or link.bypassed or root_turns:
         return Inertia(A, B, D)
-    # along the free axis only what holds the joint resists: exactly zero without it
-    keep = mul(held, pivots[-1])
+    # along a free joint axis only `own` is left: set that row, so that it is exactly zero without
+    keep = mul(own, pivots[-1])
     z = Wrench(*(scale(keep, u) for u in block.columns[-1]))
     if link.prismatic:
         A = symmetric(lambda i, j, A=A: z.force[i] if j == 2 else A[i][j])
@@ -159,9 +164,9 @@ def _reduced(link: LinkConstants, block: Block, pivots: list[Scalar], held: Scal
 def _outward_solution(
     frames: list[Frame], solved: list[tuple[Block, list[Scalar], list[Scalar]]]
 ) -> list[Scalar]:
-    """Back substitution from base to tip."""
+    """Substitute back from base to tip; `solved` holds blocks, residuals and inverse pivots."""
     result: list[Scalar] = []
-    a, w_dot = ZERO, ZERO  # at the tip of the link before, beyond the bias accelerations
+    a, w_dot = ZERO, ZERO  # of the tip before, without the bias accelerations
     for f, (block, residual, pivots) in zip(frames, solved, strict=True):
         a = tmatvec(f.R, add(a, cross(w_dot, f.offset)))
         w_dot = tmatvec(f.R, w_dot)
@@ -170,7 +175,7 @@ def _outward_solution(
             F, N = block.columns[c]
             driven = minus(residual[c], plus(dot(F, a), dot(N, w_dot)))
             u[c] = minus(mul(driven, pivots[c]), dot(block.D[c][c + 1 :], u[c + 1 :]))
-        result += joint_first(f.link, u)
+        result += in_coordinate_order(f.link, u)
         modal = u[: len(f.delta)]
         turning = w_dot
         if not f.link.welded:

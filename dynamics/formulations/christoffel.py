@@ -1,7 +1,7 @@
-"""Christoffel's form of the velocity terms: H(q, v) v, with dM/dt - 2 H skew-symmetric.
+"""Velocity terms H(q, v) v with Christoffel's H, for which dM/dt - 2 H is skew-symmetric.
 
-Yuan, Book & Huggins (1993), (A3) to (A5): of all H with the same H v only this one passes the test
-that energy proofs of joint controllers need.
+Yuan, Book & Huggins (1993), (A3) to (A5). Energy proofs of joint controllers need this property; of
+all H with the same product H v only this one has it.
 """
 
 from typing import Any

@@ -1,21 +1,21 @@
-"""What formulations without an elimination of their own share: M factored whole, and plain forces.
+"""Accelerations by an L D L' factorization of the whole mass matrix, over any scalar type.
 
-Over any scalar type. Whatever is linear in the coordinates of one link alone (elasticity, damping,
-friction, a rotor on the joint) is the same in every formulation of the equations of motion.
+Formulations without an O(n) solver use it. Elastic, damping and friction forces and joint rotors
+depend on one link only, so all formulations of the equations of motion share them.
 """
 
 from collections.abc import Sequence
 from typing import Protocol
 
 from dynamics.formulations.algebra import Scalar, dot, is_zero, minus, mul, plus
-from dynamics.formulations.articulated_body import Implicit, take_implicitly
+from dynamics.formulations.articulated_body import Implicit, add_implicit
 from dynamics.formulations.gibbs_appell import friction_torque
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.link_constants import LinkConstants
 
 
 class Equations(Protocol):
-    """M and h of M qdd + h = B tau: what a module of a formulation must have."""
+    """Functions that a formulation's module must provide: M and h of M qdd + h = B tau."""
 
     def mass_matrix(self, chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
         """(n, n) M."""
@@ -27,7 +27,7 @@ class Equations(Protocol):
 def resistance(
     link: LinkConstants, rate: Scalar, delta: Sequence[Scalar], rates: Sequence[Scalar]
 ) -> tuple[list[Scalar], Scalar]:
-    """Elastic, dissipative and friction forces of one link: on its modes, on its joint."""
+    """Elastic, damping and friction forces of one link: (m) on its modes, and on its joint."""
     friction = friction_torque(link, plus(rate, dot(link.root_slope, rates)))
     modal = [
         plus(dot(K, delta), dot(C, rates), mul(slope, friction))
@@ -37,7 +37,7 @@ def resistance(
 
 
 def add_rotor(chain: Chain, M: list[list[Scalar]]) -> None:
-    """Add the rotors, which turn with their joints' slip, to a mass matrix."""
+    """Add the joints' rotors, which turn at the relative joint rates, to a mass matrix."""
     start = 0
     for link in chain.links:
         if not link.welded:
@@ -56,35 +56,35 @@ def accelerations(
     tau: Sequence[Scalar],
     implicit: Implicit | None = None,
 ) -> list[Scalar]:
-    """(n,) accelerations from the whole M, factored as L D L'."""
+    """(n,) accelerations under joint torques tau, from M factored as L D L'."""
     M = [list(row) for row in equations.mass_matrix(chain, q)]
     residual = [minus(0.0, h) for h in equations.bias(chain, q, v)]
     torques, start = iter(tau), 0
     guesses = chain.split(implicit.guess) if implicit else [(0.0, ())] * len(chain.links)
     for link, guess in zip(chain.links, guesses, strict=True):
         stop = start + len(link.K) + (not link.welded)
-        places = list(range(start, stop))  # modes, then any joint
+        indices = list(range(start, stop))  # coordinates of the link: modes, then any joint
         if not link.welded:
-            places = [*places[1:], start]
+            indices = [*indices[1:], start]
             torque = next(torques)
-            for place, slope in zip(places, (*link.root_slope, 1.0), strict=True):
-                residual[place] = plus(residual[place], mul(slope, torque))
+            for index, slope in zip(indices, (*link.root_slope, 1.0), strict=True):
+                residual[index] = plus(residual[index], mul(slope, torque))
         if implicit:
-            block = [[M[j][k] for k in places] for j in places]
-            forces = [residual[j] for j in places]
-            take_implicitly(link, block, forces, implicit, guess)
-            for j, row, force in zip(places, block, forces, strict=True):
+            block = [[M[j][k] for k in indices] for j in indices]
+            forces = [residual[j] for j in indices]
+            add_implicit(link, block, forces, implicit, guess)
+            for j, row, force in zip(indices, block, forces, strict=True):
                 residual[j] = force
-                for k, value in zip(places, row, strict=True):
+                for k, value in zip(indices, row, strict=True):
                     M[j][k] = value
         start = stop
     return solve(M, residual)
 
 
 def solve(M: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
-    """x of M x = b, M symmetric and positive: Cholesky's factors without roots, M = L D L'.
+    """Solve M x = b by root-free Cholesky, M = L D L'; M is symmetric positive definite.
 
-    The lower triangle of M is overwritten.
+    Overwrites the lower triangle of M.
     """
     n, x = len(b), list(b)
     pivots, L = [], [[0.0] * n for _ in range(n)]

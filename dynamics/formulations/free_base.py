@@ -1,15 +1,19 @@
-"""A free base: six coordinates at the root of the recursion, position and attitude.
+"""Free base: six coordinates, position and attitude, at the root of the recursion.
 
-To the recursion the base is two bodies in front of the first link. One without mass or extent has
-six "modes", unit displacements and unit rotations of its tip: amplitudes x (3) and a rotation
-vector epsilon (3), seen from a frame that does not move. The other is the base itself, welded to
-that tip. What bends a link's end also turns the base, E = exp(epsilon~), omega = J_l epsilon_dot.
+The recursion treats the base as two bodies in front of the first link. The first has neither mass
+nor extent, but six "modes": unit displacements and unit rotations of its tip, with amplitudes x (3)
+and a rotation vector epsilon (3) relative to an inertial reference frame. The second is the base
+itself, welded to that tip. The equations of a deflected tip therefore rotate the base:
+E = exp(epsilon~), omega = J_l epsilon_dot.
 
-The frame that does not move is the world, turned to an attitude that the base has, or had a step
-ago: its own at epsilon = 0. There rates and their derivatives are velocities and accelerations,
-and no chart ends anywhere near. Outside, the six are the position in the world and the rotation
-vector from the world; their rates are the velocity in the world and the angular velocity in the
-base's own frame. An empty attitude is a fixed base: everything stays as it is.
+The reference frame is the world turned to the base's attitude at the start of a step, where
+epsilon = 0. There the rates of the six coordinates are velocities and their derivatives are
+accelerations, and epsilon stays far from the singularity of a rotation vector. Outside this module
+the six coordinates are the position in the world and the rotation vector from the world; their
+rates are the velocity in the world and the angular velocity in the base's own frame.
+
+`attitude` is the unit quaternion (4,) of the reference frame; an empty attitude means a fixed base,
+for which all conversions return their input.
 """
 
 from collections.abc import Sequence
@@ -54,7 +58,7 @@ _BODY = LinkConstants(
     rotor_inertia=0.0, viscous=0.0, coulomb=0.0, coulomb_speed=1.0,
 )  # fmt: skip
 _NONE = (0.0,) * SIZE
-_MOVER = replace(
+_MOTION = replace(
     _BODY, epsilon=(_O,) * SIZE, s=(_NONE,) * SIZE, c_jk=((_O,) * SIZE,) * SIZE, c=(_O,) * SIZE,
     C=(validate.ZEROS,) * SIZE, D=((validate.ZEROS,) * SIZE,) * SIZE,
     tip_phi=(*validate.IDENTITY, _O, _O, _O), tip_theta=(_O, _O, _O, *validate.IDENTITY),
@@ -63,55 +67,59 @@ _MOVER = replace(
 
 
 def bodies(base: Base) -> tuple[LinkConstants, ...]:
-    """What stands before the first link in a chain."""
+    """Bodies of the base, in front of the first link of a chain; none for a fixed base."""
     if base.type == "fixed":
         return ()
     com = skew(base.com)
     moment: Any = scale(base.mass, base.com)
     about_origin: Any = msub(base.inertia, mscale(base.mass, matmul(com, com)))
-    return _MOVER, replace(_BODY, mass=base.mass, first_moment=moment, C0=about_origin)
+    return _MOTION, replace(_BODY, mass=base.mass, first_moment=moment, C0=about_origin)
 
 
 def turned(chain: Chain, attitude: Scalars) -> Chain:
-    """The chain with gravity as the base's own frame sees it."""
+    """Return the chain with gravity expressed in the reference frame."""
     return replace(chain, gravity=tuple(local(chain.gravity, attitude)))
 
 
 def local(x: Scalars, attitude: Scalars) -> list[Scalar]:
-    """Rates or accelerations (n,), or a vector (3,), their first three turned from the world."""
+    """Turn the first three entries of x from the world to the reference frame.
+
+    x : (n,) rates or accelerations, or a vector (3,).
+    """
     if not len(attitude):
         return list(x)
     return [*tmatvec(rotation_matrix(attitude), x[:3]), *x[3:]]
 
 
 def world(x: Scalars, attitude: Scalars) -> list[Scalar]:
-    """Inverse of `local`; the same for forces."""
+    """Inverse of `local`; also for generalized forces (n,)."""
     if not len(attitude):
         return list(x)
     return [*matvec(rotation_matrix(attitude), x[:3]), *x[3:]]
 
 
 def unturned(x: Scalars, attitude: Scalars) -> list[Scalar]:
-    """Coordinates (n,) in the frame turned to the attitude: no rotation is left."""
+    """Coordinates (n,) relative to the reference frame at the attitude: zero rotation vector."""
     return [*x[:3], *ZERO, *x[SIZE:]] if len(attitude) else list(x)
 
 
 def matrix_in_world(M: Sequence[Scalars], attitude: Scalars) -> list[list[Scalar]]:
-    """A mass matrix whose rows and columns are those of `world`."""
+    """(n, n) mass matrix with rows and columns turned from the reference frame to the world."""
     rows = [world(row, attitude) for row in M]
     columns = [world(column, attitude) for column in zip(*rows, strict=True)]
     every = range(len(columns))
-    return [[columns[min(i, j)][max(i, j)] for j in every] for i in every]  # not two roundings
+    # mirror one triangle: entries i, j and j, i are rounded differently
+    return [[columns[min(i, j)][max(i, j)] for j in every] for i in every]
 
 
 def renewed(
     six: Scalars, rates: Scalars, attitude: Scalars
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
-    """The base in the frame turned to its present attitude, from the frame of an earlier one.
+    """Turn the reference frame to the base's present attitude.
 
-    Returns the coordinates (6,), their rates (6,) and the attitude (4,).
+    Returns the coordinates (6,) and rates (6,) in the new frame, and the new attitude (4,).
     """
-    E, turning, _ = tip_rotation(_MOVER, six, rates, "exp")
+    E, turning, _ = tip_rotation(_MOTION, six, rates, "exp")
     omega = combine(rates, turning)
     square = mul(0.25, dot(six[3:], six[3:]))
     half = mul(0.5, series(square, 1)[0])
@@ -125,25 +133,28 @@ def renewed(
 
 
 def own_rates(six: Scalars, rates: Scalars) -> list[Scalar]:
-    """Rates (6,) that have these own rates: velocity, and angular velocity in the base's frame.
+    """Rates (6,) of the coordinates from velocity and angular velocity in the base's own frame.
 
-    To first order in the rotation vector, for derivatives where it is zero.
+    Correct to first order in the rotation vector, for derivatives at zero rotation.
     """
     return [*rates[:3], *add(rates[3:], scale(0.5, cross(six[3:], rates[3:])))]
 
 
 def own_accelerations(six: Scalars, rates: Scalars, accelerations: Scalars) -> list[Scalar]:
-    """Accelerations (6,) with the angular acceleration in the base's frame."""
-    E, turning, bias = tip_rotation(_MOVER, six, rates, "exp")
+    """Acceleration (3,) and angular acceleration (3,) in the base's own frame.
+
+    `accelerations` (6,) are the second derivatives of the coordinates.
+    """
+    E, turning, bias = tip_rotation(_MOTION, six, rates, "exp")
     omega_dot = add(combine(accelerations, turning), bias)
     return [*accelerations[:3], *tmatvec(E, omega_dot)]
 
 
 def momentum(chain: Chain, q: Scalars, v: Scalars) -> tuple[Vector, Vector]:
-    """Linear [N s] and angular momentum about the origin [N m s] of everything that moves.
+    """Linear momentum [N s] and angular momentum about the origin [N m s] of all bodies.
 
-    From the velocities of mass points and bodies; a motor's rotor, whose energy knows only the
-    rate relative to its housing, has none of its own.
+    Computed from velocities of mass points and bodies. Motor rotors are left out: their energy
+    depends only on the rate relative to the housing.
     """
     linear, angular = ZERO, ZERO
     frames = outward(chain, q, v)

@@ -1,4 +1,4 @@
-"""Numbers of an arm that may stay inputs of its compiled code, to differ between environments."""
+"""Arm parameters that can stay inputs of compiled code and so differ between environments."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -46,7 +46,7 @@ def _scaled(rows: Any, p: Any) -> Any:
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A number that may differ between environments of one compiled arm."""
+    """Parameter p of a compiled arm: nominal value, and a function that applies p to the links."""
 
     nominal: float
     apply: Callable[[list[LinkConstants], Any], list[LinkConstants]]

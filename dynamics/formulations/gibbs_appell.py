@@ -3,11 +3,11 @@
 Equation numbers are those of Korayem & Shafei, "Inverse/forward dynamics of flexible-link arms by
 recursive Gibbs-Appell formulation and assumed modes" (2009); docs/theory.md lists the corrections.
 Every vector of link i lives in the frame of link i: origin at its joint, x along the undeformed
-link, z the joint axis. Run on floats this is the plain reference; run on symbols it is the
-expression graph of one arm.
+link, z the joint axis. Called with floats, the functions are the slow reference; called with
+symbols, they build the expression graph of one arm.
 
-`mass_matrix` and `bias` are the composite form, as in the paper; elimination.py solves for the
-accelerations link by link, from the same blocks.
+`mass_matrix` and `bias` use composite inertias, as in the paper. articulated_body.py solves for the
+accelerations link by link from the same blocks.
 """
 
 from collections.abc import Sequence
@@ -45,14 +45,14 @@ from dynamics.formulations.link_constants import LinkConstants
 
 
 class Inertia(NamedTuple):
-    """Inertia seen at a point: force = A a + B' alpha, moment = B a + D alpha."""
+    """Spatial inertia about a point: force = A a + B' alpha, moment = B a + D alpha."""
 
     A: Matrix
     B: Matrix
     D: Matrix
 
     def moved(self, r: Vector) -> "Inertia":
-        """The same inertia seen at a point from which this one lies at `r`."""
+        """Inertia about another point; `r` leads from that point to this one."""
         if all(is_zero(x) for x in r):
             return self
         B = madd(self.B, matmul(skew(r), self.A))
@@ -61,12 +61,12 @@ class Inertia(NamedTuple):
         return Inertia(self.A, B, D)
 
     def turned(self, R: Matrix) -> "Inertia":
-        """The same inertia in a frame turned by R, which may be no rotation."""
+        """Inertia in the frame that R maps to; R need not be a rotation."""
         A, D = (congruence(R, X, rotation=False) for X in (self.A, self.D))
         return Inertia(A, rotate(R, self.B), D)
 
     def turned_composite(self, R: Matrix) -> "Inertia":
-        """The same with a rotation R: A = m 1 does not turn; of B = b~ the vector turns."""
+        """`turned` by a true rotation of a composite inertia: A = m 1 is invariant, B = b~."""
         b = (self.B[2][1], self.B[0][2], self.B[1][0])
         return Inertia(self.A, skew(matvec(R, b)), congruence(R, self.D))
 
@@ -80,9 +80,9 @@ def friction_torque(link: LinkConstants, rate: Scalar) -> Scalar:
 
 
 def _own_bias(f: Frame) -> tuple[Vector, Vector, list[Scalar]]:
-    """Force, moment and modal forces of a link alone, second derivatives zero: (96), (97), (102).
+    """Inertial force, moment about the joint and modal forces of a link: (96), (97), (102).
 
-    The link itself between joint and tip, and the body at its tip (returned at the joint).
+    Second derivatives of the coordinates are zero. The body at the tip is not included.
     """
     link, w, shape = f.link, f.w, f.shape
     eps_dot = combine(shape.x_dot, link.epsilon)
@@ -113,7 +113,7 @@ def _own_bias(f: Frame) -> tuple[Vector, Vector, list[Scalar]]:
 
 
 def _tip_body_bias(f: Frame) -> tuple[Vector, Vector]:
-    """Force and moment that accelerate the body at the tip, at the tip."""
+    """Force and moment about the tip that accelerate the body at the tip."""
     J = congruence(f.E, f.link.tip_inertia)
     moment = add(matvec(J, f.w_dot_tip), cross(f.w_tip, matvec(J, f.w_tip)))
     return scale(f.link.tip_mass, f.a_tip), moment
@@ -126,34 +126,35 @@ class Wrench(NamedTuple):
     moment: Vector
 
     def from_next(self, R: Matrix, offset: Vector) -> "Wrench":
-        """Wrench at the next joint seen at this link's tip, in this link's frame."""
+        """Transform the next joint's wrench to this link's tip and frame."""
         force = matvec(R, self.force)
         return Wrench(force, add(matvec(R, self.moment), cross(offset, force)))
 
 
-def felt(link: LinkConstants, tip: Wrench) -> Wrench:
-    """What a link's own coordinates feel of the next one: a parallel drive's couple passes by."""
+def wrench_on_link(link: LinkConstants, tip: Wrench) -> Wrench:
+    """Part of the next link's wrench that acts on this link: a parallel drive leaves the force."""
     return Wrench(tip.force, ZERO) if link.bypassed else tip
 
 
-def passed(link: LinkConstants, tip: Wrench) -> Vector:
-    """The couple of the next link that only what the joint stands on feels."""
+def bypassing_moment(link: LinkConstants, tip: Wrench) -> Vector:
+    """Next link's moment that a parallel drive transmits to the base of this link's joint."""
     return tip.moment if link.bypassed else ZERO
 
 
-def axial(link: LinkConstants, wrench: Wrench) -> Scalar:
-    """What of a wrench at the joint acts along its coordinate."""
+def joint_axis_component(link: LinkConstants, wrench: Wrench) -> Scalar:
+    """Joint-axis component of a wrench: a force if prismatic, else a moment."""
     return wrench.force[2] if link.prismatic else wrench.moment[2]
 
 
-def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
-    """Wrench at the joint and generalized forces (modes, then any joint) that the bias needs.
+def joint_load(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
+    """Wrench at the joint and bias forces of the coordinates (modes, then the joint if any).
 
-    `outer` acts at the tip. Sums of (98) to (103), with elastic, dissipative and friction forces.
+    `outer` is the next link's wrench at the tip. Sums of (98) to (103), plus elastic, dissipative
+    and friction forces.
     """
     link = f.link
     force, moment, modal = _own_bias(f)
-    body, load = _tip_body_bias(f), felt(link, outer)
+    body, load = _tip_body_bias(f), wrench_on_link(link, outer)
     tip = Wrench(add(body[0], load.force), add(body[1], load.moment))
     slip = plus(rate, dot(link.root_slope, f.delta_dot))
     resistance = plus(friction_torque(link, slip), mul(link.spring, stretch(f)))
@@ -167,12 +168,12 @@ def load_of(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]
             mul(link.root_slope[j], resistance),
         )
     total = Wrench(add(force, tip.force), add(moment, tip.moment, cross(f.r, tip.force)))
-    forces = modal if link.welded else [*modal, plus(axial(link, total), resistance)]
-    return Wrench(total.force, add(total.moment, passed(link, outer))), forces
+    forces = modal if link.welded else [*modal, plus(joint_axis_component(link, total), resistance)]
+    return Wrench(total.force, add(total.moment, bypassing_moment(link, outer))), forces
 
 
-def joint_first(link: LinkConstants, values: list[Scalar]) -> list[Scalar]:
-    """From the order of elimination, modes then joint, to the order of the coordinates."""
+def in_coordinate_order(link: LinkConstants, values: list[Scalar]) -> list[Scalar]:
+    """Reorder one link's values from elimination order (joint last) to joint first."""
     return values if link.welded else [values[-1], *values[:-1]]
 
 
@@ -184,31 +185,32 @@ def bias(
 ) -> list[Scalar]:
     """(n,) h of M qdd + h = B tau: inertial, gravity, elastic and dissipative forces.
 
-    `load` is what the last link exerts at its tip on its surroundings, in its own frame.
+    `load` is the wrench that the last link exerts on its surroundings, at its tip in its own frame.
     """
     frames = outward(chain, q, v)
     outer = load
     h: list[Scalar] = []
     for f, (rate, _) in zip(reversed(frames), reversed(chain.split(v)), strict=True):
-        wrench, forces = load_of(f, rate, outer)
-        h = [*joint_first(f.link, forces), *h]
+        wrench, forces = joint_load(f, rate, outer)
+        h = [*in_coordinate_order(f.link, forces), *h]
         outer = wrench.from_next(f.R, f.offset)
     return h
 
 
 class Block(NamedTuple):
-    """A link and all beyond it as a column of accelerations sees them."""
+    """Mass-matrix blocks of a link and of all links beyond it."""
 
-    inertia: Inertia  # at the joint
-    columns: list[Wrench]  # per coordinate (modes, then any joint): wrench at the joint
-    D: list[list[Scalar]]  # coupling of the coordinates, upper triangle filled
+    inertia: Inertia  # about the joint
+    columns: list[Wrench]  # wrench at the joint per acceleration of a mode, then of the joint
+    D: list[list[Scalar]]  # couplings of these coordinates, upper triangle only
 
 
 def block_of(f: Frame, outer: Inertia) -> Block:
-    """Blocks of the mass matrix of one link, all beyond it seen as `outer` at its tip."""
+    """Blocks of one link; `outer` is the inertia of all links beyond it, about its tip."""
     if not f.link.bypassed:
         return _block(f, with_tip_body(f, outer))
-    # its own coordinates push what a parallel drive keeps from turning; all turns with its stand
+    # a parallel drive: this link's coordinates translate the next link without rotating it,
+    # while a rotation of the joint's base rotates both
     block = _block(f, with_tip_body(f, Inertia(outer.A, ZEROS, ZEROS)))
     couples = Inertia(ZEROS, outer.B, outer.D).moved(f.r)
     A, B, D = block.inertia
@@ -222,7 +224,7 @@ def block_of(f: Frame, outer: Inertia) -> Block:
 
 
 def _block(f: Frame, outer: Inertia) -> Block:
-    """The same of a link that turns and bends with `outer` fixed to its tip: (75), (81), (85)."""
+    """Blocks of one link with `outer` rigidly fixed to its tip: (75), (81), (85)."""
     link, m = f.link, len(f.delta)
     size = m if link.welded else m + 1
     A, B, D = outer
@@ -254,61 +256,63 @@ def _block(f: Frame, outer: Inertia) -> Block:
             )
         if not link.welded:
             turned = link.rotor_inertia * link.root_slope[j]
-            couplings[j][m] = plus(axial(link, columns[j]), turned)
+            couplings[j][m] = plus(joint_axis_component(link, columns[j]), turned)
     if not link.welded:
         columns.append(
             Wrench(inertia.A[2], transpose(inertia.B)[2])
             if link.prismatic
             else Wrench(inertia.B[2], transpose(inertia.D)[2])
         )
-        couplings[m][m] = plus(axial(link, columns[m]), link.rotor_inertia)
+        couplings[m][m] = plus(joint_axis_component(link, columns[m]), link.rotor_inertia)
     return Block(inertia, columns, couplings)
 
 
 def with_tip_body(f: Frame, outer: Inertia) -> Inertia:
-    """Add the body at the tip."""
+    """Add the inertia of the body at the tip."""
     m, J = f.link.tip_mass, congruence(f.E, f.link.tip_inertia)
     A = symmetric(lambda i, j: plus(outer.A[i][j], m if i == j else 0.0))
     return Inertia(A, outer.B, symmetric(lambda i, j: plus(outer.D[i][j], J[i][j])))
 
 
-NOTHING = Inertia(ZEROS, ZEROS, ZEROS)
+NO_INERTIA = Inertia(ZEROS, ZEROS, ZEROS)
 
 
 def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
-    """(n, n) M from composite inertias; the joint-deflection block is mirrored, not recomputed."""
+    """(n, n) M from composite inertias; each joint-deflection block is mirrored."""
     n = len(q)
     frames = outward(chain, q, [0.0] * n)
     M: list[list[Scalar]] = [[0.0] * n for _ in range(n)]
-    places, start = [], 0  # of a link's coordinates, modes then joint
+    indices, start = [], 0  # of each link's coordinates, modes then joint
     for f in frames:
         stop = start + len(f.delta) + (not f.link.welded)
         order = list(range(start, stop))
-        places.append(order if f.link.welded else [*order[1:], order[0]])
+        indices.append(order if f.link.welded else [*order[1:], order[0]])
         start = stop
 
-    outer = NOTHING
+    outer = NO_INERTIA
     for i in reversed(range(len(frames))):
         f = frames[i]
         block = block_of(f, outer)
         for c, column in enumerate(block.columns):
             for d in range(c, len(block.columns)):
-                row, col = places[i][c], places[i][d]
+                row, col = indices[i][c], indices[i][d]
                 M[row][col] = M[col][row] = block.D[c][d]
             wrench, child = column, f
             for k in reversed(range(i)):
                 parent = frames[k]
                 outside = wrench.from_next(child.R, child.offset)
-                tip = felt(parent.link, outside)
+                tip = wrench_on_link(parent.link, outside)
                 wrench = Wrench(tip.force, add(tip.moment, cross(parent.r, tip.force)))
                 entries = [
                     plus(dot(phi, tip.force), dot(theta, tip.moment))
                     for phi, theta in zip(parent.tip_phi, parent.tip_theta, strict=True)
                 ]
-                entries.append(axial(parent.link, wrench))
-                wrench = Wrench(tip.force, add(wrench.moment, passed(parent.link, outside)))
-                for row, entry in zip(places[k], entries, strict=False):
-                    M[row][places[i][c]] = M[places[i][c]][row] = entry
+                entries.append(joint_axis_component(parent.link, wrench))
+                wrench = Wrench(
+                    tip.force, add(wrench.moment, bypassing_moment(parent.link, outside))
+                )
+                for row, entry in zip(indices[k], entries, strict=False):
+                    M[row][indices[i][c]] = M[indices[i][c]][row] = entry
                 child = parent
         turn = Inertia.turned_composite if chain.rotation == "exp" else Inertia.turned
         outer = turn(block.inertia, f.R).moved(f.offset)

@@ -1,8 +1,8 @@
-"""4x4 transformations of a chain of flexible links and integrals over them, over any scalar type.
+"""4x4 transformations of a chain of flexible links, and inertia integrals, over any scalar type.
 
 Equation numbers are those of Book, "Recursive Lagrangian dynamics of flexible manipulator arms"
-(1984); book.py has the equations of motion. A point of link i is W_i h_i in the world, with
-h = (1, r) and W_i affine: its first row is (1, 0, 0, 0).
+(1984); lagrange_book.py has the equations of motion. A point of link i is W_i h_i in the world,
+with h = (1, r) and W_i affine: its first row is (1, 0, 0, 0).
 """
 
 from collections.abc import Sequence
@@ -43,23 +43,23 @@ UNITY: Matrix = (TOP, *((0.0, *row) for row in EYE))
 
 
 def affine(R: Matrix, p: Vector, top: Vector = TOP) -> Matrix:
-    """(4, 4) transformation h -> p + R h; with `top` zero, a derivative of one."""
+    """(4, 4) transformation r -> p + R r; with `top` zero, a derivative of a transformation."""
     return (top, *((x, *row) for x, row in zip(p, R, strict=True)))
 
 
 def pseudo(J: Matrix) -> Matrix:
-    """int a b' from J = int b~' a~ = (a . b) 1 - a b'."""
+    """(3, 3) int a b' from J = int b~' a~ = int (a . b) 1 - a b'."""
     half = mul(0.5, plus(J[0][0], J[1][1], J[2][2]))
     return tuple(tuple(minus(half if i == j else 0.0, J[i][j]) for j in range(3)) for i in range(3))
 
 
-# ---- the bent end --------------------------------------------------------------------------------
+# ---- the deflected tip ---------------------------------------------------------------------------
 
 _TERMS = 8  # of the series in |theta|^2
 
 
 def _series(x: Scalar, first: int) -> tuple[Scalar, Scalar, Scalar]:
-    """Sum of (-x)^k / (2k + first)!, its first and its second derivative."""
+    """Sum of (-x)^k / (2k + first)! over k, its first and its second derivative."""
     c = [(-1.0) ** k / factorial(2 * k + first) for k in range(_TERMS)]
     sums: list[Scalar] = []
     for order in range(3):
@@ -72,21 +72,21 @@ def _series(x: Scalar, first: int) -> tuple[Scalar, Scalar, Scalar]:
 
 
 class Bend(NamedTuple):
-    """E, its derivatives by the modal amplitudes, and Edd at zero second derivatives: (7)."""
+    """E and its derivatives: (7)."""
 
     E: Matrix  # (4, 4)
     M: list[Matrix]  # (m) (4, 4) dE/ddelta_k
     rate: Matrix  # (4, 4) sum of M_k delta_k_dot
-    bias: Matrix  # (4, 4) sum of d2E/ddelta_j ddelta_k delta_j_dot delta_k_dot
+    bias: Matrix  # (4, 4) d2E/dt2 at zero second derivatives of delta
 
 
 def bend(
     link: LinkConstants, delta: Sequence[Scalar], rates: Sequence[Scalar], shape: Shape, kind: str
 ) -> Bend:
-    """Transformation over the bent link: E = H + sum of delta_k M_k, or with a true rotation.
+    """Transformation E from the deflected tip's frame to the link's.
 
-    1 + a theta~ + b theta~^2 with a = sin f / f, b = (1 - cos f) / f^2, f = |theta|, is exp theta~;
-    with a = 1, b = 0 it is Book's.
+    With kind "exp" the rotation is exp theta~ = 1 + a theta~ + b theta~^2, a = sin f / f,
+    b = (1 - cos f) / f^2, f = |theta|; otherwise a = 1, b = 0, Book's E = H + sum of delta_k M_k.
     """
     theta, theta_dot = combine(delta, link.tip_theta), combine(rates, link.tip_theta)
     T, Td, Tk = skew(theta), skew(theta_dot), [skew(t) for t in link.tip_theta]
@@ -126,32 +126,32 @@ def _anticommutator(A: Matrix, B: Matrix) -> Matrix:
 
 
 class Transformed(NamedTuple):
-    """One link: transformations to the world and integrals over its bent shape."""
+    """One link at a state: transformations to the world, and integrals over its deflected shape."""
 
     link: LinkConstants
     shape: Shape
-    A: Matrix  # (4, 4) joint: this frame to the tip before
+    A: Matrix  # (4, 4) joint: from this frame to the tip before
     bend: Bend
-    W: Matrix  # (4, 4) this frame to the world: (3)
-    W_dot: Matrix  # (9)
-    W_bias: Matrix  # (10) with second derivatives zero
-    X: Matrix | None  # (4, 4) dW/dq, of a welded part none
+    W: Matrix  # (4, 4) from this frame to the world: (3)
+    W_dot: Matrix  # (4, 4) dW/dt (9)
+    W_bias: Matrix  # (4, 4) d2W/dt2 (10) at zero second derivatives of the coordinates
+    X: Matrix | None  # (4, 4) dW/dq; None for a welded body
     X_modal: list[Matrix]  # (m) (4, 4) d(W E)/ddelta_k
-    G: Matrix  # (4, 4) int mu h h'    (37), terms in delta^2 included
+    G: Matrix  # (4, 4) int mu h h'    (37), including terms in delta^2
     D: list[Matrix]  # (m + p) (4, 4) int mu h h_k', h_k = (0, r_k)    (36)
     C: list[list[Matrix]]  # (m + p, m + p) (4, 4) int mu h_j h_k'    (25)
     delta: Sequence[Scalar]
     rates: Sequence[Scalar]  # of delta
     tip_rate: Matrix  # (4, 4) d(W E)/dt    (14)
-    tip_bias: Matrix  # (4, 4) its rate with second derivatives zero    (17)
-    spin: list[list[Scalar]]  # (m + p, m + p) modal inertia of rotors, which displace no mass
-    tip: Matrix  # (4, 4) int h h' of the body at the tip, in the tip's frame
+    tip_bias: Matrix  # (4, 4) d2(W E)/dt2 at zero second derivatives of the coordinates    (17)
+    spin: list[list[Scalar]]  # (m + p, m + p) modal inertia of rotary inertia and hub
+    tip: Matrix  # (4, 4) int h h' dm of the body at the tip, in the tip's frame
 
 
 def _integrals(
     link: LinkConstants, shape: Shape
 ) -> tuple[Matrix, list[Matrix], list[list[Matrix]]]:
-    """G, D and C: (25), (28), (30), (36), (37) from the moments of the link."""
+    """G, D and C of (25), (28), (30), (36), (37), from the constants of the link."""
     every = range(len(link.s))
     pairs = [[pseudo(link.D[k][j]) for k in every] for j in every]
     across = [transpose(pseudo(C)) for C in link.C]  # int mu eta r_k'
@@ -169,7 +169,7 @@ def _integrals(
 
 
 def _turn(link: LinkConstants, q: Scalar) -> tuple[Matrix, Matrix, Matrix]:
-    """A and its derivatives U, U_2 by the joint angle: (9), (10)."""
+    """A and its first and second derivatives U, U2 by the joint angle: (9), (10)."""
     if link.welded:
         return UNITY, NOTHING, NOTHING
     c, s = cos(q), sin(q)
@@ -183,38 +183,38 @@ def _turn(link: LinkConstants, q: Scalar) -> tuple[Matrix, Matrix, Matrix]:
 
 
 def transformed(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Transformed]:
-    """All links from base to tip: (3), (9), (10), (13) to (17)."""
+    """Transformations of all links from base to tip: (3), (9), (10), (13) to (17)."""
     result: list[Transformed] = []
-    What, What_dot, What_bias = UNITY, NOTHING, NOTHING
+    W_tip, W_tip_dot, W_tip_bias = UNITY, NOTHING, NOTHING
     for link, (angle, delta), (rate, rates) in zip(
         chain.links, chain.split(q), chain.split(v), strict=True
     ):
         A, U, U2 = _turn(link, angle)
-        X = matmul(What, U)
-        W = matmul(What, A)
-        W_dot = madd(matmul(What_dot, A), mscale(rate, X))
+        X = matmul(W_tip, U)
+        W = matmul(W_tip, A)
+        W_dot = madd(matmul(W_tip_dot, A), mscale(rate, X))
         W_bias = madd(
-            matmul(What_bias, A),
-            mscale(mul(2.0, rate), matmul(What_dot, U)),
-            mscale(mul(rate, rate), matmul(What, U2)),
+            matmul(W_tip_bias, A),
+            mscale(mul(2.0, rate), matmul(W_tip_dot, U)),
+            mscale(mul(rate, rate), matmul(W_tip, U2)),
         )
         shape = amplitudes(link, delta, rates)
         bent = bend(link, delta, rates, shape, chain.rotation)
         G, D, C = _integrals(link, shape)
         every = range(len(link.s))
         spin = [[minus(link.s[j][k], _trace(C[j][k])) for k in every] for j in every]
-        What = matmul(W, bent.E)
-        What_bias = madd(
+        W_tip = matmul(W, bent.E)
+        W_tip_bias = madd(
             matmul(W_bias, bent.E), mscale(2.0, matmul(W_dot, bent.rate)), matmul(W, bent.bias)
         )
-        What_dot = madd(matmul(W_dot, bent.E), matmul(W, bent.rate))
+        W_tip_dot = madd(matmul(W_dot, bent.E), matmul(W, bent.rate))
         mass = (link.tip_mass, 0.0, 0.0, 0.0)
         result.append(
             Transformed(
                 link=link, shape=shape, A=A, bend=bent, W=W, W_dot=W_dot, W_bias=W_bias,
                 X=None if link.welded else X, X_modal=[matmul(W, M) for M in bent.M],
-                G=G, D=D, C=C, spin=spin, delta=delta, rates=rates, tip_rate=What_dot,
-                tip_bias=What_bias, tip=affine(pseudo(link.tip_inertia), ZERO, mass),
+                G=G, D=D, C=C, spin=spin, delta=delta, rates=rates, tip_rate=W_tip_dot,
+                tip_bias=W_tip_bias, tip=affine(pseudo(link.tip_inertia), ZERO, mass),
             )
         )  # fmt: skip
     return result

@@ -43,15 +43,15 @@ from dynamics.formulations.link_constants import LinkConstants
 
 @dataclass(frozen=True)
 class Chain:
-    """What the recursion needs to know of an arm."""
+    """Constants of an arm that the recursion uses: its bodies from base to tip, and gravity."""
 
     links: tuple[LinkConstants, ...]
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2]
-    rotation: str = "exp"  # the bent end's rotation: exp(theta~), or "linear": 1 + theta~
-    free_base: bool = False  # the first two bodies are a base that moves: see free_base.py
+    rotation: str = "exp"  # of a bent end: exp(theta~); "linear": 1 + theta~
+    free_base: bool = False  # the first two bodies are a free base: see free_base.py
 
     def split(self, x: Sequence[Scalar]) -> list[tuple[Scalar, Sequence[Scalar]]]:
-        """Coordinates body by body: (joint, modes); a welded body's joint is a structural zero."""
+        """Split coordinates into (joint, modes) per body; a welded body's joint is 0.0."""
         parts, start = [], 0
         for link in self.links:
             joint = 0.0 if link.welded else x[start]
@@ -62,15 +62,15 @@ class Chain:
 
 
 class Shape(NamedTuple):
-    """Amplitudes of all of a link's shapes: m modes, then p products of modes that foreshorten."""
+    """Amplitudes of a link's shapes: m modes, then p foreshortening shapes (mode products)."""
 
     x: Sequence[Scalar]  # (m + p)
     x_dot: Sequence[Scalar]  # (m + p)
-    bias: Sequence[Scalar]  # (m + p) second derivatives of x while those of delta are zero
-    J: Sequence[Sequence[Scalar]]  # (p, m) derivatives of the products
+    bias: Sequence[Scalar]  # (m + p) second derivatives of x at zero second derivatives of delta
+    J: Sequence[Sequence[Scalar]]  # (p, m) derivatives of the p amplitudes by delta
 
     def project(self, values: Sequence[Vector]) -> list[Vector]:
-        """Vectors (m + p) per shape as vectors (m) per mode."""
+        """Project vectors per shape (m + p) onto the modes (m)."""
         m = len(values) - len(self.J)
         return [
             add(values[j], *(scale(row[j], v) for row, v in zip(self.J, values[m:], strict=True)))
@@ -79,7 +79,7 @@ class Shape(NamedTuple):
 
 
 def amplitudes(link: LinkConstants, delta: Sequence[Scalar], delta_dot: Sequence[Scalar]) -> Shape:
-    """Shape of a link: -delta_j delta_k, halved for j = k, is the amplitude of a product."""
+    """Shape of a link; the amplitude of a pair j, k is -delta_j delta_k, half of it if j = k."""
     x, x_dot, bias = list(delta), list(delta_dot), [0.0] * len(delta)
     J = []
     for j, k in link.pairs:
@@ -95,28 +95,28 @@ def amplitudes(link: LinkConstants, delta: Sequence[Scalar], delta_dot: Sequence
 
 
 class Frame(NamedTuple):
-    """One link at a state; `*_tip` at eta = l, everything in the link's own frame."""
+    """Kinematics of one link in its own frame; `*_tip` is at eta = l."""
 
     link: LinkConstants
     R: Matrix  # from this frame to the frame of the link before
-    offset: Vector  # joint from the tip before, in the frame of the link before
-    joint: Scalar  # its coordinate
-    slide: Vector  # velocity of a prismatic joint
+    offset: Vector  # from the tip before to the joint, in the frame of the link before
+    joint: Scalar  # joint coordinate
+    slide: Vector  # velocity of a prismatic joint along its axis
     delta: Sequence[Scalar]
     delta_dot: Sequence[Scalar]
     shape: Shape
-    r: Vector  # tip from joint
+    r: Vector  # from joint to tip
     r_dot: Vector  # tip velocity relative to the frame
-    E: Matrix  # rotation of the bent tip
+    E: Matrix  # rotation of the deflected tip
     tip_phi: Sequence[Vector]  # (m) tip velocity per modal rate
     tip_theta: Sequence[Vector]  # (m) J_l theta_j: tip angular velocity per modal rate
     rho: Vector  # first mass moment, B3 = rho~    (25)
     alpha: Sequence[Vector]  # (m + p) (31)
     beta: Sequence[Matrix]  # (m + p) (32)
     B9: Matrix  # (33)
-    a: Vector  # acceleration of the joint, second derivatives of the coordinates zero
+    a: Vector  # acceleration of the joint at zero second derivatives of the coordinates
     w: Vector  # angular velocity
-    w_dot: Vector  # angular acceleration, second derivatives of the coordinates zero
+    w_dot: Vector  # angular acceleration at zero second derivatives of the coordinates
     Phi: Matrix  # w_dot~ + w~ w~
     a_tip: Vector
     w_tip: Vector
@@ -127,7 +127,7 @@ _TERMS = 7  # series in |theta|^2: error below 1e-16 up to 0.6 rad, 5e-14 at 1 r
 
 
 def series(x: Scalar, first: int) -> tuple[Scalar, Scalar]:
-    """Sum of (-x)^k / (2k + first)! and its derivative, by Horner's rule."""
+    """Sum of (-x)^k / (2k + first)! over k, and its derivative, by Horner's rule."""
     c = [(-1.0) ** k / factorial(2 * k + first) for k in range(_TERMS)]
     value: Scalar = 0.0
     slope: Scalar = 0.0
@@ -141,9 +141,9 @@ def series(x: Scalar, first: int) -> tuple[Scalar, Scalar]:
 def tip_rotation(
     link: LinkConstants, delta: Sequence[Scalar], delta_dot: Sequence[Scalar], kind: str
 ) -> tuple[Matrix, Sequence[Vector], Vector]:
-    """Rotation of the bent tip, its rate per modal rate, and the bias of its acceleration.
+    """Rotation of the deflected tip, angular velocity per modal rate, bias angular acceleration.
 
-    E = exp(theta~), theta = sum_j delta_j theta_j(l)        (6), (8), made a true rotation
+    E = exp(theta~), theta = sum_j delta_j theta_j(l)        (6), (8), with a true rotation
     omega_rel = J_l theta_dot, J_l = 1 + c theta~ + d theta~^2, bias J_l_dot theta_dot
     c = (1 - cos f)/f^2, d = (f - sin f)/f^3, f = |theta|
     """
@@ -184,7 +184,7 @@ def _turn(q: Scalar) -> Matrix:
 
 
 def _mounting(link: LinkConstants, joint: Scalar) -> tuple[Matrix, Vector]:
-    """Rotation and position of a joint's moving side in the end frame of the link before."""
+    """Rotation and position of a link's frame in the end frame of the link before."""
     if link.prismatic:
         axis = transpose(link.rotation)[2]
         return link.rotation, add(link.offset, scale(joint, axis))
@@ -192,7 +192,7 @@ def _mounting(link: LinkConstants, joint: Scalar) -> tuple[Matrix, Vector]:
 
 
 def _phi(w: Vector, w_dot: Vector) -> Matrix:
-    """w_dot~ + w~ w~: acceleration of a body-fixed point is a + Phi r."""
+    """w_dot~ + w~ w~; a body-fixed point r accelerates at a + Phi r."""
     p = symmetric(lambda i, j: mul(w[i], w[j]))
     ww = symmetric(
         lambda i, j: minus(0.0, plus(p[i - 2][i - 2], p[i - 1][i - 1])) if i == j else p[i][j]
@@ -203,21 +203,22 @@ def _phi(w: Vector, w_dot: Vector) -> Matrix:
 def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Frame]:
     """Frames of all links from base to tip: (59), (63), (65), Steps 1 to 3.
 
-    Gravity enters as an acceleration of the base: a_0 = -g.
+    Gravity enters as an acceleration of the base: a_0 = -g. A joint's base is the tip of the link
+    before; with a parallel drive it keeps the orientation of that link's own joint base.
     """
     frames: list[Frame] = []
     a_tip: Vector = scale(-1.0, chain.gravity)
-    stand, w_stand, w_dot_stand = EYE, ZERO, ZERO  # what a joint stands on, in the link before
+    R_base, w_base, w_dot_base = EYE, ZERO, ZERO  # of a joint's base, in the link before's frame
     for link, (joint, delta), (rate, delta_dot) in zip(
         chain.links, chain.split(q), chain.split(v), strict=True
     ):
         mounting, place = _mounting(link, joint)
         along = (0.0, 0.0, rate)
         spin, slide = (ZERO, along) if link.prismatic else (along, ZERO)
-        R = stand if link.welded else matmul(stand, mounting)
-        offset = matvec(stand, place)
-        before, before_dot = tmatvec(R, w_stand), tmatvec(R, w_dot_stand)
-        a = tmatvec(R, add(a_tip, matvec(_phi(w_stand, w_dot_stand), offset)))
+        R = R_base if link.welded else matmul(R_base, mounting)
+        offset = matvec(R_base, place)
+        before, before_dot = tmatvec(R, w_base), tmatvec(R, w_dot_base)
+        a = tmatvec(R, add(a_tip, matvec(_phi(w_base, w_dot_base), offset)))
         a = add(a, scale(2.0, cross(before, slide)))
         w = add(before, spin)
         w_dot = add(before_dot, cross(before, spin))
@@ -234,9 +235,9 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
         )
         w_tip = add(w, theta_dot)
         w_dot_tip = add(w_dot, bias, cross(w, theta_dot))
-        stand, w_stand, w_dot_stand = E, w_tip, w_dot_tip
+        R_base, w_base, w_dot_base = E, w_tip, w_dot_tip
         if link.bypassed:
-            stand, w_stand, w_dot_stand = transpose(_turn(joint)), before, before_dot
+            R_base, w_base, w_dot_base = transpose(_turn(joint)), before, before_dot
 
         x, every = shape.x, range(len(shape.x))
         beta = [madd(link.C[j], mcombine(x, [link.D[k][j] for k in every])) for j in every]
@@ -256,12 +257,12 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
 
 
 def stretch(f: Frame) -> Scalar:
-    """What a spring at the joint feels: its coordinate and the root's turn by the modes."""
+    """Deflection of a joint spring: the joint coordinate plus the modal rotation of the root."""
     return plus(f.joint, dot(f.link.root_slope, f.delta))
 
 
 class Pose(NamedTuple):
-    """Where a link is and how its tip moves, in the world frame."""
+    """Position and orientation of a link and velocity of its tip, in the world frame."""
 
     joint: Vector  # [m]
     R: Matrix  # from the link's frame to the world
@@ -271,7 +272,7 @@ class Pose(NamedTuple):
 
 
 def poses(frames: Sequence[Frame]) -> list[Pose]:
-    """World poses of all links: (59) and (63) without accelerations."""
+    """World poses of all links: (59), (63)."""
     result: list[Pose] = []
     tip, R, velocity, w_tip = ZERO, EYE, ZERO, ZERO
     for f in frames:
@@ -288,9 +289,9 @@ def poses(frames: Sequence[Frame]) -> list[Pose]:
 def energies(
     chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Kinetic, elastic and gravity energy [J], the last zero with all mass at the base's origin.
+    """Kinetic, elastic and gravity energy [J]; the last is zero for mass at the base's origin.
 
-    From the velocities of mass points and bodies, so it shares no line with the mass matrix.
+    Computed from velocities of mass points and bodies, not from the mass matrix.
     """
     kinetic: Scalar = 0.0
     elastic: Scalar = 0.0

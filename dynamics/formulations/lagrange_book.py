@@ -1,12 +1,12 @@
 """Book's recursive Lagrangian with 4x4 transformations, over any scalar type.
 
 Equation numbers are those of Book, "Recursive Lagrangian dynamics of flexible manipulator arms"
-(1984); docs/formulations.md lists what differs. E is whatever `Chain.rotation` says, also
-1 + theta~, which is no rotation: energies, velocities and equations of motion all derive from the
-same positions, so energy is conserved whatever E is. Neither E'E = 1 nor R'R = 1 is used: (73)
-stands in its long form, and the terms in delta^2 of (37) are kept.
+(1984); docs/formulations.md lists the differences. E follows `Chain.rotation`. It may be
+1 + theta~, which is not a rotation: energies, velocities and equations of motion all derive from
+the same positions, so energy is conserved for any E. Neither E'E = 1 nor R'R = 1 is used: (73) is
+evaluated in its long form, and the terms in delta^2 of (37) are kept.
 
-The factor 1/2 of the integrals (25), (28), (30) is taken out, and with it the 2 of the traces.
+The integrals omit the factor 1/2 of (25), (28), (30), and the traces their factor 2.
 """
 
 from collections.abc import Sequence
@@ -40,40 +40,40 @@ def inner(A: Matrix, B: Matrix) -> Scalar:
 # ---- inertia coefficients ------------------------------------------------------------------------
 
 
-class Seen(NamedTuple):
-    """What lies beyond, on the left in one frame, on the right in that of link h."""
+class Outboard(NamedTuple):
+    """Sums over link h and all links beyond; left factors in one frame, right ones in frame h."""
 
     joint: Matrix  # jF~_h = sum over i >= h of jW~_i G_i hW~_i'    (67), (78)
     modal: Matrix  # jF_h = sum over i > h of jW~_i G_i hW_i'    (71), (76)
     W: Matrix  # jW~_h
 
-    def moved(self, T: Matrix) -> "Seen":
-        """The same from another frame on the left: (78), (81)."""
-        return Seen(matmul(T, self.joint), matmul(T, self.modal), matmul(T, self.W))
+    def moved(self, T: Matrix) -> "Outboard":
+        """Left-multiply by T, to change the frame of the left factors: (78), (81)."""
+        return Outboard(matmul(T, self.joint), matmul(T, self.modal), matmul(T, self.W))
 
 
-def _columns(f: Transformed, X: Matrix, seen: Seen) -> list[Scalar]:
-    """Coefficients of one coordinate, dW/dx = X on the left, with joint and modes of link f.
+def _columns(f: Transformed, X: Matrix, outboard: Outboard) -> list[Scalar]:
+    """Inertia coefficients between one coordinate, dW/dx = X, and the joint and modes of link f.
 
     (66), (68) to (70), (74), (75), as Tr X F X_h' = Tr (X F) X_h'; each X F and the metric of the
-    term in D_h serve all modes.
+    term in D_h are computed once for all modes.
     """
-    through, metric = matmul(X, seen.modal), matmul(transpose(matmul(X, seen.W)), f.W)
+    through, metric = matmul(X, outboard.modal), matmul(transpose(matmul(X, outboard.W)), f.W)
     modal = [
         plus(inner(through, X_k), inner(D, metric))
         for X_k, D in zip(f.X_modal, _project(f.shape, f.D), strict=True)
     ]
-    return modal if f.X is None else [inner(matmul(X, seen.joint), f.X), *modal]
+    return modal if f.X is None else [inner(matmul(X, outboard.joint), f.X), *modal]
 
 
 def _project(shape: Shape, values: Sequence[Matrix]) -> list[Matrix]:
-    """Matrices per shape (m + p) as matrices per mode (m)."""
+    """Project matrices per shape (m + p) onto the modes (m)."""
     rows = [shape.project(row) for row in zip(*values, strict=True)]
     return [*zip(*rows, strict=True)]
 
 
 def _own_modes(f: Transformed, beyond: Matrix) -> list[list[Scalar]]:
-    """(m, m) Coefficients between modes of one link: (72), (73) in its long form."""
+    """(m, m) inertia coefficients between modes of one link: (72), and (73) in its long form."""
     metric = matmul(transpose(f.W), f.W)
     shapes = [
         [plus(inner(C, metric), I) for C, I in zip(row, spin, strict=True)]
@@ -92,10 +92,10 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
     n = len(q)
     frames = transformed(chain, q, [0.0] * n)
     M: list[list[Scalar]] = [[0.0] * n for _ in range(n)]
-    places, start = [], 0
+    indices, start = [], 0
     for f in frames:
         stop = start + len(f.X_modal) + (f.X is not None)
-        places.append(range(start, stop))
+        indices.append(range(start, stop))
         start = stop
 
     outer = NOTHING
@@ -104,22 +104,22 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
         beyond = madd(f.tip, outer)  # hPhi_h, in the frame of the tip
         E = f.bend.E
         composite = madd(f.G, matmul(matmul(E, beyond), transpose(E)))  # (77), (79)
-        seen = Seen(composite, matmul(E, beyond), UNITY)
-        modes = places[h]
+        outboard = Outboard(composite, matmul(E, beyond), UNITY)
+        modes = indices[h]
         if f.X is not None:
-            _fill(M, places[h][0], places[h], _columns(f, f.X, seen))
+            _fill(M, indices[h][0], indices[h], _columns(f, f.X, outboard))
             modes = modes[1:]
-        for place, row in zip(modes, _own_modes(f, beyond), strict=True):
-            _fill(M, place, modes, row)
+        for index, row in zip(modes, _own_modes(f, beyond), strict=True):
+            _fill(M, index, modes, row)
         for j in reversed(range(h)):
             g = frames[j]
-            seen = seen.moved(frames[j + 1].A)
-            modes = places[j] if g.X is None else places[j][1:]
-            for place, X in zip(modes, g.X_modal, strict=True):
-                _fill(M, place, places[h], _columns(f, X, seen))
-            seen = seen.moved(g.bend.E)
+            outboard = outboard.moved(frames[j + 1].A)
+            modes = indices[j] if g.X is None else indices[j][1:]
+            for index, X in zip(modes, g.X_modal, strict=True):
+                _fill(M, index, indices[h], _columns(f, X, outboard))
+            outboard = outboard.moved(g.bend.E)
             if g.X is not None:
-                _fill(M, places[j][0], places[h], _columns(f, g.X, seen))
+                _fill(M, indices[j][0], indices[h], _columns(f, g.X, outboard))
         outer = matmul(matmul(f.A, composite), transpose(f.A))
     add_rotor(chain, M)
     return M
@@ -136,7 +136,7 @@ def _fill(
 
 
 def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]:
-    """(n,) h of M qdd + h = B tau from Q and P of (83) to (90): what Book calls -R."""
+    """(n,) h of M qdd + h = B tau (Book's -R) from Q and P of (83) to (90)."""
     g = (0.0, *chain.gravity)
     h: list[Scalar] = []
     Q: Matrix = NOTHING  # int h a' beyond the tip, a the acceleration
@@ -167,7 +167,7 @@ def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]
 
 
 def _own_forces(f: Transformed, g: Vector) -> list[Scalar]:
-    """(m) Inertial forces of a link alone on its modes, second derivatives zero, and weight."""
+    """(m) inertial forces, at zero second derivatives, and weight of a link on its own modes."""
     W = f.W
     resting, turning, metric = (matmul(transpose(W), other) for other in (f.W_bias, f.W_dot, W))
     forces = []
@@ -193,7 +193,7 @@ def _sum(x: Sequence[Scalar], matrices: Sequence[Matrix], factor: float = 1.0) -
 def energies(
     chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Kinetic, elastic and gravity energy [J]: (22), (40), (49), and rotors."""
+    """Kinetic energy with rotors, elastic and gravity energy [J]: (22), (40), (49)."""
     kinetic: Scalar = 0.0
     elastic: Scalar = 0.0
     gravity: Scalar = 0.0
@@ -221,6 +221,6 @@ def energies(
 
 
 def tip_velocity(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> Vector:
-    """(3,) [m/s] of the last tip, the true rate of its position."""
+    """(3,) [m/s] velocity of the last tip, the exact derivative of its position."""
     rate = transformed(chain, q, v)[-1].tip_rate
     return tuple(row[0] for row in rate[1:])

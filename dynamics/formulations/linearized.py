@@ -1,4 +1,4 @@
-"""The linear arm, links straight and at rest: M a + C v + K q = B tau."""
+"""Linearized arm about rest with straight links: M a + C v + K q = B tau."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from dynamics.formulations.link_constants import LinkConstants
 from dynamics.integrators.exponential import FrozenModes
 from dynamics.types import Array
 
-ELASTIC = 1e-9  # of the largest squared frequency: what is less belongs to a free joint
-NOISE = 1e-13  # of the most that a share can be: what is less is round-off, and costs operations
+_RIGID = 1e-9  # [-] squared frequencies below this fraction of the largest are rigid motions
+_ROUND_OFF = 1e-13  # [-] modal entries below this fraction of their bound are set to zero
 
 
 def inertia(chain: Chain, q: Array) -> Array:
@@ -22,25 +22,25 @@ def inertia(chain: Chain, q: Array) -> Array:
 
 
 def stiffness(chain: Chain) -> Array:
-    """(n, n) K of the modes and joint springs."""
+    """(n, n) stiffness K of modes and joint springs."""
     return _assemble(chain, lambda link: link.K, lambda link: link.spring)
 
 
 def damping(chain: Chain) -> Array:
-    """(n, n) C of the modes, and viscous joint friction."""
+    """(n, n) damping C of modes and viscous joint friction."""
     return _assemble(chain, lambda link: link.damping, lambda link: link.viscous)
 
 
 def friction(chain: Chain) -> Array:
-    """(n, n) Coulomb's friction at its steepest: about a resting joint."""
+    """(n, n) damping by Coulomb friction at zero rate, where its slope is largest."""
     return _assemble(chain, lambda link: (), lambda link: link.coulomb / link.coulomb_speed)
 
 
-def frequencies(M: Array, K: Array, elastic: int, held: Sequence[int] = ()) -> Array:
-    """(elastic,) [rad/s] highest natural frequencies of M and K; `held` coordinates do not move."""
+def frequencies(M: Array, K: Array, elastic: int, locked: Sequence[int] = ()) -> Array:
+    """(elastic,) [rad/s] highest natural frequencies of M and K; `locked` coordinates are fixed."""
     from scipy.linalg import eigh
 
-    moving = np.setdiff1d(np.arange(len(M)), held)
+    moving = np.setdiff1d(np.arange(len(M)), locked)
     M, K = M[np.ix_(moving, moving)], K[np.ix_(moving, moving)]
     with double_precision("The arm's frequencies"):
         squares = eigh(K, M, eigvals_only=True)
@@ -52,7 +52,10 @@ def _assemble(
     modal: Callable[[LinkConstants], object],
     joint: Callable[[LinkConstants], float],
 ) -> Array:
-    """Blocks of the modes, and a number that acts on the slip between a link's root and its hub."""
+    """(n, n) from a block per link's modes and a coefficient per joint.
+
+    The coefficient acts on the joint coordinate plus the modal rotation of the root.
+    """
     sizes = [len(link.K) + (not link.welded) for link in chain.links]
     result, first = np.zeros((sum(sizes), sum(sizes))), 0
     for link, size in zip(chain.links, sizes, strict=True):
@@ -70,29 +73,32 @@ def _assemble(
 
 @dataclass(frozen=True)
 class LinearArm:
-    """One posture's matrices, each (n, n), and its modes."""
+    """Matrices (n, n) of the linearized arm at one posture, and the straight arm's modes."""
 
     M: Array
     K: Array
-    C: Array  # of the modes, and viscous joint friction: what implicit methods know
-    friction: Array  # Coulomb's at its steepest, about resting joints
+    C: Array  # modes and viscous joint friction: the damping that implicit methods include
+    friction: Array  # Coulomb friction at zero joint rates
     frozen: FrozenModes
 
 
 def linear_arm(chain: Chain, q: Array) -> LinearArm:
-    """The arm about rest at q (n,), links straight."""
+    """Linearize the arm about rest at q (n,) with straight links."""
     modes = frozen_modes(chain)
     return LinearArm(inertia(chain, q), stiffness(chain), damping(chain), friction(chain), modes)
 
 
 def frozen_modes(chain: Chain) -> FrozenModes:
-    """Modes of the straight arm, joints free; damping that couples them is left out."""
+    """Modes of the straight arm with free joints; damping between modes is neglected."""
     from scipy.linalg import eigh
 
     M = inertia(chain, np.zeros(len(stiffness(chain))))
     squares, S = eigh(stiffness(chain), M)
-    elastic = squares > ELASTIC * squares.max(initial=0.0)
+    elastic = squares > _RIGID * squares.max(initial=0.0)
     decays = np.einsum("ik,ij,jk->k", S, damping(chain), S)
-    most = np.sqrt(np.diag(M)), np.linalg.norm(S, axis=1)  # as S' M S = 1
-    L, back = (x * (np.abs(x) > NOISE * size) for x, size in zip((S.T @ M, S.T), most, strict=True))
+    bounds = np.sqrt(np.diag(M)), np.linalg.norm(S, axis=1)  # of the entries, as S' M S = 1
+    L, back = (
+        x * (np.abs(x) > _ROUND_OFF * bound)
+        for x, bound in zip((S.T @ M, S.T), bounds, strict=True)
+    )
     return FrozenModes(squares * elastic, decays * elastic, L, back.T)

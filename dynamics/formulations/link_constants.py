@@ -1,4 +1,4 @@
-"""Off-line integrals of one link: what the recursion needs of its shapes, once, as plain floats.
+"""Constants of one link: integrals over its mode shapes, computed once off-line as plain floats.
 
 Equation numbers are those of Korayem & Shafei (2009). A point of the link is
 r = [x, 0, 0] + sum_j delta_j r_j(x); the shape s_j of a mode acts along one direction:
@@ -14,7 +14,7 @@ r = [x, 0, 0] + sum_j delta_j r_j(x); the shape s_j of a mode acts along one dir
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -27,12 +27,10 @@ from dynamics.description.mode_shapes import STIFFNESS, quadrature, shape
 from dynamics.description.validate import IDENTITY, ZEROS
 from dynamics.types import Array, Matrix3, Vector3
 
-__all__ = ["LinkConstants", "curvature", "deflection", "link_constants", "shape"]
+_ROUND_OFF = 1e-12  # [-] integrals below this fraction of their natural size are set to zero
+_ENTRY_ROUND_OFF = 1e-14  # [-] round-off of an entry of a mounting rotation
 
-_ROUND_OFF = 1e-12  # [-] integrals this small beside their natural size are exact zeros
-_ENTRY_ROUND_OFF = 1e-14  # [-] the same for the entries of a mounting rotation
-
-_BENDING = ("y", "z")  # strained by s''; the others by s'
+_BENDING = ("y", "z")  # directions whose strain is s''; in the others it is s'
 _DISPLACEMENT: dict[str, Vector3] = {  # times s
     "x": (0, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "axial": (1, 0, 0),
 }  # fmt: skip
@@ -48,36 +46,36 @@ _E_Z = np.array((0.0, 0.0, 1.0))
 
 @dataclass(frozen=True, kw_only=True)
 class LinkConstants:
-    """One link as the recursion sees it: m modes, mu = rho_A, int over 0 <= eta <= l.
+    """Constants of one link (a body of the chain) with m modes; mu = rho_A, int over 0 <= eta <= l.
 
-    The integrals are (34)-(42), with eta = (x, 0, 0); K is (51)-(54). Exact zeros where nothing is.
-    Foreshortening u = -1/2 int (y'^2 + z'^2) is p further shapes g_jk = int s_j' s_k' along x,
-    behind the m modes in every list but those of rotations and stiffness; their amplitudes are
-    -delta_j delta_k, or half of it for j = k (`kinematics.amplitudes`).
+    The integrals are (34)-(42), with eta = (x, 0, 0); K is (51)-(54). Absent terms are exact zeros.
+    Foreshortening u = -1/2 int (y'^2 + z'^2) adds p shapes g_jk = int s_j' s_k' along x, which
+    follow the m modes in every tuple except those of rotations, stiffness and damping. Their
+    amplitudes are -delta_j delta_k, or half of it for j = k (`kinematics.amplitudes`).
     """
 
     length: float  # [m]
-    welded: bool  # no joint: a part of the link before
+    welded: bool  # no joint: fixed to the tip of the body before
     prismatic: bool  # the joint slides along z instead of turning about it
-    driven: bool  # a torque acts on the joint: not on a weld or a spring's twist
-    bypassed: bool  # the next joint's parallel drive stands on what this joint stands on
+    driven: bool  # a torque acts on the joint; false for a weld and for a joint spring's deflection
+    bypassed: bool  # the next joint has a parallel drive, grounded on the base of this joint
     pairs: tuple[tuple[int, int], ...]  # (p) modes j <= k whose product foreshortens the link
-    mass: float  # [kg] of the beam and body
-    first_moment: Vector3  # [kg m] int mu eta, and the body's
+    mass: float  # [kg] of beam and body
+    first_moment: Vector3  # [kg m] int mu eta, plus the body
     epsilon: tuple[Vector3, ...]  # (m) [kg] int mu r_j
     s: tuple[tuple[float, ...], ...]  # (m, m) [kg] int mu r_j . r_k
     c_jk: tuple[tuple[Vector3, ...], ...]  # (m, m) [kg] int mu r_j x r_k
     c: tuple[Vector3, ...]  # (m) [kg m] int mu eta x r_j
     C: tuple[Matrix3, ...]  # (m) [kg m] int mu eta~' r_j~
     D: tuple[tuple[Matrix3, ...], ...]  # (m, m) [kg] int mu r_j~' r_k~
-    C0: Matrix3  # [kg m^2] int mu eta~' eta~, and the body's
+    C0: Matrix3  # [kg m^2] int mu eta~' eta~, plus the body
     tip_phi: tuple[Vector3, ...]  # (m) [-] displacement at the tip
     tip_theta: tuple[Vector3, ...]  # (m) [1/m] rotation at the tip
     root_slope: tuple[float, ...]  # (m) [1/m] rotation about z at the root
     K: tuple[tuple[float, ...], ...]  # (m, m) [N/m]
     damping: tuple[tuple[float, ...], ...]  # (m, m) [N s/m]
-    tip_mass: float  # [kg] with the payload
-    tip_inertia: Matrix3  # [kg m^2] with the payload
+    tip_mass: float  # [kg] including the payload
+    tip_inertia: Matrix3  # [kg m^2] including the payload
     rotation: Matrix3  # [-] mounting
     offset: Vector3  # [m] mounting
     rotor_inertia: float  # [kg m^2]
@@ -88,7 +86,7 @@ class LinkConstants:
 
 
 def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
-    """Constants of every link of an arm as bodies: any rotor on a spring, then its welded parts."""
+    """Bodies of every link of an arm: a rotor if the joint is elastic, then one per segment."""
     result = [
         _with_rotor(
             link.joint,
@@ -111,7 +109,7 @@ def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
 
 
 def _with_rotor(joint: Joint, *bodies: LinkConstants) -> tuple[LinkConstants, ...]:
-    """A link's bodies; behind an elastic joint a spring turns them beside a massless rotor."""
+    """Bodies of a link; an elastic joint adds a rotor body in front and a spring behind it."""
     if joint.stiffness is None:
         return bodies
     mounted = replace(joint, hub_inertia=0.0, stiffness=None, spring_damping=0.0)
@@ -124,7 +122,7 @@ def _with_rotor(joint: Joint, *bodies: LinkConstants) -> tuple[LinkConstants, ..
 
 
 def parts(link: Link) -> list[Link]:
-    """The link's segments: equal parts, the joint on the first and the tip body on the last."""
+    """Split a link into equal segments: the first has the joint, the last the tip body."""
     if link.segments == 1:
         return [link]
     bare = replace(link, length=link.length / link.segments, segments=1)
@@ -140,107 +138,40 @@ def link_constants(
     foreshortening: bool = False,
     welded: bool = False,
 ) -> LinkConstants:
-    """All constants of one link without segments; `payload` joins its tip body.
-
-    The rotary inertia rho_Ip and the hub are rotors: a rotor about the unit axis e with inertia I
-    that modes turn at t_j per unit rate adds I e e' to C0, I t_j e to c_j, I t_j t_k to s and
-    -1/2 I t_j e~ to C_j. The damping ratio counts the mass that a mode displaces, with the
-    link's tip mass but not the payload's; a torsion mode displaces none, so beta must damp it.
-    """
-    x, weights = quadrature(link.length, link.modes)
-    shapes = [shape(mode, link) for mode in link.modes]
-    values = _table([s.value(x) for s in shapes], x.size)
-    directions = [mode.direction for mode in link.modes]
-    along = np.array([_DISPLACEMENT[d] for d in directions]).reshape(-1, 3)
-    twist = np.array([_TWIST[d][0] for d in directions])  # 1 for torsion, else 0
-
-    m = len(shapes)
-    pairs, shortening, shortening_tip = _shortening(link, shapes, x, weights, foreshortening)
-    values = np.vstack([values, shortening])
-    along = np.vstack([along, np.tile(_E_X, (len(pairs), 1))])
-    twist = np.append(twist, np.zeros(len(pairs)))
-
-    mass = link.rho_A * link.length
-    moment = mass * link.length / 2.0 * _E_X
-    square = (values * weights) @ values.T  # int s_j s_k
-    size = np.sqrt(np.diag(square))
-    square = _snap(square, np.outer(size, size))
-    zeroth = link.rho_A * _snap(values @ weights, math.sqrt(link.length) * size)
-    first = link.rho_A * _snap(values @ (weights * x), link.length**1.5 * size)
-    second = link.rho_A * square
-
-    epsilon = zeroth[:, None] * along
-    s = second * (along @ along.T)
-    c = first[:, None] * np.cross(_E_X, along)
-    C = [i * _skew(_E_X).T @ _skew(u) for i, u in zip(first, along, strict=True)]
-    C0 = mass * link.length**2 / 3.0 * np.diag((0.0, 1.0, 1.0))
-
-    polar = link.rho_Ip * twist  # rotary inertia about x, spread along the link
-    spin = polar * _snap(values @ weights, math.sqrt(link.length) * size)  # int rho_Ip s_j
-    s += link.rho_Ip * square * np.outer(twist, twist)
-    root_slope = np.zeros(len(values))
-    for j, mode in enumerate(link.modes):
-        if mode.kind == "pinned-free":
-            root_slope[j] = float(shapes[j].slope(0.0))
-    hub = link.joint.hub_inertia
-    s += hub * np.outer(root_slope, root_slope)
-    for axis, inertia, rates in (
-        (_E_X, link.rho_Ip * link.length, spin),
-        (_E_Z, hub, hub * root_slope),
-    ):
-        C0 = C0 + inertia * np.outer(axis, axis)
-        c = c + rates[:, None] * axis
-        C = [C_j - 0.5 * rate * _skew(axis) for C_j, rate in zip(C, rates, strict=True)]
-
-    if link.body is not None:
-        com = np.array(link.body.com)
-        moment = moment + link.body.mass * com
-        C0 = C0 + np.array(link.body.inertia) + link.body.mass * _skew(com).T @ _skew(com)
-        mass += link.body.mass
-
-    K = _stiffness(link, shapes, x, weights)
-    tip_value = np.array([*(float(s_j.value(link.length)) for s_j in shapes), *shortening_tip])
-    tip_value = _snap(tip_value, size / math.sqrt(link.length))
-    tip_slope = np.array([float(s_j.slope(link.length)) for s_j in shapes])
-    tip_slope = _snap(tip_slope, size[:m] / link.length**1.5)
-    tilt = np.array([_TILT[d] for d in directions]).reshape(-1, 3)
-    displaced = (link.rho_A * np.diag(square) + link.tip_mass * tip_value**2)[:m]
-    modal = np.where(twist[:m] == 1.0, 0.0, displaced)
-    damping = 2.0 * link.damping_ratio * np.diag(np.sqrt(np.diag(K) * modal))
-    damping = damping + link.damping_beta * K
-
+    """All constants of one link without segments; `payload` is added to its tip body."""
+    b = _beam_integrals(link, foreshortening)
+    m = len(link.modes)
+    second = link.rho_A * b.square
+    mass, first_moment, C0 = _undeflected(link)
+    s, c, C = _modal_inertia(link, b)
     tip_inertia = np.array(link.tip_inertia)
     if payload is not None:
         tip_inertia = tip_inertia + np.array(payload.inertia)
-    mounting = np.array(link.joint.rotation)
-    mounting = np.where(np.abs(mounting) < _ENTRY_ROUND_OFF, 0.0, mounting)
-    mounting = np.where(
-        np.abs(np.abs(mounting) - 1.0) < _ENTRY_ROUND_OFF, np.sign(mounting), mounting
-    )
+    tilt = np.array([_TILT[mode.direction] for mode in link.modes]).reshape(-1, 3)
     return LinkConstants(
         length=link.length,
         welded=welded,
         prismatic=link.joint.type == "prismatic",
         driven=not welded,
         bypassed=False,
-        pairs=pairs,
+        pairs=b.pairs,
         mass=mass,
-        first_moment=_tuples(moment),
-        epsilon=_tuples(epsilon),
+        first_moment=_tuples(first_moment),
+        epsilon=_tuples((link.rho_A * b.zeroth)[:, None] * b.along),
         s=_tuples(s),
-        c_jk=_tuples(_pairs(second, np.cross, along)),
+        c_jk=_tuples(_pairs(second, np.cross, b.along)),
         c=_tuples(c),
         C=_tuples(C),
-        D=_tuples(_pairs(second, lambda u, w: _skew(u).T @ _skew(w), along)),
+        D=_tuples(_pairs(second, lambda u, w: _skew(u).T @ _skew(w), b.along)),
         C0=_tuples(C0),
-        tip_phi=_tuples(tip_value[:, None] * along),
-        tip_theta=_tuples(tip_slope[:, None] * tilt + (tip_value * twist)[:m, None] * _E_X),
-        root_slope=_tuples(root_slope[:m]),
-        K=_tuples(K),
-        damping=_tuples(damping),
+        tip_phi=_tuples(b.tip[:, None] * b.along),
+        tip_theta=_tuples(b.tip_slope[:, None] * tilt + (b.tip * b.twist)[:m, None] * _E_X),
+        root_slope=_tuples(b.root_slope[:m]),
+        K=_tuples(b.K),
+        damping=_tuples(_damping(link, b)),
         tip_mass=link.tip_mass + (payload.mass if payload is not None else 0.0),
         tip_inertia=_tuples(tip_inertia),
-        rotation=_tuples(mounting),
+        rotation=_tuples(_exact_right_angles(link.joint.rotation)),
         offset=link.joint.offset,
         rotor_inertia=link.joint.rotor_inertia,
         viscous=link.joint.viscous,
@@ -250,13 +181,112 @@ def link_constants(
     )
 
 
+class _BeamIntegrals(NamedTuple):
+    """Integrals over 0 <= x <= l of m modal and p foreshortening shapes, and their end values."""
+
+    pairs: tuple[tuple[int, int], ...]  # (p) modes of each foreshortening shape
+    along: Array  # (m + p, 3) direction of displacement; zero for torsion
+    twist: Array  # (m + p) 1 for torsion, else 0
+    zeroth: Array  # (m + p) int s_j
+    first: Array  # (m + p) int x s_j
+    square: Array  # (m + p, m + p) int s_j s_k
+    tip: Array  # (m + p) s_j(l)
+    tip_slope: Array  # (m) s_j'(l)
+    root_slope: Array  # (m + p) s_j'(0) of pinned-free modes, else 0
+    K: Array  # (m, m) stiffness
+
+
+def _beam_integrals(link: Link, foreshortening: bool) -> _BeamIntegrals:
+    l = link.length
+    x, weights = quadrature(l, link.modes)
+    shapes = [shape(mode, link.beam) for mode in link.modes]
+    pairs, shortening, shortening_tip = _shortening(link, shapes, x, weights, foreshortening)
+    values = np.vstack([_table([s.value(x) for s in shapes], x.size), shortening])
+    along = np.array([_DISPLACEMENT[mode.direction] for mode in link.modes]).reshape(-1, 3)
+    twist = np.array([_TWIST[mode.direction][0] for mode in link.modes])
+    root_slope = np.zeros(len(values))
+    for j, mode in enumerate(link.modes):
+        if mode.kind == "pinned-free":
+            root_slope[j] = float(shapes[j].slope(0.0))
+    square = (values * weights) @ values.T
+    size = np.sqrt(np.diag(square))
+    tip = np.array([*(float(s.value(l)) for s in shapes), *shortening_tip])
+    tip_slope = np.array([float(s.slope(l)) for s in shapes])
+    return _BeamIntegrals(
+        pairs=pairs,
+        along=np.vstack([along, np.tile(_E_X, (len(pairs), 1))]),
+        twist=np.append(twist, np.zeros(len(pairs))),
+        zeroth=_snap(values @ weights, math.sqrt(l) * size),
+        first=_snap(values @ (weights * x), l**1.5 * size),
+        square=_snap(square, np.outer(size, size)),
+        tip=_snap(tip, size / math.sqrt(l)),
+        tip_slope=_snap(tip_slope, size[: len(shapes)] / l**1.5),
+        root_slope=root_slope,
+        K=_stiffness(link, shapes, x, weights),
+    )
+
+
+def _undeflected(link: Link) -> tuple[float, Array, Array]:
+    """Mass [kg], first moment [kg m] and C0 [kg m^2] of the straight link with hub and body."""
+    mass = link.rho_A * link.length
+    moment = mass * link.length / 2.0 * _E_X
+    C0 = mass * link.length**2 / 3.0 * np.diag((0.0, 1.0, 1.0))
+    C0 = C0 + link.rho_Ip * link.length * np.outer(_E_X, _E_X)
+    C0 = C0 + link.joint.hub_inertia * np.outer(_E_Z, _E_Z)
+    if link.body is not None:
+        com = np.array(link.body.com)
+        moment = moment + link.body.mass * com
+        C0 = C0 + np.array(link.body.inertia) + link.body.mass * _skew(com).T @ _skew(com)
+        mass += link.body.mass
+    return mass, moment, C0
+
+
+def _modal_inertia(link: Link, b: _BeamIntegrals) -> tuple[Array, Array, list[Array]]:
+    """s [kg], c [kg m] and C [kg m] of the modes, with rotary inertia and hub as rotors.
+
+    A rotor of inertia I about the unit axis e that modes turn at t_j per unit rate adds I t_j t_k
+    to s, I t_j e to c_j and -1/2 I t_j e~ to C_j (and I e e' to C0).
+    """
+    hub = link.joint.hub_inertia
+    s = link.rho_A * b.square * (b.along @ b.along.T)
+    s += link.rho_Ip * b.square * np.outer(b.twist, b.twist)
+    s += hub * np.outer(b.root_slope, b.root_slope)
+    first = link.rho_A * b.first
+    c = first[:, None] * np.cross(_E_X, b.along)
+    C = [i * _skew(_E_X).T @ _skew(u) for i, u in zip(first, b.along, strict=True)]
+    for axis, rates in ((_E_X, link.rho_Ip * b.twist * b.zeroth), (_E_Z, hub * b.root_slope)):
+        c = c + rates[:, None] * axis
+        C = [C_j - 0.5 * rate * _skew(axis) for C_j, rate in zip(C, rates, strict=True)]
+    return s, c, C
+
+
+def _damping(link: Link, b: _BeamIntegrals) -> Array:
+    """(m, m) [N s/m] 2 zeta sqrt(K_jj m_jj) on the diagonal, or beta K.
+
+    m_jj is the mass that a mode displaces: beam and tip mass without payload. A torsion mode
+    displaces none, so only beta damps it.
+    """
+    m = len(link.modes)
+    displaced = (link.rho_A * np.diag(b.square) + link.tip_mass * b.tip**2)[:m]
+    modal = np.where(b.twist[:m] == 1.0, 0.0, displaced)
+    damping = 2.0 * link.damping_ratio * np.diag(np.sqrt(np.diag(b.K) * modal))
+    return damping + link.damping_beta * b.K
+
+
+def _exact_right_angles(rotation: Matrix3) -> Array:
+    """Round entries of a mounting rotation that are within round-off of 0 or +-1."""
+    R = np.array(rotation)
+    R = np.where(np.abs(R) < _ENTRY_ROUND_OFF, 0.0, R)
+    return np.where(np.abs(np.abs(R) - 1.0) < _ENTRY_ROUND_OFF, np.sign(R), R)
+
+
 def deflection(link: Link, delta: Iterable[float], x: Array) -> Array:
-    """Elastic displacement of the points x of a link, in the link's frame.
+    """Elastic displacement of a link at the points x, in the link's frame.
 
     Parameters
     ----------
     delta : (m,) [m] modal amplitudes.
-    x : (n,) [m] places along the undeformed link.
+    x : (n,) [m] positions along the undeformed link.
 
     Returns
     -------
@@ -265,12 +295,12 @@ def deflection(link: Link, delta: Iterable[float], x: Array) -> Array:
     x = np.asarray(x, dtype=np.float64)
     result = np.zeros((x.size, 3))
     for mode, d in zip(link.modes, delta, strict=True):
-        result += d * np.outer(shape(mode, link).value(x), _DISPLACEMENT[mode.direction])
+        result += d * np.outer(shape(mode, link.beam).value(x), _DISPLACEMENT[mode.direction])
     return result
 
 
 def curvature(link: Link, x: float) -> Array:
-    """Twist rate and curvatures at x per unit amplitude of each mode.
+    """Twist per length and curvatures at x, per unit amplitude of each mode.
 
     Returns
     -------
@@ -279,7 +309,7 @@ def curvature(link: Link, x: float) -> Array:
     """
     rows = []
     for mode in link.modes:
-        s = shape(mode, link)
+        s = shape(mode, link.beam)
         about = _TWIST if mode.direction == "x" else _TILT
         rate = s.curvature(x) if mode.direction in _BENDING else s.slope(x)
         rows.append(float(rate) * np.array(about[mode.direction]))
@@ -287,7 +317,10 @@ def curvature(link: Link, x: float) -> Array:
 
 
 def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Array:
-    """int GJ or EA s_j' s_k' (torsion, axial), int EI s_j'' s_k'' (bending); no cross terms."""
+    """(m, m) int GJ or EA s_j' s_k' (torsion, axial), int EI s_j'' s_k'' (bending).
+
+    Modes in different directions are not coupled.
+    """
     bent = _table(
         [
             s.curvature(x) if mode.direction in _BENDING else s.slope(x)
@@ -305,7 +338,7 @@ def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Arr
 def _shortening(
     link: Link, shapes: list[Shape], x: Array, weights: Array, wanted: bool
 ) -> tuple[tuple[tuple[int, int], ...], Array, list[float]]:
-    """Pairs of modes that foreshorten the link, g_jk = int_0^x s_j' s_k' at x, and at the tip."""
+    """Foreshortening: pairs j, k of modes, g_jk = int_0^x s_j' s_k' at the points x, and at l."""
     directions = [mode.direction for mode in link.modes]
     pairs = tuple(
         (j, k)
@@ -341,7 +374,7 @@ def _pairs(second: Array, product: Callable[[Array, Array], Array], along: Array
 
 
 def _snap(values: Array, size: Array) -> Array:
-    """Exact zeros where a value is round-off beside its natural size."""
+    """Set values that are round-off relative to their natural size to zero."""
     return np.where(np.abs(values) <= _ROUND_OFF * size, 0.0, values)
 
 

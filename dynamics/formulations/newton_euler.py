@@ -1,9 +1,9 @@
-"""Inverse dynamics of rigid arms by Newton and Euler's equations, over any scalar type.
+"""Inverse dynamics of rigid arms by the Newton-Euler recursion, over any scalar type.
 
-Equation numbers are those of Cyril's FLEXLINK thesis. Nothing is shared with the Gibbs-Appell
-recursion: every link is one rigid body with its own centre of mass and inertia about it, and forces
-are summed link by link from the tip inward. `RigidLink` may hold symbols, so that a general arm can
-be counted.
+Equation numbers are those of Cyril's FLEXLINK thesis. No code is shared with the Gibbs-Appell
+recursion: every link is one rigid body with its own centre of mass, and forces are summed link by
+link from tip to base. `RigidLink` may hold symbols, so that the operations of a general arm can be
+counted.
 """
 
 from collections.abc import Sequence
@@ -43,14 +43,14 @@ Wrench = tuple[Vector, Vector]  # force [N], moment [N m] about the tip
 
 @dataclass(frozen=True, kw_only=True)
 class RigidLink:
-    """One link and its joint, in the link's frame."""
+    """A rigid link and its joint, in the link's frame."""
 
     joint: Joint
     rotation: Matrix  # (3, 3) from the joint's frame at q = 0 to the link before
-    offset: Vector  # [m] joint from the tip before, in the frame of the link before
-    tip: Vector  # [m] from the joint
+    offset: Vector  # [m] from the tip before to the joint, in the frame of the link before
+    tip: Vector  # [m] from joint to tip
     mass: Scalar  # [kg]
-    com: Vector  # [m] centre of mass, from the joint
+    com: Vector  # [m] from joint to centre of mass
     inertia: Matrix  # (3, 3) [kg m^2] about the centre of mass
 
     @property
@@ -60,7 +60,10 @@ class RigidLink:
 
 
 def rigid_links(arm: Arm) -> tuple[RigidLink, ...]:
-    """The links of an arm without modes, springs, parallel drives; each with all it carries."""
+    """Links of a fixed-base arm without modes, springs or parallel drives.
+
+    Each body includes the beam, hub, tip body and payload; raises ValueError for other arms.
+    """
     if arm.base.type != "fixed":
         raise ValueError(
             f"Newton-Euler inverse dynamics is for a fixed base, got Base.type {arm.base.type!r}; "
@@ -78,7 +81,7 @@ def rigid_links(arm: Arm) -> tuple[RigidLink, ...]:
 
 
 def _rigid_link(link: Link, payload: Payload | None) -> RigidLink:
-    """Beam, hub, body, tip body and payload as one rigid body."""
+    """Combine beam, hub, body, tip body and payload into one rigid body."""
     beam, tip = link.rho_A * link.length, (link.length, 0.0, 0.0)
     slender = beam * link.length**2 / 12.0
     around = np.diag((link.rho_Ip * link.length, slender, slender + link.joint.hub_inertia))
@@ -122,12 +125,12 @@ def inverse_dynamics(
     links : from `rigid_links`.
     q, v, a : (n,) [rad or m] joint coordinates, rates, accelerations; floats or symbols.
     gravity : (3,) [m/s^2] in the world frame.
-    wrench : force [N] and moment [N m] that the last link exerts at its tip on what it touches, in
-        the last link's frame: f_{N,N+1} and n_{N,N+1}.
+    wrench : force [N] and moment [N m] that the last link exerts on its surroundings at its tip,
+        in the last link's frame: f_{N,N+1} and n_{N,N+1}.
     """
     w, w_dot, Phi = ZERO, ZERO, ZEROS
-    p_dd: Vector = scale(-1.0, gravity)  # of the origin; gravity as an acceleration of the base
-    before, loads = ZERO, []  # tip of the link before in its frame
+    p_dd: Vector = scale(-1.0, gravity)  # acceleration of the frame's origin; of the base, -g
+    before, loads = ZERO, []  # before: from joint to tip of the link before, in its frame
     for link, angle, rate, rise in zip(links, q, v, a, strict=True):
         R, shift = _joint(link, angle)
         p_dd = tmatvec(R, add(p_dd, matvec(Phi, add(before, shift))))  # (2.6)
@@ -150,12 +153,12 @@ def inverse_dynamics(
         torques.append(plus(f[2] if link.slides else n[2], _resistance(link.joint, rate)))  # (2.13)
         f = matvec(R, f)
         n = add(matvec(R, n), cross(shift, f))
-    held = [mul(link.joint.rotor_inertia, rise) for link, rise in zip(links, a, strict=True)]
-    return [plus(tau, rotor) for tau, rotor in zip(reversed(torques), held, strict=True)]
+    rotors = [mul(link.joint.rotor_inertia, rise) for link, rise in zip(links, a, strict=True)]
+    return [plus(tau, rotor) for tau, rotor in zip(reversed(torques), rotors, strict=True)]
 
 
 def _joint(link: RigidLink, q: Scalar) -> tuple[Matrix, Vector]:
-    """Rotation and place of a link's frame in the link before, from that link's tip: (2.1)."""
+    """Rotation of a link's frame in the link before, and its origin from that link's tip: (2.1)."""
     F = link.rotation
     if link.slides:
         return F, add(link.offset, scale(q, transpose(F)[2]))
@@ -188,7 +191,7 @@ def _moment(J: Matrix, w: Vector, w_dot: Vector, Phi: Matrix) -> Vector:
 
 
 def _resistance(joint: Joint, rate: Scalar) -> Scalar:
-    """Viscous friction, and Coulomb's smoothed by tanh [N m or N]."""
+    """Joint friction [N m or N]: viscous, and Coulomb smoothed by tanh."""
     viscous = mul(joint.viscous, rate)
     if joint.coulomb == 0.0:
         return viscous

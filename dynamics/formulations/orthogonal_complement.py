@@ -1,14 +1,14 @@
 """Cyril's natural orthogonal complement, over any scalar type.
 
 Equation numbers are those of Cyril, "Dynamics of flexible-link manipulators" (McGill, 1988),
-chapter 3, extended to flexible links: every body has a twist and a mass matrix of its own, extended
-by the rates of its modes, M_i t_i' = w_i; N, from the recursion of velocities, gives all twists
-from the rates of the coordinates, t = N v, and takes the wrenches of the constraints away:
+chapter 3, extended to flexible links. Every body has a twist t_i, extended by its modal rates, and
+an extended mass matrix M_i: M_i t_i' = w_i. N maps the rates of the coordinates to all twists,
+t = N v, by the recursion of velocities, and its transpose eliminates the constraint wrenches:
 
     N' M N a + N' (M N_dot v + gyroscopic wrenches - applied wrenches) = B tau        (3.13)
 
-Twists are written in the frame of their link. With `Chain.rotation` "linear" E = 1 + theta~ turns
-vectors and theta_dot is its rate, as in the recursion of Gibbs and Appell.
+Twists are written in the frame of their link. With `Chain.rotation` "linear", E = 1 + theta~ turns
+vectors and theta_dot is the angular velocity, as in the Gibbs-Appell recursion.
 """
 
 from collections.abc import Sequence
@@ -36,26 +36,26 @@ from dynamics.formulations.kinematics import Chain, Frame, outward
 
 
 class Twist(NamedTuple):
-    """Angular velocity, velocity and modal rates of a body: a column of N, or a wrench."""
+    """Angular velocity, velocity and modal rates of a body; or a wrench in the same order."""
 
     w: Vector
     u: Vector  # of the joint, or of the tip
     modal: Sequence[Scalar]  # (m)
 
     def __matmul__(self, other: "Twist") -> Scalar:
-        """Power of a wrench."""
+        """Power of a wrench on a twist."""
         return plus(dot(self.w, other.w), dot(self.u, other.u), dot(self.modal, other.modal))
 
 
 class Columns(NamedTuple):
-    """Columns of N of one link and of the body at its tip, up to the link's own coordinates."""
+    """Columns of N for one link and for its tip body, up to the link's own coordinates."""
 
     link: list[Twist]
     tip: list[Twist]
 
 
 def complement(frames: Sequence[Frame]) -> list[Columns]:
-    """N, link by link, by the recursion of velocities."""
+    """N as columns per link, by the recursion of velocities."""
     result: list[Columns] = []
     tips: list[Twist] = []
     for f in frames:
@@ -75,13 +75,13 @@ def complement(frames: Sequence[Frame]) -> list[Columns]:
 
 
 def _tip(f: Frame, t: Twist) -> Twist:
-    """Twist of a link's tip."""
+    """Twist of a link's tip from the twist of the link."""
     w = add(t.w, combine(t.modal, f.tip_theta))
     return Twist(w, add(t.u, cross(t.w, f.r), combine(t.modal, f.tip_phi)), ())
 
 
 class Body(NamedTuple):
-    """The extended mass matrix of a link, as blocks over angular, linear and modal rates."""
+    """Extended mass matrix of a link, in blocks of angular, linear and modal rates."""
 
     f: Frame
     alpha: Sequence[Vector]  # (m) angular-modal
@@ -89,7 +89,7 @@ class Body(NamedTuple):
     s: Sequence[Sequence[Scalar]]  # (m, m) modal
 
     def __matmul__(self, t: Twist) -> Twist:
-        """Momentum of a twist."""
+        """Extended momentum M_i t_i."""
         f, modal = self.f, t.modal
         return Twist(
             add(matvec(f.B9, t.w), cross(f.rho, t.u), combine(modal, self.alpha)),
@@ -108,13 +108,13 @@ def body_of(f: Frame) -> Body:
 
 
 def _tip_momentum(f: Frame, t: Twist) -> Twist:
-    """Momentum of the body at a link's tip."""
+    """Momentum of the body at a link's tip from the tip's twist."""
     J = congruence(f.E, f.link.tip_inertia)
     return Twist(matvec(J, t.w), scale(f.link.tip_mass, t.u), ())
 
 
 def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
-    """(n, n) N' M N, body by body."""
+    """(n, n) N' M N, summed body by body."""
     n = len(q)
     M: list[list[Scalar]] = [[0.0] * n for _ in range(n)]
     frames = outward(chain, q, [0.0] * n)
@@ -131,7 +131,7 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
 
 
 def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]:
-    """(n,) h of M qdd + h = B tau: N' (M N_dot v + gyroscopic wrenches) and resisting forces."""
+    """(n,) h of M qdd + h = B tau: N' (M N_dot v + gyroscopic wrenches) plus link forces."""
     h: list[Scalar] = [0.0] * len(q)
     frames, start = outward(chain, q, v), 0
     for f, columns, (rate, _) in zip(frames, complement(frames), chain.split(v), strict=True):
@@ -150,7 +150,7 @@ def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]
 
 
 def _link_wrench(f: Frame) -> Twist:
-    """M_i N_i_dot v and the gyroscopic wrench of one link; gravity accelerates the base."""
+    """M_i N_i_dot v plus the gyroscopic wrench of one link; gravity is a base acceleration."""
     link, w, shape = f.link, f.w, f.shape
     modal_bias = shape.bias  # of modes and foreshortening
     bending = Twist(
@@ -173,5 +173,5 @@ def _link_wrench(f: Frame) -> Twist:
 
 
 def _projected(f: Frame, values: Sequence[Scalar]) -> list[Scalar]:
-    """Numbers per shape (m + p) as numbers per mode (m)."""
+    """Project numbers per shape (m + p) onto the modes (m)."""
     return [x for (x,) in f.shape.project([(value,) for value in values])]

@@ -1,7 +1,7 @@
-"""The formulations of the equations of motion, by name; a new one is a module and an entry here.
+"""Formulations of the equations of motion, by name.
 
-A module holds `mass_matrix(chain, q)` and `bias(chain, q, v)` over any scalar type. A formulation
-without accelerations of its own factors its mass matrix whole.
+To add one, write a module with `mass_matrix(chain, q)` and `bias(chain, q, v)` over any scalar type
+and enter it in FORMULATIONS. Without a solver of its own, its whole mass matrix is factored.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,13 +32,13 @@ def _tip_velocity(chain: Chain, q: State, v: State) -> Vector:
 
 @dataclass(frozen=True, kw_only=True)
 class Formulation:
-    """One way to the equations of motion, and the energies and velocities that belong to it."""
+    """Equations of motion, with the energies and tip velocity of the same convention."""
 
     equations: Equations
-    solver: Solver | None = None  # accelerations without the whole mass matrix
+    solver: Solver | None = None  # O(n) accelerations; None: factor the whole mass matrix
     energies: Callable[[Chain, State, State], tuple[Scalar, Scalar, Scalar]] = kinematics.energies
     tip_velocity: Callable[[Chain, State, State], Vector] = _tip_velocity  # [m/s]
-    knows: Mapping[str, frozenset[str]] | None = None  # class -> fields that may be set; None: all
+    supported: Mapping[str, frozenset[str]] | None = None  # class -> fields; None: all
 
     def accelerations(
         self, chain: Chain, q: State, v: State, tau: State, implicit: Implicit | None = None
@@ -49,8 +49,8 @@ class Formulation:
         return dense_solve.accelerations(self.equations, chain, q, v, tau, implicit)
 
 
-# What the siblings of the recursion know of a description; elsewhere only defaults are theirs.
-FIXED_BASE_AND_HINGES = {
+# Fields that "book" and "complement" support; all others must keep their defaults.
+FIXED_BASE_AND_REVOLUTE = {
     "Arm": frozenset({
         "links", "name", "description", "gravity", "rotation", "foreshortening", "payload",
     }),
@@ -72,14 +72,14 @@ FORMULATIONS = {
     "book": Formulation(
         equations=lagrange_book, energies=lagrange_book.energies,
         tip_velocity=lagrange_book.tip_velocity,
-        knows=FIXED_BASE_AND_HINGES,
+        supported=FIXED_BASE_AND_REVOLUTE,
     ),
-    "complement": Formulation(equations=orthogonal_complement, knows=FIXED_BASE_AND_HINGES),
+    "complement": Formulation(equations=orthogonal_complement, supported=FIXED_BASE_AND_REVOLUTE),
 }  # fmt: skip
 
 
 def formulation_for(arm: Arm, name: str) -> Formulation:
-    """The formulation of that name; refuses what is unknown or does not know all of the arm."""
+    """Return a formulation by name; raise ValueError if it is unknown or unsuitable for the arm."""
     validate.known(name, "formulation", FORMULATIONS)
     refusal = why_not(arm, name)
     if refusal:
@@ -88,19 +88,19 @@ def formulation_for(arm: Arm, name: str) -> Formulation:
 
 
 def why_not(arm: Arm, name: str) -> str | None:
-    """One sentence on what a formulation does not know of an arm, if anything."""
-    knows = FORMULATIONS[name].knows
+    """Sentence that names an unsupported field of an arm; None if all are supported."""
+    supported = FORMULATIONS[name].supported
     for owner, field, value in _described(arm):
-        if knows is not None and field not in knows[owner]:
+        if supported is not None and field not in supported[owner]:
             return (
-                f"Formulation {name!r} does not know {owner}.{field}, got {value!r}; "
+                f"Formulation {name!r} does not support {owner}.{field}, got {value!r}; "
                 'leave it at its default or use "gibbs_appell".'
             )
     return None
 
 
 def _described(arm: Arm) -> Iterator[tuple[str, str, object]]:
-    """(class, field, value) of all that an arm, its base, links and joints do not leave out."""
+    """(class, field, value) of every field of an arm that differs from its default."""
     whole = arm.to_dict()
     base, links = whole.pop("base", {}), whole["links"]
     joints = [link.get("joint", {}) for link in links]

@@ -1,1 +1,1 @@
-"""Integration methods as plain functions, one table."""
+"""Integration methods as plain functions, and the table of them."""

@@ -1,31 +1,31 @@
-"""Steps that take elastic and linear damping forces implicitly: one linear solve each.
+"""Steps with implicit elastic and linear damping forces: one linear solve each.
 
-Relatives of Newmark's method, q += h v + h^2 ((1/2 - beta) a + beta a_new). Arguments are those
-that table.py describes; docs/theory.md has the formulas.
+Variants of Newmark's method, q += h v + h^2 ((1/2 - beta) a + beta a_new). table.py describes the
+arguments; docs/theory.md has the formulas.
 """
 
-LATER = 1.0 / 64.0  # of a step: where the rate of the accelerations is measured
+PROBE = 1.0 / 64.0  # fraction of a step over which the rate of the accelerations is measured
 
-# generalized-alpha (Chung & Hulbert 1993): what is left of an infinitely fast mode after one step
-RHO = 0.9
+# generalized-alpha (Chung & Hulbert 1993)
+RHO = 0.9  # [-] amplification per step of an infinitely fast mode
 ALPHA_M = (2.0 * RHO - 1.0) / (RHO + 1.0)
 ALPHA_F = RHO / (RHO + 1.0)
 GAMMA = 0.5 + ALPHA_F - ALPHA_M
 BETA = 0.25 * (GAMMA + 0.5) ** 2
 
 
-def weigh(w, at, stiffness, damping):  # type: ignore[no-untyped-def]
-    """Set the weights of stiffness and damping in the mass matrix."""
+def set_weights(w, at, stiffness, damping):  # type: ignore[no-untyped-def]
+    """Set the weights of stiffness and damping in the implicit mass matrix."""
     w[at.implicit] = stiffness
     w[at.implicit + 1] = damping
 
 
-def set_out(w, h, evaluate, at):  # type: ignore[no-untyped-def]
-    """True accelerations at `a`, and h times their rate at `s`; uses 3 n more scratch values."""
+def start_accelerations(w, h, evaluate, at):  # type: ignore[no-untyped-def]
+    """Write the accelerations to `a` and h times their rate to `s`; uses 4 n scratch values."""
     n, q, v, a = at.n, at.q, at.v, at.a
     rate, q0, v0, a0 = (at.s + k * n for k in range(4))
-    later = LATER * h
-    weigh(w, at, 0.0, 0.0)
+    probe = PROBE * h
+    set_weights(w, at, 0.0, 0.0)
     for i in range(n):
         w[at.implicit + 2 + i] = 0.0
     evaluate(w)
@@ -33,27 +33,27 @@ def set_out(w, h, evaluate, at):  # type: ignore[no-untyped-def]
         w[q0 + i] = w[q + i]
         w[v0 + i] = w[v + i]
         w[a0 + i] = w[a + i]
-        w[q + i] += later * (w[v + i] + 0.5 * later * w[a + i])
-        w[v + i] += later * w[a + i]
+        w[q + i] += probe * (w[v + i] + 0.5 * probe * w[a + i])
+        w[v + i] += probe * w[a + i]
     evaluate(w)
     for i in range(n):
-        w[rate + i] = (w[a + i] - w[a0 + i]) / LATER
+        w[rate + i] = (w[a + i] - w[a0 + i]) / PROBE
         w[q + i] = w[q0 + i]
         w[v + i] = w[v0 + i]
         w[a + i] = w[a0 + i]
 
 
 def start_midpoint(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
-    """Weights of the implicit forces, and first accelerations from a guess of none."""
+    """Set the implicit weights, and evaluate first accelerations with a zero guess."""
     half = 0.5 * h
-    weigh(w, at, half * half, half)
+    set_weights(w, at, half * half, half)
     for i in range(at.n):
         w[at.implicit + 2 + i] = 0.0
     evaluate(w)
 
 
 def midpoint(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
-    """Augmented-mass midpoint rule: order 2, A-stable on the elastic part, no numerical damping."""
+    """Implicit-force midpoint rule: order 2, A-stable on the elastic part, no numerical damping."""
     n, q, v, a = at.n, at.q, at.v, at.a
     guess, v0, q0 = at.implicit + 2, at.s, at.s + n
     half = 0.5 * h
@@ -70,12 +70,12 @@ def midpoint(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
 
 
 def start_numerov(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
-    """Rates shifted by the rate of the accelerations; their higher differences begin at none."""
+    """Shifted rates u = v + h^2/12 da/dt, and differences of the accelerations: h da/dt, 0, 0."""
     n = at.n
     first, second, third, shifted, fresh = (at.s + k * n for k in range(5))
     twelfth = 1.0 / 12.0 * h
-    set_out(w, h, evaluate, at)
-    weigh(w, at, h * twelfth, 1.0 / 3.0 * h)
+    start_accelerations(w, h, evaluate, at)
+    set_weights(w, at, h * twelfth, 1.0 / 3.0 * h)
     for i in range(n):
         w[second + i] = 0.0
         w[third + i] = 0.0
@@ -86,8 +86,9 @@ def start_numerov(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
 def numerov(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
     """Newmark's method with beta = 1/12 on u = v + h^2/12 da/dt: order 4, omega h <= 2.449.
 
-    Numerov's formula for the coordinates, Euler and Maclaurin's trapezoidal rule for the rates.
-    Accelerations are predicted by their backward differences; a fresh start knows a and da/dt.
+    The coordinates follow Numerov's formula, the rates the Euler-Maclaurin trapezoidal rule. The
+    guess extrapolates the accelerations by their backward differences; in the first step only a
+    and da/dt are known, which `fresh` marks with 1.
     """
     n, q, v, a = at.n, at.q, at.v, at.a
     first, second, third, shifted, fresh = (at.s + k * n for k in range(5))
@@ -103,23 +104,26 @@ def numerov(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
         w[v + i] = w[shifted + i] - twelfth * (w[first + i] + 0.5 * w[second + i])
     evaluate(w)
     for i in range(n):
-        missed = w[a + i] - w[guess + i]
-        late = w[fresh + i] * (LATER / (1.0 - LATER)) * missed  # of the first da/dt
-        w[first + i] += missed
-        w[second + i] += (1.0 + w[fresh + i]) * missed + late + late
-        w[third + i] += (1.0 - w[fresh + i]) * missed
+        error = w[a + i] - w[guess + i]
+        rate_error = w[fresh + i] * (PROBE / (1.0 - PROBE)) * error  # in the first da/dt
+        w[first + i] += error
+        w[second + i] += (1.0 + w[fresh + i]) * error + rate_error + rate_error
+        w[third + i] += (1.0 - w[fresh + i]) * error
         w[fresh + i] = 0.0
-        w[q + i] += h * twelfth * (missed - late)
-        w[shifted + i] += 0.5 * h * missed - twelfth * late
+        w[q + i] += h * twelfth * (error - rate_error)
+        w[shifted + i] += 0.5 * h * error - twelfth * rate_error
         w[v + i] = w[shifted + i] - twelfth * (w[first + i] + 0.5 * w[second + i])
-    weigh(w, at, h * twelfth, 0.375 * h)
+    set_weights(w, at, h * twelfth, 0.375 * h)
 
 
 def start_generalized_alpha(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
-    """The auxiliary accelerations belong a little beside the present, the first guess inside it."""
+    """Set auxiliary accelerations b = a + (ALPHA_M - ALPHA_F) h da/dt, and the first guess.
+
+    The guess holds the accelerations (1 - ALPHA_F) h after the start.
+    """
     within = (1.0 - ALPHA_F) / (1.0 - ALPHA_M) * h
-    set_out(w, h, evaluate, at)
-    weigh(w, at, within * BETA * h, within * GAMMA)
+    start_accelerations(w, h, evaluate, at)
+    set_weights(w, at, within * BETA * h, within * GAMMA)
     for i in range(at.n):
         rate = w[at.s + i]
         w[at.s + i] = w[at.a + i] + (ALPHA_M - ALPHA_F) * rate
@@ -127,9 +131,10 @@ def start_generalized_alpha(w, h, evaluate, at, aid):  # type: ignore[no-untyped
 
 
 def generalized_alpha(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
-    """Order 2, A-stable on the elastic part, damps what the step cannot resolve.
+    """Generalized-alpha: order 2, A-stable on the elastic part, damps modes too fast for the step.
 
-    True accelerations (1 - ALPHA_M) b_new + ALPHA_M b at the time ALPHA_F before the step's end.
+    (1 - ALPHA_M) b_new + ALPHA_M b are the accelerations at the time ALPHA_F h before the end of
+    the step.
     """
     n, q, v, a = at.n, at.q, at.v, at.a
     guess, b, q0, v0 = at.implicit + 2, at.s, at.s + n, at.s + 2 * n

@@ -1,8 +1,8 @@
-"""A Rosenbrock step: Runge-Kutta made implicit by the exact Jacobian of the accelerations.
+"""Rosenbrock step: linearly implicit Runge-Kutta with the exact Jacobian of the accelerations.
 
-`aid` is a function that writes da/dq and da/dv of the present state, row by row, where the scratch
-space begins. Coefficients of Shampine (1982), "Implementation of Rosenbrock methods": order 4,
-A-stable, three evaluations and one Jacobian a step.
+`aid` is a function that writes da/dq and da/dv of the present state, row by row, to the start of
+the scratch space. Coefficients are those of Shampine (1982), "Implementation of Rosenbrock
+methods": order 4, A-stable, three evaluations and one Jacobian per step.
 """
 
 import numpy as np
@@ -14,7 +14,10 @@ WEIGHTS = np.array([19 / 9, 1 / 2, 25 / 108, 125 / 108])
 
 
 def factorize(w, h, lanes, n, s):  # type: ignore[no-untyped-def]
-    """L U of 1 - g h da/dv - g^2 h^2 da/dq, without pivoting, behind the two Jacobians."""
+    """Write the LU factors of 1 - g h da/dv - g^2 h^2 da/dq, without pivoting, after the Jacobians.
+
+    g is GAMMA; the factors' first slot is s + 2 (n / lanes) n.
+    """
     m = n // lanes
     square = n * m
     lu = s + square + square
@@ -35,7 +38,7 @@ def factorize(w, h, lanes, n, s):  # type: ignore[no-untyped-def]
 
 
 def solve(w, lanes, n, lu, x):  # type: ignore[no-untyped-def]
-    """Replace x by the solution."""
+    """Solve L U y = x in place; `lu` and `x` are first slots."""
     m = n // lanes
     for i in range(m):
         for j in range(i):
@@ -51,7 +54,10 @@ def solve(w, lanes, n, lu, x):  # type: ignore[no-untyped-def]
 
 
 def rosenbrock(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
-    """Stages (dq, dv) of (1/(g h) - J) stage = f + coupling; q and v are eliminated by hand."""
+    """Rosenbrock step with stages (dq, dv) of (1/(g h) - J) stage = f + coupling.
+
+    dq is eliminated, so that each stage solves one system of n equations for dv.
+    """
     lanes, n, q, v, a, s = at.lanes, at.n, at.q, at.v, at.a, at.s
     kind = w.dtype.type
     m = n // lanes
@@ -67,7 +73,7 @@ def rosenbrock(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
     for k in range(4):
         dq = stages + np.uint64(2 * k) * n
         dv = dq + n
-        if k < 3:  # the last stage shares the third's evaluation
+        if k < 3:  # the last stage reuses the third's evaluation
             for i in range(n):
                 w[q + i] = w[q0 + i]
                 w[v + i] = w[v0 + i]

@@ -1,15 +1,15 @@
-"""Places of an integrator's values in the workspace."""
+"""Slots of an integrator's values in the flat workspace."""
 
 from typing import NamedTuple
 
 
 class Slots(NamedTuple):
-    """First slots of the values that a method works on, `n` of each unless said otherwise."""
+    """First slot of each group of `n` values that a method works on."""
 
-    n: int  # number of coordinates, times lanes where a method is compiled as it stands
+    n: int  # number of coordinates, times `lanes`
     q: int  # coordinates
-    v: int  # rates
+    v: int  # rates of the coordinates
     a: int  # accelerations, written by `evaluate`
-    implicit: int  # weight of stiffness, weight of damping, then the guess: 2 + n values
-    s: int  # scratch space of the method
-    lanes: int = 1
+    implicit: int  # 2 + n values: weights of stiffness and damping, then the guess
+    s: int  # scratch space, `Integrator.scratch` values per lane
+    lanes: int = 1  # environments in one workspace; 1 unless numba compiles the method's loops

@@ -1,19 +1,20 @@
-"""The table of integration methods, one function per step of each.
+"""Integration methods as plain functions, and the table of them.
 
-A method works in place on the flat workspace `w`, whose `Slots` say where its values are;
-`evaluate(w)` writes the accelerations of the present coordinates and rates. The functions are plain
-Python. They run once on symbols, so no branch may depend on a value; only a method that needs a
-Jacobian is compiled as it stands, loops over lanes and all.
+A method works in place on the flat workspace `w`; `Slots` are the indices of its values.
+`evaluate(w)` writes the accelerations of the present coordinates and rates. A method's functions
+are executed once on symbols, and the recorded operations are compiled; no branch may therefore
+depend on a value. Only `prepare`, and all functions of a method that needs a Jacobian, are compiled
+by numba directly, with loops over lanes.
 
-`prepare` runs when the length h of the steps is known, `start` once per call, under a new torque,
-`step` as often as there are substeps. Nothing but q and v outlives a call, so a method that
-remembers must begin well: on true accelerations and, where it needs their rate, on one more
-evaluation a little later. `aid` is what the entry of the table says: None, the arm's modes, or
-a function that writes its Jacobian.
+`prepare(w, h, at, aid)` runs once when the step length h is known. `start(w, h, evaluate, at, aid)`
+runs at the beginning of each call, under a new torque, and `step` with the same arguments once per
+substep. Only q and v persist between calls, so a multistep method must start from the accelerations
+themselves and, if it needs their rate, from a second evaluation a fraction of a step later. `aid`
+is None, the arm's modes, or a function that writes the Jacobian, as `Integrator.aid` specifies.
 
-An implicit method takes elastic and linear damping forces implicitly, all others at an
-extrapolated state: `evaluate` then solves (M + W) a = f(q, v) + W guess with W = k K + c C, one
-number each of k and c at `implicit`, then the guess. It stays linear and costs one solve a step.
+An implicit method takes elastic and linear damping forces implicitly and all others at an
+extrapolated state: `evaluate` solves (M + W) a = f(q, v) + W guess with W = k K + c C. The scalars
+k and c are stored at `implicit`, followed by the guess. Each evaluation is one linear solve.
 """
 
 from collections.abc import Callable
@@ -37,15 +38,15 @@ from dynamics.integrators.rosenbrock import factorize, rosenbrock, solve
 
 
 def prepare_nothing(w, h, at, aid):  # type: ignore[no-untyped-def]
-    """A method without numbers of its own for a length of steps."""
+    """Do nothing: the method has no constants that depend on the step length."""
 
 
 def start_nothing(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
-    """A one-step method that needs no preparation."""
+    """Do nothing: a one-step method has no state to initialise."""
 
 
 def euler(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
-    """Semi-implicit Euler: new rates move the coordinates. Order 1, stable up to omega h = 2."""
+    """Semi-implicit Euler: the new rates advance the coordinates. Order 1, omega h <= 2."""
     evaluate(w)
     for i in range(at.n):
         w[at.v + i] += h * w[at.a + i]
@@ -53,7 +54,7 @@ def euler(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
 
 
 def rk4(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
-    """Classical Runge-Kutta, order 4; stable on an undamped mode up to omega h = 2.83."""
+    """Classical Runge-Kutta, order 4; stable on an undamped mode up to omega h = 2.828."""
     n, q, v, a = at.n, at.q, at.v, at.a
     q0, v0, dq, dv = (at.s + k * n for k in range(4))
     evaluate(w)
@@ -78,47 +79,47 @@ def rk4(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True)
 class Integrator:
-    """A method: what it does each step, once per call and beforehand, and what to expect of it."""
+    """Functions of a method, and its order, stability limit and cost."""
 
     step: Callable[..., None]
     start: Callable[..., None]
     order: int
-    limit: float  # largest omega h on an undamped mode
-    per_step: int = 1  # evaluations of the accelerations
-    per_call: int = 0  # those before the first step
-    implicit: bool = False  # needs the graph with stiffness and damping in the mass matrix
-    aid: str = "none"  # what it needs beside `evaluate`: "modes" of the arm, or its "jacobian"
-    scratch: Callable[[int], int] = lambda n: 4 * n  # values per lane at `s`
-    kept: Callable[[int], int] = lambda n: 0  # how many of them, the first, outlive a step
+    limit: float  # largest stable omega h on an undamped mode
+    per_step: int = 1  # evaluations of the accelerations per step
+    per_call: int = 0  # further evaluations per call, in `start`
+    implicit: bool = False  # stiffness and damping are part of the mass matrix in `evaluate`
+    aid: str = "none"  # argument beside `evaluate`: "modes" of the arm, or its "jacobian"
+    scratch: Callable[[int], int] = lambda n: 4 * n  # number of values per lane at `s`
+    kept: Callable[[int], int] = lambda n: 0  # number of leading scratch values kept between steps
     prepare: Callable[..., None] = prepare_nothing
-    helpers: tuple[Callable[..., object], ...] = ()  # that functions compiled as they stand call
+    helpers: tuple[Callable[..., object], ...] = ()  # called by functions that numba compiles
 
     def evaluations(self, steps: int) -> int:
-        """Of a call of so many steps."""
+        """Evaluations of the accelerations in a call with this many steps."""
         return self.per_step * steps + self.per_call
 
 
-ALWAYS = float("inf")
+UNLIMITED = float("inf")
 INTEGRATORS = {
     "rk4": Integrator(rk4, start_nothing, order=4, limit=2.828, per_step=4),
     "midpoint": Integrator(
-        midpoint, start_midpoint, order=2, implicit=True, limit=ALWAYS, per_call=1
+        midpoint, start_midpoint, order=2, implicit=True, limit=UNLIMITED, per_call=1
     ),
     "numerov": Integrator(
         numerov, start_numerov, order=4, implicit=True, limit=2.449, per_call=2,
         scratch=lambda n: 5 * n, kept=lambda n: 5 * n,
     ),
     "generalized-alpha": Integrator(
-        generalized_alpha, start_generalized_alpha, order=2, implicit=True, limit=ALWAYS,
+        generalized_alpha, start_generalized_alpha, order=2, implicit=True, limit=UNLIMITED,
         per_call=2, kept=lambda n: n,
     ),
     "exponential": Integrator(
-        exponential, start_exponential, order=2, limit=ALWAYS, per_call=1, aid="modes",
+        exponential, start_exponential, order=2, limit=UNLIMITED, per_call=1, aid="modes",
         scratch=lambda n: 11 * n, kept=lambda n: 11 * n, prepare=prepare_exponential,
         helpers=(propagator,),
     ),
     "rosenbrock": Integrator(
-        rosenbrock, start_nothing, order=4, limit=ALWAYS, per_step=3, aid="jacobian",
+        rosenbrock, start_nothing, order=4, limit=UNLIMITED, per_step=3, aid="jacobian",
         scratch=lambda n: 10 * n + 3 * n * n, helpers=(factorize, solve),
     ),
     "euler": Integrator(euler, start_nothing, order=1, limit=2.0),

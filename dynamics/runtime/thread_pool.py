@@ -11,7 +11,8 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any, TypeVar
 
-from dynamics.runtime.jit import aligned_zeros, compiled_for
+from dynamics.runtime.jit import aligned_zeros
+from dynamics.runtime.numba_internals import USABLE, compiled_for
 from dynamics.runtime.work_queue import LINE, SPINS, post_and_wait
 
 T = TypeVar("T")
@@ -23,6 +24,8 @@ LEAST_WORK = 5e-5  # [s] of a thread's part of a call; starting it costs a fifth
 
 def useful_threads(threads: int, blocks: int, operations: float) -> int:
     """Number of threads that a call of so many operations on so many blocks of rows can use."""
+    if not USABLE:
+        return 1
     work = operations / OPERATIONS_PER_SECOND  # [s]
     return max(1, min(threads, blocks, int(work / LEAST_WORK)))
 

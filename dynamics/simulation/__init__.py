@@ -1,1 +1,1 @@
-"""Motions of compiled arms: one arm through time, or a batch step by step."""
+"""Simulation of compiled arms: one arm over time, or a batch step by step."""

@@ -1,12 +1,13 @@
-"""Cases: an arm, states to evaluate it at, a motion to follow, read and checked as a whole.
+"""Case files: an arm, states at which to evaluate it, and a motion to simulate.
 
 A case is an arm file with any of: `states` [{q, qd, tau}], `initial` {q, qd} with `t_end`, `n_out`
-and `torque`. Without `states`, those under `expected` serve, so that a reference case evaluates
-itself. Everything is checked here, before anything is computed.
+and `torque`. Without `states`, the states under `expected` are taken, so that a reference case
+evaluates itself. The whole file is checked before any computation.
 
-A free base's six may be left out of q and qd: it is where its description says. Given, its rotation
-in q is a rotation vector from the attitude `base_quaternion` that stands beside q, or from that of
-the description; in what is read here, from the world, as `Model` has it.
+The six coordinates of a free base may be left out of q and qd; they then follow from the
+description of the base. If given, the rotation in q is a rotation vector from the attitude
+`base_quaternion` beside q, or else from the described attitude. The `State` and `Motion` read here
+hold the rotation vector from the world, as `Model` takes it.
 """
 
 import math
@@ -27,13 +28,13 @@ from dynamics.types import Array
 
 Numbers = tuple[float, ...]
 
-N_OUT = 101  # output times of a motion, both ends included, if the case does not say
+N_OUT = 101  # default number of output times of a motion, both ends included
 MAX_N_OUT = 1_000_001
 
 
 @dataclass(frozen=True, kw_only=True)
 class PiecewiseConstant:
-    """A joint torque that jumps to `values[k]` at `times[k]`; zero before the first."""
+    """A joint torque that jumps to `values[k]` at `times[k]` and is zero before `times[0]`."""
 
     times: Numbers  # (k,) [s] strictly increasing
     values: Numbers  # (k,) [N m]
@@ -57,7 +58,7 @@ class Sine:
 
 @dataclass(frozen=True, kw_only=True)
 class Torque:
-    """Joint torques over time; a joint without a signal is free."""
+    """Joint torques over time; a joint without a signal has none."""
 
     signals: tuple[PiecewiseConstant | Sine | None, ...]  # (n_joint,)
 
@@ -67,14 +68,14 @@ class Torque:
 
     @property
     def breakpoints(self) -> Numbers:
-        """Times [s] at which some torque jumps, increasing."""
+        """Increasing times [s] of the torque jumps."""
         steps = [signal for signal in self.signals if isinstance(signal, PiecewiseConstant)]
         return tuple(sorted({time for step in steps for time in step.times}))
 
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Where M, h and the accelerations are wanted."""
+    """A state at which M, h and the accelerations are evaluated."""
 
     q: Numbers  # (n,) [rad, m]
     qd: Numbers  # (n,) [rad/s, m/s]
@@ -99,16 +100,16 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """An arm and what is asked of it."""
+    """An arm, the states to evaluate and the motion to simulate."""
 
     arm: Arm
     states: tuple[State, ...] = ()
     motion: Motion | None = None
-    joint_angles: Numbers  # (n_joint,) [rad] at which the frequencies are wanted
+    joint_angles: Numbers  # (n_joint,) [rad] for the natural frequencies
 
 
 def load_case(path: Path) -> Case:
-    """The case in a JSON or YAML file."""
+    """Read a case from a JSON or YAML file."""
     try:
         return case_from_dict(read_mapping(path))
     except ValueError as error:
@@ -116,7 +117,7 @@ def load_case(path: Path) -> Case:
 
 
 def case_from_dict(data: Mapping[str, object]) -> Case:
-    """A case from plain lists, numbers and text; every unknown key is refused."""
+    """Read a case from plain lists, numbers and text; unknown keys are refused."""
     validate.mapping(data, "the case", (*ARM_KEYS, *CASE_KEYS))
     arm = arm_from_dict(data)
     expected = data.get("expected", {})
@@ -155,7 +156,7 @@ def _motion(data: Mapping[str, object], arm: Arm) -> Motion | None:
     if data.get("initial") is None:
         for key in ("t_end", "torque"):
             if data.get(key) is not None:
-                raise ValueError(f"{key} needs an initial state; give initial {{q, qd}}.")
+                raise ValueError(f"{key} needs an initial state: give initial {{q, qd}}.")
         return None
     initial = _required(data["initial"], "initial", ("q", "qd"), _state_keys(arm))
     q, qd = _coordinates(initial, "initial", arm)
@@ -227,15 +228,15 @@ def _coordinates(values: Mapping[str, object], name: str, arm: Arm) -> tuple[Num
 
 
 def _completed(data: object, base: Numbers, name: str, arm: Arm) -> Numbers:
-    """(n,) numbers; what is missing of a free base is put in front."""
+    """(n,) numbers; `base` supplies the coordinates of a free base that the data leave out."""
     entries = validate.sequence(data, name)
-    missing = len(entries) == arm.n - arm.base.n
-    numbers = validate.numbers(entries, name, len(entries) if missing else arm.n)
-    return base[: arm.base.n] * missing + numbers
+    if len(entries) == arm.n - arm.base.n:
+        return base[: arm.base.n] + validate.numbers(entries, name, len(entries))
+    return validate.numbers(entries, name, arm.n)
 
 
 def _expected_angles(expected: Mapping[str, object], arm: Arm) -> Numbers:
-    """Joint angles of the expected frequencies, else all zero."""
+    """Joint angles [rad] of the expected frequencies; zero if there are none."""
     frequencies = expected.get("frequencies_rad_s")
     name = "at_joint_angles"
     if not isinstance(frequencies, Mapping) or name not in frequencies:
@@ -247,7 +248,7 @@ def _expected_angles(expected: Mapping[str, object], arm: Arm) -> Numbers:
 def _required(
     data: object, name: str, required: tuple[str, ...], known: tuple[str, ...]
 ) -> dict[str, object]:
-    """A mapping with all required and no unknown keys."""
+    """Validate a mapping: all required keys and no unknown one."""
     values = validate.mapping(data, name, known)
     for key in required:
         if key not in values:

@@ -1,4 +1,4 @@
-"""Nominal motions: joints from rest to rest, and the torques a rigid arm needs for that."""
+"""Nominal motions: joints from rest to rest, and the rigid arm's torques that produce them."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,10 +14,10 @@ from dynamics.types import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Cycloidal:
-    """Joints move from `start` to `goal` and stay there: (2.14) of Cyril's FLEXLINK thesis.
+    """Cycloidal joint motion from `start` to `goal`, eq. (2.14) of Cyril's FLEXLINK thesis.
 
-    q(t) = q(0) + (q(T) - q(0))/T (t - T/(2 pi) sin(2 pi t/T)); rates and accelerations are zero at
-    both ends.
+    q(t) = q(0) + (q(T) - q(0))/T (t - T/(2 pi) sin(2 pi t/T)), and q(T) after T. Rates and
+    accelerations are zero at both ends.
     """
 
     start: Numbers  # (n_joint,) [rad or m]
@@ -44,7 +44,7 @@ class Cycloidal:
 
 
 def stiffened(arm: Arm) -> Arm:
-    """The arm without modes and joint springs: what plans its motions."""
+    """The arm without modes and joint springs, on which nominal torques are computed."""
     links = tuple(
         replace(
             link, modes=(), segments=1, damping_ratio=0.0, damping_beta=0.0,

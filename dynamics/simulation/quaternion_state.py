@@ -1,7 +1,7 @@
-"""States of a free base as methods with error control integrate them: with a quaternion.
+"""States with the attitude of a free base as a quaternion, for solvers with error control.
 
-Its rate is half the quaternion times the angular velocity, smooth at every attitude; what the
-equations of motion see of it has unit length.
+The quaternion's rate is half its product with the angular velocity and is smooth at every attitude.
+The equations of motion take the quaternion scaled to unit length.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from dynamics.types import Array
 
 
 def with_quaternion(q: Array) -> Array:
-    """(n + 1,) coordinates with the attitude as a quaternion in place of a rotation vector."""
+    """(n + 1,) coordinates with a quaternion in place of the rotation vector."""
     return np.concatenate([q[:3], from_rotation_vector(q[3:6].tolist()), q[6:]])
 
 
@@ -25,13 +25,13 @@ def with_rotation_vector(x: Array) -> Array:
 
 
 def rates(x: Array, v: Array) -> Array:
-    """(n + 1,) derivatives of such coordinates under the rates v (n,)."""
+    """(n + 1,) time derivatives of the coordinates x (n + 1,) under the rates v (n,)."""
     turning = product(x[3:7].tolist(), (0.0, *v[3:6].tolist()))
     return np.concatenate([v[:3], 0.5 * np.array(turning), v[6:]])
 
 
 def quaternions(q: Array, first: Sequence[float]) -> Array:
-    """(N, 4) of coordinates (N, n), each with the sign nearer to the one before, or to `first`."""
+    """(N, 4) attitudes of coordinates q (N, n), without jumps of sign, from that of `first` on."""
     result = np.array([from_rotation_vector(row[3:6].tolist()) for row in q])
     flips = [before @ after < 0.0 for before, after in pairwise([np.array(first), *result])]
     signs = np.where(np.cumsum(flips) % 2, -1.0, 1.0)

@@ -1,4 +1,4 @@
-"""Follow one arm through time, by SciPy's methods with error control or by fixed steps."""
+"""Simulate one arm, by SciPy's methods with error control or by fixed steps."""
 
 import warnings
 from collections.abc import Callable
@@ -19,19 +19,19 @@ from dynamics.simulation.validity import FARTHEST, ValidityWarning, limits
 from dynamics.types import Array
 
 TorqueSignal = Callable[[float], ArrayLike]
-Signal = Callable[[float], Array]  # checked
+Signal = Callable[[float], Array]  # a torque signal whose values are validated
 
 REFERENCES = {"dop853": DOP853, "radau": Radau, "bdf": BDF}
-RTOL = 1e-10  # of a method with error control, unless the caller says
-CAREFUL = 0.1  # default dt of a fixed-step method, times the fastest rate of the arm
+RTOL = 1e-10  # default of the methods with error control
+STEP_TIMES_RATE = 0.1  # default dt of a fixed-step method times the fastest rate of the arm
 MOST_STEPS = 1e9  # of a fixed-step method: hours
-WORTH = 100_000  # evaluations of DOP853, a few seconds, from which "auto" tries Radau's method
-TRIAL = 8000  # evaluations of each to tell which gets farther: decaying starts are slow for both
-DEARER = 4.0  # an implicit method's evaluation, with its share of Jacobians and linear algebra
+TRY_RADAU = 100_000  # evaluations of DOP853 (a few seconds) above which "auto" tries Radau's method
+TRIAL = 8000  # evaluations that compare the two: decaying starts are slow for both
+RADAU_COST = 4.0  # of its evaluation, Jacobians and linear algebra included, over DOP853's
 
 
 class Diverged(RuntimeError):
-    """A simulation left the finite numbers."""
+    """A simulation became non-finite or exceeded the largest meaningful state."""
 
 
 def simulate(
@@ -50,45 +50,50 @@ def simulate(
     Parameters
     ----------
     model : the compiled arm.
-    q, v : (n,) initial state; of a free base without its six, it starts where `Base` says.
-    torque : (n_joint,) [N m] constant; a function of time, whose attribute `breakpoints`, if it
-        has one, lists the times where it jumps; or None.
+    q, v : (n,) initial state. The six coordinates of a free base may be left out; it then starts
+        in the state that `Base` describes.
+    torque : (n_joint,) [N m] constant torques, a function of time, or None. A function may list
+        the times of its jumps in an attribute `breakpoints`.
     times : (N,) [s] increasing output times.
-    integrator : SciPy's "dop853" (explicit), "radau" or "bdf" (implicit, with exact Jacobians),
-        which control their error; "auto", the cheaper of the first two, or a fixed-step method of
-        INTEGRATORS, which holds a torque that varies at its value in mid-step. At one tolerance
-        BDF's error is the largest, ten times the others' and more.
+    integrator : one of SciPy's methods with error control, "dop853" (explicit), "radau" or "bdf"
+        (implicit, with exact Jacobians); "auto", the cheaper of "dop853" and "radau"; or a
+        fixed-step method of INTEGRATORS, each step of which takes the torque at its midpoint. At
+        equal tolerance BDF's error is at least ten times the others'.
     dt : [s] largest step of a fixed-step method; default 0.1 over the fastest frequency or decay.
     rtol : relative tolerance of error control; default 1e-10.
 
-    Warns with a `ValidityWarning` for each assumption of the model that the motion leaves at the
-    output times, see `dynamics.limits`.
+    Warns
+    -----
+    ValidityWarning : for each assumption of the model that is violated at an output time, see
+        `dynamics.limits`.
 
     Raises
     ------
-    Diverged : naming the time and the remedy.
+    Diverged : with the time and a remedy.
     ValueError : for arguments of wrong size, or a step beyond the method's stability limit.
     """
     base = validate.instance(model, "model", Model).arm.base
     start = (_state(model, q, base.q, "q"), _state(model, v, base.v, "v"))
     grid = validate.array(times, "times", (None,))
     if grid.size < 1 or np.any(np.diff(grid) <= 0.0):
-        raise ValueError(f"times must hold one number at least, and increase, got {grid.size}.")
+        raise ValueError(
+            f"times must be at least one number and strictly increasing, got {grid.size} numbers."
+        )
     validate.known(integrator, "integrator", ["auto", *REFERENCES, *INTEGRATORS])
     signal, jumps = _signal(model, torque)
     if integrator not in INTEGRATORS:
         if dt is not None:
             raise ValueError(
-                f"dt ({validate.shown(dt)} s) is for fixed-step methods; {integrator} takes rtol."
+                f"dt ({validate.shown(dt)} s) is for fixed-step methods; give {integrator} an rtol."
             )
         accuracy = RTOL if rtol is None else validate.positive(rtol, "rtol", "-")
-        motion = _Motion(model, start, signal, jumps, grid, accuracy)
+        motion = _ErrorControlled(model, start, signal, jumps, grid, accuracy)
         integrator = motion.cheapest() if integrator == "auto" else integrator
         states = motion.solve(integrator)
     else:
         if rtol is not None:
             raise ValueError(
-                f"rtol ({validate.shown(rtol)}) is for error control; {integrator} takes dt."
+                f"rtol ({validate.shown(rtol)}) is for error control; give {integrator} a dt."
             )
         states = _fixed_steps(model, start, signal, jumps, grid, integrator, dt)
     rates = states[:, model.n :]
@@ -114,7 +119,7 @@ def _state(model: Model, x: ArrayLike, base: tuple[float, ...], name: str) -> Ar
 def _signal(
     model: Model, torque: TorqueSignal | ArrayLike | None
 ) -> tuple[Signal | Array, list[float]]:
-    """The torque as a function or a constant, and the times where it jumps."""
+    """Torque as a function or a constant, and the times [s] of its jumps."""
     if torque is None:
         return np.zeros(model.n_joint), []
     numbers = partial(validate.array, shape=(model.n_joint,))
@@ -130,8 +135,11 @@ def _signal(
     return checked, list(jumps)
 
 
-class _Motion:
-    """A motion for the methods with error control."""
+class _ErrorControlled:
+    """A motion by SciPy's methods with error control.
+
+    They integrate the attitude of a free base as a quaternion: see quaternion_state.py.
+    """
 
     def __init__(
         self,
@@ -143,44 +151,42 @@ class _Motion:
         rtol: float,
     ) -> None:
         self.model, self.signal, self.times, self.rtol = model, signal, times, rtol
-        self.start = np.concatenate([self._opened(start[0]), start[1]])
+        q = quaternion_state.with_quaternion(start[0]) if model.arm.base.n else start[0]
+        self.start = np.concatenate([q, start[1]])
         between = sorted(t for t in jumps if times[0] < t < times[-1])
         self.knots = [float(times[0]), *between, float(times[-1])]
         self._program = model.program(1, "rk4")
         self._w, self._out = model.workspace(self._program), np.empty((1, model.n))
 
     def _torque(self, t: float, begin: float, end: float) -> Array:
-        """A jump belongs to the piece of motion that it starts."""
+        """Torque at t between two jumps; at `end`, the value before the jump."""
         if not callable(self.signal):
             return self.signal
         return self.signal(min(max(t, begin), np.nextafter(end, begin)))
 
-    def _opened(self, q: Array) -> Array:
-        """Coordinates that solvers integrate: of a free base, the attitude as a quaternion."""
-        return quaternion_state.with_quaternion(q) if self.model.arm.base.n else q
-
     def solver(self, name: str, x: Array, begin: float, end: float) -> OdeSolver:
-        """One of SciPy's, from state x, from jump to jump."""
+        """SciPy's solver from state x at `begin` to the next jump at `end`."""
         n, parameters = self.model.n, self.model.nominal_parameters[None]
-        flies = self.model.arm.base.n > 0
+        free = self.model.arm.base.n > 0
 
         def derivative(t: float, x: Array) -> Array:
             tau = self._torque(t, begin, end)[None]
-            q, v = (quaternion_state.with_rotation_vector(x[:-n]) if flies else x[:n]), x[-n:]
+            q, v = (quaternion_state.with_rotation_vector(x[:-n]) if free else x[:n]), x[-n:]
             self._program.evaluate_states(q[None], v[None], tau, parameters, self._w, self._out)
-            return np.concatenate([quaternion_state.rates(x[:-n], v) if flies else v, self._out[0]])
+            return np.concatenate([quaternion_state.rates(x[:-n], v) if free else v, self._out[0]])
 
         def jacobian(t: float, x: Array) -> Array:
             return self.model.linearize(x[:n], x[n:], self._torque(t, begin, end))[0]
 
-        options = {} if name == "dop853" or flies else {"jac": jacobian}  # else by differences
+        # with a free base SciPy takes the Jacobian by differences
+        options = {} if name == "dop853" or free else {"jac": jacobian}
         return REFERENCES[name](
             derivative, begin, x, end, rtol=self.rtol, atol=1e-2 * self.rtol, **options
         )
 
-    @np.errstate(over="ignore", invalid="ignore")  # from what is not finite it steps back, or fails
+    @np.errstate(over="ignore", invalid="ignore")  # a solver retries a non-finite step, or fails
     def solve(self, name: str) -> Array:
-        """(N, 2 n) states at the times, from the method's dense output."""
+        """(N, 2 n) states at the output times, from the solver's dense output."""
         rows, n = self._rows(name), self.model.n
         if not self.model.arm.base.n:
             return rows
@@ -188,7 +194,7 @@ class _Motion:
         return np.hstack([positions, rows[:, -n:]])
 
     def _rows(self, name: str) -> Array:
-        """States as solvers integrate them, at the times."""
+        """Solver states at the output times, a free base's attitude as a quaternion."""
         rows = np.empty((self.times.size, self.start.size))
         rows[0] = x = self.start
         done = 1
@@ -197,7 +203,7 @@ class _Motion:
             while solver.status == "running":
                 try:
                     solver.step()
-                except ValueError:  # SciPy's, of a matrix that is not finite
+                except ValueError:  # SciPy refuses a matrix that is not finite
                     raise _diverged(solver.t) from None
                 if solver.status == "failed" or np.abs(solver.y).max() > FARTHEST:
                     raise _diverged(solver.t)
@@ -209,15 +215,16 @@ class _Motion:
         return rows
 
     def cheapest(self) -> str:
-        """DOP853, unless Radau's method gets through the motion's start for less."""
-        explicit = self._rate("dop853")
-        if not explicit * (self.knots[-1] - self.knots[0]) > WORTH:
+        """DOP853, unless the motion is long and Radau's method costs less at its start."""
+        explicit = self._evaluations_per_second("dop853")
+        if not explicit * (self.knots[-1] - self.knots[0]) > TRY_RADAU:
             return "dop853"
-        return "radau" if DEARER * self._rate("radau") < explicit else "dop853"
+        implicit = RADAU_COST * self._evaluations_per_second("radau")
+        return "radau" if implicit < explicit else "dop853"
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _rate(self, name: str) -> float:
-        """Evaluations per second of motion, over the first TRIAL of them."""
+    def _evaluations_per_second(self, name: str) -> float:
+        """Evaluations per second of motion, over the first TRIAL evaluations."""
         solver = self.solver(name, self.start, self.knots[0], self.knots[1])
         while solver.status == "running" and solver.nfev < TRIAL:
             solver.step()
@@ -233,25 +240,25 @@ def _fixed_steps(
     integrator: str,
     dt: float | None,
 ) -> Array:
-    """Equal steps of at most `dt` between output times and jumps."""
+    """(N, 2 n) states at `times`, by equal steps of at most `dt` between output times and jumps."""
     fastest = step_limits.fastest(model, start[0])
     duration = float(np.ptp(times))
     if dt is not None:
         largest = validate.positive(dt, "dt", "s")
     else:
-        largest = CAREFUL / fastest if fastest else duration / 1000.0 or 1.0
+        largest = STEP_TIMES_RATE / fastest if fastest else duration / 1000.0 or 1.0
     if duration > MOST_STEPS * largest:
         raise ValueError(
-            f"dt must be at least {duration / MOST_STEPS:.3g} s, or {duration:.6g} s take more "
-            f"than {MOST_STEPS:g} steps, got {largest:.3g} s; take a larger dt, a shorter motion, "
+            f"dt must be at least {duration / MOST_STEPS:.3g} s, so that {duration:.6g} s take at "
+            f"most {MOST_STEPS:g} steps, got {largest:.3g} s. Take a larger dt, a shorter motion "
             "or a method with error control."
         )
     limit = step_limits.largest_step(model, start[0], integrator, largest)
     if limit < largest:
         raise ValueError(
             f"dt must be at most {limit:.3g} s, or {integrator} diverges from rest (fastest "
-            f"frequency or decay {fastest:.4g} rad/s); got {dt!r} s. Take a smaller dt, or "
-            f"'midpoint', which takes elastic forces implicitly."
+            f"frequency or decay {fastest:.4g} rad/s), got {dt!r} s. Take a smaller dt, or "
+            "'midpoint', which takes elastic forces implicitly."
         )
     stepper = Stepper(model, 1, dt=largest, substeps=1, integrator=integrator)
     stepper.q[0], stepper.v[0] = start
@@ -268,7 +275,7 @@ def _fixed_steps(
 def _march(
     stepper: Stepper, signal: Signal | Array, begin: float, end: float, largest: float
 ) -> None:
-    """Equal steps from `begin` to `end`; a constant torque needs one call for all."""
+    """Take equal steps from `begin` to `end`; under a constant torque one call takes them all."""
     steps = max(1, int(np.ceil((end - begin) / largest - 1e-9)))
     stepper.dt = (end - begin) / steps
     calls = steps if callable(signal) else 1

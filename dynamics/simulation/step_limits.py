@@ -1,4 +1,4 @@
-"""How long a step an arm allows, from the arm linearised at rest."""
+"""Stability limits of integration steps, from the arm linearised at rest."""
 
 from typing import Any
 
@@ -10,12 +10,13 @@ from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
 from dynamics.types import Array
 
-GROWS = 1e-5  # of a perturbation in one step, above round-off of the double roots of rigid motion
-CLOSE = 1e-4  # [-] to which `largest_step` knows the limit
+# growth per step that counts as unstable, above the round-off of rigid motion's double roots
+GROWS = 1e-5
+RESOLUTION = 1e-4  # [-] relative accuracy of `largest_step`
 
 
 class _Row(np.ndarray):
-    """One value of many perturbed states; `x += y` makes a new one, as with numbers."""
+    """One slot's value in many perturbed states; `x += y` makes a new array, as with numbers."""
 
     def _refuse(self, other: Any) -> Any:
         return NotImplemented
@@ -26,7 +27,8 @@ class _Row(np.ndarray):
 def fastest(model: Model, q: Array) -> float:
     """[rad/s] bound on the eigenvalues of the arm at rest at the joint angles of q (n,).
 
-    Elastic with free joints, damping of the modes, joint friction: Coulomb's at its steepest.
+    The larger of the highest natural frequency with free joints and the highest decay rate from
+    modal damping and joint friction, Coulomb friction with its steepest slope.
     """
     omega = float(model.frequencies(q, joints="free").max(initial=0.0))
     arm = linear_arm(model.chain, model.rigid(q))
@@ -35,15 +37,15 @@ def fastest(model: Model, q: Array) -> float:
 
 
 def amplification(arm: LinearArm, integrator: str, dt: float) -> float:
-    """By how much one step of `dt` [s] may multiply a small motion about rest.
+    """Spectral radius of one step of `dt` [s] for small motions about rest.
 
-    The largest absolute eigenvalue of a step as a linear map, found by taking the step of
-    integrators.py itself, once per direction, on the linear arm.
+    The integrator's own step runs on the linear arm, once per unit perturbation of the state; the
+    results are the columns of the step's matrix.
     """
     method, n = INTEGRATORS[integrator], len(arm.M)
     Q, V, A, W, GUESS, S = 0, n, 2 * n, 3 * n, 3 * n + 2, 4 * n + 2
     places = Slots(n, Q, V, A, W, S)
-    size = S + method.kept(n)  # of what outlives a step
+    size = S + method.kept(n)  # values that outlive a step
     nothing = np.zeros(size + 1).view(_Row)
 
     def evaluate(w: Any) -> None:
@@ -64,9 +66,9 @@ def amplification(arm: LinearArm, integrator: str, dt: float) -> float:
     with np.errstate(all="ignore"):
         method.prepare(w, dt, places, aid)
         method.start(w, dt, evaluate, places, aid)
-        method.step(w, dt, evaluate, places, aid)  # the first may differ
+        method.step(w, dt, evaluate, places, aid)  # a first step may differ from later ones
         for column, i in enumerate(state):
-            w[i] = w[i] + nothing  # its last column stays unperturbed
+            w[i] = w[i] + nothing  # the last column stays unperturbed
             w[i][column] += 1.0
         method.step(w, dt, evaluate, places, aid)
         after = np.stack([nothing + w[i] for i in state])
@@ -77,12 +79,12 @@ def amplification(arm: LinearArm, integrator: str, dt: float) -> float:
 
 
 def largest_step(model: Model, q: Array, integrator: str, within: float) -> float:
-    """[s] step, at most `within`, up to which a small motion about rest at q (n,) stays small."""
+    """[s] largest stable step, at most `within`, for small motions about rest at q (n,)."""
     arm = linear_arm(model.chain, model.rigid(q))
     if amplification(arm, integrator, within) < 1.0 + GROWS:
         return within
     low, high = 0.0, within
-    while high - low > CLOSE * high:
+    while high - low > RESOLUTION * high:
         middle = 0.5 * (low + high)
         if amplification(arm, integrator, middle) < 1.0 + GROWS:
             low = middle

@@ -1,4 +1,4 @@
-"""Many substeps, many environments, all cores: one compiled call."""
+"""Batches of environments, stepped by one compiled call on several threads."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from dynamics.description import validate
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
-from dynamics.runtime.jit import compiled_for
+from dynamics.runtime.numba_internals import compiled_for
 from dynamics.runtime.thread_pool import ThreadPool, in_use, useful_threads
 from dynamics.runtime.work_queue import shares
 
@@ -23,9 +23,9 @@ MOST_THREADS = 1024
 class Stepper:
     """A batch of environments of one arm, stepped together.
 
-    Write into `q`, `v` and `torque` freely between calls. What an environment does depends
-    neither on the size of the batch nor on threads or lane. A single environment uses the one-lane
-    instance of the same code, equal to round-off.
+    `q`, `v` and `torque` may be written between calls. In a batch, the motion of an environment is
+    bit for bit independent of the batch size, the number of threads and its lane. A single
+    environment uses the one-lane program, which agrees to round-off.
 
     Parameters
     ----------
@@ -33,17 +33,17 @@ class Stepper:
     n_env : number of environments.
     dt : [s] integration step.
     substeps : steps per call of `advance`, under constant torque.
-    integrator : a name in `dynamics.integrators.INTEGRATORS`.
-    threads : worker threads at most; a batch with too little work for them takes fewer.
+    integrator : a name in `dynamics.integrators.table.INTEGRATORS`.
+    threads : greatest number of worker threads; a batch with too little work uses fewer.
 
     Attributes
     ----------
     q, v : (n_env, n) coordinates and their rates; [rad], [m].
     torque : (n_env, n_joint) [N m].
     parameters : (n_env, n_parameter) the model's free parameters, nominal at first.
-    status : (n_env,) 0, or the substep at which the environment went non-finite. Such an
-        environment keeps the state and measurements it had before the call.
-    measured : (n_env, n_measure) columns by `model.measurements`.
+    status : (n_env,) 0, or the substep at which the environment became non-finite. Such an
+        environment keeps its state and measurements of before the call.
+    measured : (n_env, n_measure) measurements; `model.measurements` names the columns.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Stepper:
         self._pool = ThreadPool(self.threads)
         self._lock = Lock()
 
-    # compiled code takes the arrays as they are: none can be replaced by one of another shape
+    # read-only properties: compiled code relies on the shapes and types of these arrays
     q = property(lambda self: self._q)
     v = property(lambda self: self._v)
     torque = property(lambda self: self._torque)
@@ -95,7 +95,7 @@ class Stepper:
                 self._advance(0)
             else:
                 self._rows[:] = self._shares
-                self._compiled  # by one thread, before several need it  # noqa: B018
+                self._compiled  # compile on this thread, before the others call it  # noqa: B018
                 self._pool.run(self._advance)
         finally:
             self._lock.release()
@@ -114,7 +114,7 @@ class Stepper:
         )  # fmt: skip
 
     def measure(self, q: ArrayLike, v: ArrayLike, out: NDArray[np.float64]) -> None:
-        """Measurements (N, n_measure) of any states (N, n), by this stepper's compiled code."""
+        """Write the measurements (N, n_measure) of states q, v (N, n) into `out`."""
         q, v = (validate.array(x, name, (None, self.model.n)) for x, name in ((q, "q"), (v, "v")))
         shape = len(q), self.model.n_measure
         validate.instance(out, "out", np.ndarray)

@@ -13,6 +13,6 @@ class Trajectory:
     q: Array  # (N, n) [rad, m]
     v: Array  # (N, n) [rad/s, m/s]
     tip: Array  # (N, 3) [m]
-    base_position: Array | None = None  # (N, 3) [m] in the world; None of a fixed base
+    base_position: Array | None = None  # (N, 3) [m] in the world; None for a fixed base
     base_quaternion: Array | None = None  # (N, 4) w, x, y, z, without jumps of sign
-    integrator: str = ""  # that was used: what "auto" chose
+    integrator: str = ""  # the one used, also after "auto"

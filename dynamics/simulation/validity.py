@@ -1,4 +1,4 @@
-"""Where an assumed-modes model leaves what it assumes: small deflections, slow turning, damping."""
+"""Checks of a motion against the model's assumptions: deflection, joint rate and damping."""
 
 import numpy as np
 
@@ -8,18 +8,18 @@ from dynamics.formulations.damping import viscous_links
 from dynamics.model import Model
 from dynamics.simulation.trajectory import Trajectory
 
-FARTHEST = 1e8  # [rad], [rad/s] beyond which sine and cosine of an angle mean nothing
-LARGEST_DEFLECTION = 0.1  # [-] of the length of a link, or of a segment of it
-LARGEST_SLOPE = 0.15  # [rad] at its tip
-LARGEST_RATE = 0.5  # [-] joint rate over the first clamped frequency, without foreshortening
+FARTHEST = 1e8  # [rad], [rad/s] largest state: sines of larger angles are inaccurate
+LARGEST_DEFLECTION = 0.1  # [-] tip deflection over length, of a link or segment
+LARGEST_SLOPE = 0.15  # [rad] tip rotation of a link or segment
+LARGEST_RATE = 0.5  # [-] joint rate over the first frequency, joints locked, no foreshortening
 
 
 class ValidityWarning(UserWarning):
-    """A motion left what its model assumes: expect errors."""
+    """A motion violates an assumption of its model."""
 
 
 def limits(model: Model, trajectory: Trajectory) -> tuple[str, ...]:
-    """One sentence for every assumption that a motion of the arm leaves; empty if it keeps all."""
+    """One sentence for each assumption of the model that a motion violates."""
     validate.instance(model, "model", Model)
     validate.instance(trajectory, "trajectory", Trajectory)
     return (*_rates(model, trajectory), *_bending(model, trajectory), *_damping(model.arm))
@@ -32,8 +32,8 @@ def _rates(model: Model, trajectory: Trajectory) -> list[str]:
     first = float(model.frequencies(trajectory.q[0]).min())
     fastest = np.abs(trajectory.v[:, joints]).max(axis=0)
     return [
-        f"Joint {i} turns at up to {rate:.3g} rad/s, more than half the first clamped frequency "
-        f"({first:.3g} rad/s): linear modes lose stiffness; set Arm.foreshortening."
+        f"Joint {i} turns at up to {rate:.3g} rad/s, more than half the first frequency with "
+        f"joints locked ({first:.3g} rad/s): linear modes lose stiffness; set Arm.foreshortening."
         for i, (rate, link) in enumerate(zip(fastest.tolist(), model.arm.links, strict=True), 1)
         if link.joint.type == "revolute" and rate > LARGEST_RATE * first
     ]
@@ -41,9 +41,9 @@ def _rates(model: Model, trajectory: Trajectory) -> list[str]:
 
 def _damping(arm: Arm) -> list[str]:
     return [
-        f"Link {i} is cut into {link.segments} segments, whose own fast modes have its "
-        f"damping_ratio of {link.damping_ratio:g}: its slow ones keep little of it; set "
-        f"damping_beta={instead.damping_beta:.3g} instead."
+        f"Link {i} has {link.segments} segments, and its damping_ratio of {link.damping_ratio:g} "
+        f"applies to the fast modes of each segment: the slow modes of the link are hardly damped; "
+        f"set damping_beta={instead.damping_beta:.3g} instead."
         for i, (link, instead) in enumerate(zip(arm.links, viscous_links(arm), strict=True), 1)
         if link.segments > 1 and instead is not link
     ]
@@ -68,12 +68,12 @@ def _bending(model: Model, trajectory: Trajectory) -> list[str]:
         advice = f"expect errors, or raise Link.segments ({link.segments})."
         if deflection > LARGEST_DEFLECTION:
             result.append(
-                f"Link {i} bends by up to {deflection:.0%} of its {part}'s length, more than "
+                f"Link {i} bends by up to {deflection:.0%} of the {part}'s length, more than "
                 f"{LARGEST_DEFLECTION:.0%}: {advice}"
             )
         if slope > LARGEST_SLOPE:
             result.append(
-                f"Link {i} turns its {part}'s tip by up to {slope:.2f} rad, more than "
+                f"Link {i} turns the {part}'s tip by up to {slope:.2f} rad, more than "
                 f"{LARGEST_SLOPE} rad: {advice}"
             )
     return result

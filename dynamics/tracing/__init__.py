@@ -1,1 +1,1 @@
-"""Expression graphs of one arm, and straight-line functions made of them."""
+"""Expression graphs of an arm, and the straight-line functions generated from them."""

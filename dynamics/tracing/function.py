@@ -1,10 +1,11 @@
-"""Straight-line functions of the workspace: what a backend compiles."""
+"""Straight-line functions on the workspace, which a backend compiles."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from dynamics.tracing.ssa import Code, from_graph
+from dynamics.tracing.graph_to_ssa import from_graph
+from dynamics.tracing.ssa import Code
 
 _TEXT = {
     "+": "{0} + {1}", "-": "{0} - {1}", "*": "{0} * {1}", "/": "{0} / {1}", "neg": "-{0}",
@@ -16,17 +17,17 @@ _TEXT = {
 
 @dataclass(frozen=True)
 class Function:
-    """Statements that read slots of the workspace and store values in slots."""
+    """Straight-line code, and the stores of its values into slots of the workspace."""
 
     name: str
     code: Code = field(default_factory=Code)
     stores: Mapping[int, Sequence[tuple[int, int]]] = field(default_factory=dict)
-    # statement -> (slot, value) that are stored right after it
-    loose: bool = False  # does little with each of many values
+    # statement -> (slot, value) pairs stored right after it
+    loose: bool = False  # few operations on each of many values
 
     @property
     def lines(self) -> list[str]:
-        """Readable text, a statement a line: `x3 = w[2]`, `x7 = x3 * x5`, `w[9] = x7`."""
+        """Readable text, one statement per line: `x3 = w[2]`, `x7 = x3 * x5`, `w[9] = x7`."""
         code, lines = self.code, []
         for v, (op, args) in enumerate(code.statements):
             if op.startswith("load"):
@@ -40,9 +41,10 @@ class Function:
 def traced(
     name: str, graph: Any, inputs: Sequence[int], output: int | Sequence[int], loose: bool = False
 ) -> Function:
-    """A function that reads a graph's inputs from these slots and stores its output in others.
+    """Function of a CasADi graph with one output.
 
-    `output` is the first of adjoining slots, or the slot of every element.
+    `inputs` are the first slots of the graph's inputs. `output` is the first of consecutive slots
+    for the output, or a list of slots, one per element.
     """
     code, values = from_graph(graph, inputs)
     slots = [output + i for i in range(len(values))] if isinstance(output, int) else output
@@ -50,14 +52,14 @@ def traced(
 
 
 def written(name: str, code: Code, values: Mapping[int, int]) -> Function:
-    """A function of code that was written by hand; `values` are the numbers to store, by slot."""
+    """Function of hand-written code; `values` maps slots to the numbers of the values to store."""
     return Function(name, code, _earliest(code, values.items()))
 
 
 def _earliest(code: Code, stores: Iterable[tuple[int, int]]) -> dict[int, list[tuple[int, int]]]:
-    """Each store after the value's own statement, or after the last load of the slot.
+    """Place each store right after its value's statement, or after the last load of its slot.
 
-    A value that waited for the end of a long function would be spilled until then.
+    Stores at the end of a long function would keep their values live, and spilled, until then.
     """
     loads = {int(op[5:]): v for v, (op, _) in enumerate(code.statements) if op.startswith("load")}
     result: dict[int, list[tuple[int, int]]] = {}
@@ -67,9 +69,9 @@ def _earliest(code: Code, stores: Iterable[tuple[int, int]]) -> dict[int, list[t
 
 
 def finite_check(state: Iterable[int], total: int, good: int) -> Function:
-    """`check(w)`: increments `good` if this and every earlier state was finite.
+    """`check(w)`: increments slot `good` if this and every earlier state was finite.
 
-    `total` is the slot of a sum of zeros, which anything that is not finite makes NaN for good.
+    Slot `total` sums zero times the state, so a non-finite value turns it into NaN permanently.
     """
     code = Code()
     value, zero = code.load(total), code.constant(0.0)

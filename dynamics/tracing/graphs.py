@@ -1,7 +1,7 @@
-"""Expression graphs of one arm: those that are compiled and those that answer questions.
+"""Expression graphs of an arm, for compiled stepping and for the functions of `Model`.
 
-Of a free base, coordinates and rates are those in its own frame (free_base.py), and its attitude
-(4,) is a third input.
+Coordinates and rates of a free base are in its own frame (free_base.py). Its attitude (4,), a
+quaternion, is a third input, except of `accelerations` and `state_jacobian`.
 """
 
 from collections.abc import Sequence
@@ -33,12 +33,12 @@ from dynamics.tracing.traced_arm import TracedArm
 
 
 class _State(NamedTuple):
-    """Symbols of a state, and what the recursion takes of them."""
+    """Symbols of a state, and the recursion's arguments made of them."""
 
-    inputs: list[Any]  # q, v and, of a free base, attitude
-    attitude: Sequence[Scalar]
-    chain: Chain
-    x: list[Scalar]  # (n,) q, a free base not turned
+    inputs: list[Any]  # q, v and the attitude of a free base
+    attitude: Sequence[Scalar]  # (4,), empty for a fixed base
+    chain: Chain  # with gravity in the frame of a free base
+    x: list[Scalar]  # (n,) q, with zero rotation of a free base
     rates: list[Scalar]  # (n,)
 
 
@@ -48,8 +48,8 @@ def _state(traced: TracedArm) -> _State:
     inputs = [ca.SX.sym("q", traced.n), ca.SX.sym("v", traced.n)]
     q, v = (ca.vertsplit(x) for x in inputs)
     inputs += [ca.SX.sym("attitude", 4)] if traced.arm.base.n else []
-    turn = ca.vertsplit(inputs[2]) if traced.arm.base.n else []
-    return _State(inputs, turn, turned(traced.chain, turn), unturned(q, turn), v)
+    attitude = ca.vertsplit(inputs[2]) if traced.arm.base.n else []
+    return _State(inputs, attitude, turned(traced.chain, attitude), unturned(q, attitude), v)
 
 
 def mass_matrix_and_bias(traced: TracedArm) -> Any:
@@ -63,33 +63,33 @@ def mass_matrix_and_bias(traced: TracedArm) -> Any:
     return ca.Function("M_h", s.inputs, [ca.cse(ca.vertcat(*lower, *h))])
 
 
-def questions(traced: TracedArm) -> dict[str, Any]:
-    """CasADi Functions (q, v) for the questions that nobody asks in a loop."""
+def state_functions(traced: TracedArm) -> dict[str, Any]:
+    """CasADi Functions (q, v) -> mass matrix, bias, energy and momentum; evaluated uncompiled."""
     import casadi as ca
 
     s = _state(traced)
-    formed, state = traced.formed, (s.chain, s.x, s.rates)
-    M = matrix_in_world(formed.equations.mass_matrix(s.chain, s.x), s.attitude)
-    moved = [world(p, s.attitude) for p in momentum(*state)]
+    formulation, state = traced.formed, (s.chain, s.x, s.rates)
+    M = matrix_in_world(formulation.equations.mass_matrix(s.chain, s.x), s.attitude)
+    linear, angular = (world(p, s.attitude) for p in momentum(*state))
     values = {
         "mass_matrix": ca.vertcat(*(ca.horzcat(*row) for row in M)),
-        "bias": ca.vertcat(*world(formed.equations.bias(*state), s.attitude)),
-        "energy": ca.vertcat(*formed.energies(*state)),
-        "momentum": ca.vertcat(*moved[0], *moved[1]),
+        "bias": ca.vertcat(*world(formulation.equations.bias(*state), s.attitude)),
+        "energy": ca.vertcat(*formulation.energies(*state)),
+        "momentum": ca.vertcat(*linear, *angular),
     }
     return {name: ca.Function(name, s.inputs, [value]) for name, value in values.items()}
 
 
 @lru_cache(maxsize=8)
 def measure(traced: TracedArm) -> Any:
-    """CasADi Function (q, v) -> values by the columns of `TracedArm.measurements`."""
+    """CasADi Function (q, v) -> measurements in the columns of `TracedArm.measurements`."""
     import casadi as ca
 
     s = _state(traced)
     frames = outward(traced.chain, s.x, s.rates)
     end = poses(frames)[-1]
-    kept = {*range(traced.arm.base.n), *traced.arm.joint_index}
-    straight = [x if i in kept else 0.0 for i, x in enumerate(s.x)]
+    not_modal = {*range(traced.arm.base.n), *traced.arm.joint_index}
+    straight = [x if i in not_modal else 0.0 for i, x in enumerate(s.x)]
     rigid = poses(outward(traced.chain, straight, [0.0] * traced.n))[-1].tip
     velocity = traced.formed.tip_velocity(traced.chain, s.x, s.rates)
     tips = [x for y in (end.tip, velocity, rigid) for x in world(y, s.attitude)]
@@ -110,9 +110,10 @@ def measure(traced: TracedArm) -> Any:
 
 
 def jacobians(traced: TracedArm) -> Any:
-    """CasADi Function (q, v, then tau) -> derivatives of the accelerations by q, v and tau.
+    """CasADi Function (q, v, attitude, tau) -> derivatives of the accelerations by q, v and tau.
 
-    Of a free base q[3:6] is a small rotation: good where it is zero.
+    Only a free base has the input `attitude`. Its q[3:6] is a small rotation; the derivatives hold
+    where that is zero.
     """
     import casadi as ca
 
@@ -132,7 +133,7 @@ def jacobians(traced: TracedArm) -> Any:
 
 @lru_cache(maxsize=8)
 def state_jacobian(traced: TracedArm) -> Any:
-    """CasADi Function (q, v, tau, parameters, nothing) -> da/dq, then da/dv, row by row."""
+    """CasADi Function (q, v, tau, parameters, empty) -> da/dq, then da/dv, row by row."""
     import casadi as ca
 
     graph = accelerations(traced)
@@ -144,10 +145,10 @@ def state_jacobian(traced: TracedArm) -> Any:
 
 @lru_cache(maxsize=8)
 def accelerations(traced: TracedArm, implicit: bool = False) -> Any:
-    """CasADi Function (q, v, tau, parameters, nothing or `Implicit`) -> accelerations.
+    """CasADi Function (q, v, tau, parameters, empty or `Implicit`) -> accelerations.
 
-    Of a free base in coordinates whose rates are derivatives: x and rotation vector in a frame that
-    does not move, in which gravity ends the parameters: see free_base.py.
+    A free base has its position and rotation vector in a frame that does not move, so that its
+    rates are derivatives. Gravity in that frame comes last in the parameters: see free_base.py.
     """
     with double_precision("The arm's accelerations"):
         return _accelerations(traced, implicit)
@@ -167,7 +168,7 @@ def _accelerations(traced: TracedArm, implicit: bool) -> Any:
 
 
 def check_rest(traced: TracedArm) -> None:
-    """Refuse an arm that cannot even rest, straight and without torque."""
+    """Refuse an arm whose accelerations at rest, straight and without torque, are not finite."""
     parameters = [*traced.nominal_parameters, *traced.n_gravity * [0.0]]
     rest = np.array(accelerations(traced)(0.0, 0.0, 0.0, parameters, []))
     if not np.isfinite(rest).all():
@@ -188,10 +189,11 @@ def _with_parameters(traced: TracedArm, p: Any) -> Chain:
 
 
 def renewal(gravity: Sequence[float]) -> tuple[Any, dict[str, int]]:
-    """CasADi Function of what follows every step: a free base's own frame is the next step's.
+    """CasADi Function that moves a free base's state into its new own frame after every step.
 
-    (coordinates, rates, attitude), of the base alone -> the same, then gravity in that frame if
-    there is any; and how many numbers each is, by the names of their slots.
+    Inputs are the coordinates (6,), rates (6,) and attitude (4,) of the base. Outputs are the same
+    in the new frame, followed by any gravity in it. Also returns the sizes of the outputs by the
+    names of their slots.
     """
     import casadi as ca
 

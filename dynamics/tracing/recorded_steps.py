@@ -1,8 +1,8 @@
 """Steps of an integrator as straight-line functions.
 
-A method runs once on a workspace of symbols. What it does between two evaluations of the
-accelerations becomes one straight-line function, as the arm's own code is, which compiles several
-times faster than loops.
+A method runs once on a workspace of symbols. Its operations between two evaluations of the
+accelerations become one straight-line function. Like the arm's own straight-line code, it compiles
+several times faster than loops.
 """
 
 from collections.abc import Callable
@@ -11,18 +11,21 @@ from typing import Any, NamedTuple
 from dynamics.integrators.slots import Slots
 from dynamics.tracing.function import Function, traced
 
-EVALUATE = "evaluate"  # among the calls: find the accelerations
+EVALUATE = "evaluate"  # name of the call that evaluates the accelerations
 
 
 class Recorded(NamedTuple):
-    """Functions of a step, and the names of those to call, in order, EVALUATE among them."""
+    """Functions of a step, and the order in which to call them."""
 
     functions: list[Function]
-    calls: list[str]
+    calls: list[str]  # names of functions, and EVALUATE
 
 
 def recorded(name: str, method: Callable[..., None], h: int, at: Slots, aid: Any) -> Recorded:
-    """A start or step of a method; `h` is the slot of the step's length, `name` begins names."""
+    """Record a start or step of a method.
+
+    `h` is the slot of the step length; the functions are called `name`_0, `name`_1 and so on.
+    """
     record = _Record(name, h)
 
     def evaluate(w: _Record) -> None:
@@ -35,7 +38,7 @@ def recorded(name: str, method: Callable[..., None], h: int, at: Slots, aid: Any
 
 
 class _Record:
-    """A workspace of one lane whose numbers are symbols; the slot H is never written."""
+    """A one-lane workspace of symbols that records reads and writes; slot `h` is never written."""
 
     def __init__(self, name: str, h: int) -> None:
         import casadi as ca
@@ -60,7 +63,7 @@ class _Record:
         self.written[slot] = value
 
     def end_stretch(self) -> None:
-        """Make a function of what has been written since the last evaluation."""
+        """Make a function of the values written since the last evaluation."""
         import casadi as ca
 
         if self.written:

@@ -1,4 +1,4 @@
-"""One arm as it is traced: its chain of bodies, and the numbers that stay inputs."""
+"""An arm prepared for tracing: its chain of bodies, and the parameters that stay inputs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from dynamics.formulations.table import Formulation, formulation_for
 
 
 def slices(widths: Mapping[str, int]) -> dict[str, slice]:
-    """Adjoining slices of these widths, by name."""
+    """Consecutive slices of the given widths, by name."""
     ends = pairwise(accumulate(widths.values(), initial=0))
     return {name: slice(*pair) for name, pair in zip(widths, ends, strict=True)}
 
@@ -42,7 +42,7 @@ class TracedArm:
 
     @cached_property
     def formed(self) -> Formulation:
-        """The formulation, which must know all of the arm."""
+        """The formulation; refuses an arm with features that it does not support."""
         return formulation_for(self.arm, self.formulation)
 
     @cached_property
@@ -51,14 +51,14 @@ class TracedArm:
 
     @cached_property
     def chain(self) -> Chain:
-        """All bodies from base to tip."""
+        """All bodies from the base to the tip, with gravity."""
         base = free_base.bodies(self.arm.base)
         bodies = (*base, *(body for link in self._links for body in link))
         return Chain(bodies, self.arm.gravity, self.arm.rotation, bool(base))
 
     @cached_property
     def bodies(self) -> tuple[slice, ...]:
-        """The segments of every link among the bodies of the chain; a rotor comes before them."""
+        """Slice of each link's segments in `chain.links`; a link's rotor precedes its segments."""
         first = len(free_base.bodies(self.arm.base))
         ends = accumulate((len(link) for link in self._links), initial=first)
         segments = (link.segments for link in self.arm.links)
@@ -68,17 +68,17 @@ class TracedArm:
 
     @property
     def n_gravity(self) -> int:
-        """Inputs that hold gravity: three if it turns with the frame of a free base."""
+        """Number of gravity inputs: three with gravity on a free base, whose frame turns."""
         return 3 if self.arm.base.n and any(self.arm.gravity) else 0
 
     @cached_property
     def nominal_parameters(self) -> NDArray[np.float64]:
-        """Values at which free parameters leave the arm as it is described."""
+        """Values of the free parameters that reproduce the described arm."""
         return np.array([FREE_PARAMETERS[name].nominal for name in self.free_parameters])
 
     @cached_property
     def measurements(self) -> dict[str, slice]:
-        """Columns of what `graphs.measure` gives, by name."""
+        """Columns of the measurements (`graphs.measure`), by name."""
         m = self.n_joint
         return slices({
             "tip": 3, "tip_velocity": 3, "rigid_tip": 3, "deflection": m, "slope": m,
@@ -87,5 +87,5 @@ class TracedArm:
 
     @property
     def n_measure(self) -> int:
-        """Number of those columns."""
+        """Number of measurement columns."""
         return self.measurements["curvature"].stop

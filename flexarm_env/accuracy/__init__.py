@@ -1,1 +1,1 @@
-"""Measured errors of the environments, and models chosen by their error."""
+"""Measured errors of the environments; choice of model, integrator and step."""

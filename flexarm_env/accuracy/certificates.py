@@ -1,6 +1,6 @@
-"""How true an environment is, and models as true as one asks for.
+"""Stored certificates of the registered environments, and model selection by fidelity or tolerance.
 
-The registered environments' certificates are kept in certificates.json; certify.py makes them.
+`flexarm_env.certify` writes the certificates to certificates.json in this folder.
 """
 
 import json
@@ -16,7 +16,7 @@ from dynamics import cache
 from dynamics.accuracy.fidelity import everything, rigid
 from dynamics.accuracy.model_choice import choose_model
 from dynamics.accuracy.scene import JointMotion, Scene
-from dynamics.backends.numba_llvm.program import fingerprint, hash_of_files, sources
+from dynamics.backends.numba_llvm.fingerprint import fingerprint, hash_of_files, sources
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.load import load_arm
@@ -25,16 +25,20 @@ from flexarm_env.scales import scales
 
 STORE = Path(__file__).with_name("certificates.json")
 RANDOM_STEPS = 40  # control steps of random torque
-RANDOM_SHARE = 0.4  # of full torque, at most
-PERIODS = 4.0  # of the first joint-free mode, in the bang-bang motion
-RIGID_PERIOD = 0.5  # [s] instead, for an arm without modes
+RANDOM_SHARE = 0.4  # largest random torque, over full torque
+PERIODS = 4.0  # length of the bang-bang motion, in periods of the first joint-free mode
+RIGID_PERIOD = 0.5  # [s] period for an arm without modes
 _CHOOSING = hash_of_files(sources(("accuracy", "simulation")))
 FIDELITIES = ("rigid", "auto", "reference")
 REFERENCE_MODES, REFERENCE_SEGMENTS = 3, 2  # per direction of bending; per flexible link
 
 
 def scene(arm: Arm, control_dt: float) -> Scene:
-    """Motions as an arm's environments make them, from its home posture at rest."""
+    """Motions on which an arm is certified, from its home posture at rest.
+
+    One is bang-bang at full torque, then coasting; the other has random torques that are constant
+    over a control step [s].
+    """
     found = scales(arm)
     limit = np.array(found.torque_limit)
     period = 2.0 * np.pi / found.free[0] if found.free else RIGID_PERIOD
@@ -44,7 +48,7 @@ def scene(arm: Arm, control_dt: float) -> Scene:
     rng = np.random.default_rng(0)
     shares = rng.uniform(-RANDOM_SHARE, RANDOM_SHARE, (limit.size, RANDOM_STEPS))
     times = tuple((control_dt * np.arange(RANDOM_STEPS)).tolist())
-    held = [
+    steps = [
         PiecewiseConstant(times=times, values=tuple((u * row).tolist()))
         for u, row in zip(limit, shares, strict=True)
     ]
@@ -58,23 +62,24 @@ def scene(arm: Arm, control_dt: float) -> Scene:
                 t_end=t_end,
                 torque=Torque(signals=tuple(signals)),
             )
-            for signals, t_end in ((waves, PERIODS * period), (held, control_dt * RANDOM_STEPS))
+            for signals, t_end in ((waves, PERIODS * period), (steps, control_dt * RANDOM_STEPS))
         ),
     )
 
 
 @lru_cache(maxsize=1)
 def stored() -> dict[str, dict[str, Any]]:
-    """All kept certificates: preset -> control_dt, certificate."""
+    """Contents of certificates.json: preset -> control_dt, steps, certificate."""
     text = STORE.read_text(encoding="utf-8") if STORE.exists() else "{}"
     result: dict[str, dict[str, Any]] = json.loads(text)
     return result
 
 
 def kept(arm: Arm, control_dt: float) -> dict[str, Any] | None:
-    """What is kept of an arm at a control step: the measured `steps`, best first, a `certificate`.
+    """Stored entry of an arm with a control step [s]: `steps`, best first, and `certificate`.
 
-    A step holds integrator, substeps, its error over episodes [of the reach] and CPU time [s].
+    A step has integrator, substeps, its error over episodes [of the reach] and CPU time [s]. None
+    if this arm and control step were not measured.
     """
     for name, entry in stored().items():
         if entry["control_dt"] == control_dt and load_arm(name) == arm:
@@ -84,7 +89,7 @@ def kept(arm: Arm, control_dt: float) -> dict[str, Any] | None:
 
 
 def find(arm: Arm, control_dt: float, integrator: str, substeps: int) -> dict[str, Any] | None:
-    """The kept certificate of just this arm and step, or None."""
+    """Stored certificate of this arm, integrator and step, or None."""
     entry = kept(arm, control_dt)
     if entry is None:
         return None
@@ -95,21 +100,21 @@ def find(arm: Arm, control_dt: float, integrator: str, substeps: int) -> dict[st
 
 @dataclass(frozen=True)
 class Fitted:
-    """What an environment steps in place of the arm it was given."""
+    """Model that an environment steps for a described arm."""
 
     arm: Arm
-    integrator: str | None = None  # None: chosen for the arm
+    integrator: str | None = None  # None: not chosen here
     substeps: int | None = None
     certificate: dict[str, Any] | None = None
 
 
 def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> Fitted:
-    """The model for a fidelity of FIDELITIES, or the cheapest within a tolerance [m].
+    """Model of an arm for a fidelity in FIDELITIES, or the cheapest within a tolerance [m].
 
     Raises
     ------
-    ValueError : for an unknown fidelity, or one beside a tolerance.
-    RuntimeError : if no model is that true, see `dynamics.choose_model`.
+    ValueError : for an unknown fidelity, or a fidelity beside a tolerance.
+    RuntimeError : if no model meets the tolerance, see `dynamics.choose_model`.
     """
     validate.known(fidelity, "fidelity", FIDELITIES)
     if tolerance is not None:
@@ -129,7 +134,7 @@ def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> 
 
 
 def _chosen(arm: Arm, control_dt: float, tolerance: float) -> Fitted:
-    """What `choose_model` finds for the environment's motions; kept, since it may take minutes."""
+    """Model that `choose_model` finds on the arm's `scene`; cached, since it may take minutes."""
     described = json.dumps(arm.to_dict())
     key = fingerprint("choice", _CHOOSING, described, repr(control_dt), repr(tolerance))
 

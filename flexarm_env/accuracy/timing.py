@@ -1,4 +1,4 @@
-"""How CPU time is measured where the machine has other work."""
+"""CPU times of calls, measured beside other work on the machine."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -7,14 +7,14 @@ from typing import Any, TypeVar
 K = TypeVar("K")
 
 ROUNDS = 12
-LONG_ENOUGH = 2e-3  # [s] of calls at a time
+LONG_ENOUGH = 2e-3  # [s] of calls per time measurement
 
 
 def cpu_seconds(calls: Mapping[K, Callable[[], Any]], rounds: int = ROUNDS) -> dict[K, float]:
-    """CPU time of each call [s]: the least of many rounds through all of them.
+    """CPU time [s] of each call: the smallest of many rounds through all calls.
 
-    The work is the same in every round, so that whatever takes longer was disturbed; and a
-    disturbance of a second does not fall on all rounds of one call.
+    Every round does the same work, so a longer time is a disturbance. A disturbance of a second
+    does not affect all rounds of one call, because the calls alternate.
     """
     least = {}
     for key, call in calls.items():

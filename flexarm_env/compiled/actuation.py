@@ -1,10 +1,10 @@
 """Actuators inside the compiled control step.
 
-Actuator and arm take turns, once a substep: the arm moves under the torque that the actuator gives
-on average over the substep, at the joint's present angle and rate; then the actuator's states
-follow. Its linear part is exact for an action that holds and a rate that changes evenly, so that an
-electrical pole may be far faster than the substep; the whole is of order 2, or the integrator's if
-the actuator has no states.
+Actuator and arm advance in turn, once a substep. First the arm moves under the actuator's mean
+torque over the substep, at the present angle and rate of the joint; then the actuator's states
+follow. The linear part is exact for a constant action and a rate that changes linearly, so an
+electrical pole may be far faster than the substep. The coupling is of order 2, or of the
+integrator's order if the actuator has no states.
 """
 
 import math
@@ -27,11 +27,11 @@ from flexarm_env.actuators import Actuator, Law
 from flexarm_env.scales import SAFE, scales
 
 UNLIMITED = 1e30  # [N m]
-REFUSED = "rosenbrock"  # its Jacobian would have to know the actuator
-EXPLICIT_PART = 1.0  # omega h of actuators whose arm is stepped by a method without a limit
+REFUSED = "rosenbrock"  # its Jacobian would need the slopes of the actuator
+EXPLICIT_PART = 1.0  # largest omega h of actuators if the integrator itself has no stability limit
 
 _SUBSTEP = ("mark(w)", "#start", "#step", "follow(w)")
-# how a control step advances an arm behind actuators; see step_entry.py
+# marks of step_entry.py for an arm behind actuators
 DRIVEN = {
     "#evaluate": ["drive(w)", "accelerations(w)"],
     "#advance": ["for _ in range(substeps):", *(f"    {x}" for x in _SUBSTEP)],
@@ -44,14 +44,15 @@ class Actuation:
     Parameters
     ----------
     actuators : one per joint.
-    arm : the arm, what motors add to its joints included.
-    usual : (n_joint,) [N m] torque limits of the arm behind ideal torque sources.
+    arm : the arm, including the inertia and friction of its motors.
+    usual : (n_joint,) [N m] torque limits of the arm with ideal torque sources.
 
     Attributes
     ----------
-    states : number of rows of their states.
+    states : number of actuator states.
     torque_limit : (n_joint,) [N m] torque at action 1 and rest; where it grows with time, `usual`.
-    command : (n_joint,) command at action 1, in the actuator's own unit.
+    command : (n_joint,) command at action 1, in the unit of the actuator.
+    slip : (n_joint, n) actuator angles (a link's root against its hub) from coordinates.
     """
 
     def __init__(self, actuators: tuple[Actuator, ...], arm: Arm, usual: tuple[float, ...]) -> None:
@@ -68,37 +69,38 @@ class Actuation:
 
     @property
     def key(self) -> str:
-        """What their compiled functions depend on."""
+        """Cache key: the properties on which the compiled functions depend."""
         return f"{[(len(law.B), _slews(law)) for law in self.laws]}"
 
     # ---- numbers -----------------------------------------------------------------------------
 
     @cached_property
     def n_constant(self) -> int:
-        """How many `constants`."""
+        """Number of `constants`."""
         return self.constants(1.0).size
 
     def constants(self, h: float) -> Array:
-        """What their compiled functions read, for a substep of h [s]."""
+        """Constants that the compiled functions read, for a substep of h [s]."""
         values = [list(_discrete(law, h).values()) for law in self.laws]
         return np.concatenate([np.ravel(x) for joint in values for x in joint])
 
     def at_rest(self, q: Array) -> Array:
-        """(states, N) without torque, for coordinates (N, n)."""
+        """(states, N) states at zero torque, for coordinates q (N, n)."""
         rest = [(*law.rest, *[0.0] * _slews(law)) for law in self.laws]
         angles = q @ self.slip.T
         return np.concatenate([np.outer(x, angles[:, j]) for j, x in enumerate(rest)])
 
     def substeps(self, control_dt: float, integrator: str) -> int:
-        """Steps per control step for which the arm is stable behind its actuators.
+        """Substeps per control step that keep the arm behind its actuators stable.
 
-        By Weyl's inequality the squared frequencies grow by at most the largest of the joints
-        alone on the actuators' springs; actuator forces are explicit in every method.
+        By Weyl's inequality the squared frequencies grow by at most the largest squared frequency
+        of the joints on the actuators' springs alone. Every method treats actuator forces
+        explicitly.
         """
         if integrator == REFUSED:
             raise ValueError(
-                f"integrator {integrator!r} does not know the slopes of an actuator; "
-                'leave it out or take "rk4".'
+                f"integrator {integrator!r} needs the slopes of the torque, which actuators do not "
+                'give; leave it out or take "rk4".'
             )
         limit = INTEGRATORS[integrator].limit
         frequency, decay = self._fastest
@@ -110,7 +112,7 @@ class Actuation:
 
     @cached_property
     def _fastest(self) -> tuple[float, float]:
-        """[rad/s] and [1/s] of the joints on the actuators' springs and dampers alone."""
+        """Highest frequency [rad/s] and decay rate [1/s] of the joints on the actuators alone."""
         q = np.zeros(self.arm.n)
         q[list(self.arm.joint_index)] = scales(self.arm).home
         M = np.array(mass_matrix(Model(self.arm).chain, q.tolist()), dtype=np.float64)
@@ -121,16 +123,22 @@ class Actuation:
             return float(np.linalg.eigvalsh(root[:, None] * mobility * root)[-1])
 
         springs = [law.stiffness for law in self.laws]
-        return math.sqrt(largest(springs)), largest([_braking(law) for law in self.laws])
+        return math.sqrt(largest(springs)), largest([_steady_damping(law) for law in self.laws])
 
     # ---- graphs ------------------------------------------------------------------------------
 
     def torque(self, s: Symbols) -> Any:
-        """[N m] at the joints now, of "action", "actuator", "actuators" (constants), "q", "v"."""
-        return self._each(s, _now)
+        """(n_joint,) [N m] present joint torques, as symbols.
+
+        `s` holds "action", "actuator" (states), "actuators" (constants), "q" and "v".
+        """
+        return self._each(s, _present_torque)
 
     def functions(self, at: Mapping[str, int], constants: int) -> list[Function]:
-        """`mark(w)`, `drive(w)` and `follow(w)`; `constants` is the slot of theirs."""
+        """Functions `mark(w)`, `drive(w)`, `follow(w)`; their constants start at slot `constants`.
+
+        They store the actuators' rates, the mean torques of a substep, and the next states.
+        """
         import casadi as ca
 
         n, m = self.slip.shape[1], len(self.laws)
@@ -140,8 +148,8 @@ class Actuation:
         slots = [at[name] for name in ("ACTION", "ACTUATOR", "Q", "V", "RATE_BEFORE")]
         outputs = {
             "mark": (ca.mtimes(ca.DM(self.slip), s["v"]), at["RATE_BEFORE"]),
-            "drive": (self._each(s, _mean), at["TAU"]),
-            "follow": (self._each(s, _next), at["ACTUATOR"]),
+            "drive": (self._each(s, _mean_torque), at["TAU"]),
+            "follow": (self._each(s, _next_states), at["ACTUATOR"]),
         }
         if not self.states:
             outputs["follow"] = (ca.SX(0, 1), at["ACTUATOR"])
@@ -158,7 +166,7 @@ class Actuation:
         ]
 
     def _each(self, s: Symbols, function: Any) -> Any:
-        """`function(constants, joint)` of all joints, stacked; "before" may be missing."""
+        """Stack `function(constants, joint)` of all joints; `s` may lack "before"."""
         import casadi as ca
 
         angles, rates = (ca.mtimes(ca.DM(self.slip), s[name]) for name in "qv")
@@ -183,9 +191,9 @@ class Actuation:
 
 
 class _Joint(NamedTuple):
-    """What a joint's actuator goes by: numbers, or symbols."""
+    """Inputs of a joint's actuator: numbers or symbols."""
 
-    x: list[Any]  # states; the last is the torque [N m] if its rate is limited
+    x: list[Any]  # states; the last is the torque [N m] if its rate of change is limited
     u: Any  # [-] action
     angle: Any  # [rad]
     rate: Any  # [rad/s]
@@ -193,19 +201,19 @@ class _Joint(NamedTuple):
 
 
 def _slews(law: Law) -> bool:
-    """Whether the torque itself is a state, the last."""
+    """Whether the rate of change is limited; then the torque is the last state."""
     return math.isfinite(law.rate_limit)
 
 
-def _braking(law: Law) -> float:
-    """[N m s/rad] at a steady rate."""
+def _steady_damping(law: Law) -> float:
+    """Damping [N m s/rad] at a steady rate."""
     if not any(law.E):
         return law.damping
     return law.damping + float(np.dot(law.C, np.linalg.solve(law.A, law.E)))
 
 
 def _slip(arm: Arm) -> Array:
-    """(n_joint, n) coordinates to what turns the actuators: a link's root against its hub."""
+    """(n_joint, n) matrix from coordinates to actuator angles: a link's root against its hub."""
     result = np.zeros((arm.n_joint, arm.n))
     for i, (start, link) in enumerate(zip(arm.joint_index, chain_constants(arm), strict=True)):
         slope = link[0].root_slope
@@ -215,17 +223,17 @@ def _slip(arm: Arm) -> Array:
 
 
 def _discrete(law: Law, h: float) -> dict[str, Any]:
-    """A law over a substep of h [s]: matrices, vectors and numbers by name.
+    """Constants of a law over a substep of h [s], by name.
 
-    With the rate w changing evenly from w0 to w1,
-    x1 = step x + step_u u + step_w0 w0 + step_w1 w1, and the average of C x is
-    mean x + mean_u u + mean_w0 w0 + mean_w w for the average rate w = (w0 + w1) / 2.
+    With the rate w changing linearly from w0 to w1,
+    x1 = step x + step_u u + step_w0 w0 + step_w1 w1, and the mean of C x over the substep is
+    mean x + mean_u u + mean_w0 w0 + mean_w w for the mean rate w = (w0 + w1) / 2.
     """
     from scipy.linalg import expm
 
     k = len(law.B)
     A, C = np.reshape(law.A, (k, k)), np.reshape(law.C, k)
-    flow = np.zeros((2 * k + 3, 2 * k + 3))  # of x, u, w, h dw/dt and the integral of x
+    flow = np.zeros((2 * k + 3, 2 * k + 3))  # rates of x, u, w, h dw/dt and the integral of x
     flow[:k, :k], flow[k + 3 :, :k] = A, np.eye(k)
     flow[:k, k], flow[:k, k + 1], flow[k + 1, k + 2] = law.B, law.E, 1.0 / h
     with validate.double_precision("The actuator's motion within a substep"):
@@ -251,11 +259,11 @@ def _entries(vector: Any, places: Any) -> Any:
     return vector[places]
 
 
-# What happens at one joint, for constants `p` as of `_discrete`
+# Formulas of one joint, with constants `p` from `_discrete`
 
 
 def _dot(a: list[Any], x: list[Any]) -> Any:
-    return sum(map(operator.mul, a, x))  # of the linear states: a rate-limited torque is left over
+    return sum(map(operator.mul, a, x))  # over the linear states, not a rate-limited torque
 
 
 def _clip(value: Any, limit: Any) -> Any:
@@ -264,30 +272,30 @@ def _clip(value: Any, limit: Any) -> Any:
     return ca.fmin(ca.fmax(value, -limit), limit)
 
 
-def _passed(p: Symbols, joint: _Joint, inner: Any) -> Any:
-    """Torque for C x = inner, its rate of change not limited."""
-    held_back = p["damping"] * joint.rate + p["stiffness"] * joint.angle
-    return _clip(inner + p["D"] * joint.u - held_back, p["limit"])
+def _clipped_torque(p: Symbols, joint: _Joint, inner: Any) -> Any:
+    """Torque for C x = inner, within the torque limit, before the rate limit."""
+    reaction = p["damping"] * joint.rate + p["stiffness"] * joint.angle
+    return _clip(inner + p["D"] * joint.u - reaction, p["limit"])
 
 
-def _now(p: Symbols, joint: _Joint) -> Any:
-    """Torque at this moment."""
-    return joint.x[-1] if "slew" in p else _passed(p, joint, _dot(p["C"], joint.x))
+def _present_torque(p: Symbols, joint: _Joint) -> Any:
+    """Torque now."""
+    return joint.x[-1] if "slew" in p else _clipped_torque(p, joint, _dot(p["C"], joint.x))
 
 
-def _mean(p: Symbols, joint: _Joint) -> Any:
-    """Torque on average over a substep."""
+def _mean_torque(p: Symbols, joint: _Joint) -> Any:
+    """Mean torque over a substep."""
     import casadi as ca
 
     by_rate = p["mean_w0"] * joint.before + p["mean_w"] * joint.rate
-    value = _passed(p, joint, _dot(p["mean"], joint.x) + p["mean_u"] * joint.u + by_rate)
+    value = _clipped_torque(p, joint, _dot(p["mean"], joint.x) + p["mean_u"] * joint.u + by_rate)
     if "slew" not in p:
         return value
-    gap = _clip(value - joint.x[-1], p["slew"])  # a ramp by this much, then level
+    gap = _clip(value - joint.x[-1], p["slew"])  # a ramp by this much, then constant
     return joint.x[-1] + gap - gap * ca.fabs(gap) / (2.0 * p["slew"])
 
 
-def _next(p: Symbols, joint: _Joint) -> list[Any]:
+def _next_states(p: Symbols, joint: _Joint) -> list[Any]:
     """States at the end of a substep."""
     new = [
         _dot(row, joint.x) + by_u * joint.u + w0 * joint.before + w1 * joint.rate
@@ -298,4 +306,4 @@ def _next(p: Symbols, joint: _Joint) -> list[Any]:
     if "slew" not in p:
         return new
     last = joint.x[-1]
-    return [*new, last + _clip(_passed(p, joint, _dot(p["C"], new)) - last, p["slew"])]
+    return [*new, last + _clip(_clipped_torque(p, joint, _dot(p["C"], new)) - last, p["slew"])]

@@ -1,7 +1,8 @@
 """Compiled start of an episode: random numbers, initial states, targets.
 
-Each environment is one column of `state`, whose rows `Signals.state` names; the columns are padded
-to whole blocks of lanes. Each has its own stream of random numbers, one entry of `streams`.
+Each environment is one column of `state`; `signals.Signals.state` names the rows. The columns are
+padded to whole blocks of lanes. Each environment has its own stream of random numbers, one entry of
+`streams`.
 """
 
 import math
@@ -12,10 +13,10 @@ from dynamics.runtime.jit import on_disk
 
 fast = on_disk(nogil=True, error_model="numpy")
 
-# Indices are unsigned: numba would guard every signed one against counting from the end.
+# Indices are unsigned, because numba adds a check for negative indices to every signed one.
 U = np.uint64
 WAVES = 2  # sines in the path of a joint
-# rows of `Task.ranges`, each (low, high)
+# rows of `tasks.Task.ranges`, each (low, high)
 START, MOVES, SHARE, TEMPO, SHAKE = map(U, range(5))
 # entries of `at`, the first rows of a state
 Q, V, CENTRE, AMPLITUDE, FREQUENCY, PHASE, FREE = map(U, range(7))
@@ -23,7 +24,7 @@ Q, V, CENTRE, AMPLITUDE, FREQUENCY, PHASE, FREE = map(U, range(7))
 
 @fast
 def uniform(streams, i, low, high):  # type: ignore[no-untyped-def]
-    """The next number in [low, high) of environment i's own stream (splitmix64)."""
+    """Next number in [low, high) of the stream of environment i (splitmix64)."""
     state = np.uint64(streams[i]) + np.uint64(0x9E3779B97F4A7C15)
     streams[i] = np.int64(state)
     z = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -34,13 +35,13 @@ def uniform(streams, i, low, high):  # type: ignore[no-untyped-def]
 
 @fast
 def draw(streams, i, ranges, name):  # type: ignore[no-untyped-def]
-    """A number within one of a task's ranges."""
+    """Draw a number from one of a task's ranges."""
     return uniform(streams, i, ranges[name, 0], ranges[name, 1])
 
 
 @fast
 def either_sign(streams, i, ranges, name):  # type: ignore[no-untyped-def]
-    """A magnitude within one of a task's ranges, with a random sign."""
+    """Draw a magnitude from one of a task's ranges, with a random sign."""
     sign = 1.0 if uniform(streams, i, 0.0, 1.0) < 0.5 else -1.0
     return sign * draw(streams, i, ranges, name)
 
@@ -51,11 +52,12 @@ def begin(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Draw a new episode for the environments `rows`: state, reference, zero action.
 
-    The reference moves away from the start by `ranges[MOVES]`, or along sines of `ranges[TEMPO]`;
-    the modes vibrate by `ranges[SHAKE]`. What a task leaves at zero is not drawn.
+    The reference is off the start by `ranges[MOVES]`, or moves along sines with `ranges[TEMPO]`;
+    the modes vibrate with `ranges[SHAKE]`. Ranges with an upper end of zero are not drawn.
 
-    `most` holds the largest angle [rad] and acceleration [rad/s^2] of a path, `free` the ranges of
-    the arm's free parameters, `at` the first rows of the state by the names above.
+    `amplitude` and `rate` are the modal scales. `most` holds the largest angle [rad] and
+    acceleration [rad/s^2] of a path, `free` the ranges of the arm's free parameters, `at` the first
+    rows of the state in the order Q, V, CENTRE, ...
     """
     n_joint = U(joints.shape[0])
     for r in range(U(rows.shape[0])):

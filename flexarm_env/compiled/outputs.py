@@ -1,4 +1,4 @@
-"""What environments say after a step: one set of arrays, and views of them by name."""
+"""Outputs of a step: arrays that the compiled step fills, and views of them by name."""
 
 from collections.abc import Callable, Iterable, Mapping
 from sys import getrefcount
@@ -9,23 +9,24 @@ from numpy.typing import NDArray
 
 from dynamics.types import AnyArray
 from flexarm_env.compiled.rows import Rows
-from flexarm_env.compiled.signals import FLAGS, NUMBERS
+from flexarm_env.compiled.signals import NUMBERS
+from flexarm_env.compiled.termination import FLAGS
 from flexarm_env.rewards import TERMS
 
-WIDE = ("root_curvature", "torque", "command")  # of info, as far as there: several rows each
-SETTLED = 2  # first row of flags that info tells
-SPARE = 3  # sets kept: with the caller, being filled, and one that the caller copied late
+WIDE = ("root_curvature", "torque", "command")  # vector-valued info entries, where present
+SETTLED = 2  # first row of the flags that info holds
+SPARE = 3  # sets of arrays in rotation: the caller's, the one being filled, and a spare one
 
 
 class Outputs:
-    """Arrays that a step fills; a new step may fill them again once nobody else holds any.
+    """Arrays that a step fills; reused by later steps once no caller refers to any of them.
 
     Attributes
     ----------
     obs : (N, size) observations.
     info : (rows, width) numbers, a row per name, a column per environment.
-    flags : (len(FLAGS), width) marks likewise.
-    unused : whether nobody else holds any of the arrays.
+    flags : (len(FLAGS), width) booleans, a row per name, a column per environment.
+    unused : whether no caller refers to any of the arrays.
     """
 
     unused: Any = True
@@ -37,13 +38,13 @@ class Outputs:
 
 
 class SingleOutputs(Outputs):
-    """What a single environment says, for it to copy.
+    """Outputs of a single environment; the environment copies them.
 
     Attributes
     ----------
     observation : (size,)
-    values, marks : the columns of info, but for what is wide, and of flags.
-    described : function of both, as lists, that makes a dict of info.
+    values, marks : the columns of info, without the vector-valued entries, and of flags.
+    described : function from `values` and `marks`, as lists, to the info dict.
     """
 
     def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
@@ -55,7 +56,7 @@ class SingleOutputs(Outputs):
 
 
 class BatchOutputs(Outputs):
-    """What a batch says: views of the arrays, where a part of one holds the whole.
+    """Outputs of a batch: views of the arrays, which a caller may keep.
 
     Attributes
     ----------
@@ -65,11 +66,11 @@ class BatchOutputs(Outputs):
     def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
         super().__init__(n_env, size, width, dtype, names)
         self._arrays = [self.obs, self.info, self.flags, *self._views(n_env, names)]
-        self._alone = sum(map(getrefcount, self._arrays))
+        self._own_references = sum(map(getrefcount, self._arrays))
 
     @property
     def unused(self) -> bool:
-        return sum(map(getrefcount, self._arrays)) == self._alone
+        return sum(map(getrefcount, self._arrays)) == self._own_references
 
     def _views(self, n_env: int, names: Rows) -> list[AnyArray]:
         values, marks = list(self.info[:, :n_env]), list(self.flags[:, :n_env])
@@ -80,28 +81,29 @@ class BatchOutputs(Outputs):
         self._named: dict[str, Any] = dict(zip(NUMBERS, values[1 : terms.start], strict=True))
         self._named |= {name: self.info[at, :n_env].T for name, at in named.items()}
         self._named |= dict(zip(FLAGS[SETTLED:], marks[SETTLED:], strict=True))
-        everyone = np.ones(n_env, np.bool_)
-        everyone.flags.writeable = False  # shared by all steps' infos
-        self._marked = self._named | masks((*self._named, "reward_terms"), everyone)
-        self._marked_terms = self._terms | masks(TERMS, everyone)
+        present = np.ones(n_env, np.bool_)
+        present.flags.writeable = False  # the infos of all steps share it
+        self._marked = self._named | masks((*self._named, "reward_terms"), present)
+        self._marked_terms = self._terms | masks(TERMS, present)
         outcome = [self.reward, self.terminated, self.truncated]
         return [*outcome, *self._terms.values(), *self._named.values()]
 
     def described(self) -> dict[str, Any]:
-        """Info by name, reward terms in a dict of their own: new dicts of the same arrays."""
+        """Info by name, with a nested dict of reward terms: new dicts of the same arrays."""
         return {**self._named, "reward_terms": self._terms.copy()}
 
     def marked(self) -> dict[str, Any]:
-        """The same with Gymnasium's masks, which say that every environment has it."""
+        """Info as `described`, with Gymnasium's masks; every environment has every entry."""
         marked = self._marked.copy()
         marked["reward_terms"] = self._marked_terms.copy()
         return marked
 
 
 def _describer(names: Rows, wide: Mapping[str, AnyArray]) -> Callable[..., dict[str, Any]]:
-    """A function of values and marks that makes a dict of info, with copies of what is wide.
+    """Function from values and marks to the info dict, with copies of vector-valued entries.
 
-    It is written out, entry by entry: a single environment's step feels how a dict is made.
+    The dict is generated as one literal, because building it takes a notable part of a single
+    environment's step.
     """
 
     def entries(names: Iterable[str], listed: str, first: int) -> str:
@@ -116,6 +118,6 @@ def _describer(names: Rows, wide: Mapping[str, AnyArray]) -> Callable[..., dict[
     return eval(f"lambda values, marks: {{{text}}}", dict(wide))
 
 
-def masks(names: Iterable[str], whose: NDArray[np.bool_]) -> dict[str, NDArray[np.bool_]]:
-    """Gymnasium's masks: which environments have the infos of these names."""
-    return {f"_{name}": whose for name in names}
+def masks(names: Iterable[str], present: NDArray[np.bool_]) -> dict[str, NDArray[np.bool_]]:
+    """Gymnasium's masks: the environments that have the infos of these names."""
+    return {f"_{name}": present for name in names}

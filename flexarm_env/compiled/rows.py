@@ -13,13 +13,13 @@ from dynamics.types import Array
 
 @dataclass(frozen=True)
 class Rows:
-    """Named runs of rows in an array."""
+    """Named groups of consecutive rows of an array."""
 
-    sizes: Mapping[str, int]
+    sizes: Mapping[str, int]  # rows of each name, in order
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Where each name is."""
+        """Rows of each name."""
         result, start = {}, 0
         for name, size in self.sizes.items():
             result[name] = slice(start, start + size)
@@ -28,11 +28,11 @@ class Rows:
 
     @cached_property
     def total(self) -> int:
-        """How many rows."""
+        """Number of rows."""
         return sum(self.sizes.values())
 
     def packed(self, values: Mapping[str, Any], dtype: str) -> Array:
-        """(total,) values by name, in the order of the rows."""
+        """(total,) values in the order of the rows; refuse numbers beyond the range of `dtype`."""
         result = np.concatenate([np.ravel(values[name]) for name in self.sizes])
         for name, rows in self.slices.items():
             if not (np.abs(result[rows]) < np.finfo(dtype).max).all():

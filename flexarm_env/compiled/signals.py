@@ -1,7 +1,7 @@
-"""What an environment reports: traced once for an arm and a task, compiled with the arm's physics.
+"""Observation, reward, info and flags of an environment, compiled with the physics of its arm.
 
-As with the physics, one description for every arm; what a task or an observation leaves out is not
-compiled. Everything that keywords may change without another structure is a constant of the
+One description serves all arms and tasks. Signals that a task or an observation does not use are
+not compiled. Numbers that keywords change without changing the structure are constants of the
 workspace.
 """
 
@@ -10,27 +10,23 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
+from dynamics.backends.numba_llvm.fingerprint import hash_of_files
 from dynamics.backends.numba_llvm.module_text import Addition
-from dynamics.backends.numba_llvm.program import hash_of_files
 from dynamics.model import Model
-from dynamics.simulation.validity import FARTHEST
 from dynamics.tracing import graphs
-from dynamics.tracing.function import Function, traced, written
-from dynamics.tracing.ssa import Code
+from dynamics.tracing.function import Function, traced
 from dynamics.types import Symbols
 from flexarm_env.compiled.actuation import DRIVEN, Actuation
 from flexarm_env.compiled.episode import WAVES
 from flexarm_env.compiled.rows import Rows
 from flexarm_env.compiled.step_entry import ENTRIES, IDEAL
+from flexarm_env.compiled.termination import FLAGS, flags, lost
 from flexarm_env.observations import Layout, curvature_columns
 from flexarm_env.rewards import TERMS, Measured
 from flexarm_env.tasks import SETTLED_BAND
 
-FLAGS = ("terminated", "truncated", "settled", "diverged", "invalid", "overspeed")
 NUMBERS = ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")  # one row of info each
-FARTHEST_SINGLE = 1e5  # [rad], [rad/s] of a state in float32, as FARTHEST in float64
-LOST = 3.0  # [-] times the deflection limit: finite, but no longer a motion of this arm
-# hash of the sources that determine the compiled code beside those of `dynamics`, when imported
+# hash, at import, of the sources that determine the compiled code besides those of `dynamics`
 _HERE = Path(__file__).parent
 _TRACED = ("rewards", "tasks", "observations")
 _SOURCES = hash_of_files(
@@ -39,13 +35,15 @@ _SOURCES = hash_of_files(
 
 
 class Signals:
-    """The report of an arm at a task: its rows, and what is compiled for it.
+    """Signals of an arm with a task: their rows, and the functions that compute them.
 
     Attributes
     ----------
-    state : rows of an environment's state, as `episode.begin` and the entry points know them.
-    info : rows of the numbers beside an observation.
-    constants : rows of what holds for all environments.
+    state : rows of an environment's state, for `episode.begin` and `step_entry`.
+    memory : rows of the state between "v" and "free", with their sizes.
+    info : rows of the reward and the info entries.
+    constants : rows of the numbers that all environments share.
+    gauges : columns of the model's "curvature" that info reports.
     """
 
     def __init__(
@@ -55,9 +53,9 @@ class Signals:
         self.model, self.moving, self.layout, self.actuation = model, moving, layout, actuation
         self.gauges = curvature_columns(model.arm)
         waves = WAVES * m * moving
-        held = actuation.states if actuation else 0
         self.memory = {
-            "action": m, "elapsed": 1, "target": m, "actuator": held,
+            "action": m, "elapsed": 1, "target": m,
+            "actuator": actuation.states if actuation else 0,
             "centre": m, "amplitude": waves, "frequency": waves, "phase": waves,
         }  # fmt: skip
         self.state = Rows({"q": n, "v": n, **self.memory, "free": len(model.free_parameters)})
@@ -75,7 +73,7 @@ class Signals:
 
     @property
     def addition(self) -> Addition:
-        """What joins the accelerations in the generated module."""
+        """Functions and entry point that the generated module has besides the accelerations."""
         m = self.model.n_joint
         sizes = {name.upper(): size for name, size in self.memory.items()}
         sizes |= {"GIVEN": m, "BEFORE": m, "LOST": 1, "CONSTANTS": self.constants.total}
@@ -94,8 +92,12 @@ class Signals:
 
         def functions(at: Mapping[str, int]) -> list[Function]:
             inputs = [at["Q"], at["V"], at["ACTION"], at["BEFORE"], at["LOST"], at["CONSTANTS"]]
+            state = [at[name] + k for name in ("Q", "V") for k in range(self.model.n)]
+            rows = [self.info.slices[name].start for name in ("reward", *NUMBERS)]
+            numbers = [at["INFO"] + row for row in rows]
+            check = lost(state, numbers, at["LOST"], self.model.dtype)
             report = traced("report", self.graph, inputs, at["TARGET_NOW"])
-            return [self._command(at), self._check(at), report, *self._driving(at)]
+            return [self._command(at), check, report, *self._driving(at)]
 
         actuation = self.actuation and self.actuation.key
         return Addition(
@@ -107,7 +109,7 @@ class Signals:
         )
 
     def _driving(self, at: Mapping[str, int]) -> list[Function]:
-        """What actuators compute within a control step."""
+        """Functions of the actuators."""
         if self.actuation is None:
             return []
         return self.actuation.functions(
@@ -115,7 +117,7 @@ class Signals:
         )
 
     def _command(self, at: Mapping[str, int]) -> Function:
-        """`command(w)`: the given actions, clipped, as torques; and time goes on."""
+        """`command(w)`: clip the given actions, set the torques, count the step."""
         import casadi as ca
 
         m, limit = self.model.n_joint, self.constants.slices["torque_limit"].start
@@ -132,23 +134,6 @@ class Signals:
         inputs = [at["GIVEN"], at["ACTION"], at["CONSTANTS"] + limit, at["ELAPSED"]]
         slots = [at[name] + k for name, x in outputs.items() for k in range(x.numel())]
         return traced("command", graph, inputs, slots)
-
-    def _check(self, at: Mapping[str, int]) -> Function:
-        """`check(w)`: lost where the state is far off, or a reported number is not finite."""
-        code = Code()
-        squares = reported = code.constant(0.0)
-        for slot in (at[name] + k for name in ("Q", "V") for k in range(self.model.n)):
-            x = code.load(slot)
-            squares = code.emit("+", squares, code.emit("*", x, x))
-        for name in ("reward", *NUMBERS):
-            x = code.load(at["INFO"] + self.info.slices[name].start)
-            reported = code.emit("+", reported, x)
-        farthest = FARTHEST if self.model.dtype == "float64" else FARTHEST_SINGLE
-        near = code.emit("at_most", squares, code.constant(farthest**2))
-        zero = code.emit("abs", code.emit("-", reported, reported))
-        finite = code.emit("at_most", zero, code.constant(0.0))
-        lost = code.emit("-", code.constant(1.0), code.emit("*", near, finite))
-        return written("check", code, {at["LOST"]: lost})
 
     @property
     def graph(self) -> Any:
@@ -193,7 +178,7 @@ class Signals:
         return {name: values[rows] for name, rows in self.model.measurements.items()}
 
     def _straight(self, joints: Any) -> Any:
-        """The coordinates of an arm with straight links."""
+        """Coordinates of the straight-link arm."""
         import casadi as ca
 
         x = ca.SX(self.model.n, 1)
@@ -202,7 +187,7 @@ class Signals:
         return x
 
     def _values(self, s: Symbols) -> dict[str, Any]:
-        """Flags and info by name, and the tip error's vector; flags are 1 or 0."""
+        """Flags (1 or 0) and info by name, and the tip error as a vector ("gap")."""
         import casadi as ca
 
         arm, here = self.model.arm, self._measured(s["q"], s["v"])
@@ -213,13 +198,9 @@ class Signals:
         deflection = reduce(ca.fmax, ca.vertsplit(here["deflection"]))
         slope = reduce(ca.fmax, ca.vertsplit(here["slope"]))
 
-        live = s["elapsed"] > 0.0
-        invalid = ca.fmax(s["deflection_limit"] < deflection, s["slope_limit"] < slope)
-        diverged = ca.fmax(s["lost"], LOST * s["deflection_limit"] < deflection)
-        failed = live * ca.fmax(invalid, diverged)
-        late = live * (s["max_steps"] > 0.0) * (s["max_steps"] <= s["elapsed"])
-        joint_rates = s["v"][list(arm.joint_index)]
+        live, joint_rates = s["elapsed"] > 0.0, s["v"][list(arm.joint_index)]
         rates = joint_rates * s["per_rate"]
+        ends = flags(s, live, error < SETTLED_BAND * arm.reach, deflection, slope, joint_rates)
         measured = Measured(
             error=error / arm.reach,
             speed=speed * s["per_rate"] / arm.reach,
@@ -227,27 +208,25 @@ class Signals:
             rate=ca.sumsqr(rates) / arm.n_joint,
             effort=ca.sumsqr(s["action"]) / arm.n_joint,
             change=ca.sumsqr(s["action"] - s["before"]) / arm.n_joint,
-            failed=failed,
+            failed=ends["terminated"],
         )
         terms = ca.vertcat(*(term(measured) for term in TERMS.values()))
         return {
-            "terminated": failed, "truncated": late, "settled": error < SETTLED_BAND * arm.reach,
-            "diverged": diverged, "invalid": invalid,
-            "overspeed": s["rate_limit"] ** 2 < reduce(ca.fmax, ca.vertsplit(joint_rates**2)),
-            "reward": live * ca.dot(s["weights"], terms), "time": s["time"], "tip_error": error,
-            "tip_speed": speed, "deflection": deflection, "tip_deflection": bent,
+            **ends, "reward": live * ca.dot(s["weights"], terms), "time": s["time"],
+            "tip_error": error, "tip_speed": speed, "deflection": deflection,
+            "tip_deflection": bent,
             "reward_terms": terms, "root_curvature": here["curvature"][list(self.gauges)],
             **self._torques(s), "gap": gap, "curvature": here["curvature"],
         }  # fmt: skip
 
     def _torques(self, s: Symbols) -> dict[str, Any]:
-        """Torques at the joints [N m], and the command behind them if it is another."""
+        """Joint torques [N m], and the command if there are actuators."""
         if self.actuation is None:
             return {"torque": s["action"] * s["torque_limit"]}
         return {"torque": self.actuation.torque(s), "command": s["action"] * s["command_limit"]}
 
     def _observation(self, s: Symbols, values: Symbols) -> Any:
-        """Scaled and clipped."""
+        """Scaled and clipped observation."""
         import casadi as ca
 
         signals = self._signals(s, values)
@@ -256,7 +235,7 @@ class Signals:
         return ca.fmin(ca.fmax(ca.vertcat(*picked) * s["factors"], -bounds), bounds)
 
     def _signals(self, s: Symbols, values: Symbols) -> dict[str, Any]:
-        """Everything that an observation may hold, in physical units."""
+        """All signals that an observation may hold, in physical units."""
         import casadi as ca
 
         joints = s["q"][list(self.model.arm.joint_index)]
@@ -279,7 +258,7 @@ class Signals:
         return signals
 
     def _in_first_link(self, vector: Any, angle: Any) -> Any:
-        """A vector of the world along the axes of the undeformed first link."""
+        """Components of a world vector along the axes of the undeformed first link."""
         import casadi as ca
 
         x, y, z = ca.vertsplit(ca.mtimes(ca.DM(self.model.arm.links[0].joint.rotation).T, vector))

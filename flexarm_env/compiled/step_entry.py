@@ -1,15 +1,16 @@
-"""The entry point of an environment's generated module: one control step of a batch, as a template.
+"""Template of an environment's entry point: one control step of a batch.
 
-It is text because numba compiles functions of a module, and the functions that it calls are the
-module's own: the arm's `accelerations(w)`, the task's `command(w)`, `check(w)` and `report(w)`, the
-stretches of the integrator. A line that is a mark stands for others: #steps and #start, #step come
-from the integrator, #advance from `IDEAL` or `actuation.DRIVEN`. `python -m dynamics source ARM
---env ID` prints the result.
+The template is text because it becomes part of a generated module, whose functions it calls: the
+arm's `accelerations(w)`, the task's `command(w)`, `check(w)` and `report(w)`, and the parts of the
+integrator. Lines that begin with # are marks and are replaced: #steps, #start and #step by the
+integrator, #advance by `IDEAL` or `actuation.DRIVEN`. `python -m dynamics source ARM --env ID`
+prints the module.
 
-`control_step` is a single entry because `report` takes long to compile. It steps the environments
-of its chunks and returns how many episodes ended, or a negative number of those whose actions are
-not finite. With `substeps` 0 it reports on the environments that `rows` lists. An environment that
-is lost goes back to the state before the step, and is reported there.
+`control_step` is the only entry point because `report` takes long to compile. It steps the
+environments of its chunks and returns the number of ended episodes. A negative number means that
+actions of the first chunk are not finite; then nothing is stepped. With `substeps` 0 it only
+reports on the environments that `rows` lists. An environment that `check` finds lost returns to its
+state before the step and is reported there.
 """
 
 ENTRIES = """
@@ -101,5 +102,5 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
     return ended
 """
 
-# a control step of an arm with ideal torque sources
+# marks for an arm with ideal torque sources
 IDEAL = {"#advance": ["#start", "for _ in range(substeps):", "    #step"]}

@@ -1,4 +1,4 @@
-"""Small networks on shared processors, and runs in miniature."""
+"""Fixtures of small training runs."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ torch.set_num_threads(1)  # as in training
 
 @pytest.fixture
 def unjudged(monkeypatch: pytest.MonkeyPatch) -> list[RunFolder]:
-    """Runs that came to their judgement, which takes too long here."""
+    """Runs that reached their evaluation, which is skipped because it takes long."""
     judged: list[RunFolder] = []
     monkeypatch.setattr(training, "judge", lambda run, config: judged.append(run))
     return judged

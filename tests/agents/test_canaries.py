@@ -1,4 +1,4 @@
-"""Files name environments of this package and plain keywords; nothing they name is imported."""
+"""Files can name only environments of this package and plain keywords, and import nothing."""
 
 import json
 import sys
@@ -93,9 +93,7 @@ def test_an_experiment_file_imports_nothing(canary: Path) -> None:
         ("obs", "env.kwargs must be a"),
     ],
 )
-def test_keywords_that_are_no_data_of_an_environment_are_refused(
-    kwargs: Any, sentence: str
-) -> None:
+def test_keywords_that_are_not_environment_data_are_refused(kwargs: Any, sentence: str) -> None:
     with pytest.raises(ValueError, match=r"env\.kwargs") as caught:
         check_keywords(kwargs, "env.kwargs")
     assert sentence in str(caught.value)
@@ -104,14 +102,14 @@ def test_keywords_that_are_no_data_of_an_environment_are_refused(
 
 
 def test_the_known_keywords_are_those_of_an_environment() -> None:
-    """Two that are in every documentation, and none that the id or the batch sets."""
+    """Two documented keywords are known; keywords set by the id or the batch are not."""
     assert {"arm", "obs", "reward", "max_episode_steps"} <= set(KEYWORDS)
     assert not {"self", "task", "n_env", "single", "max_steps", "num_envs"} & set(KEYWORDS)
     assert json.loads(json.dumps(check_keywords({"obs": "sensors"}, "x"))) == {"obs": "sensors"}
 
 
 def stored_policy(folder: Path, about: dict[str, Any]) -> Path:
-    """A policy that fits the one-link arm, with this to say about its environment."""
+    """A policy that fits the one-link arm, with the given `about`."""
     envs = make_batch(ENV_ID, 1)
     n = envs.single_observation_space.shape[0]
     envs.close()
@@ -153,7 +151,7 @@ def test_a_policy_imports_nothing(
     assert not (canary.parent / "out").exists()
 
 
-def test_a_policy_with_a_foreign_environment_serves_in_one_of_this_package(canary: Path) -> None:
+def test_a_policy_with_an_unknown_environment_runs_in_a_known_one(canary: Path) -> None:
     folder = stored_policy(canary.parent / "policy", {"env_id": f"evilmod:{ENV_ID}"})
     out = canary.parent / "out"
     assert evaluate([str(folder), "--env", ENV_ID, "--episodes", "1", "--out", str(out)]) == 0
@@ -165,7 +163,7 @@ HOSTILE_NAME = 'x."""\nimport pathlib; pathlib.Path("made").touch()\n"""'
 
 
 def test_an_arm_inside_keywords_is_data(canary: Path) -> None:
-    """A name that would be code if it were pasted into the generated source."""
+    """The name would be code if it were pasted into the generated source."""
     link = {"length": 1.0, "rho_A": 1.0, "EIz": 10.0, "modes": []}
     arm = {"name": HOSTILE_NAME, "links": [link]}
     config = config_from_dict(experiment({"id": ENV_ID, "kwargs": {"arm": arm}}))

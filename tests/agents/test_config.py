@@ -1,4 +1,4 @@
-"""Experiment files are read strictly, and every refusal is a sentence that names key and value."""
+"""Experiment files are read strictly; every refusal names the key and the value."""
 
 import inspect
 import os
@@ -79,6 +79,7 @@ def test_shipped_configs_load_and_state_what_to_expect(path: Path) -> None:
             "name: ../../tmp/x\ntotal_steps",
             r"name must be the plain name of a folder",
         ),
+        ("total_steps", f"name: 1{400 * '0'}\ntotal_steps", "name must be text, got 1000"),
         ("total_steps", "name: .hidden\ntotal_steps", r"name must be the plain name of a folder"),
         ("total_steps", "name: $x$\ntotal_steps", r"name must be the plain name of a folder"),
         ("total_steps", "total_steps: 1\ntotal_steps", r"total_steps.* stand twice"),
@@ -100,7 +101,7 @@ def test_shipped_configs_load_and_state_what_to_expect(path: Path) -> None:
         ("agent: {", "agent: [", r"is not valid YAML: .* line 3"),
     ],
 )
-def test_doubtful_files_are_refused(tmp_path: Path, old: str, new: str, sentence: str) -> None:
+def test_invalid_files_are_refused(tmp_path: Path, old: str, new: str, sentence: str) -> None:
     with pytest.raises(ConfigError, match=sentence):
         load(tmp_path, GOOD.replace(old, new, 1))
 
@@ -124,18 +125,18 @@ def test_a_file_cannot_run_code(tmp_path: Path) -> None:
     assert not made.exists()
 
 
-def test_a_missing_file_is_a_sentence(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="there is no such file"):
         load_config(tmp_path / "none.yaml")
 
 
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.yaml")
     with pytest.raises(ConfigError, match="there is no such file"):
         load_config(tmp_path / "pipe.yaml")
 
 
-def test_a_sentence_shows_no_more_of_a_value_than_its_start(tmp_path: Path) -> None:
+def test_messages_shorten_long_values(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load(tmp_path, GOOD.replace("300_000", "x" * 10_000))
     assert len(str(caught.value).removeprefix(str(tmp_path))) < 200

@@ -1,4 +1,4 @@
-"""Joint PD: the law, its dimensionless gains, and the search for the best of them."""
+"""Joint PD: the control law, its dimensionless gains, and the search for the best gains."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -19,7 +19,7 @@ def envs() -> Iterator[Any]:
     envs.close()
 
 
-def test_joint_pd_is_its_law_within_the_limits() -> None:
+def test_joint_pd_follows_its_law_within_the_limits() -> None:
     """tau = -K (q - q*) - D (v - v*), over the torque limit, clipped to [-1, 1]."""
     pd = JointPD(
         stiffness=np.array([2.0, 3.0]),
@@ -37,8 +37,8 @@ def test_joint_pd_is_its_law_within_the_limits() -> None:
     np.testing.assert_allclose(pd.predict(np.stack([observation] * 3))[0], [action] * 3)
 
 
-def test_dimensionless_gains_mean_what_they_say(envs: Any) -> None:
-    """A rigid joint of the arm's inertia would swing at ratio x f1 with the given damping ratio."""
+def test_dimensionless_gains_give_their_frequency_and_damping(envs: Any) -> None:
+    """A rigid joint with the arm's inertia oscillates at ratio x f1 with the damping ratio."""
     model = envs.unwrapped.model
     inertia = model.mass_matrix(np.zeros(model.n))[0, 0]
     first = model.frequencies(np.zeros(model.n), joints="locked")[0]
@@ -48,8 +48,8 @@ def test_dimensionless_gains_mean_what_they_say(envs: Any) -> None:
     assert pd.damping[0] / (2.0 * inertia * frequency) == pytest.approx(0.7, rel=1e-12)
 
 
-def test_the_search_in_one_batch_is_the_search_one_by_one(envs: Any) -> None:
-    """Every pair of gains of the table does what it does alone on the same tasks."""
+def test_a_search_in_one_batch_equals_separate_searches(envs: Any) -> None:
+    """Every pair of gains in the table has the metrics of a separate run on the same tasks."""
     tuned = tune_pd(
         ENV_ID, frequency_ratios=(0.1, 0.2), damping_ratios=(0.5, 0.8), episodes=4, seed=3
     )
@@ -62,7 +62,7 @@ def test_the_search_in_one_batch_is_the_search_one_by_one(envs: Any) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(CONTROLLERS))
-def test_every_controller_acts_for_one_and_for_many(name: str, envs: Any) -> None:
+def test_every_controller_takes_one_observation_or_a_batch(name: str, envs: Any) -> None:
     controller = CONTROLLERS[name](envs, ENV_ID, {}, 0)
     observations, _ = envs.reset(seed=0)
     actions, _ = controller.predict(observations)

@@ -1,4 +1,4 @@
-"""The metrics against trajectories whose answers are known by hand."""
+"""Metrics of trajectories whose values are known by hand."""
 
 import json
 import math
@@ -21,7 +21,7 @@ TIME = np.arange(0.0, 4.0 + 1e-9, 0.01)
 
 
 def recording(tip_error: Any, failed: bool = False, **more: Any) -> Recording:
-    """One episode with this tip error [m] on an arm of 1 m reach."""
+    """One episode with the given tip error [m], on an arm of 1 m reach."""
     n = TIME.size
     columns = {
         "tip_error": np.asarray(tip_error, float)[:, None],
@@ -33,13 +33,13 @@ def recording(tip_error: Any, failed: bool = False, **more: Any) -> Recording:
     return Recording(time=TIME, failed=np.array([failed]), reach=1.0, **(columns | more))
 
 
-def test_settling_time_is_when_the_error_enters_the_band_for_good() -> None:
+def test_settling_time_is_the_last_entry_into_the_band() -> None:
     error = np.exp(-TIME)  # below 0.02 from ln 50 = 3.912 on; but 0.25 s of holding are wanted
     assert settling_time(TIME, error, 0.02) == math.inf
     assert settling_time(TIME, error, 0.05) == pytest.approx(3.0, abs=1e-9)  # ln 20 = 2.996
 
 
-def test_leaving_the_band_again_counts_from_the_last_return() -> None:
+def test_settling_time_restarts_when_the_error_leaves_the_band() -> None:
     error = np.where(TIME < 1.0, 1.0, 0.0)
     error[np.abs(TIME - 2.0) < 0.005] = 0.5
     assert settling_time(TIME, error, 0.02) == pytest.approx(2.01)
@@ -70,21 +70,21 @@ def test_metrics_of_a_known_motion() -> None:
     assert m["saturated"] == pytest.approx(0.25)
 
 
-def test_an_episode_that_ends_early_is_infinitely_bad() -> None:
+def test_an_episode_that_ends_early_has_infinite_metrics() -> None:
     error = np.where(TIME < 2.0, 0.001, np.nan)
     m = episode_metrics(recording(error, failed=True))
     assert m["success"][0] == 0.0
     assert all(m[name][0] == math.inf for name in METRICS if name != "success")
 
 
-def test_an_episode_that_never_settles_is_no_success() -> None:
+def test_an_episode_that_never_settles_is_not_a_success() -> None:
     m = episode_metrics(recording(np.full_like(TIME, 0.021)))
     assert m["success"][0] == 0.0
     assert m["settling_time"][0] == math.inf
     assert m["tip_error_final"][0] == 0.021
 
 
-def test_summary_counts_failures_as_infinite() -> None:
+def test_failures_are_infinite_in_the_summary() -> None:
     metrics = {"success": np.array([1.0, 1.0, 0.0]), "settling_time": np.array([0.5, 0.7, np.inf])}
     assert summarise(metrics) == {"success_rate": pytest.approx(2 / 3), "settling_time": 0.7}
     metrics["settling_time"][1] = np.inf
@@ -92,7 +92,7 @@ def test_summary_counts_failures_as_infinite() -> None:
 
 
 def test_written_json_is_strict(tmp_path: Path) -> None:
-    """An infinite settling time becomes null, and the note says so; the CSV keeps inf."""
+    """An infinite settling time is null in JSON, as the note states, and inf in CSV."""
     metrics = episode_metrics(recording(np.ones_like(TIME)))
     write_results(tmp_path, {"pd": metrics}, [7], {"env": "toy"})
 

@@ -86,7 +86,7 @@ def test_a_zip_of_another_algorithm_is_refused_before_it_is_unpickled(
 
 
 @pytest.mark.parametrize("error", [KeyError("x"), SyntaxError("x"), AssertionError("x\ny")])
-def test_whatever_unpickling_raises_is_a_sentence(
+def test_any_error_of_unpickling_becomes_a_policy_error(
     model: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     def fail(*arguments: Any, **keywords: Any) -> None:
@@ -100,7 +100,7 @@ def test_whatever_unpickling_raises_is_a_sentence(
 
 
 def test_an_object_array_is_refused(model: Any, tmp_path: Path) -> None:
-    """numpy can hide a pickle in an array; it is not opened."""
+    """numpy stores object arrays as pickles, which are not loaded."""
     policy = export_policy(model, {})
     save_policy(policy, tmp_path)
     arrays = {f"W{i}": W for i, W in enumerate(policy.weights)}
@@ -110,7 +110,7 @@ def test_an_object_array_is_refused(model: Any, tmp_path: Path) -> None:
         load_policy(tmp_path)
 
 
-def test_policies_refuse_what_they_cannot_do(model: Any) -> None:
+def test_policies_refuse_unsupported_calls(model: Any) -> None:
     policy = export_policy(model, {})
     with pytest.raises(ValueError, match="takes 3 observations"):
         policy.predict(np.zeros(4))
@@ -137,13 +137,13 @@ def small_policy() -> Policy:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A stored policy that is whole."""
+    """An intact stored policy."""
     save_policy(small_policy(), tmp_path)
     return tmp_path
 
 
 def refusal(folder: Path) -> str:
-    """The sentence with which the policy is refused, without its folder."""
+    """Message of the policy's refusal, without the folder."""
     with pytest.raises(PolicyError) as caught:
         load_policy(folder)
     sentence = str(caught.value)
@@ -222,7 +222,7 @@ def stored(array: Any) -> bytes:
 
 
 def archive(folder: Path, **changed: bytes | None) -> None:
-    """Write the weights anew with some members changed, or left out where None."""
+    """Rewrite the weights with some members changed, or omitted if None."""
     policy = small_policy()
     members: dict[str, bytes | None] = {f"W{i}": stored(W) for i, W in enumerate(policy.weights)}
     members |= {f"b{i}": stored(b) for i, b in enumerate(policy.biases)}
@@ -233,7 +233,7 @@ def archive(folder: Path, **changed: bytes | None) -> None:
 
 
 def claiming(shape: tuple[int, ...], descr: str = "<f4") -> bytes:
-    """A header that claims an array of this shape, and a few bytes of it."""
+    """An array header of the given shape, followed by a few bytes only."""
     file = io.BytesIO()
     npy.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": shape})
     return file.getvalue() + bytes(64)
@@ -242,7 +242,7 @@ def claiming(shape: tuple[int, ...], descr: str = "<f4") -> bytes:
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"b0": claiming((10**10,))}, "claims 40000000000 bytes of numbers, but holds 64"),
+        ({"b0": claiming((10**10,))}, "claims 40000000000 bytes of numbers, but has 64"),
         ({"b0": claiming((-16,))}, "claims -64 bytes"),
         ({"b0": stored(np.zeros(16, "M8[s]"))}, "must hold plain numbers, got datetime64"),
         ({"b0": stored(np.zeros(16, "S4"))}, "must hold plain numbers"),
@@ -270,20 +270,20 @@ def test_wrong_arrays_are_refused(
     assert sentence in refusal(folder)
 
 
-def test_two_arrays_of_one_name_are_refused(folder: Path) -> None:
+def test_two_arrays_with_the_same_name_are_refused(folder: Path) -> None:
     with ZipFile(folder / "weights.npz", "a") as file, pytest.warns(UserWarning, match="Duplicate"):
         file.writestr("b0.npy", stored(np.ones(16, np.float32)))
-    assert "two arrays have one name" in refusal(folder)
+    assert "two arrays have the same name" in refusal(folder)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x05\x06", b"no archive", b"\x93NUMPY" + bytes(99)])
 def test_other_archives_are_refused(folder: Path, content: bytes) -> None:
     (folder / "weights.npz").write_bytes(content)
-    assert "is no whole archive of arrays" in refusal(folder)
+    assert "is not a complete archive of arrays" in refusal(folder)
 
 
-def test_a_bomb_is_refused_before_it_is_inflated(folder: Path) -> None:
-    """A gibibyte of zeros in a megabyte: neither its time nor its memory is spent."""
+def test_an_archive_bomb_is_refused_before_decompression(folder: Path) -> None:
+    """One gibibyte of zeros in one megabyte costs neither time nor memory."""
     with (
         ZipFile(folder / "weights.npz", "w", ZIP_DEFLATED, compresslevel=9) as file,
         file.open("W0.npy", "w", force_zip64=True) as member,
@@ -309,8 +309,8 @@ def test_a_bomb_is_refused_before_it_is_inflated(folder: Path) -> None:
     assert peak < 2**25  # a limit of 16 MiB on JSON is a buffer of as much
 
 
-def test_weights_without_proportion_end_with_a_sentence(folder: Path) -> None:
-    """Finite numbers whose products are none."""
+def test_weights_that_overflow_raise_a_policy_error(folder: Path) -> None:
+    """Finite weights with infinite products."""
     archive(
         folder,
         W0=stored(np.full((16, 3), 3e38, np.float32)),
@@ -321,7 +321,7 @@ def test_weights_without_proportion_end_with_a_sentence(folder: Path) -> None:
         (folder / "policy.json").read_text().replace("tanh", "relu")
     )
     policy = load_policy(folder)
-    with pytest.raises(PolicyError, match="so large that its action is no number"):
+    with pytest.raises(PolicyError, match="so large that its action is not a number"):
         policy.predict(np.ones(3))
 
 
@@ -330,7 +330,7 @@ def test_weights_without_proportion_end_with_a_sentence(folder: Path) -> None:
 def test_a_randomly_damaged_policy_loads_or_is_refused(
     folder: Path, name: str, damage: Damage
 ) -> None:
-    """Nothing but a policy or a PolicyError comes of 300 random damages."""
+    """300 random damages give a policy or a PolicyError."""
     path, rng = folder / name, np.random.default_rng(0)
     whole = path.read_bytes()
     refused = 0

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM end a run where it can go on, and everything else at once."""
+"""Ctrl-C and SIGTERM end a run at a checkpoint, and other work at once."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ import pytest
 
 from agents import training
 from agents.evaluate import main as evaluate
-from agents.run_folder.checkpoints import list_checkpoints, newest_whole
+from agents.run_folder.checkpoints import list_checkpoints, newest_intact
 from agents.run_folder.folder import RunFolder
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 from agents.training import main as train
@@ -20,7 +20,7 @@ BOTH = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 
 
 @BOTH
-def test_a_signal_ends_a_run_at_a_checkpoint_and_it_goes_on_there(
+def test_a_signal_ends_a_run_at_a_checkpoint_where_it_resumes(
     number: signal.Signals, tmp_path: Path, capsys: pytest.CaptureFixture[str], unjudged: Any
 ) -> None:
     run = RunFolder(tmp_path / "a run")
@@ -29,10 +29,10 @@ def test_a_signal_ends_a_run_at_a_checkpoint_and_it_goes_on_there(
     process.send_signal(number)
     _, said = process.communicate()
     assert process.returncode == 128 + number
-    assert f"train.py: interrupted; go on with: python train.py --resume '{run.path}'" in said
+    assert f"train.py: interrupted; resume with: python train.py --resume '{run.path}'" in said
     assert "Traceback" not in said
     last = list_checkpoints(run.checkpoints)[-1]
-    assert newest_whole(run.checkpoints) == (last, [])
+    assert newest_intact(run.checkpoints) == (last, [])
     steps = int(last.name.removeprefix("step_"))
     assert run.rows()[-1]["steps"] == steps
     assert not list(run.path.rglob(".partial*"))
@@ -63,7 +63,7 @@ def test_the_second_signal_stops_at_once(
 
 
 @BOTH
-def test_a_signal_while_judging_stops_at_once_and_resuming_judges_again(
+def test_a_signal_stops_an_evaluation_at_once_and_resuming_repeats_it(
     number: signal.Signals,
     run: RunFolder,
     unjudged: list[RunFolder],
@@ -73,14 +73,14 @@ def test_a_signal_while_judging_stops_at_once_and_resuming_judges_again(
     with monkeypatch.context() as patch:
         patch.setattr(training, "judge", lambda run, config: os.kill(os.getpid(), number))
         assert train(["--resume", str(run.path)]) == 128 + number
-    assert f"go on with: python train.py --resume {run.path}" in one_sentence(capsys)
+    assert f"resume with: python train.py --resume {run.path}" in one_sentence(capsys)
     unjudged.clear()
     assert train(["--resume", str(run.path)]) == 0
     assert unjudged == [run]
 
 
 @BOTH
-def test_a_signal_before_the_run_makes_no_folder(
+def test_a_signal_before_the_run_creates_no_folder(
     number: signal.Signals,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -89,12 +89,12 @@ def test_a_signal_before_the_run_makes_no_folder(
     monkeypatch.setattr(training, "build_model", lambda config: os.kill(os.getpid(), number))
     config = write_config(tmp_path, "ppo", 256)
     assert train(["--config", str(config), "--out", str(tmp_path / "out")]) == 128 + number
-    assert "there is no run to go on with yet" in one_sentence(capsys)
+    assert "there is no run to resume yet" in one_sentence(capsys)
     assert not (tmp_path / "out").exists()
 
 
 @BOTH
-def test_a_signal_ends_an_evaluation_with_a_sentence(
+def test_a_signal_ends_an_evaluation_with_a_message(
     number: signal.Signals,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -108,7 +108,7 @@ def test_a_signal_ends_an_evaluation_with_a_sentence(
     assert "interrupted" in one_sentence(capsys)
 
 
-def test_handlers_are_put_back_and_other_threads_leave_them_alone() -> None:
+def test_handlers_are_restored_and_other_threads_do_not_set_them() -> None:
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     later = StopLater()
     with signals_to(later):

@@ -1,4 +1,4 @@
-"""Whole runs in miniature: what they leave, and that a kill loses nothing that was logged."""
+"""Small complete runs: their files, their refusals, and resuming after a kill."""
 
 import csv
 import json
@@ -22,7 +22,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     return RunFolder(out)
 
 
-def test_a_run_leaves_its_whole_record(run: RunFolder) -> None:
+def test_a_run_writes_all_its_files(run: RunFolder) -> None:
     files = {str(f.relative_to(run.path)) for f in run.path.rglob("*") if f.is_file()}
     expected = "config.yaml versions.json metrics.jsonl metrics.csv evaluation.json evaluation.csv"
     expected += " learning_curve.png trajectories.png arm.gif pd_gains.json"
@@ -46,7 +46,7 @@ def test_no_file_of_a_run_needs_unpickling(run: RunFolder) -> None:
     assert suffixes <= {".yaml", ".json", ".jsonl", ".csv", ".npz", ".png", ".gif"}
 
 
-def test_evaluation_repeats_itself_exactly(run: RunFolder, tmp_path: Path) -> None:
+def test_evaluation_is_deterministic(run: RunFolder, tmp_path: Path) -> None:
     texts = []
     for name in ("a", "b"):
         arguments = [str(run.path), "--env", ENV_ID, "--episodes", "3", "--seed", "5"]
@@ -98,13 +98,13 @@ def test_training_refuses_bad_requests(tmp_path: Path, capsys: pytest.CaptureFix
         (["--resume", str(tmp_path)], "is not a run"),
         (["--config", str(tmp_path / "none.yaml")], "there is no such file"),
         (["--steps", "0"], "--steps must be between 1 and 100_000_000_000, got 0"),
-        (["--resume", str(tmp_path), "--seed", "1"], "--resume goes with --steps only"),
+        (["--resume", str(tmp_path), "--seed", "1"], "--resume allows only --steps"),
     ):
         assert train(arguments) == 2
         assert sentence in capsys.readouterr().err
 
 
-def test_a_finished_run_says_so_and_is_left_alone(
+def test_a_finished_run_is_reported_and_unchanged(
     run: RunFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def files() -> dict[Path, tuple[int, bytes]]:
@@ -124,8 +124,8 @@ def test_a_finished_run_says_so_and_is_left_alone(
 def test_a_killed_run_resumes_and_loses_nothing(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """SIGKILL in the middle of training, then --resume: every logged row is still there, the
-    steps go on from the last checkpoint, and the run ends where it would have ended."""
+    """After SIGKILL and --resume every logged row is still there, the steps continue from the last
+    checkpoint, and the run reaches its last step."""
     total = 6000 if name == "sac" else 120_000
     run = RunFolder(tmp_path / "out")
     process = train_py("--config", write_config(tmp_path, name, total), "--out", run.path)

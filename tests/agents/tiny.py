@@ -1,4 +1,4 @@
-"""Runs in miniature: their experiments, and the command that makes them."""
+"""Small training runs: their experiments and the command that runs them."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ KWARGS = {
 
 
 def write_config(folder: Path, name: str, total_steps: int, **env: Any) -> Path:
-    """A small experiment with a checkpoint after every rollout or so."""
+    """Write a small experiment with a checkpoint after about every rollout."""
     path = folder / f"tiny_{name}.yaml"
     experiment = {
         "env": {"id": ENV_ID, "n_envs": 8} | env,
@@ -36,7 +36,7 @@ def write_config(folder: Path, name: str, total_steps: int, **env: Any) -> Path:
 
 
 def train_py(*arguments: str | Path) -> subprocess.Popen[str]:
-    """`python train.py` with these arguments, in a process of its own."""
+    """Start `python train.py` with the arguments in a new process."""
     return subprocess.Popen(
         [sys.executable, str(ROOT / "train.py"), *map(str, arguments)],
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
@@ -47,7 +47,7 @@ def train_py(*arguments: str | Path) -> subprocess.Popen[str]:
 
 
 def wait_for_steps(process: subprocess.Popen[str], run: RunFolder, steps: int) -> None:
-    """Return once the process has written a checkpoint at so many steps or later."""
+    """Wait until the process has written a checkpoint at `steps` or later."""
     deadline = time.monotonic() + 120.0
     while not any(int(path.name[5:]) >= steps for path in list_checkpoints(run.checkpoints)):
         assert process.poll() is None, process.communicate()
@@ -56,7 +56,7 @@ def wait_for_steps(process: subprocess.Popen[str], run: RunFolder, steps: int) -
 
 
 def one_sentence(capsys: pytest.CaptureFixture[str]) -> str:
-    """The sentence with which a command has failed."""
+    """The error message of a command, which must be one line."""
     error = capsys.readouterr().err
     assert error.strip().count("\n") == 0, error
     return error

@@ -1,4 +1,4 @@
-"""Learners small enough for tests of what is stored of them."""
+"""Small learners for tests of stored policies and checkpoints."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from stable_baselines3 import PPO, SAC
 
 
 class Toy(gym.Env):
-    """Three numbers in, two out; no dynamics worth the name."""
+    """Three random observations, two actions, no dynamics."""
 
     observation_space = gym.spaces.Box(-5.0, 5.0, (3,), np.float32)
     action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)

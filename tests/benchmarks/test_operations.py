@@ -1,4 +1,4 @@
-"""Published operation counts as printed, and our own counts against them and against the page."""
+"""Published operation counts, and our own counts compared with them and with the stored ones."""
 
 import importlib.util
 import json
@@ -9,7 +9,7 @@ import pytest
 
 from dynamics import ARMS, compile_arm
 from dynamics.formulations.table import FORMULATIONS
-from dynamics.tracing.ssa import operations
+from dynamics.tracing.operation_counts import operations
 from tests.paths import ROOT
 
 
@@ -44,7 +44,7 @@ def test_formulas_give_the_printed_numbers(
 
 
 def test_the_first_printed_case_has_two_modes_and_not_three(bench: ModuleType) -> None:
-    """The table says m = 3; no other small case gives all four numbers."""
+    """The table prints m = 3; no other small case gives all four numbers."""
     printed = [(name, products, sums) for name, size, products, sums in PRINTED[:2]]
     matches = []
     for n in range(1, 10):
@@ -70,8 +70,8 @@ def test_the_steps_of_table_1_add_up_to_table_2(
         assert steps == pytest.approx(getattr(whole, kind)(*size), rel=1e-14)
 
 
-def test_with_few_flexible_links_the_published_recursion_is_the_dearer(bench: ModuleType) -> None:
-    """In multiplications; Book's own text says 12 009 for its formula's 11 361."""
+def test_with_few_flexible_links_the_published_recursion_is_costlier(bench: ModuleType) -> None:
+    """In multiplications. Book's text prints 12 009 where its formula gives 11 361."""
     few = bench.Case(6, 2, 3)
     recursion, book = (bench.published(name, few) for name in ("gibbs_appell", "book"))
     assert (recursion["multiplications"], book["multiplications"]) == (13_620, 11_361)
@@ -82,7 +82,7 @@ def test_with_few_flexible_links_the_published_recursion_is_the_dearer(bench: Mo
 # ---- counted -------------------------------------------------------------------------------------
 
 
-def test_equal_places_of_different_inputs_are_different_values() -> None:
+def test_equal_indices_of_different_inputs_are_different_values() -> None:
     x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
     outputs = ca.vertcat(x[0] * x[1] + y[0] * y[1], ca.sin(x[0]) / y[1], x[0] + x[0])
     graph = ca.Function("f", [x, y], [outputs])
@@ -104,8 +104,8 @@ def test_six_links_take_a_fifth_of_the_published_operations() -> None:
 
 
 @pytest.mark.parametrize("name", FORMULATIONS)
-def test_the_page_says_what_is_counted(bench: ModuleType, name: str) -> None:
-    """The small case, general and given; other versions of CasADi fold a little otherwise."""
+def test_the_stored_counts_are_reproduced(bench: ModuleType, name: str) -> None:
+    """For the small case, general and given; versions of CasADi fold slightly differently."""
     saved = json.loads((ROOT / "docs" / "results" / "operations.json").read_text())
     case = bench.Case(3, 2, 2)
     arm = bench.given_arm(case)
@@ -122,8 +122,8 @@ def test_the_page_says_what_is_counted(bench: ModuleType, name: str) -> None:
                 assert counts[operation] == pytest.approx(expected, rel=0.02), (kind, question)
 
 
-def test_a_general_arm_folds_nothing_of_its_constants(bench: ModuleType) -> None:
-    """Every entry of every integral of an inner link is a symbol that M or h needs."""
+def test_no_constant_of_a_general_arm_folds_away(bench: ModuleType) -> None:
+    """M and h depend on every entry of every integral of an inner link."""
     case = bench.Case(3, 3, 2)
     chain, _ = bench.general_chain(case, "linear")
     equations = FORMULATIONS["gibbs_appell"].equations

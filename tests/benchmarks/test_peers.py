@@ -1,4 +1,4 @@
-"""Three engines that share no line agree on the tip; and what the peers' benchmark makes of it."""
+"""Three independent engines agree on the tip; lines and comparisons of the peers' benchmark."""
 
 import subprocess
 import sys
@@ -19,7 +19,7 @@ def a_point(error: float, cost: float) -> Point:
     return Point(family, Fraction(1), error, cost)
 
 
-def test_a_line_holds_what_nothing_beats_in_error_and_cost() -> None:
+def test_a_line_has_the_runs_that_no_other_beats_in_error_and_cost() -> None:
     good = [a_point(1e-4, 3.0), a_point(1e-3, 1.0)]
     worse = [a_point(2e-4, 3.1), a_point(1e-2, 1.0), a_point(np.inf, 0.1)]
     assert front([*worse, *good]) == good
@@ -28,8 +28,8 @@ def test_a_line_holds_what_nothing_beats_in_error_and_cost() -> None:
     assert best([*worse, *good], 1e-5) is None
 
 
-def test_a_run_that_finer_steps_contradict_is_luck() -> None:
-    """Error 1e-4 between 3e-3 and 2e-3 is cancellation; one step alone tells nothing."""
+def test_a_run_whose_finer_steps_err_more_is_not_steady() -> None:
+    """An error of 1e-4 between 3e-3 and 2e-3 is cancellation; a single step is not steady."""
     first = a_point(3e-3, 1.0)
     lucky = Point(first.family, Fraction(2), 1e-4, 2.0)
     finer = [Point(first.family, Fraction(k), 2e-3, float(k)) for k in (3, 4)]
@@ -40,7 +40,7 @@ def test_a_run_that_finer_steps_contradict_is_luck() -> None:
 
 
 @pytest.mark.parametrize("missing", ["exudyn", "mujoco"])
-def test_without_the_extra_a_sentence_says_what_to_install(missing: str) -> None:
+def test_without_the_extra_a_message_names_the_package_to_install(missing: str) -> None:
     code = f"""
 import sys
 from unittest.mock import MagicMock
@@ -55,7 +55,7 @@ import benchmarks.peers.engines
 
 
 def test_steps_end_where_the_torque_jumps() -> None:
-    """A pulse of 0.25 s is 25 rows of S1's truth, not a whole number of pairs of them."""
+    """A pulse of 0.25 s is 25 rows of S1's truth, which is an odd number."""
     scene = SCENES["S1"]
     assert scene.allows(Fraction(1, 5))
     assert not scene.allows(Fraction(1, 2))
@@ -68,15 +68,15 @@ def test_steps_end_where_the_torque_jumps() -> None:
 def peers() -> Any:
     pytest.importorskip("exudyn")
     pytest.importorskip("mujoco")
-    from benchmarks.peers import run as peers
+    from benchmarks.peers import sweep
 
-    return peers
+    return sweep
 
 
 @pytest.fixture(scope="module")
 def tips(peers: Any) -> dict[str, Array]:
-    """S1's tip by cable elements, chains of hinges and assumed modes, finely stepped."""
-    engines, scene, fine = peers.peers, SCENES["S1"], Fraction(24)
+    """S1's tip by cable elements, chains of hinges and assumed modes, with small steps."""
+    engines, scene, fine = peers.engines, SCENES["S1"], Fraction(24)
     cable = engines.cable(scene, 6, scene.axial, explicit=False)
     shapes = peers.Shapes(("clamped-tip-mass",), (3,), True)
     model = peers.compiled(shapes.arm(scene.arm))
@@ -90,33 +90,33 @@ def tips(peers: Any) -> dict[str, Array]:
 
 
 def apart(a: Array, b: Array) -> float:
-    """[-] largest distance of two tips over the reach."""
+    """Largest distance of two tips over the reach [-]."""
     return float(np.linalg.norm(a - b, axis=1).max()) / SCENES["S1"].arm.reach
 
 
 def test_cable_elements_and_foreshortened_modes_agree(tips: dict[str, Array]) -> None:
-    """To the smallest error that S1 is compared at; and with the stored beam, a third method."""
+    """To the smallest error compared on S1, also with the stored beam, a third method."""
     assert apart(tips["ours"], tips["cable"]) < 1e-4
     assert SCENES["S1"].error(tips["ours"], Fraction(1)) < 1e-4
     assert SCENES["S1"].error(tips["cable"], Fraction(1)) < 1e-4
 
 
-def test_a_chain_of_hinges_converges_to_our_tip_with_their_square(tips: dict[str, Array]) -> None:
+def test_a_chain_of_hinges_converges_to_our_tip_quadratically(tips: dict[str, Array]) -> None:
     errors = [apart(tips[f"{n} hinges"], tips["ours"]) for n in (8, 16, 32)]
     assert errors[0] > 2.0 * errors[1]
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.3)
 
 
-def test_cable_elements_confirm_the_truth_made_of_hinges(peers: Any) -> None:
-    """Two links: the truth is an extrapolated chain; 1e-5 is what the engines are compared at."""
-    engines, scene, fine = peers.peers, SCENES["korayem"], Fraction(32)
+def test_cable_elements_confirm_the_truth_from_hinges(peers: Any) -> None:
+    """The truth of the two links is an extrapolated chain; engines are compared at 1e-5."""
+    engines, scene, fine = peers.engines, SCENES["korayem"], Fraction(32)
     cable = engines.cable(scene, 4, scene.axial, explicit=False)
     tips, _ = engines.follow(cable, scene, engines.EXUDYN_METHODS["trapezoidal"], fine)
     assert scene.error(tips, fine) < 1e-5
 
 
 def test_every_engine_has_a_line_and_ours_is_the_cheapest(peers: Any) -> None:
-    """The benchmark in its quick form. It measures a factor above 50 where 5 is asked here."""
+    """Quick form of the benchmark. The measured factor is above 50, the required one 5."""
     scene = SCENES["S1"]
     points = peers.time_again(scene, peers.explore(scene, quick=True))
     costs = {engine: best(runs, 4e-3) for engine, runs in points.items()}

@@ -1,4 +1,4 @@
-"""The page of rigid arms: its counts, and a return that is short."""
+"""Rigid arms: operation counts, and a short round trip."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_each_joint_of_a_general_arm_takes_as_many_products_as_in_the_thesis() -
     assert np.diff(products).tolist() == [100, 100]
 
 
-def test_the_page_says_what_was_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_has_the_measured_values(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(rigid_arms.FOLLOWED, "stanford", 0.5)
     trip = rigid_arms.round_trip("stanford", 3)
 

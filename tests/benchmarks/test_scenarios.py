@@ -1,4 +1,4 @@
-"""Named scenarios: every file is sound, wrong ones are refused, and motions meet other numbers."""
+"""Named scenarios: files load, wrong ones are refused, motions agree with known results."""
 
 import json
 from collections.abc import Mapping
@@ -68,29 +68,29 @@ WRONG: dict[str, tuple[Mapping[str, object], str]] = {
             "initial": {"qd": {"q1": 1.0}},
             "torque": {"type": "nominal", "goal": {}, "duration": 1.0},
         },
-        "moves from rest on a fixed base",
+        "needs a fixed base and a start at rest",
     ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_scenario_is_refused_with_a_sentence(case: str) -> None:
+def test_a_wrong_scenario_is_refused(case: str) -> None:
     change, sentence = WRONG[case]
     with pytest.raises(ValueError, match=sentence):
         scenario_file.scenario_from_dict(BARE | change)
 
 
-def test_what_a_scenario_lacks_is_named() -> None:
+def test_a_missing_key_of_a_scenario_is_named() -> None:
     with pytest.raises(ValueError, match="arm is missing"):
         scenario_file.scenario_from_dict({key: BARE[key] for key in ("title", "about", "t_end")})
 
 
-def test_an_unknown_name_says_what_is_known(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_name_is_refused_with_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
     assert scenarios.main(["one-lnk"]) == 2
     assert "one-link-step" in capsys.readouterr().err
 
 
-def test_a_scenario_changes_only_what_it_says() -> None:
+def test_a_scenario_changes_only_the_named_properties() -> None:
     arm = scenarios.load("planar-arm-100kg").arm
     shoulder, elbow, wrist = ARMS["srms-like"].links[1:4]
 
@@ -111,7 +111,7 @@ def test_the_ramp_ends_at_the_step() -> None:
     assert_allclose([step(0.0), step(2.0)], [[5.0], [5.0]])
 
 
-def test_a_sprung_joint_counts_with_its_twist() -> None:
+def test_the_angle_of_a_sprung_joint_includes_the_springs_deflection() -> None:
     arm = scenarios.load("planar-arm").arm
     values = {"q1": 1.0, "s1": 0.1, "q2": 2.0, "s2": 0.2, "q3": 3.0}
     row = np.array([[values.get(name, 9.0) for name in arm.names]])
@@ -120,7 +120,7 @@ def test_a_sprung_joint_counts_with_its_twist() -> None:
 
 
 def test_the_damping_of_the_loaded_arm_is_half_a_per_cent() -> None:
-    """Of its lowest mode, from the decay of the linearised arm held at its joints."""
+    """Damping of the lowest mode, from the decay of the linearised arm with joints locked."""
     arm = scenarios.load("spatial-arm-500kg-damped").arm
     model = Model(arm)
     moving = np.setdiff1d(np.arange(arm.n), arm.joint_index)
@@ -182,7 +182,7 @@ RELEASED = """
     1.0 -92.159648 2.232737 -0.0366952 -1.9992859 -0.085856 -0.047243"""
 
 
-def test_the_hanging_links_move_as_by_another_method() -> None:
+def test_the_hanging_links_move_as_in_an_independent_implementation() -> None:
     """t [s], angles [deg], tip [m] and deflections [mm] of an independent implementation."""
     scenario = scenarios.load("two-links-two-modes")
     run = scenario_runs.follow(scenario, scenario.arm)
@@ -198,7 +198,7 @@ def test_the_hanging_links_move_as_by_another_method() -> None:
     assert run.path.integrator == "dop853"
 
 
-def test_the_flying_body_turns_over_as_eulers_equations_say() -> None:
+def test_the_flying_body_turns_over_as_in_eulers_equations() -> None:
     scenario = scenarios.load("flying-body")
     base = scenario.arm.base
     moments = np.diag(base.inertia)
@@ -228,7 +228,7 @@ def test_the_flying_beam_vibrates_as_one_free_at_both_ends() -> None:
 
 
 def test_the_tip_of_a_link_of_segments_is_measured_from_its_root() -> None:
-    """Where the joint's frame is the world's; its rate is the slope of its motion."""
+    """With the joint's frame at the world's; the rate is the derivative of the deflection."""
     arm = scenarios.load("fixed-base").arm
     model = Model(arm)
     q, v = _bent(arm)
@@ -251,7 +251,7 @@ def _bent(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     return q, v
 
 
-def test_the_committed_page_is_that_of_its_figures() -> None:
+def test_the_committed_page_is_that_of_the_stored_figures() -> None:
     results = json.loads((PAGE.parent / "results" / "scenarios.json").read_text(encoding="utf-8"))
 
     assert list(results["scenarios"]) == scenarios.names()

@@ -1,4 +1,4 @@
-"""The soak counts what it must not find: every kind, once put there."""
+"""The soak test finds no fault, and counts every kind of fault that is injected."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from benchmarks import soak
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 
 
-def test_a_short_soak_finds_episodes_of_every_end_and_nothing_wrong() -> None:
+def test_a_short_soak_finds_every_kind_of_end_and_no_fault() -> None:
     counts = soak.soak(ENV_ID, 200 * soak.BATCH)
     assert counts["steps"] >= 200 * soak.BATCH
     assert min(counts[name] for name in ("time out", "invalid", "diverged")) > 0
@@ -18,7 +18,7 @@ def test_a_short_soak_finds_episodes_of_every_end_and_nothing_wrong() -> None:
 
 
 def spoil(wrong: str, obs: Any, terminated: Any, info: dict[str, Any], before: Any) -> None:
-    """Make one environment's step wrong."""
+    """Inject a fault into the step of one environment."""
     if wrong == "not finite":
         info["tip_speed"][3] = np.nan
     elif wrong == "out of bounds":
@@ -33,7 +33,7 @@ def spoil(wrong: str, obs: Any, terminated: Any, info: dict[str, Any], before: A
 
 
 @pytest.mark.parametrize("wrong", soak.WRONG)
-def test_what_is_wrong_is_counted(wrong: str) -> None:
+def test_every_kind_of_fault_is_counted(wrong: str) -> None:
     watched = soak.Soak(ENV_ID, torque=0.1)
     watched.step()
     real = watched.envs.step

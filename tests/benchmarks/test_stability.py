@@ -1,4 +1,4 @@
-"""Here it fails, here it holds: the stability maps in a short form, both sides of each boundary."""
+"""Short forms of the stability maps: failure and stability on both sides of each boundary."""
 
 import importlib.util
 from types import ModuleType
@@ -22,12 +22,12 @@ def stability() -> ModuleType:
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_a_method_fails_exactly_where_its_amplification_says(
+def test_a_method_fails_exactly_where_its_amplification_predicts(
     stability: ModuleType, integrator: str
 ) -> None:
-    """Step against damping; an A-stable method fails nowhere, others beyond their boundary.
+    """Over step and damping: an A-stable method never fails, others fail beyond their boundary.
 
-    The exponential step fails where the stiffness is far from the one that it froze.
+    The exponential step fails if the stiffness is far from the frozen one.
     """
     found = stability.method_map(integrator, 9)
     failed = np.array(found["failed"])
@@ -40,7 +40,7 @@ def test_a_method_fails_exactly_where_its_amplification_says(
 def test_the_linear_link_fails_when_it_spins_faster_than_its_own_frequency(
     stability: ModuleType,
 ) -> None:
-    """A false instability: foreshortening removes it."""
+    """The instability is an artefact of the linear model; foreshortening removes it."""
     linear = stability.spin_map(False, 12)
     failed = np.array(linear["failed"])
     assert np.array_equal(failed, linear["predicted"])
@@ -49,8 +49,8 @@ def test_the_linear_link_fails_when_it_spins_faster_than_its_own_frequency(
     assert not np.any(stability.spin_map(True, 12)["failed"])
 
 
-def test_delay_destabilises_joint_pd_where_the_sampled_loop_says(stability: ModuleType) -> None:
-    """One cell in twenty may lie too near the boundary to be told in 20 s."""
+def test_delay_destabilises_joint_pd_where_the_sampled_loop_predicts(stability: ModuleType) -> None:
+    """One cell in twenty may be too near the boundary to grow or decay within 20 s."""
     found = stability.loop_map(0.1, 8)
     failed, predicted = np.array(found["failed"]), np.array(found["predicted"])
     assert np.mean(failed == predicted) > 0.95
@@ -59,7 +59,7 @@ def test_delay_destabilises_joint_pd_where_the_sampled_loop_says(stability: Modu
 
 
 def test_the_right_shapes_depend_on_the_hub(stability: ModuleType) -> None:
-    """One clamped mode is 10 % off with a light hub, right with a heavy one; pinned: opposite."""
+    """One clamped mode errs by 10 % with a light hub, by 1e-4 with a heavy one; pinned: reverse."""
     found = stability.shape_map()
     error = {name: np.abs(values) for name, values in found["error"].items()}
     assert error["clamped-free, 1"][0] > 0.1 > 1e-4 > error["clamped-free, 1"][-1]

@@ -1,4 +1,4 @@
-"""The validation page: its verdicts hold, and nothing but a comparison can give them."""
+"""Validation: the stored verdicts are reproduced, and verdicts follow from comparisons."""
 
 import json
 from dataclasses import replace
@@ -26,8 +26,8 @@ def stored() -> dict[str, Any]:
     return json.loads(validation.data_of(validation.PAGE).read_text(encoding="utf-8"))
 
 
-def test_every_verdict_of_the_short_form_is_the_stored_one(stored: dict[str, Any]) -> None:
-    """If one has changed for good reason: python -m benchmarks.validation"""
+def test_every_verdict_of_the_short_form_equals_the_stored_one(stored: dict[str, Any]) -> None:
+    """After an intended change, run `python -m benchmarks.validation`."""
     known = validation.verdicts(stored["tables"], quick=True)
     assert len(known) > 300
     assert validation.changed(validation.verdicts(validation.run(quick=True)), known) == []
@@ -42,7 +42,7 @@ def test_the_committed_page_is_that_of_the_data(stored: dict[str, Any]) -> None:
         assert picture.name in text
 
 
-def test_no_number_is_missed(stored: dict[str, Any]) -> None:
+def test_every_claimed_number_is_reproduced(stored: dict[str, Any]) -> None:
     found = validation.verdicts(stored["tables"])
     assert "not reproduced" not in found.values()
     assert {kind for _, _, kind, _ in HONESTY} <= set(found.values())
@@ -78,7 +78,7 @@ def test_a_changed_verdict_is_named() -> None:
     ]
 
 
-def test_counts_of_our_code_join_once_they_exist(
+def test_our_own_counts_are_included_if_they_are_stored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = json.loads(validation_counts.COUNTED.read_text())
@@ -102,14 +102,14 @@ def test_counts_of_our_code_join_once_they_exist(
 # ---- the arm like RALF on its actuators' springs -------------------------------------------------
 
 
-def test_stiff_springs_hold_the_joints_and_soft_ones_carry_rigid_links() -> None:
-    """Soft: the moments of inertia about the joints, at a right elbow uncoupled."""
+def test_stiff_springs_lock_the_joints_and_soft_ones_carry_rigid_links() -> None:
+    """With soft springs the links move as rigid bodies; a right elbow uncouples them."""
     large = validation_large_arms
-    held = hertz(large.finer(), angles=large.ELBOW)
+    locked = hertz(large.finer(), angles=large.ELBOW)
     m, L = 31.75 / 2.0, 3.048
     inertia = np.array([m * L**2 / 3.0 + m * L**2, m * L**2 / 3.0])
 
-    assert large.on_springs(1e3)[:4] == pytest.approx(held[:4], rel=1e-5)
+    assert large.on_springs(1e3)[:4] == pytest.approx(locked[:4], rel=1e-5)
     rigid = np.sqrt(np.array(large.SPRINGS) * 0.01**2 / inertia) / (2.0 * np.pi)
     assert large.on_springs(0.01)[:2] == pytest.approx(rigid, rel=1e-3)
 
@@ -119,7 +119,7 @@ def test_stiff_springs_hold_the_joints_and_soft_ones_carry_rigid_links() -> None
 
 @pytest.mark.parametrize("name", STEPS)
 def test_V_falls_by_the_work_of_the_joint_damping(name: str) -> None:
-    """From M and K on one side, from the motion's joint rates on the other."""
+    """V is computed from M and K, the work from the joint rates of the motion."""
     fault, rise = validation_pd.balance(STEPS[name])
     assert fault < 1e-8
     assert rise < 1e-10
@@ -127,8 +127,8 @@ def test_V_falls_by_the_work_of_the_joint_damping(name: str) -> None:
     assert response.V[-1] < 0.05 * response.V[0]
 
 
-def test_V_stays_without_joint_damping_and_falls_faster_with_damped_links() -> None:
-    """What the theorem leaves out shows: the balance is no tautology."""
+def test_V_is_constant_without_joint_damping_and_falls_faster_with_damped_links() -> None:
+    """The balance is not a tautology: it changes if the theorem's assumptions fail."""
     step = STEPS["slim"]
     free = validation_pd.respond(replace(step, K_D=(0.0,)), 0.3)
     assert_allclose(free.V, free.V[0], rtol=1e-9)
@@ -138,7 +138,7 @@ def test_V_stays_without_joint_damping_and_falls_faster_with_damped_links() -> N
 
 
 def test_under_gravity_V_without_gravity_may_rise() -> None:
-    """The proof needs g = 0: the same arm hung from its joint sags past its target."""
+    """The proof needs g = 0: the arm hanging from its joint sags past its target."""
     step = STEPS["slim"]
     hung = Step(
         title="hung", arm=replace(step.arm, gravity=(0.0, -9.81, 0.0)), target=(0.0,),
@@ -152,8 +152,8 @@ def test_under_gravity_V_without_gravity_may_rise() -> None:
     assert np.abs(response.V + response.spent - response.V[0]).max() < 1e-9  # with it, a balance
 
 
-def test_gauges_under_a_static_tip_load_read_in_proportion_to_the_lever() -> None:
-    """Half the strain at mid-length."""
+def test_strains_under_a_static_tip_load_are_proportional_to_the_lever() -> None:
+    """The strain at mid-length is half of that at the root."""
     model = compile_arm(alone(validation_slim.SLIM, 0, 2, "poly"))
     delta = np.linalg.solve(model.stiffness[1:, 1:], np.ones(2))
     base, middle = validation_pd.strains(model, np.array([[0.0, *delta]]))[0]
@@ -161,8 +161,8 @@ def test_gauges_under_a_static_tip_load_read_in_proportion_to_the_lever() -> Non
     assert base > 0.0
 
 
-def test_a_gain_takes_the_joint_from_free_to_held() -> None:
-    """Both frequencies rise with it, between 0 and 2.096, 7.446 and 13.989 Hz."""
+def test_a_gain_takes_the_joint_from_free_to_locked() -> None:
+    """Both frequencies rise with the gain, from 0 to 2.096 Hz and from 7.446 to 13.989 Hz."""
     found = validation_pd.stiffened(np.geomspace(1e-6, 1e6, 9).tolist())
     assert np.all(np.diff(found, axis=0) > 0.0)
     assert found[-1] == pytest.approx([2.096, 13.989], rel=1e-3)

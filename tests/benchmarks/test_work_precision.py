@@ -1,4 +1,4 @@
-"""The short form of the work-precision charts, and how cost grows."""
+"""Short form of the work-precision charts, and growth of cost."""
 
 import json
 from dataclasses import replace
@@ -16,7 +16,7 @@ from benchmarks.work_precision import run as work_precision
 from benchmarks.work_precision.scenes import SETTINGS, Level, undamped
 from dynamics import compile_arm
 from dynamics.integrators.table import INTEGRATORS
-from dynamics.tracing.ssa import operations
+from dynamics.tracing.operation_counts import operations
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +30,14 @@ def scene(results: dict[str, Any]) -> dict[str, Any]:
 
 
 def runs(scene: dict[str, Any], integrator: str) -> list[dict[str, Any]]:
-    """Runs of the default model, ever shorter steps."""
+    """Runs of the default model by decreasing step."""
     mine = [p for p in scene["points"] if p["model"] == scene["default"]["model"]]
     return sorted((p for p in mine if p["integrator"] == integrator), key=lambda p: -p["dt"])
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_errors_fall_at_the_order_of_the_method(scene: dict[str, Any], integrator: str) -> None:
-    """Against the same model integrated by another step until nothing changes."""
+    """Errors are those from the same model's converged integration."""
     fine = [p for p in runs(scene, integrator) if p["integration"] > work_precision.ENOUGH][-4:]
     logs = np.log([[p["dt"], p["integration"]] for p in fine]).T
     assert np.polyfit(*logs, 1)[0] > INTEGRATORS[integrator].order - 0.3
@@ -47,7 +47,7 @@ def test_errors_fall_at_the_order_of_the_method(scene: dict[str, Any], integrato
 @pytest.mark.parametrize(
     "integrator", [name for name, method in INTEGRATORS.items() if method.limit < np.inf]
 )
-def test_runs_beyond_the_stability_limit_are_kept_as_diverged(
+def test_runs_beyond_the_stability_limit_are_stored_as_diverged(
     scene: dict[str, Any], integrator: str
 ) -> None:
     setting = SETTINGS["S1"]
@@ -61,16 +61,16 @@ def test_runs_beyond_the_stability_limit_are_kept_as_diverged(
     assert all(p["total"] < 1.0 for p in within)
 
 
-def test_a_run_that_leaves_the_numbers_within_one_call_has_diverged() -> None:
-    """The stepper then keeps the state before the call, which looks like an arm at rest."""
+def test_a_run_that_overflows_within_one_call_has_diverged() -> None:
+    """The stepper keeps the state before such a call, which looks like an arm at rest."""
     setting = SETTINGS["S1"]
     model = compile_arm(Level(modes=2, foreshortening=True).arm(setting.arm))
     whole = work_precision.Step(setting.times.size - 1, 40)
     assert work_precision.follow(model, setting, "rk4", whole) is None
 
 
-def test_the_three_errors_are_sides_of_a_triangle(scene: dict[str, Any]) -> None:
-    """Model, integration and total error are measured apart; as distances they fit together."""
+def test_the_three_errors_obey_the_triangle_inequality(scene: dict[str, Any]) -> None:
+    """Model, integration and total error are measured independently."""
     finite = [p for p in scene["points"] if p["total"] < np.inf]
     assert len(finite) > 20
     for point in finite:
@@ -98,7 +98,7 @@ def test_the_default_is_on_the_chart(scene: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("family", ["OneLink", "TwoLink", "SixLink"])
-def test_the_default_is_what_the_environment_does(family: str) -> None:
+def test_the_default_is_that_of_the_environment(family: str) -> None:
     core: Any = gym.make(f"FlexArm/{family}-Reach-v0").unwrapped
     core = core.core
     setting = next(s for s in SETTINGS.values() if s.title.startswith(family))
@@ -110,14 +110,14 @@ def test_the_default_is_what_the_environment_does(family: str) -> None:
     assert work_precision.models_of(setting)[0] != "default"  # one of the charted levels
 
 
-def test_a_rigid_link_errs_as_much_as_the_nonlinear_beams_say(scene: dict[str, Any]) -> None:
-    """7.0e-3 of the length is known of S1; modes make it better, step by step."""
+def test_the_error_of_a_rigid_link_is_the_known_one(scene: dict[str, Any]) -> None:
+    """It is 7.0e-3 of the length for S1; every mode reduces it."""
     errors = [row["model error"] for row in scene["models"].values()]
     assert errors[0] == pytest.approx(7.0e-3, rel=0.01)
     assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
 
 
-def test_the_linear_model_diverges_in_the_spin_up_and_one_foreshortened_mode_holds() -> None:
+def test_the_linear_model_diverges_in_the_spin_up_and_one_foreshortened_mode_does_not() -> None:
     setting = SETTINGS["S3"]
     error = {}
     for foreshortening in (False, True):
@@ -131,11 +131,11 @@ def test_the_linear_model_diverges_in_the_spin_up_and_one_foreshortened_mode_hol
 
 
 @pytest.mark.slow
-def test_many_segments_are_as_good_a_truth_as_a_nonlinear_beam() -> None:
-    """The way the other scenes' truths are made, where one of another kind is known."""
+def test_many_segments_agree_with_the_nonlinear_beam() -> None:
+    """The truths of other scenes are made of segments; S1 also has a beam to compare with."""
     setting = SETTINGS["S1"]
     level = SETTINGS["slim"].refined[-1]
-    tips, _ = work_precision.settled(compile_arm(level.arm(setting.arm)), setting, 1)
+    tips, _ = work_precision.converged(compile_arm(level.arm(setting.arm)), setting, 1)
     assert work_precision.apart(tips, setting.truth, setting) < setting.floor
 
 
@@ -152,21 +152,21 @@ def test_results_are_plain_json_with_a_table_and_pictures(
     precision_charts.draw(results, tmp_path)
     for name in ("work_precision", "work_precision_S1"):
         assert (tmp_path / name).with_suffix(".png").stat().st_size > 10_000
-    table = precision_charts.table(results)
+    table = precision_charts.page(results)
     for target in precision_charts.TARGETS:
         found = precision_charts.cheapest(results["scenes"]["S1"], target)
         assert f"| {target:.0e} | " + ("none" if found is None else found["model"]) in table
 
 
-def test_a_truth_about_other_times_is_refused() -> None:
+def test_a_truth_at_other_times_is_refused() -> None:
     other = replace(SETTINGS["S1"], period=0.02)
-    with pytest.raises(ValueError, match="not about the output times"):
+    with pytest.raises(ValueError, match="does not have the output times"):
         _ = other.truth
 
 
 @pytest.mark.parametrize("changes", [{}, {"foreshortening": True}], ids=["linear", "foreshortened"])
 def test_operations_grow_linearly_with_segments_and_links(changes: dict[str, bool]) -> None:
-    """Inner parts cost the same each: the second differences vanish."""
+    """Each inner part has the same cost, so second differences vanish."""
 
     def count(links: int, segments: int) -> int:
         arm = cost.chain(links, 2, segments=segments, **changes)
@@ -178,7 +178,7 @@ def test_operations_grow_linearly_with_segments_and_links(changes: dict[str, boo
     assert np.diff(by_links, 2) == pytest.approx(0.0, abs=0.01 * by_links[0])
 
 
-def test_the_exponent_is_that_of_what_further_parts_add() -> None:
+def test_the_exponent_is_that_of_the_added_cost() -> None:
     x = [1, 2, 3, 4, 6, 10]
     assert cost.exponent(x, [1.0, *(9.0 + 3.0 * (k - 2) ** 1.5 for k in x[1:])]) == pytest.approx(
         1.5

@@ -1,4 +1,4 @@
-"""What the recursion computes, the slow way: positions as functions of time, differentiated.
+"""Equations of motion the slow way: positions as functions of time, differentiated twice.
 
 Every quantity is a jet: its value, first and second time derivative. A rotation is the matrix
 exponential of a jet, the bodies of an arm are Gauss points, rotors and tip bodies, and the kinetic

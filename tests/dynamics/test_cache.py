@@ -1,4 +1,4 @@
-"""Nothing of a stranger's runs out of the cache, and no damage to it is final."""
+"""The cache runs no foreign code, and damage to it is repaired."""
 
 import os
 import re
@@ -35,24 +35,30 @@ HOSTILE = {
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache, and a working directory in which canaries would appear."""
+    """An empty cache, and a working directory where hostile code would leave a file."""
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
     return tmp_path / "cache"
 
 
 def answer(arm: Arm = ARM) -> np.ndarray:
-    """Accelerations by code that is loaded or compiled now, as in a process that just began."""
+    """Accelerations by code that is loaded or compiled anew, as in a fresh process."""
     for name in [name for name in sys.modules if name.startswith("flexarm_generated_")]:
         del sys.modules[name]
     return compile_arm(arm).accelerations(np.full(3, 0.1), np.full(3, 0.2), np.array([0.3]))
 
 
-EXPECTED = compile_arm(ARM).accelerations(np.full(3, 0.1), np.full(3, 0.2), np.array([0.3]))
+EXPECTED = np.zeros(3)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def expected_answer() -> None:
+    """Accelerations by code that no test has damaged."""
+    EXPECTED[:] = compile_arm(ARM).accelerations(np.full(3, 0.1), np.full(3, 0.2), np.array([0.3]))
 
 
 def warned(expected: int = 1) -> np.ndarray:
-    """The same, with so many warnings about the cache."""
+    """`answer`, with an expected number of cache warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         result = answer()
@@ -72,7 +78,7 @@ def generated(folder: Path, suffix: str) -> Path:
 
 @pytest.mark.parametrize("name", HOSTILE.values(), ids=HOSTILE)
 def test_a_name_is_text_and_nothing_else(name: str, folder: Path) -> None:
-    """It compiles, runs nothing, and leaves the rest of the generated source as it is."""
+    """The arm compiles, no code of the name runs, and the rest of the source is unchanged."""
     hostile = answer(replace(ARM, name=name, description=name))
     text = generated(folder, ".py").read_text()
     generated(folder, ".py").unlink()
@@ -97,7 +103,7 @@ def test_the_folder_is_made_private(folder: Path) -> None:
 
 
 def planted(folder: Path) -> None:
-    """Whole files, digest and all, of somebody who knows our format."""
+    """Complete files with valid digests, written by an attacker who knows the format."""
     answer()
     for path in folder.glob("*.py"):
         source = load(path.name)
@@ -127,7 +133,7 @@ def test_nothing_is_taken_from_another_users_folder(
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes here")
 def test_nothing_is_taken_from_where_others_could_have_put_the_folder(folder: Path) -> None:
-    """Unless the sticky bit keeps them from renaming it, as in the usual /tmp."""
+    """A sticky bit, as on /tmp, keeps others from renaming the folder."""
     planted(folder)
     folder.parent.chmod(0o777)
     np.testing.assert_array_equal(warned(), EXPECTED)
@@ -166,7 +172,7 @@ def test_a_damaged_file_is_made_anew(
 
 
 def test_compiled_code_that_numba_cannot_load_is_made_anew(folder: Path) -> None:
-    """Whole by its digest, but not what it should be."""
+    """The file has a valid digest but is not machine code."""
     answer()
     for content in (b"", b"not a pickle", b"\x80\x04N."):
         store(generated(folder, ".nbc").name, content)
@@ -213,7 +219,7 @@ def session(folder: Path, before: str = "") -> subprocess.Popen[str]:
 
 
 def test_a_full_disk_costs_a_warning(tmp_path: Path) -> None:
-    """No file may grow beyond a kilobyte, and the answer is the same."""
+    """With files limited to 1000 bytes, the results are the same."""
     pytest.importorskip("resource")
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
     process = session(tmp_path / "cache", limit)
@@ -246,7 +252,7 @@ def test_kept_text_is_built_once(folder: Path) -> None:
 
 
 def test_arms_with_the_same_equations_keep_their_own_compiled_code(folder: Path) -> None:
-    """Code refers to the module it was compiled in, which another process may never load."""
+    """Code refers to its module, which another process may never load."""
     twin = replace(ARM, links=tuple(replace(link, EIy=1.0) for link in ARM.links))
     answer()
     with warnings.catch_warnings():

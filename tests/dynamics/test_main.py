@@ -16,14 +16,14 @@ CASES = sorted(
     for path in REFERENCE.glob("*.json")
     if "states" in json.loads(path.read_text()).get("expected", {})
 )
-ENERGY = 1e-7  # of the largest energy: the order of an integration within 1e-6 m of the reference
+ENERGY = 1e-7  # of the largest energy; of the order of a tip error of 1e-6 m
 
 
 @pytest.fixture(params=CASES, scope="module")
 def evaluated(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the shell says about a case, and what is expected."""
+    """Result of the command line for a case, and the expected result."""
     case, out = REFERENCE / f"{request.param}.json", tmp_path_factory.mktemp("case") / "out.json"
     assert main(["evaluate", str(case), "--out", str(out)]) == 0
     return json.loads(out.read_text()), json.loads(case.read_text())["expected"]
@@ -51,15 +51,15 @@ def test_tip_motion_agrees_to_a_micrometre(
     evaluated: tuple[dict[str, Any], dict[str, Any]],
 ) -> None:
     motion, expected = evaluated[0]["motion"], evaluated[1]["motion"]
-    flight = {"base_quaternion", "linear_momentum", "angular_momentum_about_origin"}
-    flies = "base_quaternion" in expected
-    assert set(motion) == {"t", "tip", "q", "qd", "T", "V"} | (flight if flies else set())
+    of_free_base = {"base_quaternion", "linear_momentum", "angular_momentum_about_origin"}
+    further = of_free_base if "base_quaternion" in expected else set()
+    assert set(motion) == {"t", "tip", "q", "qd", "T", "V"} | further
     assert_allclose(motion["t"], expected["t"], rtol=1e-12)
     assert_allclose(motion["tip"], expected["tip"], rtol=0.0, atol=1e-6)
     largest = float(max(np.abs(expected["T"]).max(), np.abs(expected["V"]).max()))
     for key in ("T", "V"):
         assert_allclose(motion[key], expected[key], atol=ENERGY * largest, err_msg=key)
-    for key in sorted(flight) if flies else ():
+    for key in sorted(further):
         assert_allclose(motion[key], expected[key], rtol=0.0, atol=1e-7, err_msg=key)
     assert_allclose(motion["q"], expected["q"], rtol=0.0, atol=1e-6)
 

@@ -1,4 +1,4 @@
-"""The compiled arm's answers against tables, beam theory and each other."""
+"""Quantities of the compiled arm against published tables, beam theory and each other."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +35,7 @@ def korayem(count: int, payload: float = 0.0) -> Arm:
 def slim(hub: float, count: int, kind: str = "clamped-tip-mass", **changes: float) -> Arm:
     """A 48 in aluminium beam with a tip mass on a hub (Yuan, Book & Huggins 1993).
 
-    With the handbook's density and a point mass fitted to mode 1, unlike the preset.
+    Unlike the preset it has the handbook's density and a point mass fitted to mode 1.
     """
     values = {"rho_A": 0.24610, "tip_mass": 0.0408, "tip_inertia": ZEROS, **changes}
     modes = tuple(Mode(kind=kind, index=k, direction="y") for k in range(1, count + 1))
@@ -45,7 +45,7 @@ def slim(hub: float, count: int, kind: str = "clamped-tip-mass", **changes: floa
 
 
 def assert_prints_as(values: Array, printed: str, units: float = 0.51) -> None:
-    """Agreement within half a unit of each printed number's last digit, or several `units`."""
+    """Agreement with printed numbers within `units` (default half a unit) of their last digit."""
     numbers = printed.split()
     assert len(values) == len(numbers)
     for value, number in zip(values, numbers, strict=True):
@@ -67,7 +67,7 @@ def assert_prints_as(values: Array, printed: str, units: float = 0.51) -> None:
     ids=["1 mode", "2 modes", "3 modes", "2 modes, 1 kg"],
 )
 def test_hanging_arm_swings_and_bends_at_the_tabulated_frequencies(arm: Arm, printed: str) -> None:
-    """Hz, gravity included: eigenvalues of the linearised motion."""
+    """Eigenvalues of the linearised motion under gravity, in Hz."""
     model = compiled(arm)
     q = np.zeros(model.n)
     q[0] = HANGING
@@ -80,8 +80,8 @@ def test_hanging_arm_swings_and_bends_at_the_tabulated_frequencies(arm: Arm, pri
     assert_prints_as(found, printed)
 
 
-def test_frequencies_do_not_know_gravity() -> None:
-    """They count elastic forces only: no pendulum among them."""
+def test_frequencies_do_not_depend_on_gravity() -> None:
+    """Elastic forces alone act, so no pendulum frequency is among them."""
     weightless = replace(korayem(2), gravity=(0.0, 0.0, 0.0))
     q = np.array([HANGING, 0.0, 0.0, 0.5, 0.0, 0.0])
 
@@ -112,7 +112,7 @@ SLIM = [
 
 @pytest.mark.parametrize(("arm", "joints", "printed"), SLIM, ids=[row[2] for row in SLIM])
 def test_slim_vibrates_at_the_tabulated_frequencies(arm: Arm, joints: str, printed: str) -> None:
-    """Hz, held and free joint, several hubs and shapes; some digits are cut, not rounded."""
+    """Hz, joint locked and free, several hubs and shapes; some table entries are truncated."""
     found = compiled(arm).frequencies(joints=joints) / (2.0 * np.pi)
 
     assert_prints_as(found, printed, units=1.01)
@@ -126,10 +126,10 @@ def test_slim_vibrates_at_the_tabulated_frequencies(arm: Arm, joints: str, print
         (1e-2, "clamped-tip-mass", "7.442 17.66"),
     ],
 )
-def test_more_modes_come_down_to_the_exact_free_frequencies(
+def test_frequencies_with_a_free_joint_converge_from_above_as_modes_are_added(
     hub: float, kind: str, printed: str
 ) -> None:
-    """Hz, of a solution without assumed modes."""
+    """To the exact frequencies [Hz] of a solution without assumed modes."""
     exact = np.array([float(x) for x in printed.split()])
     few, many = (
         compiled(slim(hub, count, kind)).frequencies(joints="free")[:2] / (2.0 * np.pi)
@@ -141,8 +141,8 @@ def test_more_modes_come_down_to_the_exact_free_frequencies(
     assert_allclose(many, exact, rtol=5e-4)
 
 
-def test_frequencies_are_those_of_the_linearised_weightless_arm() -> None:
-    """Two code paths: the eigenvalues of K and M, and of the compiled graph's Jacobian."""
+def test_frequencies_equal_those_of_the_linearised_weightless_arm() -> None:
+    """Two code paths: eigenvalues of K and M, and of the Jacobian of the accelerations."""
     arm = two_link_spatial(gravity=(0.0, 0.0, 0.0))
     undamped = tuple(
         replace(k, damping_beta=0.0, joint=replace(k.joint, viscous=0.0)) for k in arm.links
@@ -179,7 +179,7 @@ RELEASED = {  # arm: t [s], theta1, theta2 [deg], tip x, tip y [m], w1, w2 [mm]
 
 @pytest.mark.parametrize("name", RELEASED)
 def test_released_arm_follows_the_tabulated_motion(name: str) -> None:
-    """Released at -90 and +5 degrees; every printed digit, deflections included."""
+    """Joint angles, tip and deflections to every printed digit, from -90 and +5 degrees."""
     arm, table = RELEASED[name]
     rows = [line.split() for line in table.strip().splitlines()]
     model = compiled(arm)
@@ -195,7 +195,7 @@ def test_released_arm_follows_the_tabulated_motion(name: str) -> None:
         assert_prints_as(np.array([*joints, *tip[:2], *bent]), " ".join(row[1:]))
 
 
-# ---- questions -----------------------------------------------------------------------------------
+# ---- quantities at a state -----------------------------------------------------------------------
 
 
 @pytest.fixture(params=[(1, 1, 3), (3, 2, 3), (4, 3, 3)], ids=str, scope="module")
@@ -203,7 +203,7 @@ def model(request: pytest.FixtureRequest) -> Model:
     return compiled(random_arm(*request.param))
 
 
-def test_energy_is_the_quadratic_forms_of_M_and_K(model: Model) -> None:
+def test_energies_are_the_quadratic_forms_of_M_and_K(model: Model) -> None:
     q, v = random_state(model.arm)
 
     kinetic, elastic, _ = model.energy(q, v)
@@ -212,8 +212,8 @@ def test_energy_is_the_quadratic_forms_of_M_and_K(model: Model) -> None:
     assert elastic == pytest.approx(0.5 * q @ model.stiffness @ q, rel=1e-12)
 
 
-def test_potential_energy_is_what_the_static_bias_derives_from(model: Model) -> None:
-    """h(q, 0) = d(V)/dq, by central differences."""
+def test_the_static_bias_is_the_gradient_of_the_potential_energy(model: Model) -> None:
+    """h(q, 0) = dV/dq, by central differences."""
     q, _ = random_state(model.arm)
     rest = np.zeros(model.n)
 
@@ -232,7 +232,7 @@ def central(f: object, step: float = 1e-5) -> Array:
 
 
 def test_inverse_dynamics_undoes_the_accelerations(model: Model) -> None:
-    """M a + h = B tau for the motion that tau causes."""
+    """M a + h = B tau for the accelerations under tau."""
     (q, v), tau = random_state(model.arm), random_torque(model.arm)
 
     forces = model.inverse_dynamics(q, v, model.accelerations(q, v, tau))
@@ -242,8 +242,8 @@ def test_inverse_dynamics_undoes_the_accelerations(model: Model) -> None:
     assert_allclose(forces, expected, rtol=0.0, atol=1e-10 * size)
 
 
-def test_linearisation_is_the_slope_of_the_accelerations(model: Model) -> None:
-    """Central differences of the compiled accelerations about a moving, bent state."""
+def test_linearisation_equals_central_differences_of_the_accelerations(model: Model) -> None:
+    """About a moving, bent state."""
     (q, v), tau = random_state(model.arm), random_torque(model.arm)
     n, m = model.n, model.n_joint
 
@@ -264,7 +264,7 @@ def test_linearisation_is_the_slope_of_the_accelerations(model: Model) -> None:
         assert_allclose(B[n:, k], by_tau, rtol=0.0, atol=1e-9 * np.abs(B).max())
 
 
-def test_tip_velocity_is_the_rate_of_the_tip(model: Model) -> None:
+def test_tip_velocity_is_the_time_derivative_of_the_tip(model: Model) -> None:
     q, v = random_state(model.arm)
 
     moved = central(lambda t: model.tip(q + t * v), 1e-4)
@@ -272,8 +272,7 @@ def test_tip_velocity_is_the_rate_of_the_tip(model: Model) -> None:
     assert_allclose(model.tip_velocity(q, v), moved, atol=1e-8)
 
 
-def test_the_graph_is_the_compiled_code(model: Model) -> None:
-    """CasADi evaluates the same accelerations."""
+def test_the_graph_and_the_compiled_code_give_the_same_accelerations(model: Model) -> None:
     (q, v), tau = random_state(model.arm), random_torque(model.arm)
 
     traced = np.array(model.graph(q, v, tau, [], [])).ravel()
@@ -282,7 +281,7 @@ def test_the_graph_is_the_compiled_code(model: Model) -> None:
 
 
 def test_strain_is_the_curvature_of_a_cantilever_under_a_tip_load() -> None:
-    """Cubic and square shapes hold the exact deflection F x^2 (3 l - x) / (6 EI)."""
+    """The shapes x^2 and x^3 contain the exact deflection F x^2 (3 l - x) / (6 EI)."""
     l, EI, F = 0.8, 12.0, 3.0
     modes = tuple(
         Mode(kind="poly", index=k, direction=along) for along in ("y", "z") for k in (1, 2)
@@ -296,7 +295,8 @@ def test_strain_is_the_curvature_of_a_cantilever_under_a_tip_load() -> None:
     for x in (0.0, 0.3, l):
         load = F * (l - x) / EI
         assert_allclose(model.strain(q, 0, x), [0.4 / l, -2.0 * load, load], atol=1e-14)
-    assert_allclose(model.bias(q, 0.0 * q)[1:3], [F, F], rtol=1e-12)  # what the load does work on
+    # both shapes are 1 at the tip, so the load's generalized forces equal F
+    assert_allclose(model.bias(q, 0.0 * q)[1:3], [F, F], rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -308,12 +308,12 @@ def test_strain_is_the_curvature_of_a_cantilever_under_a_tip_load() -> None:
         ("six_link_m2", 3858, 3130, 18),
     ],
 )
-def test_accelerations_take_no_more_operations_than_the_design_counts(
+def test_accelerations_take_no_more_operations_than_the_prototype(
     name: str, multiplications: int, additions: int, divisions: int
 ) -> None:
-    """Counts of a prototype, as generated: constants folded, symmetric halves shared.
+    """Operations in the prototype's code, with constants folded and symmetric halves shared.
 
-    Their sum: whether 2 x is a multiplication is a matter of taste.
+    Multiplications and additions are compared by their sum, as 2 x may count as either.
     """
     arm = load_arm(REFERENCE / f"{name}.json")
     model = compile_arm(arm)
@@ -344,7 +344,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("change", "sentence"), BAD, ids=[str(c) for c, _ in BAD])
-def test_a_bad_compile_option_is_refused_with_what_is_known(
+def test_an_unknown_compile_option_is_refused_with_the_known_ones(
     change: dict[str, object], sentence: str
 ) -> None:
     with pytest.raises(ValueError, match=sentence):
@@ -352,10 +352,10 @@ def test_a_bad_compile_option_is_refused_with_what_is_known(
     assert set(FREE_PARAMETERS) >= {"payload_mass", "stiffness", "damping", "friction"}
 
 
-def test_a_bad_question_is_refused_with_name_and_shape() -> None:
+def test_an_invalid_argument_is_refused_with_its_name_and_shape() -> None:
     model = compiled(ARMS["slim"])
     q = np.zeros(3)
-    for ask, sentence in (
+    for call, sentence in (
         (lambda: model.mass_matrix(np.zeros(2)), r"q must have shape \(3,\), got \(2,\)"),
         (lambda: model.bias(q, np.zeros((3, 1))), r"v must have shape \(3,\), got \(3, 1\)"),
         (lambda: model.accelerations(q, q, q), r"tau must have shape \(1,\), got \(3,\)"),
@@ -364,4 +364,4 @@ def test_a_bad_question_is_refused_with_name_and_shape() -> None:
         (lambda: model.frequencies(q, joints="loose"), "joints must be .* got 'loose'"),
     ):
         with pytest.raises(ValueError, match=sentence):
-            ask()
+            call()

@@ -1,4 +1,4 @@
-"""Whatever is given to the physics, it is used or refused with a sentence, and no answer absurd."""
+"""Invalid arguments and files: each is refused with a sentence, or gives finite results."""
 
 import copy
 import json
@@ -51,7 +51,7 @@ SOLID = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def described(cls: Any, **base: Any) -> dict[str, Callable[[Any], Any]]:
-    """A call per field of a description."""
+    """One call per field of a description, with the value to try."""
     return {
         f"{cls.__name__}.{field.name}": lambda x, name=field.name: cls(**{**base, name: x})
         for field in fields(cls)
@@ -140,7 +140,7 @@ def test_a_torque_of_another_length_is_refused() -> None:
             motion(lambda t: [0.1, 0.2], integrator)
 
 
-def test_what_a_stepper_compiles_for_cannot_be_replaced() -> None:
+def test_the_arrays_of_a_stepper_cannot_be_replaced() -> None:
     """Compiled code would read beyond the end of a smaller array."""
     for name in ("q", "v", "torque", "parameters", "status", "measured"):
         with pytest.raises(AttributeError):
@@ -171,10 +171,10 @@ changes = st.tuples(
 )
 
 
-def changed(plain: dict[str, Any], what: list[Any]) -> dict[str, Any]:
-    """A description with other numbers."""
+def changed(plain: dict[str, Any], changes: list[Any]) -> dict[str, Any]:
+    """A description with some numbers replaced."""
     result = copy.deepcopy(plain)
-    for place, (owner, name), value in what:
+    for place, (owner, name), value in changes:
         link = result["links"][place % len(result["links"])]
         joint = link.setdefault("joint", {})
         if owner == "arm":
@@ -188,20 +188,20 @@ def changed(plain: dict[str, Any], what: list[Any]) -> dict[str, Any]:
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
-@given(plain=st.sampled_from(PLAIN), what=st.lists(changes, min_size=1, max_size=6))
-def test_a_description_is_refused_or_its_numbers_are_finite(
-    plain: dict[str, Any], what: list[Any]
+@given(plain=st.sampled_from(PLAIN), numbers=st.lists(changes, min_size=1, max_size=6))
+def test_a_description_is_refused_or_gives_finite_results(
+    plain: dict[str, Any], numbers: list[Any]
 ) -> None:
-    """Sixty orders of magnitude either way, several at once."""
+    """Several replaced numbers at once: 1e-30 to 1e31, zero, negative and non-finite ones."""
     with used_or_refused():
-        model = Model(load_arm(changed(plain, what)))
+        model = Model(load_arm(changed(plain, numbers)))
         q = model.rigid(np.full(model.n, 0.3))
         graphs.check_rest(model.traced)
-        answers = [
+        results = [
             model.mass_matrix(q), model.bias(q, q), model.energy(q, q), model.frequencies(),
             model.tip(q),
         ]  # fmt: skip
-        assert all(np.isfinite(answer).all() for answer in answers)
+        assert all(np.isfinite(result).all() for result in results)
 
 
 @pytest.mark.parametrize(
@@ -212,8 +212,8 @@ def test_a_description_is_refused_or_its_numbers_are_finite(
         {(0, "tip_mass"): 1.0, (1, "tip_mass"): 1e25},
     ],
 )
-def test_an_arm_that_double_precision_cannot_hold_is_refused(numbers: dict[Any, float]) -> None:
-    """Its mass matrix is singular to round-off: accelerations would not be numbers."""
+def test_an_arm_with_a_singular_mass_matrix_is_refused(numbers: dict[Any, float]) -> None:
+    """Singular to round-off, so that its accelerations would not be finite."""
     plain = copy.deepcopy(ARMS["korayem-two-link"].to_dict())
     plain["links"][0]["EIz"] = 1e-10
     for (place, name), value in numbers.items():
@@ -254,7 +254,7 @@ def test_any_value_anywhere_in_a_description_is_used_or_refused(
 
 
 def refused(path: Path, content: str | bytes) -> str:
-    """The sentence with which a file is refused, at once."""
+    """The message that refuses a file within ten seconds."""
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     begin = time.monotonic()
     with pytest.raises(ValueError, match=path.name) as caught:
@@ -266,7 +266,7 @@ def refused(path: Path, content: str | bytes) -> str:
 LINK = {"length": 1.0, "rho_A": 1.0}
 
 
-def test_limits_of_a_file_are_stated(tmp_path: Path) -> None:
+def test_a_file_beyond_a_limit_is_refused_with_the_limit(tmp_path: Path) -> None:
     for suffix, most in MOST_BYTES.items():
         sentence = refused(tmp_path / f"arm{suffix}", " " * (most + 1))
         assert f"at most {most} bytes" in sentence
@@ -281,15 +281,15 @@ def test_limits_of_a_file_are_stated(tmp_path: Path) -> None:
     assert "got 1003" in sentence
 
 
-def test_aliases_count_as_what_they_stand_for(tmp_path: Path) -> None:
-    """Nine lists, each of nine times the one before, are a billion links."""
+def test_yaml_aliases_count_with_all_their_values(tmp_path: Path) -> None:
+    """Nine lists, each with nine aliases of the one before, stand for 9^9 links."""
     lines = ["a0: &a0 {length: 1.0, rho_A: 1.0}"]
     lines += [f"a{k}: &a{k} [{', '.join(9 * [f'*a{k - 1}'])}]" for k in range(1, 10)]
     bomb = "\n".join([*lines, "links: *a9"])
     assert f"at most {MOST_NODES} values" in refused(tmp_path / "arm.yaml", bomb)
     merged = [f"a{k}: &a{k} {{<<: [{', '.join(9 * [f'*a{k - 1}'])}]}}" for k in range(1, 10)]
     assert "values" in refused(tmp_path / "arm.yaml", "\n".join([lines[0], *merged]))
-    assert "alias within" in refused(tmp_path / "arm.yaml", "links: &a [*a]")
+    assert "alias inside" in refused(tmp_path / "arm.yaml", "links: &a [*a]")
     flat = "links: [" + ", ".join(MOST_NODES * ["1"]) + "]"
     assert "values" in refused(tmp_path / "arm.yaml", flat)
     repeated = "x: &link {length: 1.0, rho_A: 1.0}\nlinks: [*link, *link]".replace("x:", "name:")
@@ -315,18 +315,20 @@ def test_aliases_count_as_what_they_stand_for(tmp_path: Path) -> None:
         ("plain.txt", "{}"),
     ],
 )
-def test_a_strange_file_is_refused_at_once(name: str, content: str | bytes, tmp_path: Path) -> None:
+def test_an_invalid_file_is_refused_at_once(
+    name: str, content: str | bytes, tmp_path: Path
+) -> None:
     refused(tmp_path / name, content)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
-def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.json")
     with pytest.raises(ValueError, match="not a regular file"):
         load_arm(tmp_path / "pipe.json")
 
 
 @pytest.mark.parametrize("name", ["a\0b.json", 5000 * "a" + ".json", "\ud800.yaml"])
-def test_a_path_that_cannot_be_is_refused(name: str) -> None:
+def test_an_impossible_path_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=r"cannot read|no such file"):
         load_arm(name)

@@ -1,4 +1,4 @@
-"""Batches of environments behind actuators are the single environments."""
+"""Batches with actuators give the results of single environments."""
 
 import pickle
 from typing import Any
@@ -28,7 +28,7 @@ def random_actions(steps: int, n_env: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(-0.5, 0.5, (steps, n_env, 1)).astype(np.float32)
 
 
-def test_a_batch_behind_actuators_equals_single_environments() -> None:
+def test_a_batch_with_actuators_equals_single_environments() -> None:
     """Over restarts of some environments; actuator states restart with them."""
     batch = gym.make_vec(ENV, num_envs=3, max_episode_steps=9, **FLEXIBLE)
     singles = gym.make_vec(
@@ -41,7 +41,7 @@ def test_a_batch_behind_actuators_equals_single_environments() -> None:
             np.testing.assert_allclose(ours[-1][name], theirs[-1][name], rtol=1e-8, atol=1e-9)
 
 
-def test_behind_actuators_neither_batch_size_nor_threads_nor_pickling_matter(
+def test_with_actuators_neither_batch_size_nor_threads_nor_pickling_matter(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Bit for bit, over restarts."""
@@ -61,7 +61,7 @@ def test_behind_actuators_neither_batch_size_nor_threads_nor_pickling_matter(
         np.testing.assert_array_equal(copy.step(action)[0], envs[1].step(action)[0])
 
 
-def test_single_precision_and_sb3_know_actuators() -> None:
+def test_actuators_work_in_single_precision_and_sb3() -> None:
     double = gym.make_vec(ENV, num_envs=40, **FLEXIBLE)
     single = gym.make_vec(ENV, num_envs=40, dtype="float32", **FLEXIBLE)
     actions = random_actions(30, 40)
@@ -72,8 +72,8 @@ def test_single_precision_and_sb3_know_actuators() -> None:
     np.testing.assert_array_equal(sb3.reset(), run(double, actions[:0])[0][0])
 
 
-def test_an_arm_that_is_lost_keeps_finite_actuators() -> None:
-    """What ends an episode as diverged restores the actuators' states, too."""
+def test_a_diverged_arm_keeps_finite_actuator_states() -> None:
+    """An episode that ends as diverged restores the actuators' states, too."""
     env = gym.make(ENV, **FLEXIBLE).unwrapped
     env.reset(seed=0)
     env.core.v[0, 1] = 1e9

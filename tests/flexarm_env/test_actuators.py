@@ -1,4 +1,4 @@
-"""Actuators behind the action: their own laws, the arm behind them, refusals."""
+"""Actuators: their own laws, arms behind them, refusals, and the page."""
 
 import math
 from dataclasses import replace
@@ -36,7 +36,7 @@ DT = 0.02  # [s] control step
 
 
 def rod(actuator: Any, **keywords: Any) -> Any:
-    """One rigid rod that turns without friction, at rest at zero."""
+    """One rigid rod on a joint without friction, at rest at angle zero."""
     env = gym.make(ENV, arm=RIGID, actuator=actuator, max_episode_steps=1000, **keywords)
     env.reset(seed=0, options={"state": {"q": [0.0], "v": [0.0]}, "target": [0.5]})
     return env
@@ -94,7 +94,7 @@ def test_pistons_follow_the_printed_transfer_functions(
 
 
 def test_current_rises_with_the_electrical_time_constant() -> None:
-    """A held joint: i = V / R (1 - exp(-R t / L))."""
+    """A locked joint: i = V / R (1 - exp(-R t / L))."""
     motor = load_actuators({**SERVO, "inductance": 0.026}, 1)  # 10 ms
     values = Actuation(motor, RIGID, (1.0,)).constants(1e-3)
     decay, rise = values[0], values[1]
@@ -126,7 +126,7 @@ def test_motor_reaches_stall_torque_at_rest_and_no_load_speed_in_the_end() -> No
 
 
 def test_torque_limit_of_a_motor_is_obeyed() -> None:
-    """A constant torque until the motor itself gives less."""
+    """The torque is constant until the motor gives less than the limit."""
     limit = 0.25 * STALL
     env = rod({**SERVO, "torque_limit": limit}, substeps=8)
     assert env.unwrapped.torque_limit == pytest.approx([limit])
@@ -164,8 +164,8 @@ def test_motor_with_inductance_and_arm_are_coupled_in_second_order() -> None:
     assert (errors[:-1] > 3.0 * errors[1:]).all()
 
 
-def test_a_current_much_faster_than_the_substeps_does_no_harm() -> None:
-    """What is left is its first rise, spread over the first substep: at most a T h / 2."""
+def test_an_electrical_time_constant_far_below_the_substep_is_stable() -> None:
+    """The remaining error is the first rise of the current: at most a T h / 2."""
     constant, steps = 2e-5, DT / np.array([8, 16, 32])
     actuator, q = motor_with_inductance(constant)
     errors = errors_by_substep(actuator, q, 20)
@@ -210,7 +210,7 @@ def test_torque_changes_no_faster_than_its_rate_limit() -> None:
 
 
 def test_a_source_without_limits_is_the_ideal_one() -> None:
-    """The other way through the compiled step gives the same motion."""
+    """The compiled step with an actuator gives the motion of the step without one."""
     same: Any = {"integrator": "rk4", "substeps": 3}
     actions = np.sin(np.arange(40)).tolist()
     ideal = follow(rod(None, **same), actions)
@@ -226,14 +226,14 @@ def test_steps_follow_a_stiff_spring(integrator: str) -> None:
     env = rod(stiff, integrator=integrator)
     assert env.unwrapped.core.substeps >= math.sqrt(1e6 * 0.01 / INERTIA) * DT / 2.83
     q, _, _ = follow(env, [0.1] * 100)
-    assert q[-1] == pytest.approx(0.1 * 10.0 * 0.02 / 0.1 * 2.0, abs=0.01)  # the piston's way
+    assert q[-1] == pytest.approx(0.1 * 10.0 * 0.02 / 0.1 * 2.0, abs=0.01)  # piston: x_p / r
 
 
 # ---- what it adds to the arm and the environment -------------------------------------------------
 
 
-def test_a_motors_inertia_and_friction_join_those_of_the_joint() -> None:
-    """Once: the rotor's through the gear, friction as it is at the joint."""
+def test_a_motors_inertia_and_friction_are_added_to_the_joint() -> None:
+    """Once: the rotor inertia times the gear ratio squared, the friction unchanged."""
     joint = Joint(rotor_inertia=0.01, viscous=0.1, coulomb=0.2)
     arm = replace(RIGID, links=(replace(RIGID.links[0], joint=joint),))
     own = {"rotor_inertia": 1e-6, "viscous": 0.05, "coulomb": 0.03}
@@ -260,8 +260,8 @@ def test_torques_are_observed_in_units_of_the_limit() -> None:
 
 
 @pytest.mark.parametrize("spring", [None, 100.0])
-def test_an_actuator_turns_with_what_its_torque_works_on(spring: float | None) -> None:
-    """Its angle is that of the hub, by the generalised forces of unit torques."""
+def test_the_angle_of_an_actuator_is_power_conjugate_to_its_torque(spring: float | None) -> None:
+    """`slip`, against the generalised forces of unit torques."""
     modes = tuple(Mode(kind="pinned-free", index=index, direction="y") for index in (1, 2))
     joint = Joint(rotor_inertia=0.01, stiffness=spring)
     link = Link(length=1.0, rho_A=0.3, EIz=10.0, modes=modes, joint=joint)
@@ -316,7 +316,7 @@ def test_every_joint_may_have_its_own_actuator() -> None:
         ({"actuator": [5]}, "An actuator must be a name or a dict, got 5"),
         ({"actuator": SERVO, "torque_limit": 1.0}, r"torque_limit \(1.0\) is for ideal torque"),
         ({"actuator": SERVO, "tolerance": 1e-3}, r"tolerance \(0.001\) is for ideal torque"),
-        ({"actuator": SERVO, "integrator": "rosenbrock"}, "does not know the slopes"),
+        ({"actuator": SERVO, "integrator": "rosenbrock"}, "needs the slopes of the torque"),
     ],
 )
 def test_bad_actuators_get_a_sentence(keywords: dict[str, Any], sentence: str) -> None:
@@ -324,7 +324,7 @@ def test_bad_actuators_get_a_sentence(keywords: dict[str, Any], sentence: str) -
         gym.make(ENV, **keywords)
 
 
-def test_the_page_tells_every_actuator_and_the_presets_numbers() -> None:
+def test_the_page_has_every_actuator_and_the_numbers_of_the_presets() -> None:
     text = (ROOT / "docs/actuators.md").read_text(encoding="utf-8")
     for name, kind in ACTUATORS.items():
         assert f"`{name}`" in text

@@ -1,4 +1,4 @@
-"""The batch, the single environment and the one for stable-baselines3 are the same environment."""
+"""The batch, the single environment and `SB3VecEnv` give the same results."""
 
 import pickle
 from dataclasses import replace
@@ -86,7 +86,7 @@ def test_batch_equals_single_environments(scene: str, task: str, mode: str) -> N
 def test_results_do_not_depend_on_batch_size_or_threads(
     task: str, n_env: int, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bit for bit, over restarts; so few would be left to one thread."""
+    """Bit for bit, over restarts; without the patch one thread would take so few."""
     monkeypatch.setattr(thread_pool, "LEAST_WORK", 1e-9)
     env_id = f"FlexArm/OneLink-{task}-v0"
     actions = random_actions(60, 40, 1)
@@ -115,7 +115,7 @@ def test_single_precision_is_the_same_environment_to_six_digits(env_id: str) -> 
 
 
 def test_free_parameters_are_drawn_at_every_reset_and_move_the_arm() -> None:
-    """Each value in its range, another one every episode; a given value is that of another arm."""
+    """Values are in range and new in every episode; a fixed value equals another arm."""
     env_id, ranges = (
         "FlexArm/OneLink-Reach-v0",
         {"payload_mass": (0.01, 0.05), "stiffness": (0.8, 1.2)},
@@ -133,7 +133,7 @@ def test_free_parameters_are_drawn_at_every_reset_and_move_the_arm() -> None:
     assert (envs.unwrapped.core.parameters != first).all()
     core = gym.make_vec(env_id, num_envs=2).unwrapped.core
     drawn = envs.unwrapped.core
-    assert core.integrator == "exponential"  # of frozen modes, which are not those of other arms
+    assert core.integrator == "exponential"  # frozen modes, which differ for other parameters
     assert INTEGRATORS[drawn.integrator].aid == "none"
     measured = [(s["integrator"], s["substeps"]) for s in stored()["slim"]["steps"]]
     assert (drawn.integrator, drawn.substeps) in measured
@@ -158,7 +158,7 @@ def test_free_parameters_are_drawn_at_every_reset_and_move_the_arm() -> None:
         gym.make_vec(env_id, num_envs=2, randomize={"stiffness": (1.2, 0.8)})
 
 
-def test_next_step_and_same_step_tell_the_same_episodes() -> None:
+def test_next_step_and_same_step_give_the_same_episodes() -> None:
     """Removing the restart steps from NEXT_STEP leaves SAME_STEP's rewards and final states."""
     same = gym.make_vec(
         "FlexArm/OneLink-Reach-v0", num_envs=2, max_episode_steps=9,
@@ -176,7 +176,7 @@ def test_next_step_and_same_step_tell_the_same_episodes() -> None:
     np.testing.assert_array_equal(one[9][0], two[10][0])
 
 
-def test_seeds_given_one_by_one_are_those_of_single_environments() -> None:
+def test_a_list_of_seeds_gives_the_single_environments_with_these_seeds() -> None:
     envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2)
     observation, _ = envs.reset(seed=[7, 3])
     single = gym.make("FlexArm/OneLink-Reach-v0")
@@ -193,7 +193,7 @@ def test_a_pickled_batch_continues_where_it_was() -> None:
         np.testing.assert_array_equal(envs.step(action)[0], copy.step(action)[0])
 
 
-def test_bad_batch_arguments_get_a_sentence() -> None:
+def test_bad_batch_arguments_are_refused_with_a_sentence() -> None:
     with pytest.raises(ValueError, match="autoreset_mode must be one of"):
         gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2, autoreset_mode="Disabled")
     envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2)
@@ -202,15 +202,13 @@ def test_bad_batch_arguments_get_a_sentence() -> None:
         envs.step(np.zeros((3, 1)))
     with pytest.raises(ValueError, match=r"got \[nan\] for environment 1"):
         envs.step(np.array([[0.0], [np.nan]]))
-    with pytest.raises(ValueError, match="2 seeds are needed, got 3"):
+    with pytest.raises(ValueError, match=r"seed must hold 2 seeds .*, got 3"):
         envs.reset(seed=[1, 2, 3])
 
 
 @pytest.mark.parametrize("row", [0, 39])
-def test_a_bad_action_finds_no_environment_stepped(
-    row: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whichever thread's environment it is for."""
+def test_a_bad_action_steps_no_environment(row: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For an environment of either thread."""
     monkeypatch.setattr(thread_pool, "LEAST_WORK", 1e-9)
     envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=40, threads=2)
     core = envs.unwrapped.core
@@ -248,7 +246,7 @@ def test_sb3_batch_is_the_same_batch() -> None:
                 )  # fmt: skip
 
 
-def test_sb3_batch_answers_the_questions_of_a_vec_env() -> None:
+def test_sb3_batch_has_the_attributes_and_methods_of_a_vec_env() -> None:
     envs = flexarm_env.SB3VecEnv("FlexArm/TwoLink-Reach-v0", 3)
     envs.reset()
     assert envs.get_attr("task", [0, 2]) == ["Reach", "Reach"]
@@ -262,7 +260,7 @@ def test_sb3_batch_answers_the_questions_of_a_vec_env() -> None:
     envs.close()
 
 
-def test_ppo_and_sac_learn_on_the_batch() -> None:
+def test_ppo_and_sac_update_on_the_batch_without_an_error() -> None:
     """One update of each: shapes, infos and bootstrapping fit."""
     from stable_baselines3 import PPO, SAC
 
@@ -271,8 +269,7 @@ def test_ppo_and_sac_learn_on_the_batch() -> None:
     SAC("MlpPolicy", envs, learning_starts=16, batch_size=16, device="cpu").learn(64)
 
 
-def test_actions_that_may_not_be_written_are_read() -> None:
-    """As other libraries hand them over; nothing is compiled for them anew."""
+def test_read_only_actions_are_accepted_without_compiling_again() -> None:
     envs: Any = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=3)
     actions = np.array([[0.5], [-0.5], [1.0]], np.float32)
     envs.reset(seed=0)

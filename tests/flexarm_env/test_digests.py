@@ -1,9 +1,9 @@
-"""The registered environments, pinned: what a seed gives today it gave when this was written.
+"""Registered environments give the results that are stored in tests/reference/digests.json.
 
-    python -m tests.flexarm_env.test_digests   # pin them anew, after a change that is meant
+    python -m tests.flexarm_env.test_digests   # store new results, after an intended change
 
-Equal to the last bit with the processor and compiler that wrote the digests, because they contract
-multiply-adds differently; elsewhere equal in nine digits.
+Results are equal bit for bit on the processors and compilers whose digests are stored. Others
+contract multiply-adds differently; there, results are equal to nine digits.
 """
 
 import hashlib
@@ -29,12 +29,12 @@ STEPS, BATCH = 60, 20
 
 
 def processor() -> str:
-    """The kind of processor that code is compiled for, and the compiler."""
+    """Processor that code is compiled for, and compiler."""
     return f"{binding.get_host_cpu_name()}, numba {numba.__version__}"
 
 
 def followed(env: Any, batch: bool) -> tuple[str, list[float]]:
-    """Digest of all that some steps of random torque give, and a few of the numbers."""
+    """Digest of the results of some steps of random torque, and a few of the numbers."""
     digest, rng = hashlib.sha256(), np.random.default_rng(0)
     obs, _ = env.reset(seed=7)
     given = [obs]
@@ -54,7 +54,7 @@ def followed(env: Any, batch: bool) -> tuple[str, list[float]]:
 
 
 def pinned(env_id: str) -> dict[str, Any]:
-    """Digests and numbers of a batch and of a single environment, by kind."""
+    """Digests and numbers of a batch and of a single environment, for every kind."""
     result: dict[str, Any] = {}
     for kind, keywords in KINDS.items():
         batch = gym.make_vec(env_id, num_envs=BATCH, **keywords)
@@ -66,12 +66,12 @@ def pinned(env_id: str) -> dict[str, Any]:
 
 
 def close(kind: str, found: list[float], stored: list[float]) -> bool:
-    """Whether numbers of two processors are the same but for the order of round-off."""
+    """Whether numbers of two processors agree to round-off."""
     return np.allclose(found, stored, rtol=1e-3 if "float32" in kind else 1e-9, atol=0.0)
 
 
 @pytest.mark.parametrize("env_id", flexarm_env.IDS)
-def test_an_environment_gives_what_it_gave(env_id: str) -> None:
+def test_an_environment_gives_its_stored_results(env_id: str) -> None:
     stored = json.loads(STORE.read_text(encoding="utf-8"))
     found, numbers = pinned(env_id), stored["numbers"][env_id]
     assert found.keys() == numbers.keys()
@@ -82,7 +82,7 @@ def test_an_environment_gives_what_it_gave(env_id: str) -> None:
 
 
 def pin() -> None:
-    """Store this processor's digests; beside those of others, where the numbers still agree."""
+    """Store the digests of this processor; keep those of others if the numbers still agree."""
     found = {env_id: pinned(env_id) for env_id in flexarm_env.IDS}
     stored = json.loads(STORE.read_text(encoding="utf-8"))
     numbers, digests = (

@@ -1,4 +1,4 @@
-"""Episodes: what is drawn, what is seen, how they end."""
+"""Episodes: random starts, observations, ends."""
 
 from dataclasses import replace
 from typing import Any
@@ -23,7 +23,7 @@ def same_step(env_id: str, n_env: int, **keywords: Any) -> Any:
 
 @pytest.mark.parametrize("obs", ["state", "sensors"])
 @pytest.mark.parametrize("env_id", ALL_IDS)
-def test_no_observation_element_is_constant_or_twice_there(env_id: str, obs: str) -> None:
+def test_no_observation_element_is_constant_or_duplicated(env_id: str, obs: str) -> None:
     envs = same_step(env_id, 32, obs=obs)
     rng = np.random.default_rng(0)
     seen = [envs.reset(seed=0)[0]]
@@ -78,7 +78,7 @@ def assert_finite(env_id: str, n_env: int, steps: int) -> None:
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_an_idle_arm_outlives_its_episode(scene: str) -> None:
+def test_an_arm_without_torque_reaches_the_end_of_its_episode(scene: str) -> None:
     for task in flexarm_env.TASKS:
         envs = same_step(f"FlexArm/{scene}-{task}-v0", 64)
         envs.reset(seed=0)
@@ -109,15 +109,15 @@ def test_bang_bang_bends_hard_but_stays_valid(scene: str) -> None:
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_forced_divergence_ends_the_episode(scene: str) -> None:
-    """A limp arm under an absurd torque: terminated, diverged, and a finite observation."""
+    """A very soft arm under a huge torque: terminated, diverged, and a finite observation."""
     arm = ARMS[registration.SCENES[scene][0]]
     names = ("EIz", "EIy")
     soft = [
         replace(link, **{k: 1e-6 * getattr(link, k) for k in names if getattr(link, k)})
         for link in arm.links
     ]
-    limp = replace(arm, links=tuple(soft))
-    env = gym.make(f"FlexArm/{scene}-Reach-v0", arm=limp, torque_limit=1e9)
+    soft_arm = replace(arm, links=tuple(soft))
+    env = gym.make(f"FlexArm/{scene}-Reach-v0", arm=soft_arm, torque_limit=1e9)
     env.reset(seed=0)
     for _ in range(10):
         observation, reward, terminated, truncated, info = env.step(env.action_space.high)
@@ -132,7 +132,7 @@ def test_a_forced_divergence_ends_the_episode(scene: str) -> None:
     assert env.step(0.0 * env.action_space.high)[2] is False
 
 
-def test_too_much_bending_is_invalid_not_diverged() -> None:
+def test_bending_beyond_the_limit_is_invalid_but_not_diverged() -> None:
     env = gym.make("FlexArm/OneLink-Reach-v0", control_dt=0.002)
     env.reset(seed=0, options={"state": {"q": [0.0, 0.13, 0.0]}})
     *_, terminated, _, info = env.step(np.zeros(1))
@@ -143,7 +143,7 @@ def test_too_much_bending_is_invalid_not_diverged() -> None:
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
-def test_turning_too_fast_for_linear_modes_is_said(share: float) -> None:
+def test_overspeed_is_set_beyond_half_the_first_locked_frequency(share: float) -> None:
     env: Any = gym.make("FlexArm/OneLink-Reach-v0").unwrapped
     limit = 0.5 * env.core.model.frequencies()[0]
     env.reset(seed=0, options={"state": {"q": [0.0] * 3, "v": [-share * limit, 0.0, 0.0]}})
@@ -200,14 +200,14 @@ def test_the_look_ahead_is_the_future_target() -> None:
     base: Any = env.unwrapped
     observation, _ = env.reset(seed=0)
     ahead = base.core.move_time
-    promised = {}
+    expected = {}
     for name, time in (("target_near", 0.5 * ahead), ("target_far", ahead)):
         part = observation[base.observation_slices[name]] * base.observation_scales[name]
-        promised[time] = base.joint_target() + part
+        expected[time] = base.joint_target() + part
     times, angles = [0.0], [base.joint_target()[0]]
     for _ in range(int(ahead / 0.01) + 2):
         info = env.step(np.zeros(1))[-1]
         times.append(info["time"])
         angles.append(base.joint_target()[0])
-    for time, angle in promised.items():
+    for time, angle in expected.items():
         assert np.interp(time, times, angles) == pytest.approx(angle[0], abs=1e-4)  # 10 ms apart

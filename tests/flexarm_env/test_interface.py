@@ -1,4 +1,4 @@
-"""What users of Gymnasium and stable-baselines3 expect of an environment."""
+"""Environments meet the interfaces of Gymnasium and stable-baselines3."""
 
 import pickle
 import subprocess

@@ -1,4 +1,4 @@
-"""Joints with springs in environments; joints that slide are refused."""
+"""Environments of arms with joint springs and parallel drives; prismatic joints are refused."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ RIGID = replace(SLIM, modes=(), damping_ratio=0.0)
 
 @pytest.mark.parametrize("link", [SLIM, RIGID], ids=["flexible link", "rigid link"])
 def test_encoders_read_the_rotor_of_a_sprung_joint(link: Link) -> None:
-    """The spring twists under torque; what is observed of the joint is the rotor alone."""
+    """The spring twists under torque; the joint state is that of the rotor alone."""
     env = gym.make(ID, arm=sprung(link), render_mode="rgb_array")
     env.reset(seed=0)
     for _ in range(10):
@@ -41,23 +41,23 @@ def test_encoders_read_the_rotor_of_a_sprung_joint(link: Link) -> None:
     assert env.render().std() > 0.0
 
 
-def test_a_sprung_joint_is_drawn_where_it_is() -> None:
-    """The picture's own kinematics turns the link by rotor and twist."""
+def test_a_link_behind_a_joint_spring_is_drawn_at_its_place() -> None:
+    """The kinematics of the picture rotates the link by rotor and spring twist."""
     core = Core(task="Reach", arm=sprung(SLIM))
     q = np.array([0.7, -0.4, 0.03, 0.001])
     drawn = Renderer(core).shapes(core, q, 1.0)[-1][-1]
     np.testing.assert_allclose(drawn, core.model.tip(q), atol=1e-12)
 
 
-def test_a_parallel_drive_is_drawn_where_it_is() -> None:
+def test_an_arm_with_a_parallel_drive_is_drawn_at_its_place() -> None:
     core = Core(task="Reach", arm="ralf-like")
     q = np.array([0.7, 0.2, -0.1, -0.4, 0.15, 0.1])
     drawn = Renderer(core).shapes(core, q, 1.0)
     np.testing.assert_allclose(drawn[-1][-1], core.model.tip(q), atol=1e-12)
 
 
-def test_an_environment_moves_an_arm_with_a_parallel_drive_as_its_model_says() -> None:
-    """Full torque on the second motor alone, beside error control on the model."""
+def test_an_arm_with_a_parallel_drive_moves_as_its_model_does() -> None:
+    """Full torque on the second motor alone, against an error-controlled simulation."""
     env = gym.make(ID, arm="ralf-like", control_dt=0.02)
     env.reset(seed=0, options={"state": {"q": [0.2, 0, 0, 0.9, 0, 0], "v": [0.0] * 6}})
     core = env.unwrapped.core  # type: ignore[attr-defined]
@@ -72,7 +72,7 @@ def test_an_environment_moves_an_arm_with_a_parallel_drive_as_its_model_says() -
 
 
 def test_torque_limits_of_a_sprung_rigid_arm_are_those_of_the_rigid_arm() -> None:
-    """A spring may twist as far as it will: no deflection bounds the torque."""
+    """A spring may twist by any angle, so no deflection bounds the torque."""
     rigid = replace(RIGID, joint=replace(RIGID.joint, rotor_inertia=0.02))
     found, expected = (
         gym.make(ID, arm=arm).unwrapped.core.torque_limit  # type: ignore[attr-defined]
@@ -81,6 +81,6 @@ def test_torque_limits_of_a_sprung_rigid_arm_are_those_of_the_rigid_arm() -> Non
     assert np.array_equal(found, expected)
 
 
-def test_an_arm_that_slides_is_refused_with_a_sentence() -> None:
+def test_an_arm_with_a_prismatic_joint_is_refused() -> None:
     with pytest.raises(ValueError, match="joint 3 is prismatic"):
         gym.make(ID, arm="stanford")

@@ -1,4 +1,4 @@
-"""Whatever an environment is given, every number it gives is finite, or a sentence refuses."""
+"""For any input, an environment gives finite numbers or refuses the input with a sentence."""
 
 import math
 import threading
@@ -30,7 +30,7 @@ KEYWORDS = (
 
 
 def sound(envs: Any, steps: int = 3, **reset: Any) -> None:
-    """Every number of some steps of full and random torque is finite, every ending said."""
+    """All numbers of some steps are finite, and divergence terminates; full and random torque."""
     rng = np.random.default_rng(0)
     shape = envs.action_space.shape
     obs, info = envs.reset(**reset)
@@ -146,13 +146,13 @@ def test_an_action_that_is_not_finite_is_refused_for_every_size_and_thread(bad: 
         np.testing.assert_array_equal(envs.unwrapped.core.state, before)
 
 
-# ---- how much is too much ------------------------------------------------------------------------
+# ---- large numbers -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("scene", ["OneLink", "TwoLink", "SixLink"])
 def test_rewards_are_finite_whatever_the_torque(scene: str, dtype: str) -> None:
-    """From too little to move anything to what throws every arm apart at once."""
+    """From torques that move nothing to torques at which every arm diverges at once."""
     for torque in 10.0 ** np.array([-12, -4, 0, 1, 2, 2.5, 3, 3.25, 3.5, 4, 6, 9, 12]):
         keywords: Any = {"torque_limit": float(torque), "dtype": dtype}
         envs = gym.make_vec(f"FlexArm/{scene}-Reach-v0", num_envs=20, **keywords)
@@ -196,7 +196,7 @@ def test_any_start_is_used_or_refused(q: Any, v: Any, target: float, env: Any) -
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 @given(plain=st.sampled_from(PLAIN), what=st.lists(changes, min_size=1, max_size=4))
 def test_any_arm_is_refused_or_has_finite_scales(plain: dict[str, Any], what: list[Any]) -> None:
-    """Up to the compiler, which takes seconds: torque limit, scales and steps."""
+    """Torque limit, scales and steps, without compiling, which takes seconds."""
     with used_or_refused(), uncompiled():
         arm = changed(plain, what)
         Core(task="Reach", arm=arm)
@@ -204,7 +204,7 @@ def test_any_arm_is_refused_or_has_finite_scales(plain: dict[str, Any], what: li
 
 @st.composite
 def actuators(draw: Any) -> dict[str, Any]:
-    """Numbers of any size for each field of an actuator, or none where it may be left out."""
+    """Numbers of any size for the fields of an actuator; optional fields may be left out."""
     kind = draw(st.sampled_from(sorted(ACTUATORS)))
     result: dict[str, Any] = {"type": kind}
     for field in fields(ACTUATORS[kind]):
@@ -228,7 +228,7 @@ def uncompiled() -> Iterator[None]:
         yield
 
 
-def test_a_stiff_arm_does_not_take_half_a_million_steps_in_silence() -> None:
+def test_an_arm_too_stiff_for_its_control_step_is_refused() -> None:
     slim = ARMS["slim"]
     stiff = replace(slim, links=(replace(slim.links[0], EIz=1e12),))
     with pytest.raises(ValueError, match=r"would take \d+ steps .* take fidelity='rigid', or set"):
@@ -238,8 +238,8 @@ def test_a_stiff_arm_does_not_take_half_a_million_steps_in_silence() -> None:
 
 
 @pytest.mark.parametrize(("dtype", "most"), [("float64", 1e8), ("float32", 1e5)])
-def test_a_joint_that_spins_beyond_meaning_has_diverged(dtype: str, most: float) -> None:
-    """Without modes nothing else would say so, and sines of such angles mean nothing."""
+def test_a_joint_whose_angle_is_too_large_for_a_sine_has_diverged(dtype: str, most: float) -> None:
+    """Without modes there is no deflection that would end the episode."""
     envs: Any = gym.make_vec(ONE, num_envs=2, fidelity="rigid", torque_limit=1e8, dtype=dtype)
     sound(envs, 20, seed=0)
     assert np.abs(envs.unwrapped.core.q).max() < most
@@ -256,7 +256,7 @@ def test_scales_that_overflow_are_refused(name: str, value: float) -> None:
         gym.make(ONE, arm=replace(arm, links=links))
 
 
-def test_a_limit_is_stated_for_the_size_of_a_batch() -> None:
+def test_the_refusal_of_a_large_batch_names_the_limit() -> None:
     with pytest.raises(ValueError, match="num_envs must be between 1 and 1000000, got 10000000000"):
         gym.make_vec(ONE, num_envs=10**10)
 
@@ -264,8 +264,8 @@ def test_a_limit_is_stated_for_the_size_of_a_batch() -> None:
 # ---- threads -------------------------------------------------------------------------------------
 
 
-def test_an_environment_that_another_thread_uses_says_so() -> None:
-    """Single, batch and SB3's: stepping and resetting."""
+def test_an_environment_in_use_by_another_thread_refuses_to_step() -> None:
+    """Single, batch and SB3 environments: stepping and resetting."""
     from flexarm_env import SB3VecEnv
 
     single: Any = gym.make(ONE).unwrapped
@@ -285,7 +285,7 @@ def test_an_environment_that_another_thread_uses_says_so() -> None:
         step()
 
 
-def test_one_batch_stepped_from_four_threads_ends_right_or_says_so() -> None:
+def test_a_batch_stepped_from_four_threads_is_right_or_refuses() -> None:
     envs, one = (gym.make_vec(ONE, num_envs=4096) for _ in range(2))
     actions = np.ones((4096, 1), np.float32)
     outcomes: list[str] = []

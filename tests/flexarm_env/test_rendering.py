@@ -1,4 +1,4 @@
-"""Pictures without a display, and the pages made from the code."""
+"""Pictures without a display, and the generated pages."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ import flexarm_env
 from dynamics import ARMS
 from flexarm_env import registration
 from flexarm_env.core import Core
-from flexarm_env.pages import file_name, index, page
+from flexarm_env.pages import common_page, file_name, page
 from flexarm_env.rendering import SIZE, STEEL, Renderer
 from tests.paths import ROOT
 
@@ -37,7 +37,7 @@ def test_pictures_show_the_arm_and_change_as_it_moves(scene: str) -> None:
 
 @pytest.mark.parametrize("arm", TURNING)
 def test_the_drawn_tip_is_the_measured_tip(arm: str) -> None:
-    """Two ways through the kinematics: the picture's own, and the compiled arm's."""
+    """The kinematics of the picture against that of the compiled arm."""
     core = Core(task="Reach", arm=arm)
     renderer = Renderer(core)
     rng = np.random.default_rng(0)
@@ -71,4 +71,4 @@ def test_batches_render_one_picture_per_environment() -> None:
 def test_committed_pages_are_up_to_date(env_id: str) -> None:
     """If not: python -m flexarm_env.pages --out docs/envs"""
     assert (PAGES / file_name(env_id)).read_text(encoding="utf-8") == page(env_id)
-    assert (PAGES / "README.md").read_text(encoding="utf-8") == index()
+    assert (PAGES / "README.md").read_text(encoding="utf-8") == common_page()

@@ -45,7 +45,7 @@ def test_the_reward_is_the_weighted_sum_of_its_terms(name: str) -> None:
 
 
 def test_compiled_terms_are_the_terms_on_floats() -> None:
-    """Every term in its place, computed anew from what the environment says of itself."""
+    """Every term, computed from the info and state of the environment."""
     env = gym.make("FlexArm/TwoLink-Damp-v0")
     base: Any = env.unwrapped
     rng = np.random.default_rng(0)
@@ -87,13 +87,13 @@ def test_unknown_terms_are_refused_by_wrappers() -> None:
         flexarm_env.TipTrackingReward(gym.make(ENV_ID), {"speed": 1.0})
 
 
-def test_standing_on_the_target_beats_every_other_rest() -> None:
-    """Of resting arms, the one on its target is paid most, by every preset."""
+def test_rest_on_the_target_is_rewarded_more_than_rest_elsewhere() -> None:
+    """For every preset, the reward at rest decreases with the distance from the target."""
     for name in REWARDS:
         env = gym.make(ENV_ID, reward=name)
-        paid = []
+        rewards_at = []
         for angle in (0.0, 0.01, 0.03, 0.1, 0.3, 1.0):
             env.reset(seed=0, options={"state": {"q": [angle, 0.0, 0.0]}, "target": [0.0]})
-            paid.append(env.step(np.zeros(1))[1])
-        assert paid == sorted(paid, reverse=True), name
-        assert len(set(paid)) == len(paid), name
+            rewards_at.append(env.step(np.zeros(1))[1])
+        assert rewards_at == sorted(rewards_at, reverse=True), name
+        assert len(set(rewards_at)) == len(rewards_at), name

@@ -1,1 +1,1 @@
-"""One file per preset arm: its ARM, sources and CHECKS."""
+"""Preset arms, one file each, with ARM, sources and CHECKS."""

@@ -1,11 +1,12 @@
-"""The planar two-link arm of De Luca and Siciliano (IEEE Trans. SMC 21(4), 1991).
+"""Planar two-link arm of De Luca and Siciliano (IEEE Trans. SMC 21(4), 1991).
 
-Clamped, with the elbow, the second link and the payload as a body at its tip (1.2 kg, 0.1338
-kg m^2), the first link has 0.4797 and 1.7966 Hz, the second with the payload 2.1783 and 15.9145 Hz:
-the published 0.48, 1.80, 2.18, 15.91 Hz. The payload is the last link's tip body, so that the
-second link's shapes know it; with shapes that do not, the third joint-free frequency is 18 % high.
-The four joint-free frequencies of the stretched arm are within 0.01 % of those of eight modes per
-link.
+The first link, clamped, with elbow, second link and payload as a body at its tip (1.2 kg, 0.1338
+kg m^2), has 0.4797 and 1.7966 Hz. The second link, clamped, with the payload, has 2.1783 and
+15.9145 Hz. Published are 0.48, 1.80, 2.18 and 15.91 Hz.
+
+The payload is the last link's tip body, so that the second link's shapes include it; otherwise the
+third joint-free frequency is 18 % high. The four joint-free frequencies of the stretched arm are
+within 0.01 % of those with eight modes per link.
 """
 
 from collections.abc import Callable
@@ -59,7 +60,7 @@ _SOURCE = "De Luca and Siciliano 1991, printed to two decimals"
 
 
 def _first(mode: int) -> Callable[[Arm], float]:
-    """[Hz] of link 1 alone, with everything beyond it as one body."""
+    """Frequency [Hz] of link 1 alone, with everything beyond it as its tip body."""
     beyond = _about_z(0.1338)  # [kg m^2] of 1.2 kg: published data, link 2 stretched
     return lambda arm: hertz(alone(arm, 0, 6, tip_mass=1.2, tip_inertia=beyond))[mode - 1]
 

@@ -1,8 +1,9 @@
-"""A space manipulator's boom on a free hinge: MacLean, Huynh and Quiocho, DETC2007-35511.
+"""Space manipulator's boom on a free hinge: MacLean, Huynh and Quiocho, DETC2007-35511.
 
-The paper asks which boundary conditions suit a boom with a heavy load: hinged shapes that know the
-load. Three clamped ones that know it give the first two hinged frequencies within 0.3 %; the checks
-take twelve. The paper's fourth wave number is not that of its fourth frequency, which is right.
+The paper compares boundary conditions for the shapes of a boom with a heavy load; hinged shapes
+that include the load suit it. Three clamped shapes that include it give the first two hinged
+frequencies within 0.3 %; the checks use twelve. The paper's fourth wave number does not match its
+fourth frequency, which is right.
 """
 
 from collections.abc import Callable
@@ -40,7 +41,7 @@ ARM = Arm(
 
 
 def _rate(mode: int) -> Callable[[Arm], float]:
-    """[rad/s] of the boom on its hinge."""
+    """Frequency [rad/s] of the boom on its free hinge."""
     measure = mode_of_link(0, mode, 12, joints="free")
     return lambda arm: 2.0 * pi * measure(arm)
 

@@ -1,8 +1,7 @@
-"""The flexible-link example of a robust-control book: Gu, Petkov and Konstantinov (2005).
+"""Flexible-link example of a robust-control book: Gu, Petkov and Konstantinov (2005).
 
-An aluminium strip with a payload on a hub. The book sets the strip's root 0.04 m off the axis;
-here it starts at the axis. The payload is the tip body, as nominal in the book; it varies by
-40 % there.
+An aluminium strip with a payload on a hub. In the book the strip's root is 0.04 m off the axis;
+here it is at the axis. The tip body is the book's nominal payload, which varies by 40 % there.
 """
 
 from dynamics.arms.checks import Check

@@ -1,8 +1,8 @@
-"""The example of Korayem and Shafei (2009), after Usoro et al. (1986): two links under gravity.
+"""Example of Korayem and Shafei (2009), after Usoro et al. (1986): two links under gravity.
 
-Released from -90 and +5 degrees it swings almost rigidly. Two clamped-free shapes per link instead
-of the paper's one: a single one puts the joint-free bending at 36.2 and 63.3 Hz, two at 25.9 and
-45.1 Hz, finite elements at 26.0 and 44.9 Hz. The upper two frequencies remain 55 % high.
+Released from -90 and +5 degrees, the arm swings almost rigidly. It has two clamped-free shapes per
+link, the paper one. The first joint-free bending frequencies are 36.2 and 63.3 Hz with one shape,
+25.9 and 45.1 Hz with two, 26.0 and 44.9 Hz with finite elements. The upper two remain 55 % high.
 """
 
 from dynamics.arms.checks import Check

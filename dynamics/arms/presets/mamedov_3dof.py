@@ -1,8 +1,8 @@
-"""The arm of a learning-control study: Mamedov et al., 'Safe Imitation Learning of NMPC', 2022.
+"""Arm of a learning-control study: Mamedov et al., 'Safe Imitation Learning of NMPC', 2022.
 
-A rigid post turns about the vertical; two steel strips swing in the plane that it carries. Their
-damping is the study's normal viscosity: 4.5 ms of Kelvin and Voigt. The post turns about its own
-axis, so that its mass moves nothing: the first link is a millimetre with the post's inertia.
+A rigid post turns about the vertical; two steel strips move in a plane that turns with it. Their
+Kelvin-Voigt damping, beta = 4.5 ms, is the study's normal viscosity. The post turns about its own
+axis, so only its inertia matters: the first link is 1 mm long and has the post's inertia as hub.
 """
 
 from dynamics.arms.checks import Check

@@ -1,15 +1,16 @@
-"""The PUMA-600 arm: six revolute joints, rigid links.
+"""PUMA-600 arm: six revolute joints, rigid links.
 
-From the table of Cyril's FLEXLINK thesis, read from a scan; all its digits are legible. Frames and
-signs are those of `dynamics.denavit_hartenberg`, joint 1 upright. In those frames the mass centres
-of links 3 and 5 lie opposite to the next joint (y = -0.191 m where joint 4 is at +0.432 m): their
-signs, or those of d, may belong to another convention; they are used as printed.
+The data are from the table of Cyril's FLEXLINK thesis, read from a scan; all digits are legible.
+Frames and signs follow `dynamics.description.denavit_hartenberg`, with joint 1 vertical. In those
+frames the mass centres of links 3 and 5 lie opposite to the next joint (y = -0.191 m, with joint 4
+at +0.432 m): their signs, or those of d, may belong to another convention. They are used as
+printed.
 """
 
 from math import pi
 
 from dynamics.arms.checks import Check
-from dynamics.arms.measures import holding, mass
+from dynamics.arms.measures import holding_load, mass
 from dynamics.description import denavit_hartenberg
 from dynamics.description.denavit_hartenberg import Row
 from dynamics.types import Matrix3
@@ -64,6 +65,6 @@ CHECKS = (
     Check(  # 15.781 0.14 + 8.767 0.432 + (1.052 + 1.052 + 0.351) (0.432 + 0.02) = 7.106344 kg m
         quantity="joint 2 holds the stretched arm", unit="N m", expected=69.71323464,
         tolerance=1e-9, source="by hand from the table: masses times places, times 9.81 m/s^2",
-        measure=lambda arm: holding(arm, 1, (0.0,) * 6),
+        measure=lambda arm: holding_load(arm, 1, (0.0,) * 6),
     ),
 )  # fmt: skip

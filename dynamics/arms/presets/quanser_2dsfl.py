@@ -1,10 +1,10 @@
-"""The two-link serial rig of a laboratory supplier: two steel strips behind harmonic drives.
+"""Quanser 2-DOF serial flexible link: two steel strips behind harmonic drives.
 
-Published are strips, drives and lumped inertias of each stage. The strips are uniform beams here;
-the body on the first one is what, with the second stage stretched, adds up to the published
-inertia about the first axis. The published model lumps each stage on a torsion spring, so that its
-resonances differ from a beam's: with the joints held the first is 1.69 Hz here. Current limits and
-encoders are not part of the arm.
+Published are the strips, the drives and the lumped inertias of each stage. Here the strips are
+uniform beams, and the body at the tip of the first strip is chosen so that, with the second stage
+stretched, the inertia about the first axis is the published one. The published model lumps each
+stage on a torsion spring, so its resonances differ from those of beams: with the joints locked the
+first is 1.69 Hz here. Current limits and encoders are not part of the arm.
 """
 
 from dynamics.arms.checks import Check
@@ -30,7 +30,7 @@ _MODES = tuple(Mode(kind="clamped-tip-mass", index=index, direction="y") for ind
 
 
 def _strip(width: float, thickness: float) -> tuple[float, float]:
-    """[kg/m], [N m^2] of a steel strip; both sides in inches."""
+    """rho_A [kg/m] and EI [N m^2] of a steel strip; width and thickness in inches."""
     b, h = width * _INCH, thickness * _INCH
     return _DENSITY * b * h, _YOUNG * b * h**3 / 12.0
 
@@ -40,7 +40,7 @@ def _about_z(inertia: float) -> Matrix3:
 
 
 def _elbow(rho_A: float) -> tuple[float, float]:
-    """[kg], [kg m^2] what is left for the body on strip 1 after the stretched second stage."""
+    """Mass [kg] and inertia [kg m^2] of the tip body of strip 1: published less second stage."""
     first, second = _LENGTHS
     mass = 1.578 - rho_A * second - _END[0]  # published: 1.578 kg with the second stage
     outer = rho_A * ((first + second) ** 3 - first**3) / 3.0
@@ -83,7 +83,7 @@ ARM = Arm(
 
 
 def _carried(arm: Arm) -> float:
-    """[kg m^2] about the first axis, without the first drive and the first strip."""
+    """Inertia [kg m^2] about the first axis without the first drive and the first strip."""
     link = arm.links[0]
     own = link.joint.rotor_inertia + link.joint.hub_inertia + link.rho_A * link.length**3 / 3.0
     return carried_inertia(arm, 0) - own

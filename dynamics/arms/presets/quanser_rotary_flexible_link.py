@@ -1,8 +1,8 @@
-"""The rotary flexible link of a teaching rig: a steel ruler on a geared servo (Quanser).
+"""Quanser rotary flexible link: a steel ruler on a geared servo, a teaching rig.
 
 The published model is a rigid ruler on a torsion spring that gives the measured 3.0 Hz. Here the
-ruler is a uniform beam whose EI is tuned to the same 3.0 Hz; its higher frequencies are
-predictions. The servo's voltage, gear and limits are not part of the arm.
+ruler is a uniform beam with EI tuned to 3.0 Hz; its higher frequencies are predictions. The servo's
+voltage, gear and limits are not part of the arm.
 """
 
 from dynamics.arms.checks import Check

@@ -1,10 +1,11 @@
-"""An arm like RALF, the large two-link arm of Yuan, Book and Huggins (1993), as far as they say.
+"""Arm like RALF, the large two-link arm of Yuan, Book and Huggins (1993), from printed data.
 
-Printed are two hollow cylindrical links of 10 ft and about 70 lb in all, and a parallel drive of
-the second joint: neither turning nor bending link 1 turns link 2. Their section is lost, so the
-mass is spread evenly, the drive link has none, and EI is tuned: at the chosen posture, elbow at 90
-degrees and joints held, the first frequency is the measured 6.37 Hz. The second is then 14.4 Hz,
-not the measured 12.0 Hz. Not here: the hydraulic springs and their lag, which are actuators'.
+Printed are two hollow cylindrical links of 10 ft and about 70 lb in total, and a parallel drive of
+the second joint: neither the rotation nor the bending of link 1 turns link 2. Their cross-section
+is not known. The mass is therefore spread evenly, the drive link is massless, and EI is tuned so
+that the first frequency is the measured 6.37 Hz at the chosen posture, elbow at 90 degrees and
+joints locked. The second frequency is then 14.4 Hz, not the measured 12.0 Hz. The hydraulic springs
+and their lag belong to the actuators and are not included.
 """
 
 from dataclasses import replace

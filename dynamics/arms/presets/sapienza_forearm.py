@@ -1,9 +1,9 @@
-"""A rigid upper arm with a flexible forearm: De Luca, Lanari, Lucibello, Panzieri, Ulivi, CDC 1990.
+"""Rigid upper arm with a flexible forearm: De Luca, Lanari, Lucibello, Panzieri, Ulivi, CDC 1990.
 
-Published are inertias, the two free frequencies of the forearm and their identified damping. The
-forearm is a uniform beam here: its mass follows from the inertia about the elbow, its EI is
-tuned to the first frequency. The second is then 3 % above the identified one, and the published
-static moment, shapes at elbow and tip are met to 0.3 %, 4 % and 4 %.
+Published are inertias, the forearm's first two frequencies on its free joint and their identified
+damping. Here the forearm is a uniform beam: its mass follows from the inertia about the elbow, and
+its EI is tuned to the first frequency. The second frequency is then 3 % above the identified one.
+The published static moment, and the shapes at elbow and tip, are met to 0.3 %, 4 % and 4 %.
 """
 
 from dynamics.arms.checks import Check

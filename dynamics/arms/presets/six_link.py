@@ -1,9 +1,9 @@
-"""A spatial laboratory arm of six aluminium tubes in weightlessness; every number is chosen.
+"""Spatial laboratory arm of six aluminium tubes without gravity; every number is chosen.
 
-Stretched along x it reaches 2.0 m; the joints turn as yaw, pitch, pitch, yaw, pitch, yaw. Each
-tube bends in both planes with the first clamped shape that knows the motor at its tip: 18
-coordinates. Stretched, the lowest frequency is 1.79 Hz with the joints locked and 7.3 Hz free,
-the highest 92 and 94 Hz.
+Stretched along x, it reaches 2.0 m; the joints are yaw, pitch, pitch, yaw, pitch, yaw. Each tube
+bends in both planes with the first clamped shape that includes the motor at its tip: 18
+coordinates. Stretched, the lowest frequency is 1.79 Hz with joints locked and 7.3 Hz with joints
+free, the highest 92 and 94 Hz.
 """
 
 from math import pi
@@ -30,9 +30,9 @@ def _tube(
     length: float,  # [m]
     diameter: float,  # [m] outer
     wall: float,  # [m]
-    tip_mass: float,  # [kg] the next joint's motor; at the end a tool
-    tip_radius: float,  # [m] of that body, taken as a solid sphere
-    rotor_inertia: float,  # [kg m^2] of the motor at the root, seen through its gear
+    tip_mass: float,  # [kg] the next joint's motor; for the last tube a tool
+    tip_radius: float,  # [m] of the tip body, a solid sphere
+    rotor_inertia: float,  # [kg m^2] of the motor at the root, reflected through its gear
     rotation: Matrix3,
 ) -> Link:
     inner = diameter - 2.0 * wall

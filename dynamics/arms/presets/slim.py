@@ -1,8 +1,8 @@
 """SLIM: the single-link laboratory arm of Yuan, Book and Huggins (1993), on a light hub.
 
-Two clamped shapes that know the tip mass. Against eight of them the joint-free frequencies are
-7.446 Hz (+0.05 %) and 17.72 Hz (+0.3 %); the joint-held ones are exact, 2.096 and 13.989 Hz
-(measured 2.08 and 13.92 Hz). One shape alone would be 5 % high on this hub.
+The link has two clamped shapes that include the tip mass. The joint-free frequencies are 7.446 Hz
+(+0.05 % relative to eight shapes) and 17.72 Hz (+0.3 %). The joint-locked ones are exact, 2.096 and
+13.989 Hz (measured 2.08 and 13.92 Hz). One shape alone would be 5 % high on this hub.
 """
 
 from dynamics.arms.checks import Check
@@ -36,7 +36,7 @@ ARM = Arm(
 )
 
 _SOURCE = "Yuan, Book and Huggins 1993, analytical column"
-_PRINTED = {1: 2.096, 2: 13.989, 4: 81.225, 5: 136.352}  # [Hz] joint held
+_PRINTED = {1: 2.096, 2: 13.989, 4: 81.225, 5: 136.352}  # [Hz] joint locked
 
 CHECKS = (
     *(

@@ -1,14 +1,16 @@
-"""An arm like the Shuttle's: public geometry and mass, everything elastic tuned.
+"""Arm like the Space Shuttle's: public geometry and mass, tuned elasticity.
 
-Shoulder yaw and pitch, elbow pitch, wrist pitch, yaw and roll; stretched along x at zero angles.
-Joint stations are public (Orbiter coordinates of a flight simulator's add-on), so are the arm's
-mass and its diameter of 15 in (NASA shuttle reference). Boom rigidities, joint stiffness and the
-split of the mass are not. Here the mass is spread evenly. Four numbers are tuned, so that the
-straight, unloaded arm with its joints held and their springs flexing has 0.35, 0.46, 3.554 and
-4.228 Hz: one EI for both booms and both planes, and the springs of shoulder yaw, shoulder pitch
-and elbow. GJ follows the tuned EI as a thin tube's would. The published fifth and sixth frequency,
-14.98 and 15.14 Hz, were not tuned to: here they are 13.86 and 14.13 Hz. The wrist has no springs,
-and the rotors' inertia is chosen. The roll joint sits at the tip; its link is a millimetre.
+The joints are shoulder yaw and pitch, elbow pitch, wrist pitch, yaw and roll; at zero angles the
+arm is stretched along x. Public are the joint stations (Orbiter coordinates of a flight simulator's
+add-on), the arm's mass and its diameter of 15 in (NASA shuttle reference). Boom rigidities, joint
+stiffness and the mass distribution are not public. Here the mass is spread evenly.
+
+Four numbers are tuned: one EI for both booms and both planes, and the springs of shoulder yaw,
+shoulder pitch and elbow. With them the straight, unloaded arm with locked rotors and flexing joint
+springs has 0.35, 0.46, 3.554 and 4.228 Hz. GJ follows from EI as for a thin tube. The published
+fifth and sixth frequencies, 14.98 and 15.14 Hz, were not used for tuning; here they are 13.86 and
+14.13 Hz. The wrist has no springs, and the rotor inertia is chosen. The roll joint is at the tip;
+its link is 1 mm long.
 """
 
 from dataclasses import replace
@@ -32,7 +34,7 @@ _RHO_A = 410.5 / (_UPPER + _FORE + _WRIST + _HAND + 2.0 * _STUB)  # [kg/m] sprea
 _TUNED_EI = 3.7568e6  # [N m^2] this and the springs: benchmarks.tune_presets
 _TUNED_SPRINGS = (3.6219e5, 1.8627e5, 1.6209e6)  # [N m/rad] shoulder yaw, shoulder pitch, elbow
 _GJ = _TUNED_EI / 1.3  # [N m^2] follows the tuned EI: thin tube, nu 0.3
-_ROTOR = 500.0  # [kg m^2] of these three joints, seen through their gears: chosen
+_ROTOR = 500.0  # [kg m^2] of these three joints, reflected through their gears: chosen
 _RHO_IP = _RHO_A * _RADIUS**2  # [kg m]
 
 _YAW_TO_PITCH: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))  # +90 degrees about x
@@ -48,7 +50,7 @@ _YAW, _PITCH, _ELBOW = (Joint(stiffness=k, rotor_inertia=_ROTOR) for k in _TUNED
 
 
 def _boom(length: float, joint: Joint) -> Link:
-    """A flexible tube behind a pitch joint: y lies in the pitch plane, z in the yaw plane."""
+    """Flexible tube behind a pitch joint: y is in the pitch plane, z in the yaw plane."""
     return Link(
         length=length,
         rho_A=_RHO_A,

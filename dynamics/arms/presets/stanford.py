@@ -1,16 +1,17 @@
-"""The Stanford arm: five revolute joints and a prismatic one, rigid links.
+"""Stanford arm: five revolute joints and a prismatic one, rigid links.
 
-From the table of Cyril's FLEXLINK thesis, which has it from Kane and Levinson (1983), read from a
-scan. Doubtful there: the mass of link 1 (9.0, could be 9.6 kg), its centre of mass and its three
-moments of inertia; the first link turns about its axis only, so of these just its moment about z
-enters any motion, and gravity along the axis feels none. Frames and signs are those of
-`dynamics.denavit_hartenberg`, joint 1 upright. Of joint 3 q is the thesis's d3.
+The data are from the table of Cyril's FLEXLINK thesis, after Kane and Levinson (1983), read from a
+scan. Doubtful digits: the mass of link 1 (9.0 or 9.6 kg), its centre of mass and its three moments
+of inertia. Link 1 only turns about its own axis, so of these only its moment about z affects
+motion, and gravity along the axis has no effect on it. Frames and signs follow
+`dynamics.description.denavit_hartenberg`, with joint 1 vertical. The coordinate of joint 3 is the
+thesis's d3.
 """
 
 from math import pi
 
 from dynamics.arms.checks import Check
-from dynamics.arms.measures import holding, mass
+from dynamics.arms.measures import holding_load, mass
 from dynamics.description import denavit_hartenberg
 from dynamics.description.denavit_hartenberg import Row
 from dynamics.types import Matrix3
@@ -60,10 +61,10 @@ CHECKS = (
     Check(  # 1.0 (0.7 - 0.1) + 0.6 (0.7 + 0.06) + 0.5 (0.7 + 0.02) = 1.416 kg m
         quantity="joint 2 holds the horizontal boom", unit="N m", expected=13.89096,
         tolerance=1e-9, source=_HAND,
-        measure=lambda arm: holding(arm, 1, (0.0, pi / 2, 0.0, 0.0, 0.0, 0.0)),
+        measure=lambda arm: holding_load(arm, 1, (0.0, pi / 2, 0.0, 0.0, 0.0, 0.0)),
     ),
     Check(  # 4.0 + 1.0 + 0.6 + 0.5 = 6.1 kg
         quantity="joint 3 holds the upright boom", unit="N", expected=59.841, tolerance=1e-9,
-        source=_HAND, measure=lambda arm: holding(arm, 2, (0.0,) * 6),
+        source=_HAND, measure=lambda arm: holding_load(arm, 2, (0.0,) * 6),
     ),
 )  # fmt: skip

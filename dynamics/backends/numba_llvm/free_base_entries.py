@@ -1,6 +1,7 @@
-"""Compiled conversions of a free base's state: from what callers hold to what steps run on.
+"""Compiled conversions of a free base's state between the caller's coordinates and the workspace.
 
-See free_base.py. Lane by lane on the flat workspace; once per call, so in plain scalars.
+Callers hold a position and a rotation vector in the world; steps use the frame of
+formulations/free_base.py. Conversions run once per call, lane by lane on the flat workspace.
 """
 
 from numba.extending import register_jitable
@@ -15,7 +16,7 @@ rotation_vector = register_jitable(to_rotation_vector)
 
 @compiled
 def enter(w, lanes, q, v, attitude):  # type: ignore[no-untyped-def]
-    """From position and rotation vector to the frame turned to the present attitude."""
+    """Convert position and rotation vector to the frame aligned with the present attitude."""
     three, number = 3 * lanes, w.dtype.type
     for b in range(lanes):
         at = q + three + b
@@ -44,7 +45,7 @@ def leave(w, lanes, q, v, attitude):  # type: ignore[no-untyped-def]
 
 @compiled
 def turn(w, lanes, x, attitude, sense):  # type: ignore[no-untyped-def]
-    """A vector of the base's own frame as the world sees it; with `sense` -1 the inverse."""
+    """Rotate a vector from the base's frame to the world; with `sense` -1 from world to base."""
     two = lanes + lanes
     for b in range(lanes):
         at = attitude + b

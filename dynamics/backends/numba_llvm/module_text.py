@@ -1,5 +1,6 @@
 """Text of a generated module: straight-line functions, constants, entry points."""
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -9,9 +10,8 @@ _IMPORTS = """
 import numpy as np
 from dynamics.backends.numba_llvm.free_base_entries import enter, leave, turn
 from dynamics.runtime.jit import compiled, outermost
-from dynamics.backends.numba_llvm.methods import INTEGRATORS
-from dynamics.backends.numba_llvm.moves import lane_moves, row_moves
-from dynamics.backends.numba_llvm.vector_code import straight_line
+from dynamics.backends.numba_llvm.integrator_text import INTEGRATORS
+from dynamics.backends.numba_llvm.lanes import lane_moves, row_moves, straight_line
 from dynamics.runtime.work_queue import first_chunk, take_chunk
 from dynamics.integrators.exponential import FrozenModes
 from dynamics.integrators.slots import Slots
@@ -65,9 +65,19 @@ def module_text(
         f"OPERATIONS = {operations[0]}",
         f"FURTHER_OPERATIONS = {operations[1]}",
     ]
+    head += _slot_table(slots, constants)
     offsets = [f"{name} = np.uint64({slot * lanes})" for name, slot in constants.items()]
     lines = [f"LANES = np.uint64({lanes})", *offsets]
     return "\n\n".join(["\n".join(head), *functions, "\n".join(lines), entries])
+
+
+def _slot_table(slots: int, first: Mapping[str, int]) -> list[str]:
+    """Comment that names the slots of the workspace."""
+    starts = [(name, slot) for name, slot in first.items() if name != "N"]
+    ends = [slot for _, slot in starts[1:]] + [slots]
+    runs = [f"{a}:{b} {name}" for (name, a), b in zip(starts, ends, strict=True) if a < b]
+    text = f"Slots of the workspace w, LANES numbers each: {', '.join(runs)}."
+    return textwrap.wrap(text, 98, initial_indent="# ", subsequent_indent="# ")
 
 
 def expanded(text: str, marks: Mapping[str, Sequence[str]]) -> str:

@@ -5,27 +5,27 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core.cgutils import for_range, unpack_tuple
 from numba.extending import intrinsic
 
 from dynamics.backends.numba_llvm.vector_code import WORD, once, vector
 from dynamics.runtime.jit import CACHE_LINE
+from dynamics.runtime.numba_internals import array_struct, data_pointer, for_range, unpack_tuple
 
 _BYTES = ir.IntType(8).as_pointer()
 _FETCH, _TO_WRITE = "llvm.prefetch.p0i8", (1, 3, 1)  # to write, into the nearest cache, data
 
 
 def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
-    """Functions `take` and `put`: all lanes of a slot from, and to, consecutive array elements.
+    """Functions `take`, `put` and `expect` on runs of consecutive array elements.
 
-    `take(w, at, array, first)` and `put(w, at, array, first)`; offsets count elements of the flat
-    array. Numbers are converted; in an array of flags all but zero is true. `expect(array, first)`
-    says that such elements will soon be written: the processor fetches their lines of the cache
-    meanwhile.
+    `take(w, at, array, first)` copies elements first ... first + lanes of the flat array to the
+    lanes at offset `at` of w, `put(w, at, array, first)` copies them back. Numbers are converted;
+    in an array of booleans every nonzero number is true. `expect(array, first)` prefetches the
+    cache lines of such elements for writing.
     """
 
     def pointer(context, builder, kind, array, offset):  # type: ignore[no-untyped-def]
-        data = context.make_array(kind)(context, builder, array).data
+        data = data_pointer(context, builder, kind, array)
         address = builder.gep(data, [offset])
         return builder.bitcast(address, vector(address.type.pointee, lanes).as_pointer())
 
@@ -58,7 +58,7 @@ def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
     @intrinsic
     def expect(typingctx, array, first):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            data = context.make_array(signature.args[0])(context, builder, args[0]).data
+            data = data_pointer(context, builder, signature.args[0], args[0])
             size = context.get_abi_sizeof(data.type.pointee)
             place = builder.bitcast(builder.gep(data, [args[1]]), _BYTES)
             kind = ir.FunctionType(ir.VoidType(), [_BYTES, *3 * [ir.IntType(32)]])
@@ -74,11 +74,12 @@ def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
 
 
 def row_moves(lanes: int) -> tuple[Any, Any]:
-    """Functions `gather` and `scatter`: lanes of adjoining slots from, and to, rows of an array.
+    """Functions `gather` and `scatter` on rows of an array.
 
-    `gather(w, at, rows, first)` fills a slot per column, from offset `at` on, with a row per lane;
-    the last row stands in for missing ones. `scatter(w, at, rows, row)` writes the lane at offset
-    `at` of every slot into a row. Numbers are converted.
+    `gather(w, at, rows, first)` copies rows first ... first + lanes to the slots from offset `at`
+    on, a slot per column and a lane per row; the last row stands in for missing ones.
+    `scatter(w, at, rows, row)` copies the lane at offset `at` of every slot to a row. Numbers are
+    converted.
     """
 
     def gathered(builder, slots, data, count, columns, down, along, first):  # type: ignore[no-untyped-def]
@@ -108,8 +109,8 @@ def row_moves(lanes: int) -> tuple[Any, Any]:
         @intrinsic
         def rows_moved(typingctx, w, at, rows, row):  # type: ignore[no-untyped-def]
             def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-                slots = context.make_array(signature.args[0])(context, builder, args[0]).data
-                array = context.make_array(signature.args[2])(context, builder, args[2])
+                slots = data_pointer(context, builder, signature.args[0], args[0])
+                array = array_struct(context, builder, signature.args[2], args[2])
                 sizes = [*unpack_tuple(builder, array.shape), *unpack_tuple(builder, array.strides)]
                 given = [builder.gep(slots, [args[1]]), array.data, *sizes, args[3]]
                 name = f"{body.__name__}_{slots.type.pointee}_{array.data.type.pointee}"
@@ -124,7 +125,7 @@ def row_moves(lanes: int) -> tuple[Any, Any]:
 
 
 def _element(builder: ir.IRBuilder, data: ir.Value, offset: ir.Value) -> ir.Value:
-    """Address so many bytes on."""
+    """Address of an element by its offset in bytes."""
     bytes_ = builder.bitcast(data, ir.IntType(8).as_pointer())
     return builder.bitcast(builder.gep(bytes_, [offset]), data.type)
 

@@ -8,14 +8,13 @@ import hashlib
 import json
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping
-from importlib.metadata import version
+from collections.abc import Callable, Mapping
 from itertools import accumulate
-from pathlib import Path
 from types import ModuleType
 
 from dynamics import cache
-from dynamics.backends.numba_llvm.methods import method_text
+from dynamics.backends.numba_llvm.fingerprint import fingerprint
+from dynamics.backends.numba_llvm.integrator_text import method_text
 from dynamics.backends.numba_llvm.module_text import (
     Addition,
     expanded,
@@ -24,43 +23,12 @@ from dynamics.backends.numba_llvm.module_text import (
 )
 from dynamics.backends.numba_llvm.stepper_entries import ENTRIES, FREE_BASE, STEPS
 from dynamics.integrators.table import INTEGRATORS
-from dynamics.runtime.jit import DIGEST
+from dynamics.runtime.numba_internals import DIGEST
 from dynamics.tracing import graphs
 from dynamics.tracing.function import Function, finite_check, traced
 from dynamics.tracing.traced_arm import TracedArm
 
-PACKAGE = Path(__file__).resolve().parents[2]
-GENERATING = ("description", "integrators", "formulations", "tracing", "backends", "runtime")
 _importing = threading.RLock()
-
-
-def hash_of_files(paths: Iterable[Path]) -> str:
-    """Hash of the contents of files."""
-    digest = hashlib.sha256()
-    for path in sorted(paths):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def sources(rooms: Iterable[str]) -> list[Path]:
-    """Python files of some rooms of the package."""
-    return [path for room in rooms for path in (PACKAGE / room).rglob("*.py")]
-
-
-# as imported: a file edited later does not speak for the code in memory
-_SOURCES = hash_of_files(sources(GENERATING))
-
-
-def fingerprint(*parts: str) -> str:
-    """Hash of a description, of the sources that generate code and the versions that compile it."""
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(part.encode() + b"\0")
-    digest.update(_SOURCES.encode())
-    for package in ("numba", "casadi", "numpy"):
-        digest.update(version(package).encode())
-    digest.update(sys.version.encode())
-    return digest.hexdigest()[:20]
 
 
 def program(

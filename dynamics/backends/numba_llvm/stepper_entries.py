@@ -1,22 +1,22 @@
-"""Entry points of a stepper's module: loops over blocks of environments, as templates.
+"""Entry points of a stepper's generated module: loops over blocks of environments, as templates.
 
-They are text because numba compiles functions of a module, and what they call (the arm's own
-functions, the integrator's stretches) differs from module to module. A line that is a mark, such as
-`#step`, stands for the lines that `module_text.expanded` puts in its place.
+They are text because numba compiles functions of a module, and the functions that they call are
+the module's own: `accelerations(w)`, `measure(w)` and `check(w)` of the arm, the straight-line
+functions of the integrator. A line that is a mark, such as #step, stands for the lines that
+`module_text.expanded` puts in its place. `python -m dynamics source ARM` prints the result.
 """
 
 LANES = 16  # of a batch's blocks in float64; twice as many fit the same registers in float32
 LANES_OF = {"float64": LANES, "float32": 2 * LANES}
 
-# w[H] is the length of the steps that w is prepared for, and zero at first
+# w[H] is the step length that w was prepared for, zero at first
 STEPS = {
     "#steps": [
         "h = w.dtype.type(dt)", "if w[H] != h:", "    for b in range(LANES):",
         "        w[H + b] = h", "    #prepare",
     ],
 }  # fmt: skip
-# What a stepper's module adds to its arm's `accelerations(w)`, `measure(w)` and `check(w)`. Lines
-# that are marks stand for others: #steps, a method's #start and #step, the rest of a free base.
+# #steps: above; #prepare, #start, #step: integrator_text.py; #enter and others: FREE_BASE
 ENTRIES = """
 gather, scatter = row_moves(int(LANES))
 
@@ -91,7 +91,7 @@ def evaluate_often(w, times):
     for _ in range(times):
         accelerations(w)
 """
-# of an arm whose base is free; its module has a `renew(w)`: see formulations/free_base.py
+# the marks of an arm with a free base; see formulations/free_base.py
 FREE_BASE = {
     "#enter": ["enter(w, LANES, Q, V, ATTITUDE)", "renew(w)"],
     "#renew": ["renew(w)"],

@@ -1,9 +1,10 @@
-"""Straight-line Python to LLVM vector code, without numba's type inference.
+"""LLVM vector code of straight-line functions, without numba's type inference.
 
-A function is text of one form only: `x3 = w[2]`, `x7 = x3 * x5`, `x8 = floor(x7)`, `w[9] = x8`,
-where `w[s]` stands for slot s of every lane. Type inference would take half a millisecond per
-operation, and the loop vectoriser's success would be a matter of luck; emitting the operations on
-vectors of all lanes is a hundred times faster and certain, and LLVM fits them to the machine.
+A function is text with statements of one form: `x3 = w[2]`, `x7 = x3 * x5`, `x8 = floor(x7)`,
+`w[9] = x8`, where `w[s]` is slot s of every lane. Each operation becomes one LLVM instruction on a
+vector of lanes, which LLVM splits into the registers of the machine. This compiles a hundred times
+faster than a loop over lanes would: numba infers types at half a millisecond per operation. And it
+does not depend on the loop vectoriser.
 """
 
 import ast
@@ -15,35 +16,35 @@ from typing import Any, cast
 import numpy as np
 from llvmlite import ir
 from numba import config, types
-from numba.core.cgutils import for_range
-from numba.core.codegen import get_host_cpu_features
 from numba.extending import intrinsic
 
 from dynamics.runtime.jit import CACHE_LINE
+from dynamics.runtime.numba_internals import data_pointer, for_range, get_host_cpu_features
 
-PIECE = 8000  # statements of one function: twice as many take more than twice the time to compile
-LONG = 700  # statements: fewer, on numbers and not on vectors, leave little on the stack
-# All lanes of a value fill several vector registers, as many chains for a processor to work on at a
-# time. A long function has chains of its own, and rather keeps more values: one register each. By
-# bytes of a register, from how many statements on; AVX2 has 16 of them, AVX-512 twice as many.
+PIECE = 8000  # statements per LLVM function: compile time grows faster than their number
+LONG = 700  # statements: shorter scalar functions spill few values to the stack
+# All lanes of a value fill several vector registers, which are independent chains of operations.
+# A long function has enough independent operations of its own; it processes one register of lanes
+# per pass instead, so that more of its live values fit into registers. Statements from which a
+# function does so, by bytes of a register: AVX2 has 16 registers, AVX-512 32.
 NARROW = {32: 1100, 64: 5000}
 NARROW_LOOSE = {32: 0, 64: 400}
 WORD = ir.IntType(64)
-_FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive to be seen
+_FLAGS = ("contract", "arcp", "nsz")  # never nnan or ninf: a NaN must survive to be reported
 
 
 def straight_line(name: str, lanes: int, text: str, loose: bool = False) -> Any:
-    """A function `name(w)` of these statements for this many lanes, for njit's to call.
+    """A function `name(w)` of these statements, for compiled functions to call.
 
-    A long one goes through the lanes in rounds of one vector register, so that fewer numbers are on
-    the way at a time; a `loose` one, which does little with each of many, sooner.
+    Long functions process one register width of lanes per pass, to limit live values. A `loose`
+    function, which uses each of many values once or twice, does so from a smaller length on.
     """
     length = text.count("\n")
 
     @intrinsic
     def call(typingctx, w):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            data = context.make_array(signature.args[0])(context, builder, args[0]).data
+            data = data_pointer(context, builder, signature.args[0], args[0])
             builder.call(once(builder.module, name, [data], body), [data])
             return context.get_dummy_value()
 
@@ -87,7 +88,7 @@ def vector(number: ir.Type, width: int) -> ir.Type:
 def once(
     module: ir.Module, name: str, arguments: Sequence[ir.Value], body: Callable[..., None]
 ) -> ir.Function:
-    """A function of this module for its own calls, of a body that never grows into its callers."""
+    """An internal function of the module, defined once and never inlined."""
     known = module.globals.get(name)
     if known is not None:
         return known
@@ -103,13 +104,12 @@ def once(
 
 
 def _lay_out_stack(builder: ir.IRBuilder, data: ir.Value) -> None:
-    """Let the vectors that wait on this function's stack be found fast; to be called first.
+    """Align the stack frame to a cache line, with a base register; call this first in a function.
 
-    The platform aligns the stack to 16 bytes only: in half of all processes, by chance, every other
-    vector would lie across two lines of the cache. And LLVM would address it from the stack
-    pointer, for which x86 takes a byte more than from any other register, in every second
-    instruction of a long function. An allocation whose size (none) is known only when the function
-    runs makes it take another register.
+    The platform aligns the stack to 16 bytes only, so by chance every other spilled vector would
+    cross a cache line. The dynamic allocation, of zero bytes, makes LLVM address the frame through
+    a base register: on x86 an address relative to the stack pointer takes a byte more, in every
+    second instruction of a long function.
     """
     builder.function.attributes.alignstack = CACHE_LINE
     none = builder.and_(builder.ptrtoint(data, WORD), WORD(1))
@@ -119,15 +119,15 @@ def _lay_out_stack(builder: ir.IRBuilder, data: ir.Value) -> None:
 
 @dataclass
 class _Piece:
-    """Consecutive statements; by name, where they find earlier values and leave their own."""
+    """Consecutive statements, and the places that pass values between pieces, by name."""
 
     statements: list[ast.Assign]
-    taken: dict[str, int]
-    left: dict[str, int]
+    taken: dict[str, int]  # values of earlier pieces that it reads
+    left: dict[str, int]  # values that later pieces read
 
 
 def _pieces(text: str) -> list[_Piece]:
-    """A function's statements, several functions' worth if they are many."""
+    """Statements of a function in pieces of at most PIECE."""
     lines = cast(list[ast.Assign], ast.parse(text).body)
     shares = [lines[k : k + PIECE] for k in range(0, len(lines), PIECE)]
     if len(shares) == 1:
@@ -165,7 +165,7 @@ def _emit(
 def _emit_apart(
     builder: ir.IRBuilder, data: ir.Value, passed: ir.Value, piece: _Piece, lanes: int
 ) -> None:
-    """A piece as a function of its own."""
+    """Emit a piece as a function of its own."""
     _lay_out_stack(builder, data)
     _emit(builder, data, passed, piece, lanes)
 
@@ -196,7 +196,7 @@ class _Block:
                 self.builder.store(value, self._place(self.piece.left[target.id]))
 
     def _named(self, name: str) -> ir.Value:
-        """A value of this piece, or of an earlier one when it is first needed."""
+        """A value of this piece, or of an earlier piece, loaded at its first use."""
         if name not in self.values:
             self.values[name] = self.builder.load(self._place(self.piece.taken[name]))
         return self.values[name]

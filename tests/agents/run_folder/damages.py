@@ -1,4 +1,4 @@
-"""Ways in which files go bad, each drawn from a random generator."""
+"""Random damages of a file's content."""
 
 import json
 from collections.abc import Callable
@@ -14,22 +14,22 @@ WRONG: tuple[Any, ...] = (None, [], {}, "text", "", -1, 1.5, True, 10**30, [[[]]
 
 
 def cut(data: bytes, rng: Rng) -> bytes:
-    """The beginning of a file."""
+    """Only the beginning of the file."""
     return data[: rng.integers(len(data) + 1)]
 
 
 def torn(data: bytes, rng: Rng) -> bytes:
-    """A file whose last few bytes are missing, perhaps only the end of its last line."""
+    """The file without its last 1, 2 or 30 bytes."""
     return data[: len(data) - int(rng.choice([1, 2, 30]))]
 
 
 def emptied(data: bytes, rng: Rng) -> bytes:
-    """A file of no bytes, as a full disk leaves it."""
+    """An empty file, as on a full disk."""
     return b""
 
 
 def flipped(data: bytes, rng: Rng) -> bytes:
-    """A file with one to eight bits turned over."""
+    """The file with one to eight bits flipped."""
     array = np.frombuffer(data, np.uint8).copy()
     if array.size:
         places = rng.integers(array.size, size=rng.integers(1, 9))
@@ -38,30 +38,30 @@ def flipped(data: bytes, rng: Rng) -> bytes:
 
 
 def stuffed(data: bytes, rng: Rng) -> bytes:
-    """A file with foreign bytes somewhere inside."""
+    """The file with random bytes inserted."""
     first = rng.integers(len(data) + 1)
     return data[:first] + rng.bytes(rng.integers(1, 65)) + data[first:]
 
 
 def doubled(data: bytes, rng: Rng) -> bytes:
-    """A file in which a piece stands twice."""
+    """The file with a part repeated."""
     first, last = sorted(rng.integers(len(data) + 1, size=2))
     return data[:last] + data[first:]
 
 
 def foreign(data: bytes, rng: Rng) -> bytes:
-    """Other bytes, of a file system that has lost its way."""
+    """Random bytes, as of a corrupt file system."""
     return rng.bytes(rng.integers(1, 500))
 
 
 def zeroed(data: bytes, rng: Rng) -> bytes:
-    """A file whose length has reached the disk and whose end has not."""
+    """The file with zeros at the end, as if only its length reached the disk."""
     first = rng.integers(len(data) + 1)
     return data[:first] + bytes(len(data) - first)
 
 
 def mistyped(data: bytes, rng: Rng) -> bytes:
-    """JSON, a line of JSON or YAML, with one value replaced by a wrong one."""
+    """JSON, a line of JSON, or YAML, with one value replaced by a wrong one."""
     lines = data.split(b"\n")
     try:
         return json.dumps(replaced(json.loads(data), rng)).encode()

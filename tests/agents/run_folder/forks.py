@@ -1,4 +1,4 @@
-"""Children of a warm process: they start at once, and may be killed wherever one likes."""
+"""Forked child processes, which start without imports and can be killed at a chosen call."""
 
 import os
 import shutil
@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-TRACEBACK = 70  # exit status of a child that an exception has ended
-PATIENCE = 120.0  # [s] after which a child counts as hanging
+TRACEBACK = 70  # exit status of a child that raised an exception
+PATIENCE = 120.0  # [s] after which a child is killed
 
 
 @dataclass(frozen=True)
 class Ending:
-    """The end of a child: its exit status (negative: a signal's number) and all that it said."""
+    """Exit status of a child (negative: the signal's number), and its output and errors."""
 
     status: int
     output: str
@@ -27,7 +27,7 @@ class Ending:
 
 
 def forked(work: Callable[[], int], folder: Path, kill_after: float = PATIENCE) -> Ending:
-    """Do the work in a child, which is killed after so many seconds; its words go to the folder."""
+    """Run `work` in a child, killed after `kill_after` seconds, with its output in the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / "output", folder / "errors"]
     pid = os.fork()
@@ -44,7 +44,7 @@ def forked(work: Callable[[], int], folder: Path, kill_after: float = PATIENCE) 
 
 
 def in_the_child(work: Callable[[], int], files: list[Path]) -> None:
-    """Do the work with output and errors in the files, and leave without a return."""
+    """Run `work` with output and errors in the files, and exit the process."""
     status = TRACEBACK
     try:
         for stream, file in zip((1, 2), files, strict=True):
@@ -79,7 +79,7 @@ def half_rmtree(path: Path, **keywords: Any) -> None:
         file.unlink()
 
 
-# Places for a kill: owner, name, calls in a run of a few checkpoints, and half of what it does.
+# Calls at which to kill: owner, name, number of calls in a short run, and a half-done call.
 Place = tuple[Any, str, int, Callable[..., None] | None]
 PLACES: tuple[Place, ...] = (
     (os, "write", 8, half_write),
@@ -93,7 +93,7 @@ PLACES: tuple[Place, ...] = (
 
 
 def place_kill(place: Place, call: int, when: str) -> None:
-    """Let this process be killed before, amid or after the given call of a function."""
+    """Arrange that this process is killed before, amid or after a given call of a function."""
     owner, name, _, half = place
     function = getattr(owner, name)
     left = [call]

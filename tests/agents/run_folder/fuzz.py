@@ -1,8 +1,8 @@
-"""Random damages, kills and full disks, each followed by `--resume`; prints what came of them.
+"""Random damages, kills and full disks, each followed by `--resume`; prints the outcomes.
 
     python -m tests.agents.run_folder.fuzz --damages 200 --kills 100 --starts 30 --full 40 --seed 0
 
-A run may refuse to go on with one sentence, but never end with a traceback or lose a row.
+A run may refuse to continue, with one sentence, but must never end with a traceback or lose a row.
 """
 
 import argparse
@@ -21,7 +21,7 @@ import numpy as np
 from agents import training
 from agents.policy import load_policy
 from agents.run_folder import keeper
-from agents.run_folder.checkpoints import newest_whole
+from agents.run_folder.checkpoints import newest_intact
 from agents.run_folder.folder import RunFolder
 from agents.run_folder.log import parsed
 from agents.signals import Interrupted
@@ -29,32 +29,32 @@ from tests.agents.run_folder.damages import DAMAGES, Rng
 from tests.agents.run_folder.forks import PLACES, TRACEBACK, Ending, forked, place_kill
 from tests.agents.tiny import write_config
 
-STEPS = {"ppo": 1024, "sac": 128}  # of the runs that are damaged
-MORE = {"ppo": 1024, "sac": 64}  # of their continuation
-IN_MEMORY = Path("/dev/shm")  # a kill spares what the system holds, and fsync is quick there
+STEPS = {"ppo": 1024, "sac": 128}  # of the runs before the damage
+MORE = {"ppo": 1024, "sac": 64}  # further steps after it
+IN_MEMORY = Path("/dev/shm")  # fsync is fast here; a kill loses no data of the system's memory
 
 
 @dataclass
 class Report:
-    """Outcomes so far: how often each, and whatever should not have happened."""
+    """Counts of outcomes, and faults."""
 
     counts: Counter[str] = field(default_factory=Counter)
     faults: list[str] = field(default_factory=list)
 
     def require(self, holds: bool, case: str, claim: str, ending: Ending | None = None) -> None:
-        """Note a fault unless the claim holds."""
+        """Add a fault unless the claim holds."""
         if not holds:
             said = "" if ending is None else f": {ending.status} {ending.errors[-400:]}"
             self.faults.append(f"{case}: not {claim}{said}")
 
 
 def train(*arguments: str | Path) -> int:
-    """`train.py` with a checkpoint after every rollout, and without the judgement."""
+    """Run `train.py` in this process."""
     return training.main([str(argument) for argument in arguments])
 
 
 def template(folder: Path, name: str, *, finished: bool) -> RunFolder:
-    """A run with two checkpoints and a log, finished or interrupted before it was judged."""
+    """A run with two checkpoints and a log, finished or interrupted before its evaluation."""
     folder.mkdir(parents=True)
     run = RunFolder(folder / "run")
     config = write_config(folder, name, STEPS[name])
@@ -71,27 +71,27 @@ def template(folder: Path, name: str, *, finished: bool) -> RunFolder:
 
 
 def lines(log: Path, *, rows: bool = True) -> list[bytes]:
-    """Lines of the log that are rows, or those that are none."""
+    """Lines of the log that are rows, or those that are not."""
     content = log.read_bytes().split(b"\n") if log.is_file() else []
     return [line for line in content if line and (parsed(line) is not None) is rows]
 
 
 def is_part(few: list[bytes], many: list[bytes]) -> bool:
-    """True if all of the lines are among the others, in their order."""
+    """Whether all lines of `few` are in `many`, in the same order."""
     rest = iter(many)
     return all(line in rest for line in few)
 
 
 @dataclass(frozen=True)
 class Log:
-    """The log before something happened to it."""
+    """Lines of a log before a damage or kill."""
 
     path: Path
     rows: list[bytes]
     others: list[bytes]
 
     def check(self, report: Report, case: str, ending: Ending) -> None:
-        """No row has gone, no line that is no row has come, and more lines can follow."""
+        """Require that no row is lost, no invalid line is added, and rows can be appended."""
         kept = is_part(self.rows, lines(self.path))
         report.require(kept, case, "with every row kept", ending)
         clean = is_part(lines(self.path, rows=False), self.others)
@@ -102,12 +102,12 @@ class Log:
 
 
 def log_of(run: RunFolder) -> Log:
-    """The log as it is now."""
+    """Current lines of a run's log."""
     return Log(run.log, lines(run.log), lines(run.log, rows=False))
 
 
 def check_ending(report: Report, case: str, ending: Ending) -> None:
-    """Success, or a refusal in one sentence."""
+    """Require success, or a refusal in one sentence."""
     sentences = [line for line in ending.errors.splitlines() if line.startswith("train.py: ")]
     fair = ending.status == 0 or (ending.status in (1, 2) and len(sentences) == 1)
     report.require(fair, case, "a success or one sentence", ending)
@@ -116,17 +116,17 @@ def check_ending(report: Report, case: str, ending: Ending) -> None:
 
 
 def check_finished(report: Report, case: str, run: RunFolder, steps: int) -> None:
-    """A run that says it is finished is whole in every part."""
-    finished, (newest, flaws) = run.finished_at(), newest_whole(run.checkpoints)
+    """Require that all parts of a finished run are intact."""
+    finished, (newest, flaws) = run.finished_at(), newest_intact(run.checkpoints)
     report.require(finished is not None and finished >= steps, case, "finished")
-    whole = newest is not None and not flaws and int(newest.name[5:]) >= steps
-    report.require(whole, case, "a whole newest checkpoint at the end")
+    intact = newest is not None and not flaws and int(newest.name[5:]) >= steps
+    report.require(intact, case, "an intact newest checkpoint at the end")
     report.require(load_policy(run.path).about["steps"] == finished, case, "the trained policy")
     report.require(not list(run.path.rglob(".partial*")), case, "free of partial files")
 
 
-def is_whole(run: RunFolder) -> bool:
-    """True if every file that must be written whole is so."""
+def is_intact(run: RunFolder) -> bool:
+    """Whether every file that is written atomically can be read."""
     try:
         run.read_config()
         load_policy(run.policy)
@@ -138,12 +138,12 @@ def is_whole(run: RunFolder) -> bool:
 
 
 def damage(run: RunFolder, rng: Rng) -> list[str]:
-    """Damage one to three things in the run; returns the names of what was done."""
+    """Apply one to three damages to the run; returns their names."""
     return [damage_once(run, rng) for _ in range(rng.integers(1, 4))]
 
 
 def damage_once(run: RunFolder, rng: Rng) -> str:
-    """Damage a file, mostly the log or one of the newest checkpoint's, or remove a folder."""
+    """Damage a file, mostly the log or one of the newest checkpoint, or remove a folder."""
     inside = sorted(path for path in run.path.rglob("*") if path.parent.name != "tensorboard")
     files = [path for path in inside if path.is_file()]
     folders = [path for path in inside if path.is_dir()]
@@ -167,7 +167,7 @@ def damage_once(run: RunFolder, rng: Rng) -> str:
 
 
 def fuzz_damages(report: Report, work: Path, runs: dict[str, RunFolder], n: int, rng: Rng) -> None:
-    """Damage, resume, look."""
+    """Damage a run, resume it and check the result."""
     for i in range(n):
         kind = ("ppo", "ppo", "ppo", "sac", "finished")[rng.integers(5)]
         name = "ppo" if kind == "finished" else kind
@@ -184,16 +184,16 @@ def fuzz_damages(report: Report, work: Path, runs: dict[str, RunFolder], n: int,
         before.check(report, case, ending)
         report.counts[f"damaged, status {ending.status}"] += 1
         if ending.status == 0:
-            report.require(ending.output.count("Passed over") <= 2, case, "told in short", ending)
+            report.require(ending.output.count("Skipped") <= 2, case, "briefly reported", ending)
             check_finished(report, case, run, steps)
-            report.counts["damaged, checkpoints passed over"] += ending.output.count("Passed over")
+            report.counts["damaged, checkpoints skipped"] += ending.output.count("Skipped")
         else:
             blamed = any("config.yaml" in what for what in done)
             report.require(blamed, case, "refused for its config.yaml only", ending)
 
 
 def fuzz_kills(report: Report, work: Path, runs: dict[str, RunFolder], n: int, rng: Rng) -> None:
-    """Kill a run that goes on, three of four times in a chosen place; resume it."""
+    """Kill a continued run, three times of four at a chosen call; resume it."""
     killed = 0
     while killed < n:
         name = ("ppo", "ppo", "ppo", "sac")[rng.integers(4)]
@@ -204,16 +204,16 @@ def fuzz_kills(report: Report, work: Path, runs: dict[str, RunFolder], n: int, r
         resume = ["--resume", run.path, "--steps", str(steps)]
         ending, place = killed_while(resume, work, rng)
         if ending.status != -9:
-            report.counts["not killed: the call never came"] += 1
+            report.counts["not killed: no such call"] += 1
             report.require(ending.status == 0, place, "a success without a kill", ending)
             continue
         killed += 1
         case = f"kill {killed} of {name} ({place})"
         report.counts[f"killed {place.split(',')[0]}"] += 1
-        newest, flaws = newest_whole(run.checkpoints)
-        report.require(not flaws and newest is not None, case, "a whole newest checkpoint")
+        newest, flaws = newest_intact(run.checkpoints)
+        report.require(not flaws and newest is not None, case, "an intact newest checkpoint")
         report.require(is_part(before.rows, lines(run.log)), case, "with every old row kept")
-        report.require(is_whole(run), case, "with whole files", ending)
+        report.require(is_intact(run), case, "with intact files", ending)
         before = log_of(run)
         ending = forked(lambda arguments=resume: train(*arguments), work / "words")
         check_ending(report, case, ending)
@@ -226,7 +226,7 @@ def fuzz_kills(report: Report, work: Path, runs: dict[str, RunFolder], n: int, r
 
 
 def killed_while(arguments: list[Any], work: Path, rng: Rng) -> tuple[Ending, str]:
-    """Train in a child that is killed in some place, or at some time."""
+    """Train in a child process that is killed at a chosen call, or after some time."""
     if rng.random() < 0.25:
         after = float(rng.uniform(0.02, 0.5))
         return forked(lambda: train(*arguments), work / "words", after), f"at a time, {after:.2f} s"
@@ -243,7 +243,7 @@ def killed_while(arguments: list[Any], work: Path, rng: Rng) -> tuple[Ending, st
 
 
 def fuzz_starts(report: Report, work: Path, n: int, rng: Rng) -> None:
-    """Kill a run that begins; give the same command again, or go on if there is a run."""
+    """Kill a starting run; repeat the command, or resume if there is a run."""
     killed = 0
     while killed < n:
         shutil.rmtree(work / "started", ignore_errors=True)
@@ -266,7 +266,7 @@ def fuzz_starts(report: Report, work: Path, n: int, rng: Rng) -> None:
 
 
 def fuzz_full(report: Report, work: Path, runs: dict[str, RunFolder], n: int, rng: Rng) -> None:
-    """Let no file grow beyond a limit, as on a full disk; then resume without it."""
+    """Limit the size of files, as on a full disk; then resume without the limit."""
     for i in range(n):
         run = RunFolder(work / "full" / "run")
         shutil.rmtree(work / "full", ignore_errors=True)
@@ -284,18 +284,18 @@ def fuzz_full(report: Report, work: Path, runs: dict[str, RunFolder], n: int, rn
         ending = forked(limited, work / "words")
         check_ending(report, case, ending)
         report.counts[f"full, status {ending.status}"] += 1
-        newest, flaws = newest_whole(run.checkpoints)
+        newest, flaws = newest_intact(run.checkpoints)
         report.require(newest is not None and not flaws, case, "an intact checkpoint", ending)
         report.require(not list(run.path.rglob(".partial*")), case, "free of partial files", ending)
         before.check(report, case, ending)
-        report.require(is_whole(run), case, "with whole files", ending)
+        report.require(is_intact(run), case, "with intact files", ending)
         ending = forked(lambda arguments=resume: train(*arguments), work / "words")
         report.require(ending.status == 0, case, "resumed", ending)
         check_finished(report, case, run, steps)
 
 
 def main() -> int:
-    """Command line; exit status 1 if anything happened that should not."""
+    """Run the command line; returns 1 if there are faults."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--damages", type=int, default=200)
     parser.add_argument("--kills", type=int, default=100)

@@ -1,4 +1,4 @@
-"""A checkpoint is whole or it is not used; a whole one restores all that the learner knows."""
+"""Only intact checkpoints are used, and they restore the complete learner."""
 
 import errno
 import hashlib
@@ -15,9 +15,9 @@ import pytest
 
 from agents.run_folder.checkpoints import (
     CheckpointError,
-    is_whole,
+    is_intact,
     list_checkpoints,
-    newest_whole,
+    newest_intact,
     restore_checkpoint,
     save_checkpoint,
 )
@@ -27,7 +27,7 @@ PROGRESS = {"session": 3, "seconds": 1.5}
 
 
 def saved(folder: Path, *steps: int, name: str = "ppo") -> list[Path]:
-    """Checkpoints of one learner as if it had been at these steps."""
+    """Save checkpoints of one learner at the given numbers of steps."""
     model, paths = build(name), []
     for step in steps:
         model.num_timesteps = step
@@ -53,7 +53,7 @@ def test_a_checkpoint_restores_the_whole_learner(name: str, tmp_path: Path) -> N
     assert any("exp_avg" in text for text in [(folder / "state.json").read_text()])
 
 
-def test_its_sums_are_those_of_sha256sum(tmp_path: Path) -> None:
+def test_sha256sum_verifies_the_sums(tmp_path: Path) -> None:
     (folder,) = saved(tmp_path, 10)
     assert {path.name for path in folder.iterdir()} == {"arrays.npz", "state.json", "SHA256SUMS"}
     if shutil.which("sha256sum"):
@@ -62,7 +62,7 @@ def test_its_sums_are_those_of_sha256sum(tmp_path: Path) -> None:
 
 
 def with_sums(folder: Path, **state: Any) -> None:
-    """Change the state and make the sums anew, as somebody would who means harm."""
+    """Change the state and recompute the sums, as malice would."""
     path = folder / "state.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | state))
     files = [folder / "arrays.npz", path]
@@ -111,38 +111,38 @@ def state(**values: Any) -> Callable[[Path], None]:
         (state(code="x"), "Unknown key 'code' in state.json"),
     ],
 )
-def test_a_damaged_checkpoint_is_passed_over_with_a_sentence(
+def test_a_damaged_checkpoint_is_skipped_with_a_message(
     damage: Callable[[Path], None], sentence: str, tmp_path: Path
 ) -> None:
     older, newer = saved(tmp_path, 10, 20)
     damage(newer)
-    found, flaws = newest_whole(tmp_path)
+    found, flaws = newest_intact(tmp_path)
     assert found == older
     assert len(flaws) == 1
-    assert flaws[0].startswith(f"{newer}: is not whole")
+    assert flaws[0].startswith(f"{newer}: is not intact")
     assert sentence in flaws[0]
     assert "\n" not in flaws[0]
 
 
-def test_what_is_named_otherwise_is_no_checkpoint(tmp_path: Path) -> None:
+def test_only_folders_named_as_checkpoints_are_checkpoints(tmp_path: Path) -> None:
     for name in ("step_last", "step_0000000000100", "step_\x1b[31m", "x_step_000000000020"):
         (tmp_path / name).mkdir()
     (tmp_path / "step_000000000030").touch()
     assert list_checkpoints(tmp_path) == []
-    assert newest_whole(tmp_path) == (None, [])
+    assert newest_intact(tmp_path) == (None, [])
 
 
-def test_nothing_is_found_where_nothing_is_whole(tmp_path: Path) -> None:
-    assert newest_whole(tmp_path / "none") == (None, [])
+def test_no_checkpoint_is_found_if_none_is_intact(tmp_path: Path) -> None:
+    assert newest_intact(tmp_path / "none") == (None, [])
     for path in saved(tmp_path, 10, 20):
         truncate("arrays.npz")(path)
-    found, flaws = newest_whole(tmp_path)
+    found, flaws = newest_intact(tmp_path)
     assert found is None
     assert len(flaws) == 2
 
 
-def test_damaged_checkpoints_push_no_whole_one_out(tmp_path: Path) -> None:
-    """From step 10 on, because 20 and 30 are damaged: 10 and 15 stay, the others go."""
+def test_damaged_checkpoints_do_not_displace_intact_ones(tmp_path: Path) -> None:
+    """Steps 20 and 30 are damaged, so training continues from 10: only 10 and 15 remain."""
     shutil.copytree(*saved(tmp_path, 10), tmp_path / "kept")
     for path in saved(tmp_path, 20, 30):
         truncate("arrays.npz")(path)
@@ -156,9 +156,9 @@ def test_damaged_checkpoints_push_no_whole_one_out(tmp_path: Path) -> None:
 def test_a_damaged_checkpoint_of_the_same_step_is_replaced(tmp_path: Path) -> None:
     (path,) = saved(tmp_path, 10)
     truncate("arrays.npz")(path)
-    assert not is_whole(path)
+    assert not is_intact(path)
     saved(tmp_path, 10)
-    assert is_whole(path)
+    assert is_intact(path)
 
 
 @pytest.mark.parametrize(
@@ -174,12 +174,12 @@ def test_a_damaged_checkpoint_of_the_same_step_is_replaced(tmp_path: Path) -> No
         {"replay": {"pos": 5, "full": False}},
     ],
 )
-def test_a_whole_checkpoint_that_says_something_else_does_not_fit(
+def test_an_intact_checkpoint_of_another_model_does_not_fit(
     hostile: dict[str, Any], tmp_path: Path
 ) -> None:
     (path,) = saved(tmp_path, 10)
     with_sums(path, **hostile)
-    assert is_whole(path)
+    assert is_intact(path)
     with pytest.raises(CheckpointError, match="does not fit this run"):
         restore_checkpoint(build("ppo"), path)
 
@@ -189,7 +189,7 @@ def test_a_checkpoint_of_another_algorithm_does_not_fit(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="does not fit this run"):
         restore_checkpoint(build("sac"), path)
     shutil.rmtree(path)
-    with pytest.raises(CheckpointError, match="is not whole"):
+    with pytest.raises(CheckpointError, match="is not intact"):
         restore_checkpoint(build("ppo"), path)
 
 
@@ -206,4 +206,4 @@ def test_a_full_disk_leaves_the_earlier_checkpoint_and_nothing_else(
     with pytest.raises(OSError, match="No space left"):
         saved(tmp_path, 20)
     assert list(tmp_path.iterdir()) == [path]
-    assert is_whole(path)
+    assert is_intact(path)

@@ -1,7 +1,8 @@
-"""Runs go on after damage and a full disk, alone in their folder; a bad request makes none."""
+"""Run folders: exclusive use, refusals that create nothing, and resuming after damage."""
 
 import errno
 import os
+import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -13,17 +14,18 @@ import yaml
 
 from agents.config import load_config
 from agents.evaluate import main as evaluate
-from agents.files import FolderError, alone_in
+from agents.files import FolderError, folder_lock
 from agents.policy import PolicyError, load_policy
-from agents.run_folder.checkpoints import list_checkpoints, newest_whole
-from agents.run_folder.folder import RunFolder, new_run
+from agents.run_folder.checkpoints import list_checkpoints, newest_intact
+from agents.run_folder.folder import RunFolder, new_run, versions
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, one_sentence, train_py, wait_for_steps, write_config
+from tests.paths import ROOT
 
 # ---- one process per folder ------------------------------------------------------------------
 
 
-def test_two_processes_never_work_in_one_folder(
+def test_two_processes_never_use_the_same_folder(
     run: RunFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     resume = train_py("--resume", run.path, "--steps", 10**7)
@@ -31,9 +33,9 @@ def test_two_processes_never_work_in_one_folder(
     log = run.log.read_bytes()
     try:
         assert train(["--resume", str(run.path), "--steps", "512"]) == 2
-        assert "another process is at work in it" in one_sentence(capsys)
+        assert "is in use by another process" in one_sentence(capsys)
         assert evaluate(["zero", "--env", ENV_ID, "--out", str(run.path)]) == 2
-        assert "another process is at work in it" in one_sentence(capsys)
+        assert "is in use by another process" in one_sentence(capsys)
     finally:
         resume.kill()
         resume.communicate()
@@ -42,20 +44,20 @@ def test_two_processes_never_work_in_one_folder(
     assert train(["--resume", str(run.path), "--steps", str(steps)]) == 0, "a kill left the lock"
 
 
-def test_two_new_runs_never_get_one_folder(
+def test_two_new_runs_never_get_the_same_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], unjudged: Any
 ) -> None:
     out = tmp_path / "out"
     out.mkdir()
     config = write_config(tmp_path, "ppo", 256)
-    with alone_in(out):
+    with folder_lock(out):
         assert train(["--config", str(config), "--out", str(out)]) == 2
-    assert "another process is at work in it" in one_sentence(capsys)
+    assert "is in use by another process" in one_sentence(capsys)
     assert [path.name for path in out.iterdir()] == [".lock"]
     assert train(["--config", str(config), "--out", str(out)]) == 0
 
 
-def test_runs_without_a_name_that_start_together_get_folders_of_their_own(
+def test_runs_that_start_together_get_different_folders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -81,7 +83,7 @@ def test_runs_without_a_name_that_start_together_get_folders_of_their_own(
         ({"substeps": 10**23}, "substeps must be between 1 and 1000000"),
     ],
 )
-def test_bad_keywords_make_no_folder(
+def test_bad_keywords_create_no_folder(
     kwargs: dict[str, Any],
     sentence: str,
     tmp_path: Path,
@@ -96,10 +98,10 @@ def test_bad_keywords_make_no_folder(
     assert [path.name for path in tmp_path.iterdir()] == [config.name]
 
 
-def test_bad_keywords_of_the_agent_make_no_folder(
+def test_bad_agent_keywords_create_no_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An error that only the learner finds."""
+    """Only the learner detects this error."""
     config = write_config(tmp_path, "ppo", 256)
     experiment = yaml.safe_load(config.read_text())
     experiment["agent"]["kwargs"] |= {"n_steps": 2, "batch_size": 1}
@@ -113,7 +115,7 @@ def test_bad_keywords_of_the_agent_make_no_folder(
 def test_a_run_with_links_is_not_written_to(
     link: str, run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A log that leads to somebody's file would be mended, which cuts off its last line."""
+    """Repairing a linked log would cut off the last line of a foreign file."""
     target = tmp_path / "precious"
     target.write_text("no end of line")
     path = run.path / link
@@ -126,10 +128,20 @@ def test_a_run_with_links_is_not_written_to(
     assert target.read_text() == "no end of line"
 
 
+# ---- provenance ------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="a copy without git has no revision")
+def test_a_run_records_the_commit_of_the_source() -> None:
+    command = ["git", "-C", str(ROOT), "rev-parse", "HEAD"]
+    commit = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    assert versions()["revision"] in (commit, commit + "+")
+
+
 # ---- damage and a full disk ------------------------------------------------------------------
 
 
-def test_a_damaged_newest_checkpoint_is_passed_over(
+def test_a_damaged_newest_checkpoint_is_skipped(
     run: RunFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert train(["--resume", str(run.path), "--steps", "512"]) == 0
@@ -140,13 +152,13 @@ def test_a_damaged_newest_checkpoint_is_passed_over(
     capsys.readouterr()
     assert train(["--resume", str(run.path), "--steps", "512"]) == 0
     said = capsys.readouterr().out
-    assert f"Passed over {newer}: is not whole" in said
+    assert f"Skipped {newer}: is not intact" in said
     assert f"Resuming at {int(older.name[5:]):,} of 512" in said
     assert run.rows()[: len(rows)] == rows
     assert {row["session"] for row in run.rows()} == {0, 1, 2}
 
 
-def test_a_run_without_a_whole_checkpoint_starts_again_in_a_new_session(
+def test_a_run_without_an_intact_checkpoint_restarts_in_a_new_session(
     run: RunFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for path in list_checkpoints(run.checkpoints):
@@ -155,13 +167,13 @@ def test_a_run_without_a_whole_checkpoint_starts_again_in_a_new_session(
     capsys.readouterr()
     assert train(["--resume", str(run.path)]) == 0
     said = capsys.readouterr().out
-    assert said.count("Passed over") == 2
-    assert "No checkpoint is whole: starting from the beginning." in said
+    assert said.count("Skipped") == 2
+    assert "No checkpoint is intact: starting from the beginning." in said
     assert run.rows()[: len(rows)] == rows
     assert {row["session"] for row in run.rows()} == {0, 1}
 
 
-def test_strange_lines_of_the_log_are_counted_in_a_sentence(
+def test_invalid_lines_of_the_log_are_counted_in_a_message(
     run: RunFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = run.rows()
@@ -169,13 +181,13 @@ def test_strange_lines_of_the_log_are_counted_in_a_sentence(
     capsys.readouterr()
     assert train(["--resume", str(run.path), "--steps", "512"]) == 0
     said = capsys.readouterr().out
-    assert "passed over lines that are no rows (4 of them)" in said
-    assert "cut off a last line of 15 bytes that was never finished" in said
+    assert "skipped lines that are not rows (4 of them)" in said
+    assert "cut off an incomplete last line of 15 bytes" in said
     assert run.rows()[: len(rows)] == rows
     assert len(run.rows()) > len(rows)
 
 
-def test_a_checkpoint_of_another_network_ends_with_a_sentence(
+def test_a_checkpoint_of_another_network_is_refused(
     run: RunFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = run.config.read_text()
@@ -186,7 +198,7 @@ def test_a_checkpoint_of_another_network_ends_with_a_sentence(
 
 
 @pytest.mark.parametrize("name", ["arrays.npz", "weights.npz"])
-def test_a_full_disk_ends_with_one_sentence_and_the_run_goes_on_later(
+def test_a_full_disk_ends_with_a_message_and_the_run_can_resume(
     name: str,
     run: RunFolder,
     monkeypatch: pytest.MonkeyPatch,
@@ -204,9 +216,9 @@ def test_a_full_disk_ends_with_one_sentence_and_the_run_goes_on_later(
         patch.setattr(np, "savez", full)
         assert train(["--resume", str(run.path), "--steps", "512"]) == 1
     sentence = one_sentence(capsys)
-    assert "No space left on device; go on with: python train.py --resume" in sentence
+    assert "No space left on device; resume with: python train.py --resume" in sentence
     assert not list(run.path.rglob(".partial*"))
-    found, flaws = newest_whole(run.checkpoints)
+    found, flaws = newest_intact(run.checkpoints)
     assert found is not None
     assert flaws == []
     assert load_policy(run.policy).about["steps"] == 256
@@ -214,7 +226,7 @@ def test_a_full_disk_ends_with_one_sentence_and_the_run_goes_on_later(
     assert load_policy(run.policy).about["steps"] == 512
 
 
-def test_a_full_disk_ends_an_evaluation_with_one_sentence(
+def test_a_full_disk_ends_an_evaluation_with_a_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*arguments: Any) -> None:
@@ -228,7 +240,7 @@ def test_a_full_disk_ends_an_evaluation_with_one_sentence(
     assert [path.name for path in out.iterdir()] == [".lock"]
 
 
-def test_a_diverged_training_ends_with_a_sentence(
+def test_a_diverged_training_ends_with_a_message(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = write_config(tmp_path, "ppo", 100_000)
@@ -239,8 +251,8 @@ def test_a_diverged_training_ends_with_a_sentence(
     assert "the training has diverged" in one_sentence(capsys)
 
 
-def test_an_untrained_network_that_is_damaged_is_made_again(run: RunFolder) -> None:
-    """It is the first session's, whichever session makes it."""
+def test_a_damaged_untrained_network_is_written_again(run: RunFolder) -> None:
+    """Every session writes the network with the weights of the first session."""
     weights = load_policy(run.untrained).weights
     (run.untrained / "weights.npz").write_bytes(b"")
     with pytest.raises(PolicyError):
@@ -250,15 +262,15 @@ def test_an_untrained_network_that_is_damaged_is_made_again(run: RunFolder) -> N
         np.testing.assert_array_equal(first, again)
 
 
-def test_a_lock_that_cannot_be_made_is_a_sentence(tmp_path: Path) -> None:
+def test_a_lock_that_cannot_be_created_is_refused(tmp_path: Path) -> None:
     (tmp_path / ".lock").mkdir()
-    with pytest.raises(FolderError, match="cannot be locked"), alone_in(tmp_path):
+    with pytest.raises(FolderError, match="cannot be locked"), folder_lock(tmp_path):
         pass
 
 
-def test_a_lock_that_is_a_link_is_a_sentence(tmp_path: Path) -> None:
+def test_a_lock_that_is_a_link_is_refused(tmp_path: Path) -> None:
     (tmp_path / "precious").write_text("x")
     (tmp_path / ".lock").symlink_to(tmp_path / "precious")
-    with pytest.raises(FolderError, match="is a link"), alone_in(tmp_path):
+    with pytest.raises(FolderError, match="is a link"), folder_lock(tmp_path):
         pass
     assert (tmp_path / "precious").read_text() == "x"

@@ -1,4 +1,4 @@
-"""Random damages, kills and full disks: see tests/agents/fuzz.py, which runs in its own process."""
+"""Random damages, kills and full disks, by fuzz.py in a separate process."""
 
 import json
 import subprocess
@@ -11,7 +11,7 @@ from tests.agents.tiny import ROOT
 
 
 def fuzz(**numbers: int) -> dict[str, Any]:
-    """Report of the fuzzer for these numbers of cases."""
+    """Report of the fuzzer for the given numbers of cases."""
     options = [f"--{name}={number}" for name, number in numbers.items()]
     command = [sys.executable, "-m", "tests.agents.run_folder.fuzz", *options]
     process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
@@ -28,7 +28,7 @@ def test_a_few_damages_kills_and_full_disks_lose_nothing() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_many_damages_kills_and_full_disks_lose_nothing(seed: int) -> None:
-    """Two of them side by side on two processors; `pytest -s` shows the counts."""
+    """`pytest -s` shows the counts."""
     report = fuzz(damages=200, kills=100, starts=30, full=40, seed=seed)
     assert report["faults"] == []
     counts = report["counts"]

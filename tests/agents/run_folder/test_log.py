@@ -1,4 +1,4 @@
-"""The log keeps every row: through torn last lines, foreign bytes and a full disk."""
+"""The log keeps every row despite incomplete lines, foreign bytes and a full disk."""
 
 import errno
 import json
@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from agents.run_folder.log import append_row, mend_log, read_rows
+from agents.run_folder.log import append_row, read_rows, repair_log
 
 ROWS = [{"session": 0, "steps": n, "return": 0.5 * n, "settled": None} for n in (10, 20, 30)]
 TEXT = "".join(json.dumps(row) + "\n" for row in ROWS).encode()
@@ -44,14 +44,14 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_is_appended_is_read(path: Path) -> None:
+def test_appended_rows_are_read_back(path: Path) -> None:
     assert path.read_bytes() == TEXT
     assert read_rows(path) == (ROWS, 0)
     assert read_rows(path.with_name("none")) == ([], 0)
 
 
 @pytest.mark.parametrize("line", NO_ROWS)
-def test_a_line_that_is_no_row_is_passed_over_and_counted(path: Path, line: bytes) -> None:
+def test_a_line_that_is_not_a_row_is_skipped_and_counted(path: Path, line: bytes) -> None:
     path.write_bytes(line + b"\n" + TEXT + line + b"\n")
     assert read_rows(path) == (ROWS, 2)
 
@@ -59,27 +59,27 @@ def test_a_line_that_is_no_row_is_passed_over_and_counted(path: Path, line: byte
 @pytest.mark.parametrize("fragment", NO_ROWS)
 def test_a_fragment_at_the_end_is_cut_off(path: Path, fragment: bytes) -> None:
     path.write_bytes(TEXT + fragment)
-    assert f"cut off a last line of {len(fragment)} bytes" in mend_log(path)
+    assert f"cut off an incomplete last line of {len(fragment)} bytes" in repair_log(path)
     append_row(path, ROWS[0])
     assert read_rows(path) == ([*ROWS, ROWS[0]], 0)
 
 
-def test_a_whole_row_at_the_end_gets_its_end_of_line(path: Path) -> None:
+def test_a_complete_last_row_gets_its_line_end(path: Path) -> None:
     path.write_bytes(TEXT[:-1])
-    assert mend_log(path) == ""
+    assert repair_log(path) == ""
     assert path.read_bytes() == TEXT
 
 
 @pytest.mark.parametrize("content", [b"", TEXT, TEXT + b"5\n"])
-def test_a_log_with_whole_lines_is_left_alone(path: Path, content: bytes) -> None:
+def test_a_log_of_complete_lines_is_unchanged(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-    assert mend_log(path) == ""
+    assert repair_log(path) == ""
     assert path.read_bytes() == content
-    assert mend_log(path.with_name("none")) == ""
+    assert repair_log(path.with_name("none")) == ""
 
 
 @pytest.mark.parametrize("fits", [0, 1, 30])
-def test_a_row_that_does_not_fit_on_the_disk_is_taken_back(
+def test_a_row_that_does_not_fit_on_the_disk_is_removed(
     path: Path, fits: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write, free = os.write, [fits]
@@ -97,7 +97,7 @@ def test_a_row_that_does_not_fit_on_the_disk_is_taken_back(
     assert path.read_bytes() == TEXT
 
 
-def test_a_row_that_the_disk_takes_in_pieces_is_whole(
+def test_a_row_that_is_written_in_pieces_is_complete(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write: Any = os.write

@@ -1,4 +1,4 @@
-"""Models of one arm damp alike, whatever their modes and segments."""
+"""Models of one arm have the same damping, whatever their modes and segments."""
 
 from dataclasses import replace
 
@@ -26,8 +26,8 @@ DAMPED = Link(
 )  # fmt: skip
 
 
-def held_decay(arm: Arm) -> float:
-    """[-] damping ratio of the slowest mode with the joint held, from the linear matrices."""
+def first_damping_ratio(arm: Arm) -> float:
+    """[-] damping ratio of the slowest mode with the joint locked, from the linear matrices."""
     chain = Model(arm).chain
     M, K, C = (
         linearized.inertia(chain, np.zeros(arm.n)),
@@ -48,20 +48,20 @@ def limits_at_rest(arm: Arm) -> tuple[str, ...]:
 def test_every_model_damps_a_first_mode_by_the_described_ratio(
     payload: Payload | None, segments: int, polynomial: bool
 ) -> None:
-    """Shapes and segments are how a link is modelled, damping is what it is."""
+    """Also with segments, on which the described ratio alone would damp hardly at all."""
     arm = Arm(links=(DAMPED,), payload=payload)
     model = Fidelity(counts=((3, 0, 0),), segments=(segments,), polynomial=polynomial)
-    assert held_decay(model.arm(arm)) == pytest.approx(0.03, rel=2e-3)
+    assert first_damping_ratio(model.arm(arm)) == pytest.approx(0.03, rel=2e-3)
     if segments > 1:
         cut = replace(arm, links=(replace(DAMPED, segments=segments),))
-        assert held_decay(cut) < 0.2 * 0.03
+        assert first_damping_ratio(cut) < 0.2 * 0.03
         (sentence,) = limits_at_rest(cut)
         beta = model.arm(arm).links[0].damping_beta
         assert f"set damping_beta={beta:.3g} instead" in sentence
         assert limits_at_rest(model.arm(arm)) == ()
 
 
-def test_viscosity_goes_by_the_slowest_direction_and_only_where_there_is_a_ratio() -> None:
+def test_viscosity_follows_from_the_slowest_direction_and_needs_a_damping_ratio() -> None:
     both, stiff = viscous(DAMPED), viscous(replace(DAMPED, EIz=0.0, modes=()))
     assert both.damping_beta == pytest.approx(stiff.damping_beta * np.sqrt(20.0 / 12.0), rel=1e-9)
     assert both.damping_ratio == stiff.damping_ratio == 0.0

@@ -1,7 +1,7 @@
-"""The chosen model is the least that a scene needs, and its claimed error is honest.
+"""`choose_model` returns the least model that a scene needs, and its claimed error holds.
 
-Verified against other discretisations followed by another integrator (in tests/reference/, made by
-`python -m benchmarks.model_choice --truth`), and against a geometrically nonlinear beam.
+The claims are verified against other discretisations under another integrator (tests/reference/,
+made by `python -m benchmarks.model_choice --truth`) and against a geometrically nonlinear beam.
 """
 
 import json
@@ -32,7 +32,7 @@ from dynamics import (
 )
 from dynamics.accuracy import reference
 from dynamics.accuracy.fidelity import Fidelity, rigid
-from dynamics.accuracy.model_choice import _roomier
+from dynamics.accuracy.model_choice import _rival
 from dynamics.accuracy.rollout import distance
 from dynamics.accuracy.scene import JointMotion
 from dynamics.formulations.damping import viscous
@@ -41,7 +41,7 @@ from tests.paths import REFERENCE
 TRUTH = stored_truth()
 NONLINEAR_BEAM = REFERENCE / "S1_nonlinear_beam.csv"
 
-# scene -> modes per link and direction, as (least, most); foreshortened?; more segments than one?
+# scene -> modes per link and direction, as (least, most); foreshortened?; segmented?
 NEEDED: dict[str, tuple[list[dict[str, tuple[int, int]]], bool, bool]] = {
     "stiff link": ([{}], False, False),
     "heavy hub": ([{"y": (1, 1)}], False, False),
@@ -63,7 +63,7 @@ SOME_SLOW = [
 
 @cache
 def chosen(name: str) -> Choice:
-    """One choice per scene and session."""
+    """Choice for a scene, made once per session."""
     trial = TRIALS[name]
     return choose_model(trial.arm, trial.scene, trial.tolerance)
 
@@ -73,7 +73,7 @@ def motion_of(name: str) -> JointMotion:
 
 
 @pytest.mark.parametrize("name", NEEDED)
-def test_a_scene_gets_what_it_needs_and_no_more(name: str) -> None:
+def test_the_choice_for_a_scene_has_the_modes_that_it_needs_and_no_more(name: str) -> None:
     links, foreshortened, segmented = NEEDED[name]
     arm = chosen(name).arm
     assert arm.foreshortening == foreshortened
@@ -96,24 +96,24 @@ def test_the_claim_holds_against_a_beam_without_assumed_modes() -> None:
     truth = np.loadtxt(NONLINEAR_BEAM, delimiter=",", skiprows=3)[::4]
     tips = chosen_tips(choice, motion_of("laboratory arm"), truth[:, 0])
     apart = np.linalg.norm(tips[:, :2] - truth[:, 1:3], axis=1).max()
-    own = 7e-6 * S1.reach  # what the beam's solution is good to
-    assert apart <= choice.error + choice.residual + own
-    assert apart > 0.1 * choice.error  # and the claim is no idle bound
+    uncertainty = 7e-6 * S1.reach  # of the beam's solution
+    assert apart <= choice.error + choice.residual + uncertainty
+    assert apart > 0.1 * choice.error  # the claim is not much too large either
 
 
 @pytest.mark.parametrize("name", ["heavy hub", "light hub"])
-def test_one_mode_less_is_not_enough(name: str) -> None:
+def test_the_choice_with_one_mode_less_exceeds_the_tolerance(name: str) -> None:
     choice, trial = chosen(name), TRIALS[name]
     link = choice.arm.links[0]
     less = replace(link, modes=link.modes[:-1])
-    poorer = replace(choice, arm=replace(choice.arm, links=(less, *choice.arm.links[1:])))
-    poorer = replace(poorer, integrator="rk4", dt=1e-3)
-    assert verified_error(trial, poorer, TRUTH[name]) > trial.tolerance
+    reduced = replace(choice, arm=replace(choice.arm, links=(less, *choice.arm.links[1:])))
+    reduced = replace(reduced, integrator="rk4", dt=1e-3)
+    assert verified_error(trial, reduced, TRUTH[name]) > trial.tolerance
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NEEDED)
-def test_the_stored_truth_is_what_the_independent_model_does(name: str) -> None:
+def test_the_stored_truth_is_the_motion_of_the_independent_model(name: str) -> None:
     tips = independent_tips(TRIALS[name], motion_of(name), truth_times(TRIALS[name]))
     assert distance(tips, TRUTH[name]) <= 0.01 * TRIALS[name].tolerance
 
@@ -128,8 +128,8 @@ def test_a_fast_spin_breaks_the_linear_model() -> None:
     )
 
 
-def test_rungs_say_what_is_wrong_with_them() -> None:
-    """One clamped mode on a light free hub is worse than none; rigid is all truncation."""
+def test_the_ladder_separates_truncation_from_nonlinearity() -> None:
+    """One clamped mode on a light free hub errs more than none; rigid links err by truncation."""
     ladder = {rung.description: rung for rung in chosen("light hub").ladder}
     assert ladder["link 1: 1 y"].error > ladder["rigid links"].error
     rigid = ladder["rigid links"]
@@ -153,26 +153,26 @@ def test_rungs_say_what_is_wrong_with_them() -> None:
         ),
     ],
 )
-def test_a_model_is_named_with_equal_links_together(
+def test_the_name_of_a_model_groups_equal_links(
     counts: list[Any], segments: list[int], text: str
 ) -> None:
     assert str(Fidelity(counts=tuple(counts), segments=tuple(segments))) == text
 
 
-def test_a_choice_is_deterministic_and_tells_what_it_measures(
+def test_a_choice_is_deterministic_and_logs_every_measurement(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     trial, choice = TRIALS["heavy hub"], chosen("heavy hub")
     caplog.set_level(logging.INFO)
     assert choose_model(trial.arm, trial.scene, trial.tolerance) == choice
-    told = dict(m.rsplit(": ", 1) for m in caplog.messages)
+    logged = dict(m.rsplit(": ", 1) for m in caplog.messages)
     for rung in choice.ladder:
         if rung.integration is None:  # a model, not a step
-            assert told[rung.description] == f"{rung.error:.2g} m from the reference"
-    assert f"reference, {choice.reference.split(';')[0]}" in told
+            assert logged[rung.description] == f"{rung.error:.2g} m from the reference"
+    assert f"reference, {choice.reference.split(';')[0]}" in logged
 
 
-def test_a_choice_is_json_and_a_table() -> None:
+def test_a_choice_converts_to_json_and_to_a_table() -> None:
     choice = chosen("heavy hub")
     data = json.loads(json.dumps(chosen("fast spin").to_dict(), allow_nan=False))
     assert load_arm(data["arm"]) == chosen("fast spin").arm
@@ -181,7 +181,7 @@ def test_a_choice_is_json_and_a_table() -> None:
     assert choice.reason.endswith("m.")
 
 
-def test_the_arms_own_modes_name_the_shapes() -> None:
+def test_the_arms_own_modes_select_the_family_of_shapes() -> None:
     trial = TRIALS["heavy hub"]
     modes = (Mode(kind="poly", index=1, direction="y"),)
     arm = replace(trial.arm, links=(replace(trial.arm.links[0], modes=modes),))
@@ -197,7 +197,7 @@ def test_a_reference_that_does_not_converge_is_refused(monkeypatch: pytest.Monke
         choose_model(trial.arm, trial.scene, trial.tolerance)
 
 
-def test_a_damped_arm_gets_no_richer_model_than_an_undamped_one() -> None:
+def test_a_damped_arm_gets_no_larger_model_than_an_undamped_one() -> None:
     trial, bare = TRIALS["laboratory arm"], chosen("laboratory arm").arm.links[0]
     arm = replace(trial.arm, links=(replace(trial.arm.links[0], damping_ratio=0.02),))
     (link,) = choose_model(arm, trial.scene, trial.tolerance).arm.links
@@ -206,21 +206,23 @@ def test_a_damped_arm_gets_no_richer_model_than_an_undamped_one() -> None:
 
 
 @pytest.mark.parametrize(("error", "expected"), [(0.65, None), (0.75, 2), (0.85, 3)])
-def test_a_model_that_crowds_its_steps_gets_a_roomier_rival(
+def test_a_model_with_a_small_step_budget_gets_a_rival_with_twice_that_budget(
     error: float, expected: int | None
 ) -> None:
-    """The cheapest that leaves twice as much: 0.25 wants more than 0.5 left, 0.15 more than 0.3."""
+    """The cheapest such: a budget of 0.25 asks for more than 0.5, one of 0.15 for more than 0.3."""
     arm, errors = ARMS["deluca-siciliano"], {2: 0.45, 3: 0.6}
     one = replace(rigid(arm, polynomial=True), counts=((1, 0, 0), (1, 0, 0)))
 
-    def left(model: Fidelity) -> float:
+    def step_budget(model: Fidelity) -> float:
         return 1.0 - (error if model == one else errors[2 if model.counts[0][0] == 2 else 3])
 
     def operations(model: Fidelity) -> int:
         return 2 if model.counts[0][0] == 2 else 1  # the second link's further mode is cheaper
 
-    bench: Any = SimpleNamespace(tolerance=1.0, arm=arm, left=left, operations=operations)
-    rival = _roomier(bench, one)
+    measured: Any = SimpleNamespace(
+        tolerance=1.0, arm=arm, step_budget=step_budget, operations=operations
+    )
+    rival = _rival(measured, one)
     if expected is None:
         assert rival is None
     else:

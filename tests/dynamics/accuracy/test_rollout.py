@@ -1,4 +1,4 @@
-"""Motions free of their integration's error, or the reason why not."""
+"""Tip motions with converged integration, and the motions that are refused."""
 
 from dataclasses import replace
 from typing import Any
@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from dynamics import ARMS, simulate
-from dynamics.accuracy.rollout import SAMPLES, Rollout, Unsettled
+from dynamics.accuracy.rollout import SAMPLES, NotConverged, Rollout
 from dynamics.accuracy.scene import JointMotion, bang_bang, release
 from dynamics.integrators.table import INTEGRATORS
 from tests.dynamics.random_arms import compiled, two_link_spatial
@@ -17,17 +17,17 @@ ARM, MOTION = ARMS["slim"], bang_bang((0.5,), pulse=0.25, t_end=1.0)
 GROWTH = 40.0  # [1/s]
 
 
-def path(leaving: float) -> np.ndarray:
-    """(N, 3) [m] a tip that grows beyond every bound at that time [s]."""
+def path(exit_time: float) -> np.ndarray:
+    """(N, 3) [m] tip that grows exponentially, to twice the reach at `exit_time` [s]."""
     t = np.linspace(0.0, MOTION.t_end, SAMPLES + 1)
-    x = np.exp(np.minimum(GROWTH * (t - leaving), 800.0)) * 2.0 * ARM.reach
+    x = np.exp(np.minimum(GROWTH * (t - exit_time), 800.0)) * 2.0 * ARM.reach
     return np.stack([x, 0.0 * t, 0.0 * t], axis=1)
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("first", [0.005, 0.4])
-def test_steps_that_blow_up_are_refined(monkeypatch: pytest.MonkeyPatch, first: float) -> None:
-    """The finer, the later they do, until they do not: no motion diverges like that."""
+def test_steps_that_diverge_are_refined(monkeypatch: pytest.MonkeyPatch, first: float) -> None:
+    """Halved steps diverge at twice the time, and finally not at all: the motion is bounded."""
     steps: list[float] = []
 
     def tips(self: Rollout, motion: Any, method: str, dt: float) -> np.ndarray:
@@ -35,12 +35,12 @@ def test_steps_that_blow_up_are_refined(monkeypatch: pytest.MonkeyPatch, first: 
         return path(min(first * steps[0] / dt, 3.0 * MOTION.t_end))
 
     monkeypatch.setattr(Rollout, "tips", tips)
-    settled = Rollout(ARM).settled(MOTION, 1e-6)
-    np.testing.assert_allclose(settled, path(3.0 * MOTION.t_end), atol=1e-6)
+    converged = Rollout(ARM).converged(MOTION, 1e-6)
+    np.testing.assert_allclose(converged, path(3.0 * MOTION.t_end), atol=1e-6)
 
 
 def test_a_motion_that_diverges_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At the same time with every step, and after two of them."""
+    """Nearly the same exit time with two steps is enough."""
     steps: list[float] = []
 
     def tips(self: Rollout, motion: Any, method: str, dt: float) -> np.ndarray:
@@ -48,14 +48,14 @@ def test_a_motion_that_diverges_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
         return path(0.5 + dt)
 
     monkeypatch.setattr(Rollout, "tips", tips)
-    with pytest.raises(Unsettled, match=r"leaves the reach \(1\.\d+ m\)"):
-        Rollout(ARM).settled(MOTION, 1e-6)
+    with pytest.raises(NotConverged, match=r"leaves the reach \(1\.\d+ m\)"):
+        Rollout(ARM).converged(MOTION, 1e-6)
     assert len(steps) == 2
 
 
 @pytest.mark.parametrize("beta", [0.0, 0.1])
-def test_the_bound_on_eigenvalues_counts_damping(beta: float) -> None:
-    """Strong damping, not the fastest mode, then limits explicit steps."""
+def test_the_bound_on_eigenvalues_includes_damping(beta: float) -> None:
+    """Under strong damping a decay rate exceeds every frequency and limits explicit steps."""
     arm = two_link_spatial(gravity=(0.0, 0.0, 0.0))
     arm = replace(arm, links=tuple(replace(link, damping_beta=beta) for link in arm.links))
     model = compiled(arm)
@@ -81,7 +81,7 @@ SLOW_TO_COMPILE = {"rosenbrock": pytest.mark.slow}
     [pytest.param(name, marks=SLOW_TO_COMPILE.get(name, ())) for name in INTEGRATORS],
 )
 def test_traced_steps_are_the_compiled_steps(integrator: str) -> None:
-    """`simulate` starts an implicit method anew at every step of a torque that varies."""
+    """`simulate` restarts a method at each step of a varying torque: some get a steady one."""
     method = INTEGRATORS[integrator]
     signal = steady if method.implicit or method.kept(1) else swinging
     arm = replace(two_link_spatial(), foreshortening=True)

@@ -1,4 +1,4 @@
-"""Motions of a scene, and those that are refused."""
+"""Motions of a scene, and invalid motions that are refused."""
 
 from dataclasses import replace
 from typing import Any
@@ -26,7 +26,7 @@ from dynamics.accuracy.scene import JointMotion, bang_bang, cycloid, release
         ({"torque": 3.0}, "torque must be a function of time or None, got 3.0"),
     ],
 )
-def test_nonsense_motions_are_refused(change: dict[str, Any], sentence: str) -> None:
+def test_invalid_motions_are_refused(change: dict[str, Any], sentence: str) -> None:
     values = {"joint_angles": (0.0,), "joint_rates": (0.0,), "t_end": 1.0}
     with pytest.raises(ValueError, match=sentence):
         JointMotion(**{**values, **change})
@@ -45,7 +45,7 @@ def test_a_scene_must_fit_the_arm_and_the_tolerance_be_positive() -> None:
         choose_model(arm, Scene(motions=(motion,)), 0.0)
 
 
-def test_typical_motions() -> None:
+def test_bang_bang_cycloid_and_release_have_the_described_torques() -> None:
     pulse = bang_bang((2.0, 0.5), pulse=0.2, t_end=1.0)
     assert pulse.knots == (0.0, 0.2, 0.4, 1.0)
     assert pulse.torque is not None

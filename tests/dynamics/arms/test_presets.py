@@ -1,4 +1,4 @@
-"""Every preset against published numbers, and those marked so against finite elements."""
+"""Presets against published numbers, and flexible ones against finite elements."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ FLEXIBLE = [  # every flexible link that bends along y
 
 
 def test_a_file_beside_the_presets_is_a_preset() -> None:
-    """No second place to edit; the file has the arm's name."""
+    """Presets are found by file name, which is the arm's name."""
     files = {path.stem for path in Path(presets.__file__).parent.glob("*.py")} - {"__init__"}
     assert {name.replace("-", "_") for name in ARMS} == files
     assert list(CHECKS) == list(ARMS) == [arm.name for arm in ARMS.values()]
@@ -39,7 +39,7 @@ def test_a_preset_meets_its_published_number(name: str, check: Check) -> None:
 
 @pytest.mark.parametrize("name", sorted(ARMS))
 def test_every_preset_has_a_check_that_a_wrong_arm_fails(name: str) -> None:
-    """Ten per cent more stiffness, three more mass: that changes something that is checked."""
+    """10 % more stiffness and 3 % more mass change a checked quantity."""
 
     def wrong(arm: Arm) -> Arm:
         links = tuple(
@@ -61,7 +61,7 @@ def test_every_preset_has_a_check_that_a_wrong_arm_fails(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "link"), FLEXIBLE, ids=str)
 def test_its_links_vibrate_as_finite_elements_do(name: str, link: int) -> None:
-    """Each link alone, clamped and with its own tip body; four modes of eight shapes."""
+    """Each link alone, clamped, with its own tip body; four modes from eight shapes."""
     described = ARMS[name].links[link]
     expected = beam_frequencies(
         described.length, described.rho_A, described.EIz or 0.0,
@@ -73,7 +73,7 @@ def test_its_links_vibrate_as_finite_elements_do(name: str, link: int) -> None:
 
 
 def test_the_hinged_forearm_vibrates_as_finite_elements_do() -> None:
-    """Its hub is light, its joint free: the other boundary condition."""
+    """The light hub on a free joint is close to the pinned boundary condition."""
     link = ARMS["sapienza-forearm"].links[1]
     expected = beam_frequencies(
         link.length, link.rho_A, link.EIz or 0.0, hinged=True, hub=link.joint.hub_inertia
@@ -114,7 +114,7 @@ def test_the_booms_and_joints_of_the_shuttle_like_arm_are_tuned() -> None:
 
 
 def test_the_shuttle_like_arm_has_the_band_it_was_not_tuned_to() -> None:
-    """Fifth and sixth published frequency, within a tenth."""
+    """Fifth and sixth published frequencies, within 10 %."""
     assert hertz(ARMS["srms-like"])[4:6] == pytest.approx((14.98, 15.14), rel=0.1)
 
 
@@ -124,7 +124,7 @@ def test_a_preset_says_tuned_where_it_is() -> None:
 
 
 def test_the_shuttle_like_arm_stretches_along_x_and_turns_about_the_named_axes() -> None:
-    """Yaw about z, pitch about the same horizontal axis thrice, roll about the arm itself."""
+    """Yaw about z, three pitch joints about one horizontal axis, roll about the arm's axis."""
     from dynamics.formulations.kinematics import outward, poses
     from dynamics.model import Model
 

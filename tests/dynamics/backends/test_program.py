@@ -13,9 +13,11 @@ from pathlib import Path
 import pytest
 
 from dynamics import Arm, Joint, Link, Mode, Stepper, compile_arm, load_arm
-from dynamics.backends.numba_llvm import methods, program
-from dynamics.backends.numba_llvm.methods import method_text
-from dynamics.backends.numba_llvm.program import cached_module, fingerprint
+from dynamics.backends.numba_llvm import fingerprint as keys
+from dynamics.backends.numba_llvm import integrator_text
+from dynamics.backends.numba_llvm.fingerprint import fingerprint
+from dynamics.backends.numba_llvm.integrator_text import method_text
+from dynamics.backends.numba_llvm.program import cached_module
 from dynamics.backends.numba_llvm.stepper_entries import LANES
 from dynamics.tracing import graphs
 from dynamics.tracing.traced_arm import TracedArm
@@ -189,7 +191,7 @@ def test_the_key_covers_every_source_that_generates_code() -> None:
     """Whatever the generator imports is hashed, but for the cache itself and the presets."""
     hashed = {
         ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        for path in program.sources(program.GENERATING)
+        for path in keys.sources(keys.GENERATING)
     }
     unhashed = {"dynamics.cache", "dynamics.load", "dynamics.types"}
     missing = imported_modules() - hashed - unhashed
@@ -197,8 +199,8 @@ def test_the_key_covers_every_source_that_generates_code() -> None:
 
 
 def copied_hash(package: Path) -> str:
-    return program.hash_of_files(
-        path for room in program.GENERATING for path in (package / room).rglob("*.py")
+    return keys.hash_of_files(
+        path for room in keys.GENERATING for path in (package / room).rglob("*.py")
     )
 
 
@@ -218,7 +220,7 @@ def test_an_edited_source_cannot_run_stale(name: str, tmp_path: Path) -> None:
     source = package / f"{name}.py"
     source.write_bytes(source.read_bytes() + b"\n")
 
-    assert copied == program._SOURCES
+    assert copied == keys._SOURCES
     assert copied_hash(package) != copied
 
 
@@ -228,15 +230,15 @@ def test_an_edited_question_recompiles_nothing(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "dynamics", package, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("model", "simulation/case_file", "accuracy/scene", "arms/measures"):
         (package / f"{name}.py").write_text("", encoding="utf-8")
-    assert copied_hash(package) == program._SOURCES
+    assert copied_hash(package) == keys._SOURCES
 
 
 def test_the_key_speaks_for_the_code_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files edited under a running process do not change its keys; other sources do."""
     here = fingerprint("an arm")
-    monkeypatch.setattr(program, "PACKAGE", Path("elsewhere"))
+    monkeypatch.setattr(keys, "PACKAGE", Path("elsewhere"))
     assert fingerprint("an arm") == here
-    monkeypatch.setattr(program, "_SOURCES", "other sources")
+    monkeypatch.setattr(keys, "_SOURCES", "other sources")
     assert fingerprint("an arm") != here
 
 
@@ -272,7 +274,7 @@ def test_a_source_is_written_whole_or_not_at_all(empty_cache: Path) -> None:
 
 
 def test_arms_loaded_from_the_cache_keep_their_own_code(empty_cache: Path) -> None:
-    """What Python calls has the arm's key in the linker's name; all else is internal to it."""
+    """Entry points have the arm's key in their linker names; all other functions are internal."""
     programs = [compile_arm(planar(1, name)).program(1, "rk4") for name in ("first", "second")]
     assert programs[0].__name__ != programs[1].__name__
     for module in programs:
@@ -287,8 +289,8 @@ def test_a_jacobian_too_long_to_compile_is_refused(monkeypatch: pytest.MonkeyPat
     arm = TracedArm(load_arm("slim"))
     count = graphs.state_jacobian(arm).n_instructions()
     inputs, at = [0, 10, 20, 30, 40], {"SCRATCH": 50}
-    monkeypatch.setattr(methods, "LONGEST", count)
+    monkeypatch.setattr(integrator_text, "LONGEST", count)
     assert [f.name for f in method_text("rosenbrock", arm, at, inputs).functions] == ["AID"]
-    monkeypatch.setattr(methods, "LONGEST", count - 1)
+    monkeypatch.setattr(integrator_text, "LONGEST", count - 1)
     with pytest.raises(ValueError, match=f"takes {count} operations .* 'midpoint'"):
         method_text("rosenbrock", arm, at, inputs)

@@ -22,7 +22,7 @@ FREE: dict[str, Any] = {"type": "free", "mass": 2.0, "inertia": [[1, 0, 0], [0, 
 
 
 def described(**changes: Any) -> dict[str, Any]:
-    """A one-link arm as a file would hold it."""
+    """Description of a one-link arm as in an arm file."""
     link = {
         "length": 1.0,
         "rho_A": 0.5,
@@ -229,7 +229,7 @@ REFUSED_ARMS = {
         "base": {**FREE, "euler": [0, 0, 0], "quaternion": [1, 0, 0, 0]}
     },
     "'speed' in base; nearest known": {"base": {**FREE, "speed": 1.0}},
-    "Base.mass .2.0. is of a free base": {"base": {"mass": 2.0}},
+    "Base.mass .2.0. needs a free base": {"base": {"mass": 2.0}},
     "Arm.payload .* needs a link": {"base": FREE, "links": [], "payload": {"mass": 1.0}},
     "Base.type must be one of .*got 'sea'": {"base": {"type": "sea"}},
     "units must be .SI., got 'mm'": {"units": "mm"},
@@ -241,7 +241,7 @@ REFUSED_ARMS = {
     "Payload.inertia must be symmetric": {
         "payload": {"mass": 1.0, "inertia": [[1, 1, 0], [0, 1, 0], [0, 0, 1]]}
     },
-    "last link has no inertia that its joint could move": {
+    "last link has no inertia about its joint axis": {
         "links": [{"length": 0.0, "body": {"mass": 1.0}}]
     },
     "'gravty' in the arm; nearest known: 'gravity'": {"gravty": [0, 0, 0]},

@@ -1,4 +1,4 @@
-"""Tables of Denavit and Hartenberg, Newton and Euler's equations, and motions planned with them."""
+"""Denavit-Hartenberg tables, Newton-Euler inverse dynamics, and round trips of planned motions."""
 
 import json
 from dataclasses import replace
@@ -23,7 +23,7 @@ TABLE = (
 
 
 def screw(axis: int, angle: float, shift: float) -> Array:
-    """(4, 4) turn about and shift along x (0) or z (2)."""
+    """(4, 4) rotation about and translation along x (0) or z (2)."""
     c, s = np.cos(angle), np.sin(angle)
     T = np.eye(4)
     j, k = (axis + 1) % 3, (axis + 2) % 3
@@ -92,12 +92,12 @@ def test_links_and_a_table_exclude_each_other() -> None:
         load_arm({"links": [], "denavit_hartenberg": []})
 
 
-# ---- Newton and Euler ----------------------------------------------------------------------------
+# ---- Newton-Euler --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_newton_and_euler_agree_with_the_mass_matrix(seed: int) -> None:
-    """Friction, rotors, hubs and payloads included, on arms of beams."""
+    """Rigid arms of beams with friction, rotors, hubs and payloads."""
     described = stiffened(random_arm(seed, 1 + seed, 2))
     (q, v), a = random_state(described), np.random.default_rng(seed).normal(0.0, 9.0, described.n)
 
@@ -110,7 +110,7 @@ def test_newton_and_euler_agree_with_the_mass_matrix(seed: int) -> None:
 
 
 def test_a_wrench_at_a_flexible_tip_does_the_tips_work() -> None:
-    """Generalized forces are the power of the tip's force per coordinate rate."""
+    """Generalized forces are the power of the tip wrench per coordinate rate."""
     described = replace(random_arm(3, 3, 2), foreshortening=False)
     model = Model(described)
     q, v = random_state(described)
@@ -125,7 +125,7 @@ def test_a_wrench_at_a_flexible_tip_does_the_tips_work() -> None:
 
 
 def _orientation(model: Model, q: Array) -> Array:
-    """(3, 3) of the last link's frame in the world."""
+    """(3, 3) orientation of the last link's frame in the world."""
     from dynamics.formulations.kinematics import outward, poses
 
     return np.array(poses(outward(model.chain, floats(q), [0.0] * model.n))[-1].R)
@@ -138,7 +138,7 @@ def test_newton_and_euler_refuse_what_bends_or_flies() -> None:
         rigid_links(replace(ARMS["puma-600"], base=Base(type="free", mass=3.0, inertia=np.eye(3))))
 
 
-# ---- there and back ------------------------------------------------------------------------------
+# ---- round trips ---------------------------------------------------------------------------------
 
 
 def test_a_cycloidal_motion_is_the_integral_of_its_rates() -> None:
@@ -153,7 +153,7 @@ def test_a_cycloidal_motion_is_the_integral_of_its_rates() -> None:
 
 
 def test_puma_returns_from_its_own_torques() -> None:
-    """Torques of Newton and Euler over 10 s, fed to the forward dynamics: below 1e-9 rad."""
+    """Newton-Euler torques over 10 s, fed to the forward dynamics: error below 1e-9 rad."""
     motion = Cycloidal(start=(0.0,) * 6, goal=(np.pi / 3,) * 6, duration=10.0)
     times, torque = np.linspace(0.0, 10.0, 41), NominalTorque(ARMS["puma-600"], motion)
     planned = np.array([motion(t)[0] for t in times])
@@ -176,7 +176,7 @@ def test_a_motion_of_another_arm_is_refused() -> None:
 
 
 def test_a_beam_and_the_same_body_are_one_arm() -> None:
-    """A rigid beam given by its mass per length, or by mass, centre and inertia."""
+    """A rigid beam is described by mass per length, or by mass, centre of mass and inertia."""
     m, L = 1.5, 0.8
     inertia = np.diag([0.0, m * L**2 / 12.0, m * L**2 / 12.0])
     body = Body(mass=m, com=(L / 2.0, 0.0, 0.0), inertia=inertia)

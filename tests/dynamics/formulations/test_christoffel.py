@@ -1,4 +1,4 @@
-"""Christoffel's H against the recursion's velocity terms and against a changing mass matrix."""
+"""Christoffel's H against the recursion's velocity terms and the rate of the mass matrix."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +16,7 @@ ARMS = [random_arm(1, 1, 3), random_arm(3, 2, 3), two_link_spatial(), random_arm
 
 @pytest.fixture(params=ARMS, ids=lambda arm: f"{arm.n_joint}-link-{arm.n}", scope="module")
 def arm(request: pytest.FixtureRequest) -> Arm:
-    """Without what depends on rates but not on inertia."""
+    """Arm without damping and friction, so that all rate terms are inertial."""
     links = tuple(
         replace(
             link, damping_beta=0.0, damping_ratio=0.0,
@@ -34,14 +34,14 @@ def slope(f: Callable[[float], Array], step: float = 1e-4) -> Array:
 
 
 def asymmetry(model: Model, q: Array, v: Array, H: Array) -> float:
-    """Largest entry of W + W', W = dM/dt - 2 H, beside that of H."""
+    """Largest entry of W + W', W = dM/dt - 2 H, relative to that of H."""
     W = slope(lambda t: model.mass_matrix(q + t * v)) - 2.0 * H
     return float(np.abs(W + W.T).max() / np.abs(H).max())
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_h_moves_by_christoffels_form(arm: Arm, formulation: str) -> None:
-    """H v = h(q, v) - h(q, 0): automatic differentiation of M against the recursion."""
+    """H v = h(q, v) - h(q, 0): H from automatic differentiation of M, h from the recursion."""
     model = compile_arm(arm, formulation=formulation)
     q, v = random_state(arm)
 
@@ -65,7 +65,7 @@ def test_M_dot_less_twice_H_is_skew(arm: Arm, formulation: str) -> None:
 
 
 def test_other_matrices_with_the_same_forces_are_not_skew(arm: Arm) -> None:
-    """N - N'/2 with N = d(M v)/dq gives the same forces: why Christoffel's form is needed."""
+    """N - N'/2 with N = d(M v)/dq gives the same forces, so Christoffel's form is needed."""
     model = compile_arm(arm)
     q, v = random_state(arm)
     H = model.christoffel(q, v)
@@ -77,7 +77,7 @@ def test_other_matrices_with_the_same_forces_are_not_skew(arm: Arm) -> None:
 
 
 def test_a_linear_rotation_has_no_energy_behind_its_forces() -> None:
-    """With theta_dot for the rate of 1 + theta~ no H of M gives h; with Book's E_dot one does."""
+    """With theta_dot as the rate of 1 + theta~ no H of M gives h; with Book's E_dot one does."""
     arm = replace(ARMS[2], rotation="linear", gravity=(0.0, 0.0, 0.0))
     links = tuple(
         replace(k, damping_beta=0.0, joint=replace(k.joint, viscous=0.0)) for k in arm.links

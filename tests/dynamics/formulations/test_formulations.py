@@ -1,4 +1,4 @@
-"""Every formulation against brute force, against energy, and against the others."""
+"""Every formulation against brute force, energy and the other formulations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -41,7 +41,7 @@ some_arm = pytest.mark.parametrize("case", CASES, ids=str)
 
 @dataclass(frozen=True)
 class Formed:
-    """A formulation of one arm on plain floats."""
+    """A formulation of one arm, evaluated with floats."""
 
     name: str
     chain: Chain
@@ -66,14 +66,14 @@ class Formed:
 
 
 def scaled(arm: Arm, factor: float, seed: int = 0) -> tuple[Array, Array]:
-    """A state whose deflections and their rates are a fraction of a random one's."""
+    """A random state with deflections and their rates scaled by `factor`."""
     q, v = random_state(arm, seed)
     rigid = np.isin(np.arange(arm.n), arm.joint_index)
     return np.where(rigid, q, factor * q), np.where(rigid, v, factor * v)
 
 
 def apart(x: Array, y: Array, M: Array) -> float:
-    """Difference of forces beside their size, in the norm of kinetic energy [-]."""
+    """Relative difference of forces, in the norm of kinetic energy [-]."""
     d, s = np.linalg.solve(M, np.array([x - y, y]).T).T
     return float(np.sqrt((d @ M @ d) / (s @ M @ s)))
 
@@ -96,14 +96,14 @@ def test_mass_matrix_is_the_metric_of_kinetic_energy(name: str, case: tuple[int,
 
 @cache
 def brute_mass_matrix(arm: Arm) -> Array:
-    """Of the state that `random_state` gives; slow."""
+    """M by brute force at the state of `random_state`; slow."""
     return brute_force.mass_matrix(arm, random_state(arm)[0])
 
 
 def gibbs_residual(name: str, arm: Arm) -> float:
     """Largest error of M a + h against the gradient of the energy of acceleration [-].
 
-    Measured by what a coordinate can feel at most, sqrt(M_kk 2 S).
+    Relative to the largest possible force on a coordinate, sqrt(M_kk 2 S).
     """
     q, v = random_state(arm)
     formed = Formed.of(name, arm)
@@ -122,7 +122,7 @@ def test_equations_are_the_gradient_of_the_energy_of_acceleration(
 
 
 def twisting_arm(n_link: int, n_mode: int) -> Arm:
-    """A random arm of this size; a link of it twists, and bends where it has modes for both."""
+    """A random arm of this size with torsion in a link, which also bends if it has more modes."""
     for seed in count():
         arm = random_arm(seed, n_link, n_mode)
         twists = [link for link in arm.links if link.in_direction("x")]
@@ -145,7 +145,7 @@ def test_the_recursion_holds_for_one_to_six_links_with_up_to_three_modes(
     assert gibbs_residual("gibbs_appell", arm) < 1e-10
 
 
-# ---- against themselves --------------------------------------------------------------------------
+# ---- against its own equations -------------------------------------------------------------------
 
 
 @every
@@ -154,7 +154,7 @@ def test_the_recursion_holds_for_one_to_six_links_with_up_to_three_modes(
 def test_accelerations_solve_the_formulations_own_equations(
     name: str, case: tuple[int, int, int], rotation: str
 ) -> None:
-    """M a + h = B tau, also where E is no rotation; implicit forces as in the elimination."""
+    """M a + h = B tau, also if E is not a rotation; with implicit forces (M + W) a."""
     arm = replace(random_arm(*case), rotation=rotation)
     (q, v), tau = random_state(arm), random_torque(arm)
     formed = Formed.of(name, arm)
@@ -171,7 +171,7 @@ def test_accelerations_solve_the_formulations_own_equations(
 
 
 def augmentation(arm: Arm, s: float, d: float) -> Array:
-    """s K + d C from forces alone, Coulomb's friction left out."""
+    """s K + d C from brute-force forces, without Coulomb friction."""
     smooth = [replace(link, joint=replace(link.joint, coulomb=0.0)) for link in arm.links]
     plain = replace(arm, links=tuple(smooth))
     zero = np.zeros(arm.n)
@@ -186,7 +186,7 @@ def augmentation(arm: Arm, s: float, d: float) -> Array:
 def test_kinetic_energy_is_the_quadratic_form_of_the_mass_matrix(
     name: str, case: tuple[int, int, int], rotation: str
 ) -> None:
-    """T from velocities, in the formulation's own convention."""
+    """T is computed from velocities, in the formulation's own convention."""
     arm = replace(random_arm(*case), rotation=rotation)
     q, v = random_state(arm)
     formed = Formed.of(name, arm)
@@ -197,7 +197,7 @@ def test_kinetic_energy_is_the_quadratic_form_of_the_mass_matrix(
 
 
 def power_imbalance(name: str, arm: Arm) -> float:
-    """d(T+V)/dt - tau . slip of an undamped arm beside the power of inertia [-]."""
+    """d(T+V)/dt - tau . slip of an undamped arm, relative to the power of inertia [-]."""
     arm = undamped(arm)
     (q, v), tau = random_state(arm), random_torque(arm)
     formed = Formed.of(name, arm)
@@ -225,7 +225,7 @@ def test_book_conserves_energy_even_where_E_is_no_rotation(case: tuple[int, int,
 
 @pytest.mark.parametrize("name", ["gibbs_appell", "complement"])
 def test_a_rate_that_is_not_that_of_E_creates_energy(name: str) -> None:
-    """theta_dot is not the rate of 1 + theta~."""
+    """theta_dot is not the angular velocity of 1 + theta~."""
     assert power_imbalance(name, replace(random_arm(4, 3, 3), rotation="linear")) > 1e-5
 
 
@@ -251,7 +251,7 @@ def test_siblings_agree_with_the_recursion(name: str, case: tuple[int, int, int]
 
 @some_arm
 def test_the_complement_shares_the_convention_of_the_recursion(case: tuple[int, int, int]) -> None:
-    """With a linear E too: both turn vectors by 1 + theta~ and take theta_dot for its rate."""
+    """Also with a linear E: both turn vectors by 1 + theta~ and use theta_dot as its rate."""
     arm = replace(random_arm(*case), rotation="linear")
     q, v = random_state(arm)
     mine, theirs = Formed.of("complement", arm), Formed.of("gibbs_appell", arm)
@@ -265,7 +265,7 @@ def test_the_complement_shares_the_convention_of_the_recursion(case: tuple[int, 
 @every
 @pytest.mark.parametrize("case", [(4, 3, 3), (5, 4, 2), (3, 2, 3)], ids=str)
 def test_a_straight_arm_knows_no_convention(name: str, case: tuple[int, int, int]) -> None:
-    """Without tip slope 1 + theta~ is a rotation; Book's E_dot then differs in no inertia."""
+    """Without tip slope 1 + theta~ is a rotation, and Book's E_dot gives the same M and h."""
     arm = random_arm(*case)
     q = compiled(arm).rigid(random_state(arm)[0])
     linear = Formed.of(name, replace(arm, rotation="linear"))
@@ -290,7 +290,7 @@ ORDERS = [  # formulation, spatial, order in the amplitude of M's difference to 
 def test_conventions_part_with_the_amplitude_of_the_tip_slope(
     name: str, spatial: bool, order: float
 ) -> None:
-    """theta_dot as rate is right to second order in the plane; E_dot of 1 + theta~ to first."""
+    """In the plane theta_dot has a second-order error, E_dot of 1 + theta~ a first-order one."""
     arm = random_arm(4, 3, 3, spatial=spatial) if not spatial else two_link_spatial()
     linear = Formed.of(name, replace(arm, rotation="linear"))
     true = Formed.of(name, arm)
@@ -307,7 +307,7 @@ def test_conventions_part_with_the_amplitude_of_the_tip_slope(
 
 @sibling
 def test_siblings_follow_the_same_motion(name: str) -> None:
-    """Two spatial links under gravity and a torque for a second, each by its own equations."""
+    """Two spatial links under gravity and a torque for one second, by each formulation."""
     arm = two_link_spatial()
     q, _ = random_state(arm)
 

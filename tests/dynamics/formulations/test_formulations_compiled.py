@@ -1,4 +1,4 @@
-"""Every formulation behind the same Model: compiled, asked, linearised, refused."""
+"""Every formulation through the interface of Model: compiled, evaluated, linearised, refused."""
 
 import pickle
 from dataclasses import replace
@@ -39,7 +39,7 @@ def central(f: object, step: float = 1e-5) -> Array:
 @pytest.mark.parametrize(("arm", "lanes"), [(SMALL, LANES), (ARM, 1)], ids=["many", "one"])
 @pytest.mark.parametrize("name", FORMULATIONS)
 def test_compiled_code_is_the_formulation_on_floats(arm: Arm, name: str, lanes: int) -> None:
-    """In every lane, also of a block that is not full."""
+    """Compared in every lane, including a partly filled block."""
     model, count = compile_arm(arm, formulation=name), LANES + 3
     states = [random_state(arm, seed) for seed in range(count)]
     q, v = (np.array(x) for x in zip(*states, strict=True))
@@ -55,7 +55,7 @@ def test_compiled_code_is_the_formulation_on_floats(arm: Arm, name: str, lanes: 
 
 
 def test_questions_of_inertia_and_forces_fit_together(model: Model) -> None:
-    """M a + h = B tau, T = 1/2 v' M v, the graph is the code, K is what the energy says."""
+    """M a + h = B tau, T = 1/2 v' M v, graph and code agree, K is the Hessian of the energy."""
     (q, v), tau = random_state(ARM), random_torque(ARM)
     M, h, a = model.mass_matrix(q), model.bias(q, v), model.accelerations(q, v, tau)
 
@@ -99,7 +99,7 @@ def test_linearisation_is_the_slope_of_the_accelerations(model: Model) -> None:
 @pytest.mark.parametrize("rotation", ["exp", "linear"])
 @pytest.mark.parametrize("name", ["gibbs_appell", "book"])
 def test_tip_velocity_is_the_rate_of_the_tip(name: str, rotation: str) -> None:
-    """With theta_dot for the rate of 1 + theta~ it is not; with Book's E_dot it is."""
+    """It is not with theta_dot as the rate of 1 + theta~; it is with Book's E_dot."""
     model = compile_arm(replace(ARM, rotation=rotation), formulation=name)
     q, v = random_state(ARM)
 
@@ -114,7 +114,7 @@ def test_tip_velocity_is_the_rate_of_the_tip(name: str, rotation: str) -> None:
 
 @pytest.mark.parametrize("name", SIBLINGS)
 def test_implicit_steps_are_those_of_the_recursion(name: str) -> None:
-    """A hundred steps of a batch, elastic and damping forces taken implicitly."""
+    """A hundred steps of a batch with implicit elastic and damping forces."""
     ends = []
     for formulation in (name, "gibbs_appell"):
         model = compile_arm(SMALL, formulation=formulation)
@@ -146,7 +146,7 @@ def test_a_free_parameter_reaches_every_formulation(name: str) -> None:
 
 @pytest.mark.parametrize("name", FORMULATIONS)
 def test_every_preset_has_the_same_mass_matrix_or_a_refusal(name: str) -> None:
-    """Sliding joints, joint springs and parallel drives are the recursion's alone."""
+    """Only gibbs_appell supports prismatic joints, joint springs and parallel drives."""
     refused = {preset for preset, arm in ARMS.items() if table.why_not(arm, name)}
     others = {"stanford", "srms-like", "ralf-like"}
     assert refused == (set() if name == "gibbs_appell" else others)
@@ -158,7 +158,7 @@ def test_every_preset_has_the_same_mass_matrix_or_a_refusal(name: str) -> None:
         )
         assert_allclose(M, expected, rtol=0.0, atol=1e-12 * np.abs(M).max())
     for preset in refused:
-        with pytest.raises(ValueError, match=r"does not know Joint\.\w+, got"):
+        with pytest.raises(ValueError, match=r"does not support Joint\.\w+, got"):
             compile_arm(preset, formulation=name)
 
 
@@ -177,13 +177,14 @@ def test_formulations_have_programs_of_their_own() -> None:
 def test_a_sibling_refuses_what_it_does_not_know(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One sentence that names formulation, field and value; the recursion knows everything."""
-    known = {**table.FIXED_BASE_AND_HINGES, "Joint": frozenset({"rotation", "offset"})}
-    poorer = {name: replace(FORMULATIONS[name], knows=known)}
+    """The message names formulation, field and value; gibbs_appell supports every field."""
+    known = {**table.FIXED_BASE_AND_REVOLUTE, "Joint": frozenset({"rotation", "offset"})}
+    poorer = {name: replace(FORMULATIONS[name], supported=known)}
     monkeypatch.setattr(table, "FORMULATIONS", {**FORMULATIONS, **poorer})
     arm = replace(ARM, links=(replace(ARM.links[0], joint=Joint(viscous=0.2)), ARM.links[1]))
 
-    with pytest.raises(ValueError, match=rf"'{name}' does not know Joint.viscous, got 0.2; .*use"):
+    refusal = rf"'{name}' does not support Joint.viscous, got 0.2; .*use"
+    with pytest.raises(ValueError, match=refusal):
         compile_arm(arm, formulation=name)
     assert compile_arm(arm).formulation == "gibbs_appell"
 

@@ -1,4 +1,4 @@
-"""A base that flies: against brute force, conservation laws and rigid bodies with known motions."""
+"""Free base against brute force, conservation laws and rigid bodies with known motions."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def flyer(seed: int, n_link: int, n_mode: int) -> Arm:
 
 
 class Plain:
-    """The recursion on plain floats, in the coordinates and rates that callers use."""
+    """The recursion with floats, in the public coordinates and rates."""
 
     def __init__(self, arm: Arm, q: Array, v: Array) -> None:
         self.turn = from_rotation_vector(q[3:6].tolist())
@@ -71,7 +71,7 @@ def test_mass_matrix_is_the_metric_of_kinetic_energy(case: tuple[int, int, int])
 def test_equations_are_the_gradient_of_the_energy_of_acceleration(
     case: tuple[int, int, int],
 ) -> None:
-    """M a + h = dS/da + resisting forces, by velocity and own angular velocity of the base."""
+    """M a + h = dS/da + resisting forces, with the angular velocity in the base's own frame."""
     arm = flyer(*case)
     (q, v), tau = random_state(arm), random_torque(arm)
     plain = Plain(arm, q, v)
@@ -87,7 +87,7 @@ def test_equations_are_the_gradient_of_the_energy_of_acceleration(
 
 @some_arm
 def test_momentum_is_that_of_all_bodies(case: tuple[int, int, int]) -> None:
-    """And, of the whole, what the base's rows of the mass matrix say of it."""
+    """It also equals the base's rows of M times v."""
     arm = flyer(*case)
     q, v = random_state(arm)
     plain = Plain(arm, q, v)

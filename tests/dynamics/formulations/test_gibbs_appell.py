@@ -1,4 +1,4 @@
-"""The recursion against brute force, against itself in another form, and against energy."""
+"""Gibbs-Appell recursion against brute force, its articulated-body form and energy."""
 
 import inspect
 from collections.abc import Callable
@@ -40,14 +40,14 @@ some_arm = pytest.mark.parametrize("case", FEW, ids=str)
 
 
 def composite(arm: Arm, q: Array, v: Array, recursion: Any = gibbs_appell) -> tuple[Array, Array]:
-    """M and h of the recursion on plain floats."""
+    """M and h of the recursion, evaluated with floats."""
     chain = compiled(arm).chain
     M = recursion.mass_matrix(chain, floats(q))
     return np.array(M), np.array(recursion.bias(chain, floats(q), floats(v)))
 
 
 def accelerations(arm: Arm, q: Array, v: Array, tau: Array) -> Array:
-    """The O(n) recursion on plain floats."""
+    """Accelerations by the O(n) recursion, evaluated with floats."""
     chain = compiled(arm).chain
     return np.array(articulated_body.accelerations(chain, floats(q), floats(v), floats(tau)))
 
@@ -132,7 +132,7 @@ def test_mass_matrix_is_the_metric_of_kinetic_energy(case: tuple[int, int, int])
 def gibbs_residual(arm: Arm, recursion: Any = gibbs_appell) -> float:
     """Largest error of M a + h against the gradient of the energy of acceleration [-].
 
-    Measured by what a coordinate can feel at most, sqrt(M_kk 2 S).
+    Relative to the largest possible force on a coordinate, sqrt(M_kk 2 S).
     """
     q, v = random_state(arm)
     a = accelerations(arm, q, v, random_torque(arm))
@@ -176,7 +176,7 @@ def _zeros(K: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
 
 
 def power_imbalance(arm: Arm) -> float:
-    """d(T+V)/dt - tau . slip + dissipation, beside the largest power in it [-]."""
+    """d(T+V)/dt - tau . slip + dissipation, relative to the largest of these powers [-]."""
     (q, v), tau = random_state(arm), random_torque(arm)
     a = accelerations(arm, q, v, tau)
     chain = compiled(arm).chain
@@ -202,14 +202,14 @@ def test_energy_changes_by_the_work_of_torques_less_dissipation(case: tuple[int,
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_linear_tip_rotation_creates_energy_in_space(seed: int) -> None:
-    """E = 1 + theta~ is no rotation and theta_dot not its rate: correction 5."""
+    """E = 1 + theta~ is not a rotation, theta_dot not its angular velocity: correction 5."""
     arm = random_arm(seed, 3, 3)
 
     assert power_imbalance(replace(arm, rotation="linear")) > 1e-5
     assert power_imbalance(arm) < 1e-11
 
 
-CORRECTIONS = {  # what the paper lacks: the text that supplies it, and the text without it
+CORRECTIONS = {  # correction -> source text with it, and without it
     "1: omega x theta_dot, (70)": ("cross(w, theta_dot)", "ZERO"),
     "2: omega_dot x r, (69)": ("matvec(Phi, r)", "matvec(_phi(w, ZERO), r)"),
     "3: sign of omega~ B9 omega, (44)": (
@@ -217,8 +217,8 @@ CORRECTIONS = {  # what the paper lacks: the text that supplies it, and the text
         "scale(-1.0, cross(w, matvec(f.B9, w)))",
     ),
     "4: joint-deflection block mirrored": (
-        "M[row][places[i][c]] = M[places[i][c]][row] = entry",
-        "M[row][places[i][c]] = entry",
+        "M[row][indices[i][c]] = M[indices[i][c]][row] = entry",
+        "M[row][indices[i][c]] = entry",
     ),
     "5a: J_l on tip rotation shapes": ("E, [J_l(u) for u in shapes]", "E, shapes"),
     "5b: J_l_dot theta_dot": ("[J_l(u) for u in shapes], bias", "[J_l(u) for u in shapes], ZERO"),
@@ -226,7 +226,7 @@ CORRECTIONS = {  # what the paper lacks: the text that supplies it, and the text
 
 
 def recursion_without(correction: str) -> ModuleType:
-    """The recursion with one correction taken back."""
+    """Module of the recursion with one correction reverted."""
     old, new = CORRECTIONS[correction]
     own = inspect.getsource(gibbs_appell)
     source = inspect.getsource(kinematics) + own.replace(
@@ -245,7 +245,7 @@ def test_every_correction_to_the_paper_is_needed(correction: str) -> None:
 
 @pytest.mark.parametrize("correction", [c for c in CORRECTIONS if not c.startswith("4")])
 def test_a_planar_arm_needs_no_correction(correction: str) -> None:
-    """Why the paper's planar example could not find these errors."""
+    """The paper's planar example therefore could not reveal these errors."""
     arm = random_arm(4, 3, 3, spatial=False)
 
     assert gibbs_residual(arm, recursion_without(correction)) < 1e-10
@@ -254,10 +254,11 @@ def test_a_planar_arm_needs_no_correction(correction: str) -> None:
 CODE = [random_arm(18, 1, 2), random_arm(3, 2, 3), two_link_spatial()]
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("arm", CODE, ids=lambda arm: f"{arm.n_joint}-link-{arm.n}")
 @pytest.mark.parametrize("lanes", [1, LANES])
 def test_compiled_code_is_the_recursion_on_floats(arm: Arm, lanes: int) -> None:
-    """In every lane, also of a block that is not full."""
+    """Compared in every lane, including a partly filled block."""
     model, count = compiled(arm), LANES + 3
     states = [random_state(arm, seed) for seed in range(count)]
     q, v = (np.array(x) for x in zip(*states, strict=True))
@@ -274,7 +275,7 @@ def test_compiled_code_is_the_recursion_on_floats(arm: Arm, lanes: int) -> None:
 
 @some_arm
 def test_an_undeflected_arm_is_the_rigid_chain(case: tuple[int, int, int]) -> None:
-    """Textbook forward kinematics, whatever the modes."""
+    """Textbook forward kinematics, for any modes."""
     arm = random_arm(*case)
     q = compiled(arm).rigid(random_state(arm)[0])
 
@@ -301,7 +302,7 @@ def test_tip_and_its_velocity_are_those_of_the_bent_arm(case: tuple[int, int, in
 
 
 def test_a_spatial_arm_moved_in_its_plane_stays_there() -> None:
-    """Out-of-plane coordinates at rest feel exactly nothing."""
+    """Forces on out-of-plane coordinates at rest are exactly zero."""
     first, second = two_link_spatial().links
     arm = two_link_spatial(links=(first, replace(second, joint=Joint())), gravity=(0.0, -9.81, 0.0))
     out_of_plane = [2, 3, 6]  # "z" bending, torsion
@@ -328,7 +329,7 @@ def test_a_planar_arm_seen_in_a_mirror_moves_in_the_mirror(seed: int) -> None:
 
 
 def test_turning_base_and_gravity_together_changes_nothing() -> None:
-    """Accelerations know no world frame."""
+    """Accelerations do not depend on the world frame."""
     arm = random_arm(4, 3, 3)
     (q, v), tau = random_state(arm), random_torque(arm)
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]

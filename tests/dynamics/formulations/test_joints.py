@@ -1,4 +1,4 @@
-"""Joints that slide, joints with springs, and rigid bodies of any form, against brute force."""
+"""Prismatic joints, elastic joints and rigid bodies of any form against brute force."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ any_arm = pytest.mark.parametrize("case", CASES, ids=str)
 
 
 def mixed_arm(seed: int, n_link: int, n_mode: int) -> Arm:
-    """A random flexible arm, some of its joints sliding, sprung or both, some links mere bodies."""
+    """A random flexible arm with prismatic and elastic joints and with rigid bodies as links."""
     arm = random_arm(seed, n_link, n_mode)
     rng = np.random.default_rng([seed, 3])
     links = []
@@ -71,7 +71,7 @@ def test_mixed_arms_have_everything() -> None:
 
 @any_arm
 def test_mass_matrix_and_bias_are_those_of_brute_force(case: tuple[int, int, int]) -> None:
-    """Kinetic energy and energy of acceleration of all bodies, springs by their definition."""
+    """Brute force: energies of all bodies, and spring forces by their definition."""
     arm = mixed_arm(*case)
     q, v = random_state(arm)
     M, h = composite(arm, q, v)
@@ -97,7 +97,7 @@ def test_elimination_solves_the_composite_equations(case: tuple[int, int, int]) 
 
 @any_arm
 def test_implicit_elimination_solves_the_augmented_equations(case: tuple[int, int, int]) -> None:
-    """(M + W) a = B tau - h + W guess, W = s K + d C with the springs at joints among K and C."""
+    """(M + W) a = B tau - h + W guess, W = s K + d C; K and C include joint springs."""
     arm = mixed_arm(*case)
     (q, v), tau = random_state(arm), random_torque(arm)
     guess = np.random.default_rng(case).normal(0.0, 5.0, arm.n)
@@ -188,7 +188,7 @@ def two_masses(kind: str, **joint: float) -> Arm:
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_two_masses_on_a_spring_have_their_frequencies(kind: str) -> None:
-    """sqrt(k/J) with the rotor held, sqrt(k (1/J + 1/J_r)) free; the damper's decay beside it."""
+    """sqrt(k/J) with the rotor locked, sqrt(k (1/J + 1/J_r)) free; also the damper's decay."""
     model = Model(two_masses(kind, spring_damping=0.4))
     c = 0.4 * (1.0 / INERTIA + 1.0 / ROTOR)
 
@@ -202,7 +202,7 @@ def test_two_masses_on_a_spring_have_their_frequencies(kind: str) -> None:
 
 
 def test_a_stiff_spring_tends_to_the_rigid_joint() -> None:
-    """The distance falls like one over the stiffness; rotor and link move as one."""
+    """The distance falls with the inverse of the stiffness; rotor and link move together."""
     first, second = random_arm(2, 2, 2).links
     arm = Arm(links=(first, replace(second, joint=replace(second.joint, rotor_inertia=0.2))))
     wanted = Model(arm).frequencies(joints="free")
@@ -218,7 +218,7 @@ def test_a_stiff_spring_tends_to_the_rigid_joint() -> None:
 
 
 def sprung_slim(stiffness: float, count: int) -> Arm:
-    """SLIM with a spring at its root and so many shapes that know the tip mass."""
+    """SLIM with a spring at its root and `count` shapes that include the tip mass."""
     (slim,) = ARMS["slim"].links
     modes = tuple(replace(slim.modes[0], index=k) for k in range(1, count + 1))
     joint = Joint(stiffness=stiffness, rotor_inertia=1.0)
@@ -252,7 +252,7 @@ def exact_frequency(stiffness: float, low: float, high: float) -> float:
 
 @pytest.mark.parametrize("stiffness", [1.0, 10.0, 100.0])
 def test_slim_on_a_spring_vibrates_between_free_and_held(stiffness: float) -> None:
-    """Rotor held: from 9.66 Hz of the free joint to 2.096 and 13.989 Hz of the clamped one."""
+    """Rotor locked: from 9.66 Hz of the free joint to 2.096 and 13.989 Hz of the clamped one."""
     few, many = (
         Model(sprung_slim(stiffness, count)).frequencies()[:2] / (2.0 * np.pi) for count in (2, 8)
     )
@@ -273,7 +273,7 @@ def test_slim_on_a_soft_and_a_stiff_spring_is_slim_free_and_held() -> None:
 
 
 def test_randomised_stiffness_damping_and_friction_reach_the_elastic_joint() -> None:
-    """Each scales what is its own: the spring, its damper, the friction of the rotor."""
+    """They scale the spring, its damper and the friction of the rotor."""
     joint = {"rotor_inertia": 0.3, "stiffness": 90.0, "spring_damping": 0.7, "viscous": 0.2}
     own = {"stiffness": "stiffness", "damping": "spring_damping", "friction": "viscous"}
     model = Model(two_masses("revolute", **joint), tuple(own))
@@ -290,7 +290,7 @@ def test_randomised_stiffness_damping_and_friction_reach_the_elastic_joint() -> 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_spring_leaves_a_light_rotor_nothing_of_the_links_inertia(kind: str) -> None:
-    """A rotor of 1e-10 of the link: what round-off of the link would show in, a million times."""
+    """A rotor with 1e-10 of the link's inertia amplifies round-off of the link a million times."""
     for inertia in (0.7, 0.9, 1.1, 1.3, 2.9):
         body = Body(mass=inertia, inertia=np.diag([0.0, 0.0, inertia]))
         joint = Joint(type=kind, rotor_inertia=1e-10, stiffness=STIFFNESS)

@@ -93,7 +93,7 @@ def test_shapes_meet_their_conditions_at_both_ends(mode: Mode) -> None:
 
 @pytest.mark.parametrize("mode", ALL_MODES, ids=str)
 def test_slope_and_curvature_are_the_derivatives(mode: Mode) -> None:
-    """The fundamental theorem: what the derivative adds up to along the link."""
+    """The integral of the derivative along the link is the difference of the end values."""
     link = a_link(mode)
     s = shape(mode, link)
     x, weights = quadrature(link.length, (mode,))
@@ -152,7 +152,7 @@ def test_a_massless_tip_makes_the_clamped_free_beam() -> None:
     inertia=st.one_of(st.just(0.0), st.floats(1e-9, 1e6)),
 )
 def test_clamped_roots_miss_none(mass: float, inertia: float) -> None:
-    """Roots of a beam with a body interlace with those of the beam held where the body sits."""
+    """Roots of a beam with a tip body interlace with those of the beam with a fixed tip slope."""
     roots = [clamped_root(index, mass, inertia) for index in range(1, 9)]
     lighter = [clamped_root(index, mass, 0.0) for index in range(1, 9)]
     held = [clamped_root(index, mass, inf) for index in range(1, 9)]
@@ -258,7 +258,7 @@ def test_hub_and_rotary_inertia_are_the_energy_of_their_rates(rates: list[float]
 
 
 def test_a_rotor_that_modes_turn_resists_like_a_gyroscope() -> None:
-    """The moment 2 C_j w d_j of a rotor is w x (I t_j d_j e): its momentum, carried round."""
+    """The moment 2 C_j w d_j of a rotor is w x (I t_j d_j e), the rate of its turning momentum."""
     chosen = (
         Mode(kind="pinned-free", index=1, direction="y"),
         Mode(kind="torsion-poly", index=1, direction="x"),
@@ -296,7 +296,7 @@ def test_stiffness_between_directions_is_an_exact_zero() -> None:
 
 
 def test_a_tip_load_bends_the_polynomial_shapes_as_a_cantilever() -> None:
-    """(x/l)^2 and (x/l)^3 hold the static deflection F l^3 / (3 EI) exactly."""
+    """(x/l)^2 and (x/l)^3 represent the static deflection F l^3 / (3 EI) exactly."""
     link = a_link(*modes("poly", 2))
     delta = np.linalg.solve(np.array(link_constants(link).K), np.array((5.0, 5.0)))
     l = link.length
@@ -337,7 +337,7 @@ def test_a_rigid_link_has_no_modal_constants() -> None:
 
 
 def test_the_deluca_siciliano_links_have_the_published_clamped_frequencies() -> None:
-    """0.48, 1.80 Hz with what hangs on the elbow, 2.18, 15.91 Hz: IEEE Trans. SMC 21(4), 1991."""
+    """0.48, 1.80 Hz with all beyond the elbow, 2.18, 15.91 Hz: IEEE Trans. SMC 21(4), 1991."""
     first, second = ARMS["deluca-siciliano"].links
     body = first.tip_mass + 0.1 + 0.1  # elbow, second link, payload
     about = 0.1 + 0.1 * 0.5**2 / 3.0 + 0.1 * 0.5**2 + 5e-4  # hub, second link, payload
@@ -360,7 +360,7 @@ def test_the_slim_arm_has_its_measured_clamped_frequencies() -> None:
 
 
 def test_a_bar_stretches_at_its_textbook_frequencies() -> None:
-    """(2 k - 1) pi / (2 l) sqrt(EA / rho A): the limit (36) of Zohoor and Khorsandijou, held."""
+    """(2 k - 1) pi / (2 l) sqrt(EA / rho A): limit (36) of Zohoor and Khorsandijou."""
     bar = a_link(
         *modes("axial-fixed-free", 4, "axial"), tip_mass=0.0, tip_inertia=((0.0,) * 3,) * 3
     )

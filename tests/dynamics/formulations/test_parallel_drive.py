@@ -1,4 +1,4 @@
-"""Parallel drives: a joint's angle from what the joint before stands on, against brute force."""
+"""Parallel drives, whose angle is measured from the base of the joint before: brute force."""
 
 from dataclasses import replace
 from typing import Any
@@ -44,7 +44,7 @@ def turn(angle: float) -> Any:
 
 
 def parallel_arm(seed: int, n_link: int, n_mode: int, driven: tuple[int, ...]) -> Arm:
-    """A random arm in space; the links before its parallel joints bend in their plane alone."""
+    """A random arm in space; links before parallel joints bend only in their plane."""
     arm = random_arm(seed, n_link, n_mode)
     rng = np.random.default_rng([seed, 5])
     links = list(arm.links)
@@ -65,14 +65,14 @@ def parallel_arm(seed: int, n_link: int, n_mode: int, driven: tuple[int, ...]) -
 
 
 def at_origin(arm: Arm) -> tuple[Array, Array]:
-    """A random state; a free base's frame is the recursion's, where rates are velocities."""
+    """A random state; a free base is at zero rotation, where rates are velocities."""
     q, v = random_state(arm)
     q[: arm.base.n] = 0.0
     return q, v
 
 
 def forms(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
-    """M and h of the recursion on floats."""
+    """M and h of the recursion, evaluated with floats."""
     chain = Model(arm).chain
     M = gibbs_appell.mass_matrix(chain, floats(q))
     return np.array(M), np.array(gibbs_appell.bias(chain, floats(q), floats(v)))
@@ -152,7 +152,7 @@ def test_implicit_elimination_solves_the_augmented_equations(case: Case) -> None
 @any_arm
 @pytest.mark.parametrize("rotation", ["exp", "linear"])
 def test_mass_matrix_is_the_metric_of_the_kinetic_energy(case: Case, rotation: str) -> None:
-    """T sums velocities; with a linear tip rotation too, which brute force does not know."""
+    """T is computed from velocities; also with a linear tip rotation, which brute force lacks."""
     arm = replace(parallel_arm(*case), rotation=rotation)
     q, v = random_state(arm)
     M, _ = forms(arm, q, v)
@@ -218,7 +218,7 @@ def test_compiled_accelerations_are_those_of_floats(case: Case, lanes: int) -> N
 
 
 def two_links(**joint: Any) -> Arm:
-    """A planar arm that bends; no friction, no damping."""
+    """A planar flexible arm without friction and damping."""
     mode = Mode(kind="clamped-free", index=1, direction="y")
     link = Link(length=0.8, rho_A=1.1, EIz=150.0, tip_mass=0.4, modes=(mode,))
     second = replace(link, length=0.6, joint=Joint(parallel=True, **joint))
@@ -239,7 +239,7 @@ def test_energy_is_conserved_in_motion() -> None:
 
 
 def test_a_flying_arm_keeps_its_momentum() -> None:
-    """Couples that pass the link by act on the base: nothing from outside."""
+    """Moments that bypass a link act on the base, so there is no external moment."""
     arm = undamped(replace(flying(parallel_arm(2, 3, 2, (1,))), gravity=(0.0, 0.0, 0.0)))
     (q, v), tau = at_origin(arm), random_torque(arm)
     chain = Model(arm).chain
@@ -276,7 +276,7 @@ def test_a_rigid_planar_arm_is_the_textbooks() -> None:
 
 
 def test_it_is_the_serial_arm_in_other_coordinates() -> None:
-    """Rigid links: q2 parallel = q1 + q2 serial; the second motor then also turns the first."""
+    """Rigid links: q2 parallel = q1 + q2 serial; serially, motor 2 acts on both."""
     arm = two_links()
     rigid = replace(arm, links=tuple(replace(link, modes=()) for link in arm.links))
     second = replace(rigid.links[1], joint=Joint())
@@ -291,7 +291,7 @@ def test_it_is_the_serial_arm_in_other_coordinates() -> None:
     assert_allclose(T.T @ h, h_serial, rtol=1e-12)
 
 
-# ---- where it cannot be --------------------------------------------------------------------------
+# ---- refusals ------------------------------------------------------------------------------------
 
 SLAB = Link(length=1.0, rho_A=1.0, EIz=50.0, EIy=50.0, GJ=50.0, rho_Ip=0.1)
 DRIVEN = replace(SLAB, joint=Joint(parallel=True))
@@ -341,7 +341,7 @@ def test_it_is_true_or_false_and_survives_a_file() -> None:
 
 @pytest.mark.parametrize("formulation", ["book", "complement"])
 def test_other_formulations_refuse_it(formulation: str) -> None:
-    with pytest.raises(ValueError, match=r"does not know Joint\.parallel, got True"):
+    with pytest.raises(ValueError, match=r"does not support Joint\.parallel, got True"):
         Model(two_links(), formulation=formulation)
 
 

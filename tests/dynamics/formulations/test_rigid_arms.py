@@ -1,6 +1,6 @@
 """Rigid arms against Pinocchio.
 
-Pinocchio is given masses, places and axes one by one; it shares no line with `dynamics`.
+The Pinocchio model is built from masses, positions and axes; it shares no code with `dynamics`.
 """
 
 from typing import Any
@@ -24,7 +24,7 @@ RANDOM = tuple((seed, 1 + seed % 7) for seed in range(14))  # seed, joints
 
 
 def random_rigid_arm(seed: int, n_joint: int) -> Arm:
-    """Beams, bodies and both, on joints that turn or slide in any direction, under gravity."""
+    """Beams, bodies and both, on revolute and prismatic joints of any direction, under gravity."""
     rng = np.random.default_rng([seed, n_joint, 11])
     links = []
     for _ in range(n_joint):
@@ -55,7 +55,7 @@ def random_body(rng: np.random.Generator) -> Body:
 
 
 def pinocchio(arm: Arm) -> Any:
-    """The same arm as a Pinocchio model, with a frame at its tip."""
+    """Pinocchio model of an arm, with a frame at its tip."""
     model = pin.Model()
     model.gravity.linear = np.array(arm.gravity)
     rotors, parent, end = [], 0, np.zeros(3)
@@ -75,7 +75,7 @@ def pinocchio(arm: Arm) -> Any:
 
 
 def masses(link: Link, payload: Payload | None) -> list[tuple[float, ArrayLike, ArrayLike]]:
-    """Mass, centre, inertia about it, of everything a link is made of."""
+    """Mass, centre of mass and inertia about it of each part of a link."""
     L, m, tip = link.length, link.rho_A * link.length, (link.length, 0.0, 0.0)
     beam = np.diag([link.rho_Ip * L, m * L**2 / 12.0, m * L**2 / 12.0])
     found: list[Any] = [(m, (L / 2.0, 0.0, 0.0), beam), (link.tip_mass, tip, link.tip_inertia)]
@@ -130,7 +130,7 @@ def test_mass_matrix_bias_and_accelerations_are_pinocchios(arm: Arm) -> None:
 
 
 def test_inverse_dynamics_with_a_wrench_is_pinocchios(arm: Arm) -> None:
-    """Newton and Euler's equations, and M a + h, both pushing on something with the tip."""
+    """Newton-Euler equations and M a + h, both with a wrench at the tip."""
     (q, v, a, wrench), other = random_motion(arm.n, 1), pinocchio(arm)
     push = pin.Force(-wrench[:3], -wrench[3:])
     at_joint = other.frames[-1].placement.act(push)

@@ -1,4 +1,4 @@
-"""The methods keep their order, their stability and their word about divergence."""
+"""Order, stability limits and divergence reports of the integration methods."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,7 +24,7 @@ TORQUE = np.array([0.3, -0.1])  # [N m]
 
 
 def planar(n_link: int, count: int = 2, **changes: object) -> Arm:
-    """Light flexible links with undamped bending in a plane."""
+    """Light planar flexible links without damping."""
     modes = tuple(Mode(kind="clamped-free", index=k, direction="y") for k in range(1, count + 1))
     joint = Joint(rotor_inertia=0.05)
     values = {"length": 0.5, "rho_A": 0.4, "EIz": 2.0, "tip_mass": 0.2, "modes": modes}
@@ -35,7 +35,7 @@ def planar(n_link: int, count: int = 2, **changes: object) -> Arm:
 TWO_LINK = planar(2)
 DAMPED = planar(2, damping_beta=2e-3, joint=Joint(rotor_inertia=0.05, viscous=0.3))
 FASTEST = float(compiled(TWO_LINK).frequencies(joints="free").max())  # [rad/s]
-ANEW = {"numerov": 3}  # order where every step starts anew, if not the same
+ANEW = {"numerov": 3}  # order if every step is a new start, where it differs
 COARSE = {1: 1e-3 / FASTEST, 2: 0.1 / FASTEST, 4: 0.1 / FASTEST}  # [s] small enough, by order
 
 
@@ -64,7 +64,7 @@ def halvings(arm: Arm, integrator: str, torque: object, end: float, coarse: floa
 @pytest.mark.parametrize("arm", [TWO_LINK, DAMPED], ids=["undamped", "damped"])
 @pytest.mark.parametrize("integrator", METHODS)
 def test_error_falls_at_the_order_of_the_method(integrator: str, arm: Arm) -> None:
-    """Also where stiffness and damping of modes and joints are taken implicitly."""
+    """Also with implicit stiffness and damping of modes and joints."""
     order = INTEGRATORS[integrator].order
     errors = halvings(arm, integrator, TORQUE, end=0.1, coarse=COARSE[order])
 
@@ -80,7 +80,7 @@ def test_free_motion_keeps_the_order_too(integrator: str) -> None:
 
 
 class Jump:
-    """A torque that reverses at `time`, off every grid of equal steps."""
+    """A torque that reverses at `time`, which is on no grid of equal steps."""
 
     time = 0.1 * np.sqrt(0.4)  # [s]
 
@@ -96,7 +96,7 @@ class Jump:
 def test_a_jump_in_torque_keeps_the_order_if_announced(integrator: str) -> None:
     """Steps end at breakpoints; without them one step averages across the jump.
 
-    A torque that is a function starts every step anew, which costs Numerov's method one order.
+    With a torque function every step is a new start, which costs Numerov's method one order.
     """
     coarse = COARSE[INTEGRATORS[integrator].order]
     exact = final(TWO_LINK, "dop853", Jump(told=True), 0.1, rtol=1e-12)
@@ -118,7 +118,7 @@ def swell(t: float) -> Array:
 
 @pytest.mark.parametrize("integrator", METHODS)
 def test_a_smooth_torque_is_held_at_its_value_in_mid_step(integrator: str) -> None:
-    """So a fixed-step method stays of order 2 in it, with little error of its own."""
+    """A fixed-step method then has order 2 in the torque, with a small error constant."""
     order = min(2, INTEGRATORS[integrator].order)
     errors = halvings(TWO_LINK, integrator, swell, end=0.1, coarse=0.5 * COARSE[order])
 
@@ -129,7 +129,7 @@ def test_a_smooth_torque_is_held_at_its_value_in_mid_step(integrator: str) -> No
 
 
 def test_the_reference_method_steps_onto_breakpoints() -> None:
-    """Two motions, before and after the jump, make one."""
+    """Equals two motions, one before and one after the jump."""
     first = simulate(compiled(TWO_LINK), START, np.zeros(6), TORQUE, [0.0, Jump.time])
     second = simulate(compiled(TWO_LINK), first.q[-1], first.v[-1], -TORQUE, [Jump.time, 0.1])
 
@@ -156,7 +156,7 @@ def test_energy_drift_of_a_swing_falls_at_the_order_of_the_method(integrator: st
 
 
 def test_lanes_of_a_rosenbrock_batch_do_not_mix() -> None:
-    """Each environment of a batch moves as it does alone, factorisation and all."""
+    """Each environment of a batch moves as it does alone, including the LU factorisation."""
     batch = Stepper(compiled(TWO_LINK), 20, dt=1e-3, substeps=10, integrator="rosenbrock")
     alone = Stepper(compiled(TWO_LINK), 1, dt=1e-3, substeps=10, integrator="rosenbrock")
     batch.q[:] = np.linspace(-1.0, 1.0, 20)[:, None] * START
@@ -175,7 +175,7 @@ STIFFEST = float(compiled(STIFF).frequencies(joints="free").max())  # [rad/s]
 
 
 def shaken(integrator: str, step: float, substeps: int) -> Stepper:
-    """A stiff undamped arm, bent and let go; `step` is omega dt."""
+    """A stiff undamped arm released from a deflection; `step` is omega dt."""
     stepper = Stepper(
         compiled(STIFF), 1, dt=step / STIFFEST, substeps=substeps, integrator=integrator
     )
@@ -197,7 +197,7 @@ def test_unlimited_methods_hold_far_beyond_the_limit_where_rk4_diverges(integrat
 @pytest.mark.parametrize("share", [0.98, 1.02])
 @pytest.mark.parametrize("integrator", LIMITED)
 def test_methods_are_stable_up_to_their_stated_limits(integrator: str, share: float) -> None:
-    """The table, the eigenvalues of a step and many steps agree, on both sides."""
+    """The table, the eigenvalues of a step and many steps agree on both sides of the limit."""
     step = share * INTEGRATORS[integrator].limit
     arm = linear_arm(compiled(STIFF).chain, np.zeros(2))
 
@@ -213,7 +213,7 @@ def test_methods_are_stable_up_to_their_stated_limits(integrator: str, share: fl
 def test_damping_breaks_a_method_exactly_where_its_eigenvalues_say(
     integrator: str, decays: float
 ) -> None:
-    """A mode that decays by e^-decays in a step, and a joint in oil."""
+    """A mode that decays by e^-decays in a step, and a joint with viscous friction."""
     joint = Joint(rotor_inertia=0.05, viscous=20.0)
     arm = planar(1, 1, damping_beta=1.0, joint=joint, EIz=50.0)
     model = compiled(replace(arm, gravity=(0.0, 0.0, 0.0)))
@@ -231,7 +231,7 @@ def test_damping_breaks_a_method_exactly_where_its_eigenvalues_say(
 
 
 def test_frozen_modes_are_all_of_the_straight_arm() -> None:
-    """K S = M S Omega^2 with L = S^-1; joints that turn freely neither swing nor decay."""
+    """K S = M S Omega^2 with L = S^-1; rigid motions of free joints have no frequency or decay."""
     model = compiled(planar(2, 2, damping_ratio=0.02, joint=Joint(rotor_inertia=0.05)))
     n, modes = model.n, frozen_modes(model.chain)
     squares, decays, L, S = modes
@@ -247,7 +247,7 @@ def test_frozen_modes_are_all_of_the_straight_arm() -> None:
 
 
 def test_an_exponential_step_of_any_length_is_exact_for_small_motions() -> None:
-    """Damped or not; another method of its order is lost at omega dt = 3."""
+    """Damped or not; another method of order 2 fails at omega dt = 3."""
     arm = planar(1, 3, damping_ratio=0.02, joint=Joint(rotor_inertia=0.05))
     arm = replace(arm, gravity=(0.0, 0.0, 0.0))
     model = compiled(arm)
@@ -263,7 +263,7 @@ def test_an_exponential_step_of_any_length_is_exact_for_small_motions() -> None:
 
 @pytest.mark.parametrize("name", INTEGRATORS)
 def test_a_method_evaluates_as_often_as_it_says(name: str) -> None:
-    """On a workspace of one coordinate whose accelerations are never anything but zero."""
+    """Counted on a workspace of one coordinate with zero accelerations."""
     method, calls = INTEGRATORS[name], []
     modes = FrozenModes(np.ones(1), np.ones(1), np.eye(1), np.eye(1))
     aid = {"none": None, "modes": modes, "jacobian": lambda w: None}[method.aid]
@@ -292,7 +292,7 @@ def test_a_step_beyond_the_stability_limit_is_refused_with_the_limit() -> None:
 
 @pytest.mark.parametrize("integrator", LIMITED)
 def test_strong_damping_is_refused_like_a_high_frequency(integrator: str) -> None:
-    """Frequencies alone would allow several times the step."""
+    """Frequencies alone would allow a step several times larger."""
     model = compiled(planar(1, 1, damping_beta=0.4))
     omega = float(model.frequencies(joints="free").max())
     rest, allowed = np.zeros(2), INTEGRATORS[integrator].limit / omega
@@ -305,7 +305,7 @@ def test_strong_damping_is_refused_like_a_high_frequency(integrator: str) -> Non
 
 
 def test_automatic_choice_takes_the_implicit_method_where_damping_is_stiff() -> None:
-    """At the same accuracy, for a fraction of DOP853's work."""
+    """It has the same accuracy with a fraction of DOP853's evaluations."""
     model = compiled(planar(2, EIz=2e4, damping_beta=1e-3))
     motions = {
         name: simulate(model, 0.5 * START * (1, 0, 0, 1, 0, 0), np.zeros(6), TORQUE, [0.0, 0.3],
@@ -320,7 +320,7 @@ def test_automatic_choice_takes_the_implicit_method_where_damping_is_stiff() -> 
 
 @pytest.mark.parametrize("name", ["radau", "bdf"])
 def test_methods_with_error_control_agree(name: str) -> None:
-    """Within what ten thousand steps of BDF leave of its tolerance."""
+    """Within the tolerance of BDF accumulated over ten thousand steps."""
     exact = final(DAMPED, "dop853", Jump(told=True), 0.2, rtol=1e-12)
 
     error = np.abs(final(DAMPED, name, Jump(told=True), 0.2) - exact).max()

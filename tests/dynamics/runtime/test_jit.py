@@ -1,4 +1,4 @@
-"""What Python calls is compiled once, kept on disk, and quick to load."""
+"""Entry points are compiled once, kept on disk, and quick to load."""
 
 import json
 import os
@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dynamics.runtime.jit import compiled_for, on_disk
+from dynamics.runtime.jit import on_disk
+from dynamics.runtime.numba_internals import compiled_for
 from tests.paths import ROOT
 
 SESSION = """
@@ -19,7 +20,7 @@ from dynamics import Stepper, compile_arm
 stepper = Stepper(compile_arm("slim"), 20, dt=1e-4, substeps=2)
 stepper.advance()
 stats = stepper._program.advance.stats
-slow = {"casadi", "scipy.linalg", "numba.np.arraymath", "dynamics.arms.six_link"}
+slow = {"casadi", "scipy.linalg", "numba.np.arraymath", "dynamics.arms.presets.six_link"}
 print(json.dumps({
     "slow": sorted(slow & set(sys.modules)),
     "hits": sum(stats.cache_hits.values()), "misses": sum(stats.cache_misses.values()),
@@ -55,7 +56,7 @@ def mean(x: Any, scale: float) -> Any:
     return scale * x.sum() / x.size
 
 
-def test_what_is_called_directly_is_what_numba_would_have_found() -> None:
+def test_compiled_for_gives_the_function_that_numba_would_dispatch_to() -> None:
     """Compiled once for arguments of these types; numbers of another size are refused."""
     found, x = on_disk()(mean), np.arange(5.0)
     called = compiled_for(found, x, 2.0)

@@ -125,7 +125,7 @@ def test_a_withdrawn_task_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @njit(nogil=True)
 def all_turns(rows, thread, taken, often):  # type: ignore[no-untyped-def]
-    """How many chunks a thread takes; its number for every row of them."""
+    """Number of chunks that a thread takes; it writes its number to all their rows."""
     count = 0
     start, stop = take_chunk(rows, thread)
     while start < stop:

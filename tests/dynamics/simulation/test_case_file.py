@@ -1,3 +1,5 @@
+"""Case files are read completely or refused with one sentence."""
+
 import json
 import subprocess
 import sys
@@ -41,7 +43,7 @@ def a_case(**changes: Any) -> dict[str, Any]:
 
 
 def as_numbers(value: Any) -> Any:
-    """The strings NaN and Infinity as the numbers they stand for."""
+    """A copy with the strings NaN and Infinity as numbers."""
     if value in ("NaN", "Infinity"):
         return float(value)
     if isinstance(value, dict):
@@ -51,12 +53,12 @@ def as_numbers(value: Any) -> Any:
 
 @pytest.mark.parametrize("entry", NEGATIVE, ids=lambda entry: entry["why"])
 @pytest.mark.parametrize("spelling", ["text", "numbers"])
-def test_the_shell_refuses_with_status_2_and_one_sentence(
+def test_an_invalid_case_ends_the_command_with_status_2_and_one_sentence(
     entry: dict[str, Any], spelling: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     case = as_numbers(entry["case"]) if spelling == "numbers" else entry["case"]
     path = tmp_path / "case.json"
-    path.write_text(json.dumps(case))  # NaN and Infinity literals too: Python's reader takes them
+    path.write_text(json.dumps(case))  # NaN and Infinity as literals, which Python's reader accepts
 
     status = main(["evaluate", str(path)])
 
@@ -119,7 +121,7 @@ def test_a_bad_case_is_refused_with_a_sentence(sentence: str) -> None:
         case_from_dict(a_case(**REFUSED[sentence]))
 
 
-def test_states_come_from_the_case_or_else_from_what_is_expected() -> None:
+def test_states_come_from_the_case_or_else_from_its_expected_states() -> None:
     expected = {"states": [{**STATE, "tau": [3.0], "M": [[1.0]], "note": "ignored"}]}
     own = case_from_dict(a_case(states=[STATE, STATE], expected=expected))
     assert [state.tau for state in own.states] == [(0.0,), (0.0,)]
@@ -127,14 +129,14 @@ def test_states_come_from_the_case_or_else_from_what_is_expected() -> None:
     assert [state.tau for state in other.states] == [(3.0,)]
 
 
-def test_a_free_base_is_where_its_description_or_the_state_says() -> None:
+def test_a_free_base_starts_in_the_given_state_or_else_in_the_described_one() -> None:
     described = case_from_dict(a_case(base=FREE)).motion
     turn = 0.5 * np.pi
-    said = {
+    given = {
         "q": [4.0, 5.0, 6.0, 0.0, 0.0, turn, *STATE["q"]], "qd": [0.0] * 8,
         "base_quaternion": [np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)],
     }  # fmt: skip
-    own = case_from_dict(a_case(base=FREE, initial=said)).motion
+    own = case_from_dict(a_case(base=FREE, initial=given)).motion
 
     assert described is not None
     assert own is not None
@@ -144,7 +146,8 @@ def test_a_free_base_is_where_its_description_or_the_state_says() -> None:
     assert own.qd == (0.0,) * 8
 
 
-def test_frequencies_are_wanted_where_the_motion_starts() -> None:
+def test_frequencies_are_evaluated_at_the_start_of_the_motion() -> None:
+    """Without a motion at the expected joint angles, else at zero."""
     assert case_from_dict(a_case()).joint_angles == (0.1,)
     still = {"initial": "absent", "t_end": "absent"}
     assert case_from_dict(a_case(**still)).joint_angles == (0.0,)
@@ -153,7 +156,7 @@ def test_frequencies_are_wanted_where_the_motion_starts() -> None:
 
 
 @pytest.mark.parametrize("name", ["six_link_m2", "S1_m2", "two_link_friction_damping"])
-def test_reference_cases_ask_for_their_own_times_states_and_angles(name: str) -> None:
+def test_a_reference_case_evaluates_its_expected_times_states_and_angles(name: str) -> None:
     path = REFERENCE / f"{name}.json"
     data = json.loads(path.read_text())
     case = load_case(path)
@@ -174,7 +177,7 @@ def torque_of(*signals: Any) -> Torque:
     return motion.torque
 
 
-def test_torque_jumps_at_its_breakpoints_and_holds_between() -> None:
+def test_torque_jumps_at_its_breakpoints_and_is_constant_between() -> None:
     torque = torque_of({**STEP, "t": [0.25, 0.5]}, {**STEP, "t": [0.5, 0.75]})
     assert torque.breakpoints == (0.25, 0.5, 0.75)
     wanted = {0.0: (0, 0), 0.25: (1, 0), 0.4999: (1, 0), 0.5: (2, 1), 0.75: (2, 2), 9.0: (2, 2)}
@@ -182,7 +185,7 @@ def test_torque_jumps_at_its_breakpoints_and_holds_between() -> None:
         assert tuple(torque(t)) == values
 
 
-def test_a_sine_torque_has_no_breakpoints_and_null_is_none() -> None:
+def test_a_sine_torque_has_no_breakpoints_and_a_null_torque_is_zero() -> None:
     torque = torque_of(SINE, None)
     assert torque.breakpoints == ()
     assert torque(0.4) == pytest.approx((2.0 * np.sin(3.0 * 0.4 + 0.5), 0.0))
@@ -194,7 +197,7 @@ def test_list_names_every_preset(capsys: pytest.CaptureFixture[str]) -> None:
     assert [line.split()[0] for line in listing().splitlines()] == list(ARMS)
 
 
-def test_a_refusal_needs_neither_compiler_nor_tracer(tmp_path: Path) -> None:
+def test_a_refusal_imports_neither_numba_nor_casadi(tmp_path: Path) -> None:
     code = (
         "import sys; from dynamics.__main__ import main; status = main(sys.argv[1:]); "
         "print(status, sorted({'casadi', 'numba'} & set(sys.modules)))"
@@ -205,7 +208,7 @@ def test_a_refusal_needs_neither_compiler_nor_tracer(tmp_path: Path) -> None:
     assert "no such file" in done.stderr
 
 
-def test_a_result_goes_only_where_it_can_be_written(tmp_path: Path) -> None:
+def test_an_output_path_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="existing folder"):
         check_target(tmp_path / "gone" / "out.json")
     with pytest.raises(ValueError, match="must be a file"):
@@ -214,7 +217,7 @@ def test_a_result_goes_only_where_it_can_be_written(tmp_path: Path) -> None:
     assert main(["evaluate", case, "--out", str(tmp_path / "gone" / "out.json")]) == 2
 
 
-def test_a_result_replaces_the_old_one_in_one_step(tmp_path: Path) -> None:
+def test_a_result_replaces_an_old_file_and_leaves_no_other(tmp_path: Path) -> None:
     target = tmp_path / "out.json"
     target.write_text("old")
     write(target, "new")

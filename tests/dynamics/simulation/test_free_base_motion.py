@@ -1,4 +1,4 @@
-"""Motions with a free base: known ones, conserved quantities, steps, batches, linearisation."""
+"""Free-base motions: exact solutions, conserved quantities, steps, batches, linearisation."""
 
 from dataclasses import replace
 from functools import cache
@@ -37,7 +37,7 @@ from tests.dynamics.random_arms import (
 from tests.paths import REFERENCE
 
 COAST = load_arm(REFERENCE / "free_flying_coast.json")
-BENT = np.array([0.5, 0.03, -0.02, -0.8, 0.02, 0.03])  # where that case starts
+BENT = np.array([0.5, 0.03, -0.02, -0.8, 0.02, 0.03])  # initial coordinates of that case
 SPINNING = replace(
     COAST,
     links=COAST.links[:1],
@@ -51,12 +51,12 @@ SMALL = ((1e-9, 0.0, 0.0), (0.0, 1e-9, 0.0), (0.0, 0.0, 1e-9))
 
 
 def rigid(**changes: object) -> Arm:
-    """A flying rigid body."""
+    """A free rigid body without an arm."""
     return Arm(links=(), base=Base(type="free", mass=5.0, inertia=ROUND, **changes))
 
 
 def follow(integrator: str, **options: float) -> Trajectory:
-    """The spinning arm for a while, under a torque."""
+    """Motion of the spinning arm under a constant torque."""
     t = np.linspace(0.0, 0.4, 5)
     return simulate(
         compiled(SPINNING), BENT[:3], np.zeros(3), [0.3], t, integrator=integrator, **options
@@ -68,7 +68,7 @@ def reference() -> Trajectory:
     return follow("dop853", rtol=1e-12)
 
 
-def test_a_symmetric_top_precesses_as_euler_says() -> None:
+def test_a_symmetric_top_follows_eulers_solution() -> None:
     """R(t) = exp(L t / J1) exp(e3 (1 - J3 / J1) w3 t), from R(0) = 1."""
     w = np.array([1.0, 0.5, 6.0])
     momentum = np.array([2.0, 2.0, 3.0]) * w
@@ -90,8 +90,8 @@ def test_a_symmetric_top_precesses_as_euler_says() -> None:
     assert np.all(np.sum(path.base_quaternion[1:] * path.base_quaternion[:-1], axis=1) > 0.0)
 
 
-def test_a_thrown_body_turns_about_its_centre_of_mass() -> None:
-    """Which falls on a parabola, whatever the spin."""
+def test_the_centre_of_mass_of_a_thrown_body_follows_a_parabola() -> None:
+    """At any spin; its path is taken from the gravity energy."""
     com = np.array([0.2, -0.1, 0.3])
     arm = rigid(com=tuple(com), angular_velocity_body=(2.0, -3.0, 5.0), velocity=(1.0, 2.0, 3.0))
     arm = replace(arm, gravity=(0.5, 0.0, -9.81))
@@ -99,14 +99,14 @@ def test_a_thrown_body_turns_about_its_centre_of_mass() -> None:
 
     path = simulate(compiled(arm), [], [], None, t)
 
-    mass_times_com = [compiled(arm).energy(q, v)[2] for q, v in zip(path.q, path.v, strict=True)]
+    energies = [compiled(arm).energy(q, v)[2] for q, v in zip(path.q, path.v, strict=True)]
     w = np.array(arm.base.angular_velocity_body)
     velocity = np.array(arm.base.velocity) + np.cross(w, com)
     fallen = com + np.outer(t, velocity) + 0.5 * np.outer(t**2, arm.gravity)
-    assert_allclose(mass_times_com, -5.0 * fallen @ arm.gravity, rtol=0.0, atol=1e-7)
+    assert_allclose(energies, -5.0 * fallen @ arm.gravity, rtol=0.0, atol=1e-7)
 
 
-def test_momentum_and_energy_of_a_flying_arm_stay_over_10_000_steps_of_the_reference(
+def test_momentum_and_energy_of_a_free_arm_are_conserved_over_10_000_steps_of_dop853(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     model, steps = compiled(COAST), []
@@ -126,7 +126,7 @@ def test_momentum_and_energy_of_a_flying_arm_stay_over_10_000_steps_of_the_refer
     assert np.abs(total - total[0]).max() < 1e-9 * total[0]
 
 
-def test_gravity_feeds_the_momentum() -> None:
+def test_linear_momentum_grows_with_the_weight() -> None:
     path, model = reference(), compiled(SPINNING)
 
     linear = [model.momentum(q, v)[0] for q, v in zip(path.q, path.v, strict=True)]
@@ -136,10 +136,10 @@ def test_gravity_feeds_the_momentum() -> None:
 
 
 def distances(path: Trajectory) -> tuple[float, float]:
-    """Of the tip [m] and the base's quaternion [-] from the reference, at most."""
+    """Largest errors of the tip [m] and of the base's quaternion [-] against the reference."""
     true = reference()
-    turned = np.abs(path.base_quaternion - true.base_quaternion).max()
-    return float(np.abs(path.tip - true.tip).max()), float(turned)
+    attitude = np.abs(path.base_quaternion - true.base_quaternion).max()
+    return float(np.abs(path.tip - true.tip).max()), float(attitude)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def distances(path: Trajectory) -> tuple[float, float]:
     [("rk4", 0.0025, 4), ("midpoint", 0.0005, 2), ("rosenbrock", 0.0025, 4), ("euler", 0.0005, 1)],
 )
 def test_steps_converge_with_their_order(integrator: str, dt: float, order: int) -> None:
-    """In the rotation of the base too, under gravity, while it spins fast."""
+    """Also in the attitude of the base, under gravity and at a fast spin."""
     errors = [distances(follow(integrator, dt=step)) for step in (dt, dt / 2.0)]
 
     for coarse, fine in zip(*errors, strict=True):
@@ -160,14 +160,14 @@ def test_implicit_methods_with_error_control_agree(integrator: str) -> None:
 
 
 @pytest.mark.parametrize("integrator", ["numerov", "generalized-alpha", "exponential"])
-def test_methods_with_a_memory_are_refused_with_a_sentence(integrator: str) -> None:
+def test_multistep_methods_are_refused_with_a_sentence(integrator: str) -> None:
     with pytest.raises(ValueError, match=f"{integrator}.* remembers .*take one of .'rk4'"):
         Stepper(compiled(COAST), 1, dt=1e-3, substeps=1, integrator=integrator)
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "midpoint"])
 def test_a_batch_steps_every_environment_as_if_alone(integrator: str) -> None:
-    """In every lane, also of a block that is not full, wherever its base is."""
+    """In every lane, also of a block that is not full, with any state of the base."""
     model, count = compiled(SPINNING), 19
     batch = Stepper(model, count, dt=1e-3, substeps=50, integrator=integrator)
     alone = Stepper(model, 1, dt=1e-3, substeps=50, integrator=integrator)
@@ -189,7 +189,7 @@ def test_a_batch_steps_every_environment_as_if_alone(integrator: str) -> None:
         assert_allclose(batch.measured[k, tip], model.tip(batch.q[k]), rtol=0.0, atol=1e-12)
 
 
-def test_float32_steps_are_those_of_float64_to_its_digits() -> None:
+def test_float32_steps_agree_with_float64_to_single_precision() -> None:
     ends = []
     for dtype in ("float64", "float32"):
         stepper = Stepper(compile_arm(SPINNING, dtype=dtype), 2, dt=1e-3, substeps=100)
@@ -203,8 +203,8 @@ def test_float32_steps_are_those_of_float64_to_its_digits() -> None:
     assert np.abs(ends[0][0] - ends[1][0]).max() > 0.0
 
 
-def test_no_attitude_is_singular_however_long_it_spins() -> None:
-    """A million steps of 0.045 rad about no principal axis, on the way through every attitude."""
+def test_a_long_spin_through_all_attitudes_meets_no_singularity() -> None:
+    """A million steps of 0.045 rad, not about a principal axis."""
     model = compiled(rigid())
     stepper = Stepper(model, 1, dt=1e-3, substeps=100_000)
     stepper.v[0, 3:] = 3.0, 40.0, -20.0
@@ -221,8 +221,8 @@ def test_no_attitude_is_singular_however_long_it_spins() -> None:
     assert max(angles) > 2.0
 
 
-def test_a_heavy_base_is_a_fixed_one() -> None:
-    """The difference vanishes with the base's mass."""
+def test_a_heavy_base_acts_like_a_fixed_one() -> None:
+    """The difference is inversely proportional to the base's mass."""
     arm = replace(random_arm(3, 2, 3), gravity=(0.0, 0.0, 0.0))
     (q, v), tau = random_state(arm), random_torque(arm)
     expected = np.array(accelerations(compiled(arm).chain, floats(q), floats(v), floats(tau)))
@@ -240,8 +240,8 @@ def test_a_heavy_base_is_a_fixed_one() -> None:
     assert differences[1] == pytest.approx(1e-3 * differences[0], rel=0.1)
 
 
-def test_accelerations_do_not_know_where_the_base_is() -> None:
-    """Without gravity, seen from the base."""
+def test_accelerations_in_the_base_frame_do_not_depend_on_the_pose_of_the_base() -> None:
+    """Without gravity."""
     arm = replace(flying(random_arm(2, 2, 2)), gravity=(0.0, 0.0, 0.0))
     model, (q, v), tau = compiled(arm), random_state(arm), random_torque(arm)
     turn = np.array(from_rotation_vector((0.4, -1.0, 2.0)))
@@ -259,7 +259,7 @@ def test_accelerations_do_not_know_where_the_base_is() -> None:
 
 
 def matrix(quaternion: Array) -> Array:
-    """By turning the unit vectors."""
+    """Rotation matrix of a quaternion, from the rotated unit vectors."""
     conjugate = quaternion * (1.0, -1.0, -1.0, -1.0)
     columns = [
         product(product(quaternion, (0.0, *axis)), conjugate)[1:] for axis in np.eye(3).tolist()
@@ -267,7 +267,7 @@ def matrix(quaternion: Array) -> Array:
     return np.array(columns).T
 
 
-def test_inverse_dynamics_gives_back_what_drives_the_motion() -> None:
+def test_inverse_dynamics_returns_the_joint_torques_and_no_force_on_the_base() -> None:
     arm = flying(random_arm(2, 2, 2))
     model, (q, v), tau = compiled(arm), random_state(arm), random_torque(arm)
 
@@ -278,8 +278,8 @@ def test_inverse_dynamics_gives_back_what_drives_the_motion() -> None:
     assert_allclose(forces[list(arm.joint_index)], tau, rtol=0.0, atol=1e-10 * size)
 
 
-def test_linearisation_is_the_slope_of_the_motion() -> None:
-    """Of position, small own rotation and arm, then rates, against central differences."""
+def test_linearisation_equals_central_differences_of_the_motion() -> None:
+    """By position, small rotation of the base in its own frame, arm coordinates and rates."""
     arm = flying(random_arm(2, 2, 2))
     model, (q, v), tau = compiled(arm), random_state(arm), random_torque(arm)
     n, h = arm.n, 1e-6
@@ -296,7 +296,7 @@ def test_linearisation_is_the_slope_of_the_motion() -> None:
                 at[3:6] = to_rotation_vector(turned)
             else:
                 at[k] += sign * h
-            # small rotation p: its rate is the change of omega, less omega x p
+            # the rate of a small rotation p is the change of omega minus omega x p
             kinematic = rates.copy()
             if 3 <= k < 6:
                 kinematic[3:6] -= np.cross(v[3:6], sign * h * np.eye(3)[k - 3])
@@ -307,15 +307,15 @@ def test_linearisation_is_the_slope_of_the_motion() -> None:
 
     expected = np.array([slope(k) for k in range(2 * n)]).T
     assert_allclose(A, expected, rtol=0.0, atol=1e-7 * np.abs(expected).max())
-    # rows of the base are small beside those of stiff modes: look at them alone
+    # the base's rows are small against those of stiff modes, and are compared by themselves
     six = np.r_[n : n + 6]
     assert_allclose(A[six], expected[six], rtol=0.0, atol=1e-7 * np.abs(expected[six]).max())
     driven = model.accelerations(q, v, tau + 1.0) - model.accelerations(q, v, tau)
     assert_allclose(B[n:].sum(axis=1), driven, rtol=0.0, atol=1e-9 * np.abs(driven).max())
 
 
-def test_the_linear_tip_rotation_does_not_touch_the_base() -> None:
-    """Rigid links have no bent ends: both words mean one arm, wherever a step begins."""
+def test_the_linear_tip_rotation_does_not_change_the_base() -> None:
+    """With rigid links both kinds of rotation give equal accelerations at any state of the base."""
     arm = flying(random_arm(7, 3, 0))
     (q, v), tau = random_state(arm), random_torque(arm)
 
@@ -331,8 +331,8 @@ BETA = np.array([4.730040744862704, 7.853204624095838])  # cosh cos = 1: a free-
 
 
 @pytest.mark.parametrize("direction", ["y", "z"])
-def test_a_flying_beam_has_the_frequencies_of_a_free_one(direction: str) -> None:
-    """On a base of next to nothing; [1/s] beta^2 sqrt(EI / rho A) / l^2."""
+def test_a_beam_on_a_massless_base_has_the_frequencies_of_a_free_free_beam(direction: str) -> None:
+    """[rad/s] beta^2 sqrt(EI / rho A) / l^2."""
     modes = tuple(Mode(kind="clamped-free", index=k, direction=direction) for k in range(1, 9))
     link = Link(length=2.0, rho_A=0.5, EIz=30.0, EIy=30.0, modes=modes)
     dust = Base(type="free", mass=1e-9, inertia=SMALL)
@@ -343,30 +343,30 @@ def test_a_flying_beam_has_the_frequencies_of_a_free_one(direction: str) -> None
     assert_allclose(omega[:2], expected, rtol=2e-3)
 
 
-def test_a_flying_shaft_twists_at_the_frequencies_of_a_free_one() -> None:
-    """k pi / l sqrt(GJ / rho Ip); on the ground (2 k - 1) pi / (2 l) of it."""
+def test_a_shaft_on_a_massless_base_has_the_frequencies_of_a_free_free_shaft() -> None:
+    """[rad/s] c sqrt(GJ / rho Ip), with c = k pi / l; on a fixed base c = (2 k - 1) pi / (2 l)."""
     modes = tuple(Mode(kind="torsion-poly", index=k, direction="x") for k in range(1, 8))
     link = Link(length=2.0, rho_A=0.5, GJ=7.0, rho_Ip=0.003, modes=modes)
     speed = np.sqrt(7.0 / 0.003)
     dust = Base(type="free", mass=1e-9, inertia=SMALL)
 
-    flying_omega = compile_arm(Arm(links=(link,), base=dust)).frequencies(joints="locked")
-    held = compile_arm(Arm(links=(link,))).frequencies(joints="locked")
+    free = compile_arm(Arm(links=(link,), base=dust)).frequencies(joints="locked")
+    fixed = compile_arm(Arm(links=(link,))).frequencies(joints="locked")
 
-    assert_allclose(flying_omega[:2], np.array([1, 2]) * np.pi / 2.0 * speed, rtol=1e-4)
-    assert_allclose(held[:2], np.array([1, 3]) * np.pi / 4.0 * speed, rtol=1e-4)
+    assert_allclose(free[:2], np.array([1, 2]) * np.pi / 2.0 * speed, rtol=1e-4)
+    assert_allclose(fixed[:2], np.array([1, 3]) * np.pi / 4.0 * speed, rtol=1e-4)
 
 
-def test_a_scene_needs_the_ground() -> None:
+def test_a_scene_refuses_an_arm_on_a_free_base() -> None:
     with pytest.raises(ValueError, match=r"Base.type must be 'fixed' for a scene, got 'free'"):
         choose_model(COAST, Scene(motions=(release((0.1, 0.0), 0.1),)), tolerance=1e-3)
 
 
-def test_a_model_of_a_flying_arm_counts_its_operations() -> None:
+def test_a_free_base_adds_operations_but_does_not_triple_them() -> None:
     model: Model = compiled(COAST)
-    grounded = compiled(replace(COAST, base=Base())).operation_count()["accelerations"]
+    fixed = compiled(replace(COAST, base=Base())).operation_count()["accelerations"]
 
     count = model.operation_count()["accelerations"]
 
-    assert grounded["multiplications"] < count["multiplications"] < 3 * grounded["multiplications"]
+    assert fixed["multiplications"] < count["multiplications"] < 3 * fixed["multiplications"]
     assert model.graph.size1_in(0) == model.graph.size1_out(0) == 12

@@ -47,7 +47,7 @@ def a_beam(
 
 
 def spinning_frequencies(model: Model, omega: float) -> np.ndarray:
-    """Modal frequencies while the joint turns steadily: from the bias' slope at delta = 0."""
+    """Modal frequencies at a steady joint rate, from the derivative of the bias at delta = 0."""
     n, step = model.n, 1e-6
     v = np.zeros(n)
     v[0] = omega
@@ -72,7 +72,7 @@ def test_a_foreshortened_beam_stiffens_as_it_spins(eta: float) -> None:
 
 
 def test_the_linear_beam_loses_its_stiffness_at_its_own_frequency() -> None:
-    """lag^2 = omega_1^2 - Omega^2: false, and the reason for foreshortening."""
+    """lag^2 = omega_1^2 - Omega^2, unlike the exact beam: the reason for foreshortening."""
     model = compile_arm(a_beam(1, foreshortening=False))
     assert spinning_frequencies(model, 3.0)[0] == pytest.approx(np.sqrt(3.5160152685**2 - 9.0))
     v = np.array([3.6, 0.0])
@@ -80,7 +80,7 @@ def test_the_linear_beam_loses_its_stiffness_at_its_own_frequency() -> None:
 
 
 @pytest.mark.parametrize("alpha", DEAD_LOAD)
-def test_segments_bend_as_the_exact_beam_does(alpha: float) -> None:
+def test_segments_deflect_like_the_exact_beam(alpha: float) -> None:
     """Four segments of two polynomial modes, foreshortened: within 0.5 % of the elastica."""
     light = {"rho_A": 1e-9, "tip_mass": alpha, "segments": 4}
     model = compile_arm(a_beam(2, kind="poly", gravity=[0.0, -1.0, 0.0], **light))

@@ -1,4 +1,4 @@
-"""A batch is nothing but its environments."""
+"""Environments of a batch move independently of each other, of threads and of lanes."""
 
 import itertools
 import math
@@ -30,7 +30,7 @@ FREE = ("payload_mass", "stiffness", "damping", "friction")
 def batch(
     model: Model, count: int, *, integrator: str = "rk4", threads: int = 1, first: int = 0
 ) -> Stepper:
-    """Different environments; number `first` + k is the same in every batch."""
+    """A batch of random states and torques; environment k has the seed `first` + k."""
     stepper = Stepper(model, count, dt=1e-4, substeps=5, integrator=integrator, threads=threads)
     for k in range(count):
         stepper.q[k], stepper.v[k] = random_state(model.arm, first + k)
@@ -82,15 +82,15 @@ def test_float32_is_float64_to_single_precision(
 def test_an_environment_does_not_depend_on_threads(
     hundred: np.ndarray, integrator: str, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bit for bit, also with more threads than blocks; so few would be left to one thread."""
-    monkeypatch.setattr(thread_pool, "LEAST_WORK", 1e-9)
+    """Bit for bit, also with more threads than blocks."""
+    monkeypatch.setattr(thread_pool, "LEAST_WORK", 1e-9)  # else one thread would step this batch
     stepper = batch(compiled(ARM), 100, integrator=integrator, threads=threads)
     assert stepper.threads == min(threads, math.ceil(100 / LANES))
     assert np.array_equal(results(stepper), hundred)
 
 
-def test_threads_are_taken_for_as_much_work_as_they_are_worth() -> None:
-    """Which grows with the batch, its substeps and what a method evaluates."""
+def test_the_number_of_threads_grows_with_the_work_of_a_call() -> None:
+    """Work is the batch size times the substeps times the evaluations per step."""
     least = next(n for n in itertools.count(1) if threads_of(n) > 1)
 
     assert LANES < least < 10_000
@@ -121,8 +121,8 @@ def test_a_single_environment_equals_the_batch_to_round_off(
     assert_allclose(single[0], hundred[0], rtol=1e-11, atol=1e-13)
 
 
-def test_calls_of_few_substeps_make_one_call_of_many() -> None:
-    """rk4 keeps nothing between calls."""
+def test_several_calls_of_few_substeps_equal_one_call_of_many() -> None:
+    """With rk4, which keeps nothing between steps."""
     few, many = batch(compiled(ARM), 3), batch(compiled(ARM), 3)
     many.substeps = 20
 
@@ -130,7 +130,7 @@ def test_calls_of_few_substeps_make_one_call_of_many() -> None:
 
 
 def soft(count: int) -> Stepper:
-    """Environments with almost no stiffness."""
+    """A batch of environments with almost no stiffness."""
     stepper = batch(compiled(ARM, *FREE), count)
     stepper.parameters[:, FREE.index("stiffness")] = 1e-6
     return stepper
@@ -138,7 +138,7 @@ def soft(count: int) -> Stepper:
 
 @pytest.mark.parametrize("count", [1, LANES + 3])
 def test_a_diverged_environment_keeps_its_state_and_disturbs_no_other(count: int) -> None:
-    """Huge torque: status, last finite state, neighbours bit for bit, and no memory of it."""
+    """Under a huge torque; after it, the environment continues as if it had not diverged."""
     calm, wild = soft(count), soft(count)
     before = wild.q[-1].copy(), wild.v[-1].copy(), wild.measured[-1].copy()
     wild.torque[-1] = 1e150
@@ -161,7 +161,7 @@ def test_a_diverged_environment_keeps_its_state_and_disturbs_no_other(count: int
 
 
 def test_status_is_the_substep_of_the_divergence() -> None:
-    """However many substeps a call has: one less than the status is still finite."""
+    """With any number of substeps per call; the substep before is still finite."""
 
     def status(substeps: int) -> int:
         stepper = batch(compiled(ARM, *FREE), 2)
@@ -188,7 +188,7 @@ def test_a_state_that_is_not_finite_is_reported_at_the_first_substep() -> None:
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 def test_a_stepper_may_change_its_step(integrator: str, dtype: str) -> None:
-    """Whatever a method has prepared for the last one."""
+    """Values that a method prepared for the old step length are renewed."""
     model = compiled(ARM) if dtype == "float64" else compile_arm(ARM, dtype=dtype)
     stepper, fresh = (batch(model, 3, integrator=integrator) for _ in range(2))
     start = stepper.q.copy()
@@ -200,7 +200,7 @@ def test_a_stepper_may_change_its_step(integrator: str, dtype: str) -> None:
 
 
 def changed(parameters: dict[str, float]) -> Arm:
-    """The arm with its free parameters written into it."""
+    """The arm with the values of its free parameters in its description."""
     links = tuple(
         replace(
             k,
@@ -219,8 +219,8 @@ def changed(parameters: dict[str, float]) -> Arm:
     return replace(ARM, links=links, payload=Payload(mass=parameters["payload_mass"]))
 
 
-def test_free_parameters_equal_arms_compiled_with_them(integrator: str) -> None:
-    """One program, a different arm in every lane; frozen modes stay those of the nominal arm."""
+def test_free_parameters_act_like_an_arm_compiled_with_their_values(integrator: str) -> None:
+    """In every lane; an exponential step agrees less, as it keeps the modes of the nominal arm."""
     model = compiled(ARM, *FREE)
     stepper = batch(model, 3, integrator=integrator)
     assert stepper.parameters.tolist() == [[0.0, 1.0, 1.0, 1.0]] * 3
@@ -237,8 +237,8 @@ def test_free_parameters_equal_arms_compiled_with_them(integrator: str) -> None:
     assert np.abs(free[1] - nominal[1]).max() > 1e-3
 
 
-def test_measurements_are_the_answers_of_the_model() -> None:
-    """Columns by name, after a call and for any states."""
+def test_measurements_equal_the_quantities_of_the_model() -> None:
+    """By column name, after `advance` and by `measure`."""
     model = compiled(ARM)
     stepper = batch(model, 3)
     stepper.advance()
@@ -315,7 +315,7 @@ def test_a_bad_argument_is_refused_with_name_and_value(
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 def test_a_workspace_starts_with_a_cache_line(dtype: str) -> None:
-    """Wherever memory is found for it."""
+    """At any address that the allocator returns."""
     model = compile_arm("slim", dtype=dtype)
     program = model.program(model.lanes, "rk4")
     several = [model.workspace(program) for _ in range(20)]
@@ -323,8 +323,8 @@ def test_a_workspace_starts_with_a_cache_line(dtype: str) -> None:
     assert {(w.size, w.dtype.name) for w in several} == {(program.SLOTS * model.lanes, dtype)}
 
 
-def test_a_batch_that_another_thread_steps_says_so() -> None:
-    """Four Python threads that step one batch: each step is whole, or refused."""
+def test_a_batch_in_use_refuses_another_python_thread() -> None:
+    """Four Python threads step one batch: each call completes or is refused."""
     stepper = batch(compiled(ARM), 4000)
     one = batch(compiled(ARM), 4000)
     errors: list[BaseException | None] = []
@@ -348,7 +348,7 @@ def test_a_batch_that_another_thread_steps_says_so() -> None:
     done = errors.count(None)
     refused = [str(error) for error in errors if error is not None]
     assert done >= 5
-    assert done < 20, "they never met"
+    assert done < 20, "no two calls overlapped"
     assert all("in use by another thread" in text for text in refused)
     for _ in range(done):
         one.advance()

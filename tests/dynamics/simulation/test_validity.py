@@ -1,4 +1,4 @@
-"""Warnings name every assumption that a motion leaves."""
+"""Warnings name every assumption of the model that a motion violates."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from dynamics import (
 from tests.dynamics.random_arms import compiled
 
 
-def test_limits_name_every_assumption_that_a_motion_leaves() -> None:
+def test_limits_name_every_assumption_that_a_motion_violates() -> None:
     mode = Mode(kind="clamped-free", index=1, direction="y")
     link = replace(S1.links[0], modes=(mode,), joint=Joint(rotor_inertia=0.01))
     model = compiled(replace(S1, links=(link,)))
@@ -34,7 +34,7 @@ def test_limits_name_every_assumption_that_a_motion_leaves() -> None:
     (rate,) = limits(model, moved(-0.51 * first, 0.0))
     assert "Joint 1 turns" in rate
     (bent,) = limits(model, moved(0.0, -0.105 * length))
-    assert "Link 1 bends by up to 10% of its link's length" in bent
+    assert "Link 1 bends by up to 10% of the link's length" in bent
     assert "tip by up to 0.21 rad" in limits(model, moved(0.0, 0.15 * length))[1]
     stiffening = compiled(replace(model.arm, foreshortening=True))
     assert limits(stiffening, moved(2.0 * first, 0.0)) == ()

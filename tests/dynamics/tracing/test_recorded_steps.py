@@ -1,4 +1,4 @@
-"""Recorded steps do what the methods do."""
+"""Recorded steps give the results of the integrators' own functions."""
 
 from collections.abc import Callable
 from typing import Any
@@ -28,7 +28,7 @@ def aid(integrator: str) -> FrozenModes | None:
 
 
 def evaluate(w: Any) -> None:
-    """Some accelerations, different for everything that they may depend on."""
+    """Artificial accelerations that depend on every value a method may pass."""
     for i in range(N):
         implicit = w[AT.implicit] * w[AT.implicit + 2 + i] + 3.0 * w[AT.implicit + 1]
         w[AT.a + i] = np.sin(w[i] + w[(i + 1) % N]) - w[N + i] ** 2 + implicit
@@ -40,7 +40,7 @@ def straight_line(function: Function) -> Callable[[Any], None]:
 
 
 def replayed(part: str, integrator: str) -> Callable[[Any], None]:
-    """A start or step of a method by its straight-line functions, on one lane."""
+    """A start or step of a method, run by its straight-line functions on one lane."""
     steps = recorded(part, getattr(INTEGRATORS[integrator], part), H, AT, aid(integrator))
     functions = {f.name: straight_line(f) for f in steps.functions} | {EVALUATE: evaluate}
 
@@ -52,8 +52,8 @@ def replayed(part: str, integrator: str) -> Callable[[Any], None]:
 
 
 @pytest.mark.parametrize("integrator", RECORDED)
-def test_straight_line_steps_are_the_methods(integrator: str) -> None:
-    """Start and three steps on a workspace full of numbers: the same in every slot."""
+def test_recorded_steps_equal_the_integrators_steps(integrator: str) -> None:
+    """A start and three steps on a random workspace give equal values in every slot."""
     method, modes = INTEGRATORS[integrator], aid(integrator)
     mine = np.random.default_rng(0).uniform(-1.0, 1.0, AT.s + method.scratch(N))
     mine[H] = 0.1
@@ -66,8 +66,8 @@ def test_straight_line_steps_are_the_methods(integrator: str) -> None:
 
 
 @pytest.mark.parametrize("integrator", RECORDED)
-def test_a_stretch_needs_no_slot_that_it_has_overwritten(integrator: str) -> None:
-    """Every slot is read before it is written, once at most."""
+def test_a_recorded_function_never_reads_a_slot_that_it_has_written(integrator: str) -> None:
+    """It writes every slot once at most."""
     method = INTEGRATORS[integrator]
     for part in ("start", "step"):
         steps = recorded(part, getattr(method, part), H, AT, aid(integrator))

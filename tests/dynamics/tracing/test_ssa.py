@@ -1,4 +1,4 @@
-"""Straight-line code computes what its graph says, to the last bits."""
+"""Straight-line code evaluates its graph to the last bits."""
 
 import math
 from collections.abc import Callable
@@ -38,7 +38,7 @@ def evaluate(x, w, out):
 def elementary(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """sin, cos and tanh as generated code computes them, rows of the result."""
+    """Generated code for sin, cos and tanh, one row of the result each."""
     lanes = request.param
     x = ca.SX.sym("x")
     graph = ca.Function("elementary", [x], [ca.vertcat(ca.sin(x), ca.cos(x), ca.tanh(x))])
@@ -68,7 +68,7 @@ Elementary = Callable[[np.ndarray], np.ndarray]
 
 
 @pytest.mark.parametrize("angles", ANGLES.values(), ids=ANGLES)
-def test_sine_and_cosine_are_good_to_the_last_bits(
+def test_sine_and_cosine_are_accurate_to_the_last_bits(
     elementary: Elementary, angles: np.ndarray
 ) -> None:
     sine, cosine, _ = elementary(angles)
@@ -77,7 +77,7 @@ def test_sine_and_cosine_are_good_to_the_last_bits(
     assert np.abs(cosine - [math.cos(x) for x in angles]).max() < 4e-16
 
 
-def test_the_root_of_a_square_is_a_magnitude_and_comparisons_are_numbers() -> None:
+def test_the_root_of_a_square_is_an_absolute_value_and_comparisons_give_numbers() -> None:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     outputs = ca.vertcat(ca.sqrt(x * x), x < y, x <= y, ca.fmin(x, y), ca.fmax(x, y))
     statements = "\n".join(traced("f", ca.Function("f", [x, y], [outputs]), [0, 1], 2).lines)
@@ -109,7 +109,7 @@ def test_small_sines_keep_their_relative_digits(elementary: Elementary) -> None:
     assert_allclose(tanh, [math.tanh(x) for x in ANGLES["small"]], rtol=2e-15)
 
 
-def test_tanh_is_good_everywhere(elementary: Elementary) -> None:
+def test_tanh_is_accurate_for_small_and_large_arguments(elementary: Elementary) -> None:
     x = np.concatenate([RNG.uniform(-25.0, 25.0, 20_000), [0.0, 19.99, 20.01, -1e3, 1e300]])
     _, _, tanh = elementary(x)
 
@@ -117,10 +117,8 @@ def test_tanh_is_good_everywhere(elementary: Elementary) -> None:
     assert np.abs(tanh).max() <= 1.0
 
 
-def test_elementary_functions_neither_hide_nor_spread_what_is_not_finite(
-    elementary: Elementary,
-) -> None:
-    """A NaN must survive to be seen; the lane beside it must not care."""
+def test_a_non_finite_argument_gives_nan_in_its_own_lane_only(elementary: Elementary) -> None:
+    """Except tanh at infinity, which is one."""
     values = elementary(np.array([np.nan, 0.5, np.inf, -np.inf]))
 
     assert np.all(np.isnan(values[:, 0]))

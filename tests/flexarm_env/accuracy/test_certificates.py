@@ -1,4 +1,4 @@
-"""Certificates: kept, reproducible, and true of what the environment steps."""
+"""Certificates: stored, reproducible, and valid for the model and step of the environment."""
 
 import math
 from typing import Any
@@ -12,14 +12,14 @@ from dynamics import compile_arm, load_arm, simulate
 from dynamics.simulation.case_file import Torque
 from flexarm_env import registration
 from flexarm_env.accuracy.certificates import RANDOM_STEPS, fit, scene, stored
-from flexarm_env.certify import TIP_ERROR, WORTH, best_first, measure, strayed
+from flexarm_env.certify import TIME_PER_DECADE, TIP_ERROR, best_first, largest_error, measure
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 MEASURED = ("error", "integration", "truncation", "nonlinear", "residual")
 
 
 @pytest.mark.parametrize("env_id", flexarm_env.IDS)
-def test_every_environment_carries_the_certificate_of_its_own_step(env_id: str) -> None:
+def test_every_environment_has_the_certificate_of_its_own_step(env_id: str) -> None:
     core = gym.make(env_id).unwrapped.core  # type: ignore[attr-defined]
     certificate = core.certificate
     assert certificate["integrator"] == core.integrator
@@ -33,7 +33,7 @@ def test_every_environment_carries_the_certificate_of_its_own_step(env_id: str) 
 @pytest.mark.parametrize(
     "name", ["slim", *(pytest.param(k, marks=pytest.mark.slow) for k in stored() if k != "slim")]
 )
-def test_a_kept_certificate_is_measured_again(name: str) -> None:
+def test_measuring_again_gives_the_stored_certificate(name: str) -> None:
     kept = stored()[name]
     best = kept["steps"][0]
     again = measure(name, kept["control_dt"], best["integrator"], best["substeps"]).to_dict()
@@ -46,24 +46,24 @@ def test_a_kept_certificate_is_measured_again(name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["slim", *(pytest.param(k, marks=pytest.mark.slow) for k in stored() if k != "slim")]
 )
-def test_a_kept_step_is_accurate_and_one_less_is_not(name: str) -> None:
+def test_the_stored_step_is_accurate_and_one_substep_less_is_not(name: str) -> None:
     entry = stored()[name]
     (length,) = [steps for arm, _, steps in registration.SCENES.values() if arm == name]
     best = entry["steps"][0]
     setting = name, entry["control_dt"], length, best["integrator"]
-    assert strayed(*setting, best["substeps"]) == pytest.approx(best["error"], rel=1e-6)
-    assert best["error"] < TIP_ERROR < strayed(*setting, best["substeps"] - 1)
+    assert largest_error(*setting, best["substeps"]) == pytest.approx(best["error"], rel=1e-6)
+    assert best["error"] < TIP_ERROR < largest_error(*setting, best["substeps"] - 1)
 
 
-def test_a_tenth_of_the_error_is_worth_a_tenth_more_time() -> None:
+def test_a_tenth_of_the_error_may_cost_a_tenth_more_time() -> None:
     fast = {"seconds": 1.0, "error": 1e-3}
-    worth = {"seconds": 0.99 * math.exp(2.0 * WORTH), "error": 1e-5}
-    slow = {"seconds": 1.01 * math.exp(2.0 * WORTH), "error": 1e-5}
-    assert best_first([slow, fast, worth]) == [worth, fast, slow]
+    accurate = {"seconds": 0.99 * math.exp(2.0 * TIME_PER_DECADE), "error": 1e-5}
+    slow = {"seconds": 1.01 * math.exp(2.0 * TIME_PER_DECADE), "error": 1e-5}
+    assert best_first([slow, fast, accurate]) == [accurate, fast, slow]
 
 
 def random_torque_tips(**keywords: Any) -> np.ndarray:
-    """Tips of the one-link environment under the certified random torques, a row per step."""
+    """(steps, 3) [m] tips of the one-link environment under the random torques of its scene."""
     env: Any = gym.make(ENV_ID, **keywords).unwrapped
     _, signals = (motion.torque.signals for motion in scene(load_arm("slim"), 0.02).motions)
     env.reset(seed=0, options={"state": {}, "target": [0.0]})

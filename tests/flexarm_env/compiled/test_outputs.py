@@ -1,4 +1,4 @@
-"""What a step returned stays as it is; what nobody holds any more is filled again."""
+"""Arrays that a step returned are not overwritten while the caller refers to them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,19 +11,19 @@ import flexarm_env  # noqa: F401
 from flexarm_env.compiled.outputs import SPARE
 
 STEPS = 8
-HOLDS: dict[str, Callable[[tuple[Any, ...]], Any]] = {
+KEPT_PARTS: dict[str, Callable[[tuple[Any, ...]], Any]] = {
     "observations": lambda result: result[0],
     "half an observation": lambda result: result[0][1:, 1],
     "rewards": lambda result: result[1],
     "some rewards": lambda result: result[1][::2],
     "truncated": lambda result: result[3],
     "one number of info": lambda result: result[4]["tip_error"],
-    "a part of it": lambda result: result[4]["tip_error"][2:],
-    "a wide one": lambda result: result[4]["torque"],
-    "a mark": lambda result: result[4]["settled"],
+    "part of a number of info": lambda result: result[4]["tip_error"][2:],
+    "a vector of info": lambda result: result[4]["torque"],
+    "a flag": lambda result: result[4]["settled"],
     "reward terms": lambda result: result[4]["reward_terms"],
     "info": lambda result: result[4],
-    "its memory": lambda result: memoryview(result[0]),
+    "memory of the observations": lambda result: memoryview(result[0]),
 }
 
 
@@ -38,20 +38,19 @@ def batch(request: pytest.FixtureRequest) -> Any:
     envs.close()
 
 
-@pytest.mark.parametrize("hold", HOLDS.values(), ids=HOLDS)
-def test_what_is_held_is_not_overwritten(batch: Any, hold: Callable[[Any], Any]) -> None:
-    """Whatever part of a result is kept, later steps leave it alone."""
+@pytest.mark.parametrize("part", KEPT_PARTS.values(), ids=KEPT_PARTS)
+def test_a_kept_part_of_a_result_is_not_overwritten(batch: Any, part: Callable[[Any], Any]) -> None:
     rng = np.random.default_rng(0)
-    held, copies = [], []
+    kept, copies = [], []
     for _ in range(STEPS):
-        held.append(hold(batch.step(rng.uniform(-1.0, 1.0, (7, 1)))))
-        copies.append(_copied(held[-1]))
-    for here, before in zip(held, copies, strict=True):
-        np.testing.assert_equal(_copied(here), before)
+        kept.append(part(batch.step(rng.uniform(-1.0, 1.0, (7, 1)))))
+        copies.append(_copied(kept[-1]))
+    for now, before in zip(kept, copies, strict=True):
+        np.testing.assert_equal(_copied(now), before)
 
 
-def test_what_nobody_holds_is_filled_again(batch: Any) -> None:
-    """A training loop that keeps the last result alone takes turns with few sets of arrays."""
+def test_arrays_that_nobody_refers_to_are_reused(batch: Any) -> None:
+    """A training loop that keeps only the last result uses few sets of arrays."""
     places = set()
     for _ in range(STEPS):
         result = batch.step(np.zeros((7, 1)))
@@ -59,16 +58,16 @@ def test_what_nobody_holds_is_filled_again(batch: Any) -> None:
     assert len(places) <= SPARE < STEPS
 
 
-def test_a_single_environment_keeps_its_promises() -> None:
-    """Observations and the arrays of info that are kept stay as they were."""
+def test_a_single_environment_returns_arrays_of_its_own() -> None:
+    """Later steps do not change observations and info arrays."""
     env = gym.make("FlexArm/TwoLink-Reach-v0")
-    held = [env.reset(seed=0)[0]]
-    copies = [held[0].copy()]
+    kept = [env.reset(seed=0)[0]]
+    copies = [kept[0].copy()]
     for _ in range(STEPS):
         obs, _, _, _, info = env.step(env.action_space.high)
-        held += [obs, info["torque"], info["root_curvature"]]
-        copies += [x.copy() for x in held[-3:]]
-    np.testing.assert_equal(held, copies)
+        kept += [obs, info["torque"], info["root_curvature"]]
+        copies += [x.copy() for x in kept[-3:]]
+    np.testing.assert_equal(kept, copies)
 
 
 def _copied(x: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Integrators in a generated module: their functions, and the lines that call them."""
+"""Integrators in a generated module: their straight-line functions, and the calls of these."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -19,7 +19,7 @@ for _method in INTEGRATORS.values():
     for _helper in _method.helpers:
         register_jitable(_helper)
 
-# A method with a Jacobian is compiled as it stands: it has more to do than an evaluation.
+# A method with a Jacobian is compiled as Python loops: recorded, it would be too long.
 _LOOPS = """
 METHOD = INTEGRATORS[{0!r}]
 start_method, step_method = compiled(METHOD.start), compiled(METHOD.step)

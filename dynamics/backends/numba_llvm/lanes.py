@@ -1,0 +1,11 @@
+"""Compiled functions on all lanes of the workspace: vector code, or plain numba if it must be."""
+
+from dynamics.runtime.numba_internals import USABLE
+
+if USABLE:
+    from dynamics.backends.numba_llvm.moves import lane_moves, row_moves
+    from dynamics.backends.numba_llvm.vector_code import straight_line
+else:
+    from dynamics.backends.numba_llvm.plain_code import lane_moves, row_moves, straight_line
+
+__all__ = ["lane_moves", "row_moves", "straight_line"]

@@ -1,0 +1,150 @@
+"""The plant of an environment: arm model, actuators, torque limits, integrator and step."""
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dynamics.description import validate
+from dynamics.description.arm import Arm
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.load import ArmSource, load_arm
+from dynamics.types import Array
+from flexarm_env import arguments
+from flexarm_env.accuracy.certificates import find, fit, kept
+from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
+from flexarm_env.compiled.actuation import Actuation
+from flexarm_env.scales import BY_RULE, MOVE, Scales, integration, scales
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plant:
+    """An arm behind its actuators, and the step by which it is integrated."""
+
+    arm: Arm  # the model that is stepped
+    scales: Scales  # of this model
+    actuation: Actuation | None  # None: ideal torque sources
+    torque_limit: Array  # (n_joint,) [N m] torque at action 1
+    full_acceleration: float  # [rad/s^2] smallest of the joints' at full torque
+    control_dt: float  # [s]
+    integrator: str
+    substeps: int  # integration steps per control step
+    certificate: dict[str, Any] | None  # None: this arm and step were never certified
+
+    @property
+    def dt(self) -> float:
+        """Integration step [s]."""
+        return self.control_dt / self.substeps
+
+    @property
+    def rate_scale(self) -> float:
+        """Peak joint rate [rad/s] of a bang-bang move by MOVE at full torque."""
+        return math.sqrt(self.full_acceleration * MOVE)
+
+    @property
+    def move_time(self) -> float:
+        """Duration [s] of a bang-bang move by MOVE at full torque."""
+        return 2.0 * math.sqrt(MOVE / self.full_acceleration)
+
+
+def plan(
+    *,
+    arm: ArmSource,
+    control_dt: float,
+    integrator: str | None,
+    substeps: int | None,
+    torque_limit: float | Sequence[float] | None,
+    fidelity: str,
+    tolerance: float | None,
+    actuator: Any,
+    randomized: Collection[str],
+) -> Plant:
+    """Check the keywords of `core.Core` that concern the plant, and choose what they leave open.
+
+    `randomized` names the free parameters that are drawn at a reset.
+    """
+    described = load_arm(arm)
+    actuators = load_actuators(actuator, described.n_joint)
+    described = mounted(described, actuators)
+    if actuators:
+        refuse_beside_actuators(torque_limit=torque_limit, tolerance=tolerance)
+    control_dt = arguments.within("control_dt", control_dt, *arguments.CONTROL_DT, "s")
+    if described.base.n:
+        raise ValueError(
+            f"Base.type must be 'fixed' for an environment, got {described.base.type!r}; "
+            "step a free base with dynamics.Stepper."
+        )
+    fitted = fit(described, control_dt, fidelity, tolerance)
+    own = scales(described)  # torques and tasks do not depend on the fidelity of the model
+    inertia = np.array(own.inertia)
+    if actuators:
+        actuation = Actuation(actuators, fitted.arm, own.torque_limit)
+        limit = actuation.torque_limit
+        full = np.minimum(limit, own.torque_limit)  # a strong motor may exceed what the arm bears
+    else:
+        actuation = None
+        full = limit = arguments.torque_limits(torque_limit, own.torque_limit)
+    name, count = _step(
+        fitted.arm,
+        control_dt,
+        fitted.integrator if integrator is None else integrator,
+        fitted.substeps if substeps is None else substeps,
+        actuation,
+        randomized,
+    )
+    certificate = fitted.certificate or find(fitted.arm, control_dt, name, count)
+    return Plant(
+        arm=fitted.arm,
+        scales=scales(fitted.arm),
+        actuation=actuation,
+        torque_limit=limit,
+        full_acceleration=float(np.min(full / inertia)),
+        control_dt=control_dt,
+        integrator=name,
+        substeps=count,
+        certificate=None if actuation else certificate,
+    )
+
+
+def _step(
+    arm: Arm,
+    control_dt: float,
+    integrator: str | None,
+    substeps: int | None,
+    actuation: Actuation | None,
+    randomized: Collection[str],
+) -> tuple[str, int]:
+    """Integrator and substeps: those given, else the measured ones, else those of the rule."""
+    if integrator is not None:
+        validate.known(integrator, "integrator", INTEGRATORS)
+    entry = kept(arm, control_dt) if integrator is None else None
+    if entry is not None:
+        usable = (x for x in entry["steps"] if _keeps_error(x["integrator"], actuation, randomized))
+        best = next(usable)
+        name, count = best["integrator"], best["substeps"]
+    else:
+        name, count = integration(arm, control_dt, integrator)
+    if actuation:
+        count = max(count, actuation.substeps(control_dt, name))
+    if substeps is not None:
+        return name, validate.integer(substeps, "substeps", 1, arguments.MOST_SUBSTEPS)
+    if count > arguments.MOST_BY_RULE:
+        raise ValueError(
+            f"control_dt ({control_dt:g} s) would take {count} steps of {name!r}, more "
+            f"than {arguments.MOST_BY_RULE}, for an arm of {scales(arm).fastest:.3g} rad/s; "
+            "leave out modes of its stiffest links, take fidelity='rigid', or set substeps."
+        )
+    return name, count
+
+
+def _keeps_error(integrator: str, actuation: Actuation | None, randomized: Collection[str]) -> bool:
+    """Whether a method keeps the error that was measured for the arm without these keywords.
+
+    Behind actuators every substep restarts the method, so a multistep method loses its accuracy.
+    Frozen modes belong to the arm as described, not to one with other parameters.
+    """
+    if actuation:
+        return integrator in BY_RULE
+    return not randomized or INTEGRATORS[integrator].aid != "modes"

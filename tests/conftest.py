@@ -1,0 +1,60 @@
+"""The quick tier: `python -m pytest -m quick` compiles nothing and takes less than a minute.
+
+A file joins it by its name in QUICK; single tests of it that compile carry the marker `compiles`.
+In every tier, a quick test that compiles or loads compiled code fails.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dynamics.backends.numba_llvm import program
+from tests.paths import ROOT
+
+QUICK = {
+    "agents/run_folder/test_log.py",
+    "agents/test_config.py",
+    "agents/test_metrics.py",
+    "agents/test_policy.py",
+    "benchmarks/test_operations.py",
+    "dynamics/accuracy/test_fidelity.py",
+    "dynamics/accuracy/test_scene.py",
+    "dynamics/arms/test_presets.py",
+    "dynamics/description/test_arm.py",
+    "dynamics/description/test_rotations.py",
+    "dynamics/formulations/test_christoffel.py",
+    "dynamics/formulations/test_free_base.py",
+    "dynamics/formulations/test_gibbs_appell.py",
+    "dynamics/formulations/test_link_constants.py",
+    "dynamics/simulation/test_case_file.py",
+    "dynamics/simulation/test_large_deflection.py",
+    "dynamics/tracing/test_recorded_steps.py",
+    "test_layers.py",
+}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        name = Path(item.path).relative_to(ROOT / "tests").as_posix()
+        if name in QUICK and not item.get_closest_marker("compiles"):
+            item.add_marker("quick")
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_compiled(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[None]:
+    """Hold quick tests to their promise."""
+    if request.node.get_closest_marker("quick") is None:
+        yield
+        return
+    from numba.core import event
+
+    def refused(name: str, text: str) -> None:
+        raise AssertionError(f"a quick test loads compiled code: {name}")
+
+    monkeypatch.setattr(program, "_executed", refused)
+    with event.install_recorder("numba:compile") as compilations:
+        yield
+    assert not compilations.buffer, "a quick test compiles"

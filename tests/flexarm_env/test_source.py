@@ -1,0 +1,61 @@
+"""The generated module of an environment can be printed, and the page that explains it is true."""
+
+import re
+
+import pytest
+
+from dynamics.__main__ import main
+from tests.paths import ROOT
+
+PAGE = ROOT / "docs" / "compiled_step.md"
+
+
+def printed(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(["source", *arguments]) == 0
+    return capsys.readouterr().out
+
+
+def test_the_page_quotes_the_module(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every listing, in this order."""
+    page = PAGE.read_text(encoding="utf-8")
+    (command,) = re.findall(r"python -m dynamics source (.*)", page)
+    text = printed(command.split(), capsys)
+    listings = re.findall(r"```text\n(.*?)```", page, re.S)
+    assert len(listings) > 5
+    at = 0
+    for listing in listings:
+        assert listing in text[at:], listing
+        at = text.index(listing, at)
+    (lines,) = re.findall(r"that output, (\d+) lines", page)
+    assert abs(len(text.splitlines()) - int(lines)) < 10
+    (statements,) = re.findall(r"has (\d+) statements", page)
+    assert f"OPERATIONS = {statements}\n" in text
+    assert compile(text, "module", "exec")
+
+
+def test_an_arm_alone_has_a_steppers_module(capsys: pytest.CaptureFixture[str]) -> None:
+    text = printed(["deluca-siciliano", "--integrator", "midpoint", "--lanes", "1"], capsys)
+    assert "def advance(" in text
+    assert "LANES = 1\n" in text
+    assert "control_step" not in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["slim", "--env", "CartPole-v1"], "is not an environment of flexarm"),
+        (["nobody"], "Unknown arm 'nobody'"),
+        (["srms-like", "--env", "FlexArm/OneLink-Reach-v0"], None),
+    ],
+)
+def test_what_has_no_source_is_refused_with_a_sentence(
+    arguments: list[str], sentence: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status = main(["source", *arguments])
+    out, err = capsys.readouterr()
+    if sentence is None:
+        assert (status, err) == (0, "")
+    else:
+        assert (status, out) == (2, "")
+        assert sentence in err
+        assert err.count("\n") == 1
