@@ -63,18 +63,20 @@ def rk4(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
         w[v0 + i] = w[v + i]
         w[dq + i] = w[v + i]
         w[dv + i] = w[a + i]
-    for length, weight in ((0.5 * h, 2.0), (0.5 * h, 2.0), (h, 1.0)):
-        for i in range(n):
-            w[q + i] = w[q0 + i] + length * w[v + i]
-            w[v + i] = w[v0 + i] + length * w[a + i]
+        w[q + i] = w[q0 + i] + 0.5 * h * w[v + i]
+        w[v + i] = w[v0 + i] + 0.5 * h * w[a + i]
+    for length in (0.5 * h, h):
         evaluate(w)
         for i in range(n):
-            w[dq + i] += weight * w[v + i]
-            w[dv + i] += weight * w[a + i]
+            w[dq + i] += 2.0 * w[v + i]
+            w[dv + i] += 2.0 * w[a + i]
+            w[q + i] = w[q0 + i] + length * w[v + i]
+            w[v + i] = w[v0 + i] + length * w[a + i]
+    evaluate(w)
     sixth = h / 6.0
     for i in range(n):
-        w[q + i] = w[q0 + i] + sixth * w[dq + i]
-        w[v + i] = w[v0 + i] + sixth * w[dv + i]
+        w[q + i] = w[q0 + i] + sixth * (w[dq + i] + w[v + i])
+        w[v + i] = w[v0 + i] + sixth * (w[dv + i] + w[a + i])
 
 
 @dataclass(frozen=True)

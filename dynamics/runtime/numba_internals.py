@@ -109,7 +109,7 @@ def keep_code(dispatcher: Any, function: Callable[..., Any]) -> Any:
 def compiled_for(function: Any, *arguments: Any) -> Callable[..., Any]:
     """The compiled function for arguments of these types, without numba's type dispatch.
 
-    It checks the types, not the shapes, of what it is called with.
+    It checks the types of its arguments, not their shapes. Gain: docs/results/tricks.md.
     """
     if not USABLE:
         return function

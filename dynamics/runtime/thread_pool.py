@@ -88,7 +88,7 @@ class _Worker:
 
     Tasks are numbered: GIVEN is the number of the latest task, DONE that of the latest finished
     one. Each side announces what it is about to do before it checks what the other has announced,
-    so no wake-up is missed and no withdrawn task is begun.
+    so no wake-up is missed and no withdrawn task is begun. Gain of polling: docs/results/tricks.md.
     """
 
     def __init__(self) -> None:

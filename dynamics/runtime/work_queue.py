@@ -21,7 +21,8 @@ else:
         return old
 
 
-CHUNKS = 8  # per thread at least, so that others can take over from a thread that is delayed
+# per thread at least, so that others can take over from a delayed thread: docs/results/tricks.md
+CHUNKS = 8
 NEXT, STOP, SIZE = range(3)  # columns of a share: its next row, its end, rows per chunk
 LINE = CACHE_LINE // 8  # numbers of a cache line: one line per thread avoids false sharing
 SPINS = 10_000  # about 0.3 ms, as long as waking a thread may take

@@ -21,7 +21,7 @@ def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
     `take(w, at, array, first)` copies elements first ... first + lanes of the flat array to the
     lanes at offset `at` of w, `put(w, at, array, first)` copies them back. Numbers are converted;
     in an array of booleans every nonzero number is true. `expect(array, first)` prefetches the
-    cache lines of such elements for writing.
+    cache lines of such elements for writing. Gain: docs/results/tricks.md.
     """
 
     def pointer(context, builder, kind, array, offset):  # type: ignore[no-untyped-def]

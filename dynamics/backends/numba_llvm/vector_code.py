@@ -26,7 +26,8 @@ LONG = 700  # statements: shorter scalar functions spill few values to the stack
 # All lanes of a value fill several vector registers, which are independent chains of operations.
 # A long function has enough independent operations of its own; it processes one register of lanes
 # per pass instead, so that more of its live values fit into registers. Statements from which a
-# function does so, by bytes of a register: AVX2 has 16 registers, AVX-512 32.
+# function does so, by bytes of a register: AVX2 has 16 registers, AVX-512 32. Gain:
+# docs/results/tricks.md.
 NARROW = {32: 1100, 64: 5000}
 NARROW_LOOSE = {32: 0, 64: 400}
 WORD = ir.IntType(64)
@@ -109,7 +110,7 @@ def _lay_out_stack(builder: ir.IRBuilder, data: ir.Value) -> None:
     The platform aligns the stack to 16 bytes only, so by chance every other spilled vector would
     cross a cache line. The dynamic allocation, of zero bytes, makes LLVM address the frame through
     a base register: on x86 an address relative to the stack pointer takes a byte more, in every
-    second instruction of a long function.
+    second instruction of a long function. Gain: docs/results/tricks.md.
     """
     builder.function.attributes.alignstack = CACHE_LINE
     none = builder.and_(builder.ptrtoint(data, WORD), WORD(1))
