@@ -19,9 +19,9 @@ from agents.figures import plot_learning_curve
 from agents.files import FolderError, folder_lock
 from agents.metrics import make_batch, write_json
 from agents.policy import Controller, PolicyError, export_policy, load_policy, save_policy
+from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
-from agents.run_folder.keeper import Progress, make_keeper, silent_disk_errors
 from agents.sentences import one_line
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 from dynamics.description import validate
@@ -145,9 +145,9 @@ def run_session(run: RunFolder, config: Config, model: Any, progress: dict[str, 
         closing(Progress(config.total_steps, model.num_timesteps)) as bar,
     ):
         model.set_logger(configure(str(run.path / "tensorboard"), ["tensorboard"]))
-        keeper = make_keeper(run, config, session, progress["seconds"], bar, stop)
+        callback = make_callback(run, config, session, progress["seconds"], bar, stop)
         try:
-            model.learn(remaining, keeper, log_interval=None, reset_num_timesteps=fresh)
+            model.learn(remaining, callback, log_interval=None, reset_num_timesteps=fresh)
         except ValueError:
             refuse_divergence(model)
             raise

@@ -20,7 +20,7 @@ import numpy as np
 
 from agents import training
 from agents.policy import load_policy
-from agents.run_folder import keeper
+from agents.run_folder import callback
 from agents.run_folder.checkpoints import newest_intact
 from agents.run_folder.folder import RunFolder
 from agents.run_folder.log import parsed
@@ -303,7 +303,7 @@ def main() -> int:
     parser.add_argument("--full", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     a = parser.parse_args()
-    keeper.CHECKPOINT_SHARE = 1e9
+    callback.CHECKPOINT_SHARE = 1e9
     report, rng = Report(), np.random.default_rng(a.seed)
     with tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as temporary:
         work = Path(temporary)

@@ -48,7 +48,7 @@ class EpisodeStatistics:
         return dict(zip(names, np.mean(self.latest, axis=0).tolist(), strict=True))
 
 
-def make_keeper(
+def make_callback(
     run: RunFolder,
     config: Config,
     session: int,
@@ -59,7 +59,7 @@ def make_keeper(
     """stable-baselines3 callback that logs, shows progress, writes checkpoints and stops."""
     from stable_baselines3.common.callbacks import BaseCallback
 
-    class Keeper(BaseCallback):
+    class RunCallback(BaseCallback):
         def _on_training_start(self) -> None:
             self.statistics = EpisodeStatistics(config.env.n_envs)
             self.started = self.checkpointed = time.monotonic()
@@ -123,7 +123,7 @@ def make_keeper(
             self.logged = self.num_timesteps
             bar.update(self.num_timesteps, speed, means)
 
-    return Keeper()
+    return RunCallback()
 
 
 class Progress:
