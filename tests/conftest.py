@@ -34,9 +34,26 @@ QUICK = {
 }
 
 
+LONGEST = (  # files that begin first, so that two workers end together
+    "dynamics/accuracy/test_model_choice.py",
+    "flexarm_env/test_digests.py",
+    "flexarm_env/test_episodes.py",
+    "dynamics/backends/test_vector_code.py",
+    "flexarm_env/test_nonsense.py",
+    "dynamics/simulation/test_free_base_motion.py",
+    "dynamics/test_cache.py",
+)
+
+
+def _name(item: pytest.Item) -> str:
+    return Path(item.path).relative_to(ROOT / "tests").as_posix()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    order = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(_name(item), len(order)))
     for item in items:
-        name = Path(item.path).relative_to(ROOT / "tests").as_posix()
+        name = _name(item)
         if name in QUICK and not item.get_closest_marker("compiles"):
             item.add_marker("quick")
 
