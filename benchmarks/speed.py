@@ -38,7 +38,7 @@ from flexarm_env.accuracy.certificates import kept
 
 DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
 BATCHES = (1024, 16384)
-LANES_OF = {"one lane": 1, "many lanes": LANES}
+LANE_COUNTS = {"one lane": 1, "many lanes": LANES}
 TOLERANCE = 1e-3  # tip error over the reach
 RUNS, SECONDS = 150, 1.5  # per measurement; short runs find moments without other load
 STARTS = 5  # process starts with a cache, and without
@@ -123,7 +123,7 @@ def right_hand_sides() -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
         model = compile_arm(arm)
         count = model.operation_count()["accelerations"]
         counts[arm] = count["multiplications"] + count["additions"] + count["divisions"]
-        for name, lanes in LANES_OF.items():
+        for name, lanes in LANE_COUNTS.items():
             program = model.program(lanes, "rk4")
             call = partial(program.evaluate_often, model.workspace(program), often)
             calls[arm + name] = call, counts[arm] * often * lanes
@@ -131,7 +131,7 @@ def right_hand_sides() -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
     peak, rows = max((found[name] for name in peaks), key=lambda rate: rate["median"]), {}
     for arm, operations in counts.items():
         row: dict[str, Any] = {"operations": operations}
-        for name in LANES_OF:
+        for name in LANE_COUNTS:
             rate = found[arm + name]
             if rate["best"] > peak["best"]:
                 raise RuntimeError(f"{arm}, {name}, ran faster than the measured peak.")

@@ -34,7 +34,6 @@ from flexarm_env.registration import SCENES
 BATCH = 16384
 PERIOD = 0.15  # [s] of steps per timing
 TIMINGS = 5  # per process, of which the least is kept
-WORTHWHILE = 1.05
 
 
 def _replace(module: ModuleType, name: str, value: object) -> None:

@@ -90,7 +90,7 @@ def _digest(content: bytes) -> bytes:
 
 
 def _is_trusted(folder: Path) -> bool:
-    """Whether only this user and root can change files in the folder."""
+    """True if only this user and root can change files in the folder."""
     try:
         fault = _fault(folder)
     except OSError:  # it does not exist, or part of its path is not a folder

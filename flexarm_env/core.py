@@ -19,12 +19,12 @@ from dynamics.simulation.stepper import MOST_ENVIRONMENTS, MOST_THREADS
 from dynamics.simulation.validity import LARGEST_RATE
 from dynamics.types import Array
 from flexarm_env import arguments
-from flexarm_env.accuracy.plant import plan
 from flexarm_env.compiled import episode
 from flexarm_env.compiled.outputs import SPARE, BatchOutputs, Outputs, SingleOutputs
 from flexarm_env.compiled.signals import Signals
 from flexarm_env.compiled.termination import FLAGS, LOST
 from flexarm_env.observations import observation_layout
+from flexarm_env.plant import plan
 from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.scales import DEFLECTION_LIMIT, MOVE, SLOPE_PER_DEFLECTION
 from flexarm_env.tasks import find_task

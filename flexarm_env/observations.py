@@ -77,7 +77,7 @@ def curvature_columns(arm: Arm) -> tuple[int, ...]:
 
 
 def is_planar(arm: Arm) -> bool:
-    """Whether the arm moves only in the plane normal to its first joint's axis."""
+    """True if the arm moves only in the plane normal to its first joint's axis."""
     parallel = all(link.joint.rotation[2][2] == 1.0 for link in arm.links[1:])
     flat = all(link.joint.offset[2] == 0.0 for link in arm.links[1:])
     bending = all(mode.direction == "y" for link in arm.links for mode in link.modes)

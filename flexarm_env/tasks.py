@@ -36,7 +36,7 @@ class Task:
 
     @property
     def moving(self) -> bool:
-        """Whether the target moves."""
+        """True if the target moves."""
         return self.tempo[1] > 0.0
 
     def ranges(self, move_time: float) -> Array:

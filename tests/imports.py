@@ -37,6 +37,7 @@ ROOMS = (
     "flexarm_env.registration",
     "flexarm_env.compiled",
     "flexarm_env.accuracy",
+    "flexarm_env.plant",
     "flexarm_env.core",
     "flexarm_env.source",
     "flexarm_env.rendering",

@@ -97,7 +97,7 @@ def test_importing_the_lower_layers_loads_no_learning_library(package: str) -> N
 
 def test_docstrings_name_their_subject() -> None:
     """First a noun or a verb of the field, not a question word or a reference to another text."""
-    riddles = ("What", "How", "Where", "The same", "That", "Those", "This")
+    riddles = ("What", "How", "Where", "Who", "Whether", "The same", "That", "Those", "This")
     for path in sources(".", *PACKAGES, "tests"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):

@@ -113,7 +113,7 @@ def newest_intact(folder: Path) -> tuple[Path | None, list[str]]:
 
 
 def is_intact(folder: Path) -> bool:
-    """Whether a checkpoint passes verification."""
+    """True if a checkpoint passes verification."""
     try:
         verified(folder)
     except CheckpointError:

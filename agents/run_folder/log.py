@@ -55,12 +55,12 @@ def parsed(line: bytes) -> Row | None:
 
 
 def is_count(value: Any) -> bool:
-    """Whether the value is an int from 0 to LARGEST_COUNT."""
+    """True if the value is an int from 0 to LARGEST_COUNT."""
     return type(value) is int and 0 <= value <= LARGEST_COUNT
 
 
 def is_value(value: Any) -> bool:
-    """Whether a row may have the value: a finite number, or None in place of an infinite one."""
+    """True if a row may have the value: a finite number, or None in place of an infinite one."""
     return value is None or (type(value) in (int, float) and abs(value) < LARGEST)
 
 

@@ -147,7 +147,7 @@ class Method:
 
     @property
     def explicit(self) -> bool:
-        """Whether a step solves no equations."""
+        """True if a step solves no equations."""
         return self.solver != "GeneralizedAlpha"
 
 

@@ -116,7 +116,7 @@ def comparisons(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[s
 
 
 def verdict(reached: dict[str, bool]) -> str:
-    """Whether a demand is met, and under which conditions."""
+    """Verdict on a demand: met, met under conditions, or not met."""
     if all(reached.values()):
         return "yes"
     if reached["ratio"] and reached["steady"]:

@@ -66,7 +66,7 @@ class PeerScene:
         return self.interval / float(rate)
 
     def allows(self, rate: Fraction) -> bool:
-        """Whether steps end at the end of the motion and at every jump of the torque."""
+        """True if steps end at the end of the motion and at every jump of the torque."""
         steps = np.array(self.motion.knots) / self.interval / rate.denominator
         return bool(np.all(np.abs(steps - np.round(steps)) < 1e-9))
 

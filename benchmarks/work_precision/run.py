@@ -271,7 +271,7 @@ def measured(setting: Setting, compile_all: Compile) -> dict[str, Any]:
 
 
 def dominated(name: str, rows: dict[str, Row]) -> bool:
-    """Whether another model is more accurate with no more operations, or this one diverges."""
+    """True if another model is more accurate with no more operations, or this one diverges."""
     own = rows[name]
     return not own["model error"] < math.inf or any(
         row["operations"] <= own["operations"] and row["model error"] < own["model error"]
@@ -287,7 +287,7 @@ def compile_one(program: tuple[Arm, str]) -> None:
 
 
 def compiles(model: Model, method: str) -> bool:
-    """Whether the method's code for this model is short enough to compile."""
+    """True if the method's code for this model is short enough to compile."""
     if INTEGRATORS[method].aid != "jacobian":
         return True
     return bool(graphs.state_jacobian(model.traced).n_instructions() <= LONGEST)

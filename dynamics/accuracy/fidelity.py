@@ -32,7 +32,7 @@ class Fidelity:
 
     @property
     def rigid(self) -> bool:
-        """Whether no link has modes."""
+        """True if no link has modes."""
         return not any(map(any, self.counts))
 
     def arm(self, arm: Arm) -> Arm:

@@ -21,5 +21,5 @@ class Check:
     measure: Callable[[Arm], float]
 
     def passes(self, arm: Arm) -> bool:
-        """Whether the arm's value is within the tolerance."""
+        """True if the arm's value is within the tolerance."""
         return abs(self.measure(arm) - self.expected) <= self.tolerance * abs(self.expected)

@@ -68,5 +68,5 @@ class Joint:
 
     @property
     def elastic(self) -> bool:
-        """Whether there is a spring between rotor and link."""
+        """True if there is a spring between rotor and link."""
         return self.stiffness is not None

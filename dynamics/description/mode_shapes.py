@@ -96,7 +96,7 @@ def quadrature(length: float, modes: Sequence[Mode]) -> tuple[Array, Array]:
 
 
 def are_independent(modes: Sequence[Mode], beam: Beam) -> bool:
-    """Whether the shapes are linearly independent (to 1e-6 of their root mean squares)."""
+    """True if the shapes are linearly independent (to 1e-6 of their root mean squares)."""
     if len(modes) < 2:
         return True
     x, weights = quadrature(beam.length, modes)

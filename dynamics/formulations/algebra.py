@@ -18,7 +18,7 @@ EYE: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def is_zero(x: Scalar) -> bool:
-    """Whether `x` is a structural zero."""
+    """True if `x` is a structural zero."""
     return isinstance(x, float) and x == 0.0
 
 

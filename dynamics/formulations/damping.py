@@ -42,5 +42,5 @@ def viscous(link: Link, payload: Payload | None = None) -> Link:
 
 
 def yields(link: Link, direction: str) -> bool:
-    """Whether a link has a rigidity in a direction, with or without modes in it."""
+    """True if a link has a rigidity in a direction, with or without modes in it."""
     return link.body is None and bool(getattr(link, STIFFNESS[direction]))

@@ -55,7 +55,7 @@ class RigidLink:
 
     @property
     def slides(self) -> bool:
-        """Whether the joint is prismatic."""
+        """True if the joint is prismatic."""
         return self.joint.type == "prismatic"
 
 

@@ -28,7 +28,6 @@ RANDOM_STEPS = 40  # control steps of random torque
 RANDOM_SHARE = 0.4  # largest random torque, over full torque
 PERIODS = 4.0  # length of the bang-bang motion, in periods of the first joint-free mode
 RIGID_PERIOD = 0.5  # [s] period for an arm without modes
-_CHOOSING = hash_of_files(sources(("accuracy", "simulation")))
 FIDELITIES = ("rigid", "auto", "reference")
 REFERENCE_MODES, REFERENCE_SEGMENTS = 3, 2  # per direction of bending; per flexible link
 
@@ -136,7 +135,8 @@ def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> 
 def _chosen(arm: Arm, control_dt: float, tolerance: float) -> Fitted:
     """Model that `choose_model` finds on the arm's `scene`; cached, since it may take minutes."""
     described = json.dumps(arm.to_dict())
-    key = fingerprint("choice", _CHOOSING, described, repr(control_dt), repr(tolerance))
+    search = hash_of_files(sources(("accuracy", "simulation")))
+    key = fingerprint("choice", search, described, repr(control_dt), repr(tolerance))
 
     def choose() -> str:
         return json.dumps(choose_model(arm, scene(arm, control_dt), tolerance).to_dict(), indent=2)

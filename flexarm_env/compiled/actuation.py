@@ -201,7 +201,7 @@ class _Joint(NamedTuple):
 
 
 def _slews(law: Law) -> bool:
-    """Whether the rate of change is limited; then the torque is the last state."""
+    """True if the rate of change is limited; then the torque is the last state."""
     return math.isfinite(law.rate_limit)
 
 

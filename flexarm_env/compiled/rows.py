@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.description.validate import shown
+from dynamics.tracing.traced_arm import slices
 from dynamics.types import Array
 
 
@@ -20,11 +21,7 @@ class Rows:
     @cached_property
     def slices(self) -> dict[str, slice]:
         """Rows of each name."""
-        result, start = {}, 0
-        for name, size in self.sizes.items():
-            result[name] = slice(start, start + size)
-            start += size
-        return result
+        return slices(self.sizes)
 
     @cached_property
     def total(self) -> int:

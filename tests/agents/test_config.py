@@ -76,7 +76,7 @@ def test_shipped_configs_load_and_state_what_to_expect(path: Path) -> None:
         ),
         (
             "total_steps",
-            "name: ../../tmp/x\ntotal_steps",
+            "name: ../../x\ntotal_steps",
             r"name must be the plain name of a folder",
         ),
         ("total_steps", f"name: 1{400 * '0'}\ntotal_steps", "name must be text, got 1000"),

@@ -66,7 +66,7 @@ def pinned(env_id: str) -> dict[str, Any]:
 
 
 def close(kind: str, found: list[float], stored: list[float]) -> bool:
-    """Whether numbers of two processors agree to round-off."""
+    """True if numbers of two processors agree to round-off."""
     return np.allclose(found, stored, rtol=1e-3 if "float32" in kind else 1e-9, atol=0.0)
 
 

@@ -30,6 +30,9 @@ def test_the_page_quotes_the_module(capsys: pytest.CaptureFixture[str]) -> None:
     assert abs(len(text.splitlines()) - int(lines)) < 10
     (statements,) = re.findall(r"has (\d+) statements", page)
     assert f"OPERATIONS = {statements}\n" in text
+    (length,) = re.findall(r"in one such function, (\d+) lines here", page)
+    report = text.split('report = straight_line("report", LANES, """\n')[1].split('"""')[0]
+    assert len(report.splitlines()) == int(length)
     assert compile(text, "module", "exec")
 
 

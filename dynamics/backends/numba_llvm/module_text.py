@@ -87,7 +87,7 @@ def expanded(text: str, marks: Mapping[str, Sequence[str]]) -> str:
         mark = line.lstrip()
         if mark in marks:
             indent = line[: len(line) - len(mark)]
-            own = expanded("\n".join(marks[mark]), marks)
+            own = expanded("\n".join(marks[mark]), marks) if marks[mark] else ""
             lines += [indent + other for other in own.splitlines()]
         else:
             lines.append(line)

@@ -77,7 +77,7 @@ def lines(log: Path, *, rows: bool = True) -> list[bytes]:
 
 
 def is_part(few: list[bytes], many: list[bytes]) -> bool:
-    """Whether all lines of `few` are in `many`, in the same order."""
+    """True if all lines of `few` are in `many`, in the same order."""
     rest = iter(many)
     return all(line in rest for line in few)
 
@@ -126,7 +126,7 @@ def check_finished(report: Report, case: str, run: RunFolder, steps: int) -> Non
 
 
 def is_intact(run: RunFolder) -> bool:
-    """Whether every file that is written atomically can be read."""
+    """True if every file that is written atomically can be read."""
     try:
         run.read_config()
         load_policy(run.policy)

@@ -12,6 +12,7 @@ from dynamics.backends.numba_llvm.stepper_entries import LANES
 from dynamics.formulations import table
 from dynamics.formulations.table import FORMULATIONS
 from dynamics.types import Array
+from tests.dynamics.agreement import assert_compiled
 from tests.dynamics.random_arms import (
     compiled,
     floats,
@@ -40,18 +41,13 @@ def central(f: object, step: float = 1e-5) -> Array:
 @pytest.mark.parametrize("name", FORMULATIONS)
 def test_compiled_code_is_the_formulation_on_floats(arm: Arm, name: str, lanes: int) -> None:
     """Compared in every lane, including a partly filled block."""
-    model, count = compile_arm(arm, formulation=name), LANES + 3
-    states = [random_state(arm, seed) for seed in range(count)]
-    q, v = (np.array(x) for x in zip(*states, strict=True))
-    tau = np.array([random_torque(arm, seed) for seed in range(count)])
-    program, out = model.program(lanes, "rk4"), np.empty((count, arm.n))
+    model = compile_arm(arm, formulation=name)
 
-    program.evaluate_states(q, v, tau, np.empty((count, 0)), model.workspace(program), out)
+    def expected(q: Array, v: Array, tau: Array) -> Array:
+        x = floats(q), floats(v), floats(tau)
+        return np.array(FORMULATIONS[name].accelerations(model.chain, *x))
 
-    for k in range(count):
-        x = (floats(q[k]), floats(v[k]), floats(tau[k]))
-        expected = np.array(FORMULATIONS[name].accelerations(model.chain, *x))
-        assert_allclose(out[k], expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+    assert_compiled(model, lanes, expected, 1e-12)
 
 
 def test_questions_of_inertia_and_forces_fit_together(model: Model) -> None:

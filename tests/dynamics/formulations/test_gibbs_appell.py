@@ -18,6 +18,7 @@ from dynamics.formulations import articulated_body, gibbs_appell, kinematics
 from dynamics.formulations.kinematics import energies
 from dynamics.types import Array
 from tests.dynamics import brute_force
+from tests.dynamics.agreement import assert_compiled, assert_implicit, recursion
 from tests.dynamics.random_arms import (
     compiled,
     floats,
@@ -97,19 +98,8 @@ def test_elimination_solves_the_composite_equations(case: tuple[int, int, int]) 
 def test_implicit_elimination_solves_the_augmented_equations(case: tuple[int, int, int]) -> None:
     """(M + W) a = B tau - h + W guess, W = s K + d C, K of modes, C of modes and viscous joints."""
     arm = random_arm(*case)
-    (q, v), tau = random_state(arm), random_torque(arm)
-    guess = random_torque(arm, 1)[0] * np.ones(arm.n)
-    s, d = 1e-5, 1e-3
-    M, h = composite(arm, q, v)
-
-    implicit = articulated_body.Implicit(s, d, floats(guess))
-    a = articulated_body.accelerations(
-        compiled(arm).chain, floats(q), floats(v), floats(tau), implicit
-    )
-
-    load = torque_matrix(arm) @ tau - h
-    M, load = brute_force.augmented(arm, M, load, guess, s, d)
-    assert brute_force.imbalance(M, a, load) < 1e-13
+    M, h = composite(arm, *random_state(arm))
+    assert_implicit(arm, M, h, random_torque(arm, 1)[0] * np.ones(arm.n), s=1e-5, d=1e-3)
 
 
 @some_arm
@@ -259,18 +249,8 @@ CODE = [random_arm(18, 1, 2), random_arm(3, 2, 3), two_link_spatial()]
 @pytest.mark.parametrize("lanes", [1, LANES])
 def test_compiled_code_is_the_recursion_on_floats(arm: Arm, lanes: int) -> None:
     """Compared in every lane, including a partly filled block."""
-    model, count = compiled(arm), LANES + 3
-    states = [random_state(arm, seed) for seed in range(count)]
-    q, v = (np.array(x) for x in zip(*states, strict=True))
-    tau = np.array([random_torque(arm, seed) for seed in range(count)])
-    program, out = model.program(lanes, "rk4"), np.empty((count, arm.n))
-
-    program.evaluate_states(q, v, tau, np.empty((count, 0)), model.workspace(program), out)
-
-    for k in range(count):
-        expected = accelerations(arm, q[k], v[k], tau[k])
-        assert_allclose(out[k], expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
-    assert_allclose(model.accelerations(q[0], v[0], tau[0]), out[0], rtol=1e-12)
+    model = compiled(arm)
+    assert_compiled(model, lanes, recursion(model), 1e-12)
 
 
 @some_arm

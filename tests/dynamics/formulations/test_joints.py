@@ -13,6 +13,7 @@ from dynamics.backends.numba_llvm.stepper_entries import LANES
 from dynamics.formulations import articulated_body, gibbs_appell
 from dynamics.types import Array
 from tests.dynamics import brute_force
+from tests.dynamics.agreement import assert_compiled, assert_implicit, recursion
 from tests.dynamics.random_arms import (
     compiled,
     floats,
@@ -99,19 +100,9 @@ def test_elimination_solves_the_composite_equations(case: tuple[int, int, int]) 
 def test_implicit_elimination_solves_the_augmented_equations(case: tuple[int, int, int]) -> None:
     """(M + W) a = B tau - h + W guess, W = s K + d C; K and C include joint springs."""
     arm = mixed_arm(*case)
-    (q, v), tau = random_state(arm), random_torque(arm)
+    M, h = composite(arm, *random_state(arm))
     guess = np.random.default_rng(case).normal(0.0, 5.0, arm.n)
-    s, d = 1e-3, 1e-2
-    M, h = composite(arm, q, v)
-
-    implicit = articulated_body.Implicit(s, d, floats(guess))
-    a = articulated_body.accelerations(
-        Model(arm).chain, floats(q), floats(v), floats(tau), implicit
-    )
-
-    load = torque_matrix(arm) @ tau - h
-    M, load = brute_force.augmented(arm, M, load, guess, s, d)
-    assert brute_force.imbalance(M, a, load) < 1e-13
+    assert_implicit(arm, M, h, guess, s=1e-3, d=1e-2)
 
 
 @any_arm
@@ -139,18 +130,8 @@ def _without_friction(link: Link) -> Link:
 @pytest.mark.parametrize("lanes", [1, LANES])
 def test_compiled_accelerations_are_those_of_floats(case: tuple[int, int, int], lanes: int) -> None:
     arm = mixed_arm(*case)
-    model, count = compiled(arm), lanes + 1
-    q, v = np.stack([random_state(arm, seed) for seed in range(count)], axis=1)
-    tau = np.stack([random_torque(arm, seed) for seed in range(count)])
-    program, out = model.program(lanes, "rk4"), np.empty((count, arm.n))
-
-    program.evaluate_states(q, v, tau, np.empty((count, 0)), model.workspace(program), out)
-
-    for k in range(count):
-        expected = articulated_body.accelerations(
-            model.chain, floats(q[k]), floats(v[k]), floats(tau[k])
-        )
-        assert_allclose(out[k], expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
+    model = compiled(arm)
+    assert_compiled(model, lanes, recursion(model), 1e-11)
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])

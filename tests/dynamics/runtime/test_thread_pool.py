@@ -30,7 +30,7 @@ def jobs(count: int) -> Callable[[int], list[int]]:
 
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_every_job_is_done_once(size: int) -> None:
-    """Whether the others are awake, falling asleep or asleep when the next run begins."""
+    """The other threads are awake, falling asleep or asleep when the next run begins."""
     pool, rng = ThreadPool(size), np.random.default_rng(0)
     for k in range(300):
         count = int(rng.integers(6))

@@ -140,7 +140,7 @@ def _step(
 
 
 def _keeps_error(integrator: str, actuation: Actuation | None, randomized: Collection[str]) -> bool:
-    """Whether a method keeps the error that was measured for the arm without these keywords.
+    """True if a method keeps the error that was measured for the arm without these keywords.
 
     Behind actuators every substep restarts the method, so a multistep method loses its accuracy.
     Frozen modes belong to the arm as described, not to one with other parameters.
