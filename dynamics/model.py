@@ -12,11 +12,12 @@ from dynamics.backends.numba_llvm.program import program
 from dynamics.backends.numba_llvm.stepper_entries import LANES_OF
 from dynamics.description import validate
 from dynamics.description.arm import Arm
+from dynamics.description.deflection import curvature
 from dynamics.description.rotations import from_rotation_vector, rotation_matrix
 from dynamics.formulations import free_base, gibbs_appell, linearized
 from dynamics.formulations.christoffel import christoffel
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
-from dynamics.formulations.link_constants import curvature, parts
+from dynamics.formulations.link_constants import parts
 from dynamics.load import ArmSource, load_arm
 from dynamics.runtime.jit import aligned_zeros
 from dynamics.tracing import graphs

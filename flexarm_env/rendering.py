@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dynamics.formulations.link_constants import chain_constants, deflection, parts
+from dynamics.description.deflection import deflection
+from dynamics.formulations.link_constants import chain_constants, parts
 from dynamics.types import Array
 from flexarm_env.core import Core
 from flexarm_env.observations import is_planar

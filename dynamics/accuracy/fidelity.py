@@ -15,7 +15,7 @@ DIRECTIONS = ("y", "z", "x")  # bending, bending, torsion
 MOST_MODES = 4  # per link and direction, in models that `choose_model` tries
 MOST_SEGMENTS = 8
 _NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass"}
-_POLYNOMIAL = {"x": "torsion-poly", "y": "poly", "z": "poly"}
+_POLYNOMIAL = {"x": "torsion-poly", "y": "hierarchical", "z": "hierarchical"}
 
 Counts = tuple[int, int, int]  # modes along y, z, x
 Change = tuple[int, str]  # link, direction or "segments"

@@ -17,7 +17,7 @@ from dynamics.accuracy.scene import JointMotion
 from dynamics.description.arm import Arm
 from dynamics.formulations.articulated_body import Implicit, accelerations
 from dynamics.formulations.kinematics import outward, poses
-from dynamics.formulations.linearized import frozen_modes
+from dynamics.formulations.linearized import aid
 from dynamics.integrators.slots import Slots
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
@@ -197,12 +197,13 @@ def _trace(model: Model, integrator: str) -> TracedMethod:
     import casadi as ca
 
     method, n = INTEGRATORS[integrator], model.n
-    Q, V, A, W, GUESS, SCRATCH = 0, n, 2 * n, 3 * n, 3 * n + 2, 4 * n + 2
+    Q, V, A, W, SCRATCH = 0, n, 2 * n, 3 * n, 6 * n
     places = Slots(n, Q, V, A, W, SCRATCH)
     keep = SCRATCH + method.kept(n)
     x = ca.vertsplit(ca.SX.sym("x", keep))  # the part of the workspace that steps keep
     tau, h = ca.SX.sym("tau", model.n_joint), ca.SX.sym("h")
-    implicit = Implicit(x[W], x[W + 1], x[GUESS:SCRATCH]) if method.implicit else None
+    weights = Implicit(*(x[W + k * n : W + (k + 1) * n] for k in range(3)))
+    implicit = weights if method.implicit else None
     result = accelerations(model.chain, x[Q:V], x[V:A], ca.vertsplit(tau), implicit)
     inputs = [ca.vertcat(*part) for part in (x[Q:V], x[V:A], x[W:SCRATCH])]
     graph = ca.Function("accelerations", [*inputs, tau], [ca.cse(ca.vertcat(*result))])
@@ -216,10 +217,10 @@ def _trace(model: Model, integrator: str) -> TracedMethod:
         rows = graphs.state_jacobian(model.traced)(*values, tau, *[ca.SX(0, 1)] * 2)
         w[SCRATCH : SCRATCH + 2 * n * n] = ca.vertsplit(rows)
 
-    aid = {"none": None, "modes": frozen_modes(model.chain), "jacobian": jacobian}[method.aid]
+    known = jacobian if method.aid == "jacobian" else aid(method.aid, model.chain)
 
     def start(w: Any, h: Any, *rest: Any) -> None:
-        method.prepare(w, h, places, aid)
+        method.prepare(w, h, places, known)
         method.start(w, h, *rest)
 
     steps = []
@@ -228,7 +229,7 @@ def _trace(model: Model, integrator: str) -> TracedMethod:
         w[:keep] = x
         with warnings.catch_warnings():  # CasADi warns of numpy.cos on symbols, which is intended
             warnings.simplefilter("ignore")
-            function(w, h, evaluate, places, aid)
+            function(w, h, evaluate, places, known)
         after = ca.vertcat(*w[:keep])
         steps.append(ca.Function("step", [ca.vertcat(*x), tau, h], [after]))
     cost, whole = (sum(operations(x).values()) for x in (graph, steps[1]))

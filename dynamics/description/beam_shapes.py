@@ -1,4 +1,4 @@
-"""Shape functions of beams: exponentials and sines of one wave number, and powers.
+"""Shape functions of beams: exponentials and sines of one wave number, powers, hierarchical.
 
 A beam shape is s = a e^(b (x/l - 1)) + d e^(-b x/l) + c cos(b x/l) + s sin(b x/l): growing and
 decaying exponentials that never exceed one, which avoids the cancellation of cosh - sigma sinh in
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial import legendre, polynomial
 
 from dynamics.types import Array
 
@@ -67,35 +68,80 @@ class BeamShape:
 
 @dataclass(frozen=True, kw_only=True)
 class PowerShape:
-    """s = factor (x/l)^power."""
+    """s = sum of coefficients[k] (x/l)^k."""
 
     length: float  # [m]
-    power: int
-    factor: float = 1.0
+    coefficients: tuple[float, ...]
 
     def value(self, x: Array | float) -> Array:
         """s(x)."""
-        return self._term(x, 1.0, 0)
+        return self._derived(x, 0)
 
     def slope(self, x: Array | float) -> Array:
         """s'(x)."""
-        return self._term(x, self.power / self.length, 1)
+        return self._derived(x, 1) / self.length
 
     def curvature(self, x: Array | float) -> Array:
         """s''(x)."""
-        return self._term(x, self.power * (self.power - 1) / self.length**2, 2)
+        return self._derived(x, 2) / self.length**2
 
     def scaled(self, factor: float) -> "PowerShape":
         """Return factor times this shape."""
-        return replace(self, factor=factor * self.factor)
+        return replace(self, coefficients=tuple(factor * c for c in self.coefficients))
 
-    def _term(self, x: Array | float, coefficient: float, order: int) -> Array:
-        xi = np.asarray(x, dtype=np.float64) / self.length
-        result: Array = self.factor * coefficient * xi ** max(self.power - order, 0)
-        return result
+    def _derived(self, x: Array | float, times: int) -> Array:
+        coefficients = polynomial.polyder(self.coefficients, times)
+        values = polynomial.polyval(np.asarray(x) / self.length, coefficients)
+        return np.asarray(values, dtype=np.float64)
 
 
-Shape = BeamShape | PowerShape
+def power(exponent: int, length: float) -> PowerShape:
+    """(x/l)^exponent."""
+    return PowerShape(length=length, coefficients=(*exponent * (0.0,), 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegendreShape:
+    """s from its curvature, a Legendre series in 2 x/l - 1, with s = s' = 0 at the root."""
+
+    length: float  # [m]
+    series: tuple[float, ...]  # [-] of l^2 s''
+
+    def value(self, x: Array | float) -> Array:
+        """s(x)."""
+        return self._integrated(x, 2)
+
+    def slope(self, x: Array | float) -> Array:
+        """s'(x)."""
+        return self._integrated(x, 1) / self.length
+
+    def curvature(self, x: Array | float) -> Array:
+        """s''(x)."""
+        return self._integrated(x, 0) / self.length**2
+
+    def scaled(self, factor: float) -> "LegendreShape":
+        """Return factor times this shape."""
+        return replace(self, series=tuple(factor * c for c in self.series))
+
+    def _integrated(self, x: Array | float, times: int) -> Array:
+        series = legendre.legint(self.series, times, lbnd=-1.0, scl=0.5)
+        values = legendre.legval(2.0 * np.asarray(x) / self.length - 1.0, series)
+        return np.asarray(values, dtype=np.float64)
+
+
+def hierarchical(index: int, length: float) -> PowerShape | LegendreShape:
+    """Polynomials whose curvatures are orthogonal; their degrees are 3, 3, 4, 5, ....
+
+    1: deflection under a tip force, s(l) = 1. 2: s(l) = 0 and l s'(l) = 1; the other shape of a
+    beam without mass. From 3 on: l^2 s'' = P_(index - 1), which moves neither tip nor tip slope.
+    """
+    if index > 2:
+        return LegendreShape(length=length, series=(*(index - 1) * (0.0,), 1.0))
+    square, cube = {1: (1.5, -0.5), 2: (-1.0, 1.0)}[index]
+    return PowerShape(length=length, coefficients=(0.0, 0.0, square, cube))
+
+
+Shape = BeamShape | PowerShape | LegendreShape
 
 
 def clamped_root(index: int, mass: float, inertia: float) -> float:

@@ -50,6 +50,7 @@ class Link:
     damping_ratio: float = 0.0  # [-] of every bending mode; of a segment's modes if segmented
     damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
     segments: int = 1  # equal parts welded together, each with all modes: for large deflections
+    lumped: bool = False  # deflection moves a quarter of the beam's mass, at the tip: heavy tips
     joint: Joint = field(default_factory=Joint)
     body: Body | None = None  # only for a rigid link
 
@@ -66,6 +67,7 @@ class Link:
             damping_beta=validate.nonnegative(self.damping_beta, "Link.damping_beta", "s"),
             segments=validate.integer(self.segments, "Link.segments", 1, 1000),
             modes=tuple(validate.sequence(self.modes, "Link.modes", MOST_MODES)),
+            lumped=validate.boolean(self.lumped, "Link.lumped"),
         )
         for name in STIFFNESS.values():
             value = getattr(self, name)
@@ -130,6 +132,7 @@ class Link:
                 "Mode.norm 'mass' of a torsion mode needs Link.rho_Ip or Link.tip_inertia about x, "
                 'got 0.0 for both; use "tip-unit".'
             )
+        self._check_lumped()
         for mode in self.modes:
             shape(mode, self.beam)  # raises ValueError if the shape cannot be computed
         for direction in STIFFNESS:
@@ -139,6 +142,22 @@ class Link:
                 raise ValueError(
                     f"Link.modes along {direction!r} are linearly dependent ({', '.join(named)}); "
                     "leave out the shape that repeats another."
+                )
+
+    def _check_lumped(self) -> None:
+        if not self.lumped:
+            return
+        if any(mode.kind == "pinned-free" for mode in self.modes):
+            raise ValueError(
+                "Link.lumped must be false with pinned-free modes, got True: the inner lump does "
+                "not follow the turning of their root."
+            )
+        for direction in STIFFNESS:
+            count, most = len(self.in_direction(direction)), 2 if direction in "yz" else 1
+            if count > most:
+                raise ValueError(
+                    f"Link.modes of a lumped link may hold {most} along {direction!r}, got "
+                    f"{count}: the tip body moves in no more; leave out modes or lumped."
                 )
 
     @property

@@ -6,6 +6,7 @@
 | clamped-tip-mass   | s = s' = 0   | the link's tip body | cosh - cos - sigma (sinh - sin) |
 | pinned-free        | s = s'' = 0  | free                | sin + (sin b / sinh b) sinh     |
 | poly               | s = s' = 0   | no condition        | (x/l)^(index + 1)               |
+| hierarchical       | s = s' = 0   | no condition        | see `beam_shapes.hierarchical`  |
 | torsion-fixed-free | s = 0        | free                | sin                             |
 | torsion-poly       | s = 0        | no condition        | (x/l)^index                     |
 | axial-fixed-free   | s = 0        | free                | sin                             |
@@ -24,7 +25,14 @@ from functools import lru_cache
 import numpy as np
 
 from dynamics.description import validate
-from dynamics.description.beam_shapes import BeamShape, PowerShape, Shape, clamped, clamped_root
+from dynamics.description.beam_shapes import (
+    BeamShape,
+    Shape,
+    clamped,
+    clamped_root,
+    hierarchical,
+    power,
+)
 from dynamics.types import Array, Matrix3
 
 KINDS: dict[str, tuple[str, ...]] = {  # kind -> directions it may act in
@@ -32,6 +40,7 @@ KINDS: dict[str, tuple[str, ...]] = {  # kind -> directions it may act in
     "clamped-tip-mass": ("y", "z"),
     "pinned-free": ("y",),  # the joint turns about z: only bending along y can be pinned
     "poly": ("y", "z"),
+    "hierarchical": ("y", "z"),
     "torsion-fixed-free": ("x",),
     "torsion-poly": ("x",),
     "axial-fixed-free": ("axial",),
@@ -52,7 +61,8 @@ class Mode:
     kind: str
     index: int  # 1, 2, ... within its kind
     direction: str  # "y", "z": bending along that axis; "x": torsion; "axial": stretching
-    norm: str = "tip-unit"  # s(l) = 1 | "mass": modal mass 1 | "raw": as in the formula
+    norm: str = "tip-unit"  # s(l) = 1 | "mass": modal mass 1 | "raw": as in the formula;
+    # hierarchical shapes with s(l) = 0 stay raw under "tip-unit"
 
     def __post_init__(self) -> None:
         kind = validate.choice(self.kind, "Mode.kind", KINDS)
@@ -82,7 +92,8 @@ class Beam:
 def shape(mode: Mode, beam: Beam) -> Shape:
     """Shape of a mode on a beam, normalised according to `mode.norm`."""
     raw = _raw(mode, beam)
-    if mode.norm == "raw":
+    at_rest = mode.kind == "hierarchical" and mode.index > 1  # s(l) = 0
+    if mode.norm == "raw" or (mode.norm == "tip-unit" and at_rest):
         return raw
     if mode.norm == "tip-unit":
         return raw.scaled(1.0 / float(raw.value(beam.length)))
@@ -109,9 +120,11 @@ def are_independent(modes: Sequence[Mode], beam: Beam) -> bool:
 def _raw(mode: Mode, beam: Beam) -> Shape:
     length, index = beam.length, mode.index
     if mode.kind == "poly":
-        return PowerShape(length=length, power=index + 1)
+        return power(index + 1, length)
+    if mode.kind == "hierarchical":
+        return hierarchical(index, length)
     if mode.kind in ("torsion-poly", "axial-poly"):
-        return PowerShape(length=length, power=index)
+        return power(index, length)
     if mode.kind in ("torsion-fixed-free", "axial-fixed-free"):
         return BeamShape(length=length, beta=(index - 0.5) * math.pi, sin=1.0)
     if mode.kind == "pinned-free":

@@ -38,14 +38,20 @@ from dynamics.formulations.link_constants import LinkConstants
 
 
 class Implicit(NamedTuple):
-    """Linear forces taken implicitly: (M + W) a = B tau - h + W guess, W = stiffness K + damping C.
+    """Linear forces taken implicitly: (M + W) a = B tau - h + W guess.
 
+    W_jk = stiffness_j K_jk + damping_j C_jk; coordinates that K or C couple have equal weights.
     `guess` holds the accelerations with which the integrator extrapolated q and v.
     """
 
-    stiffness: Scalar = 0.0  # [s^2]
-    damping: Scalar = 0.0  # [s]
-    guess: Sequence[Scalar] = ()  # (n,) accelerations
+    stiffness: Sequence[Scalar]  # (n,) [s^2]
+    damping: Sequence[Scalar]  # (n,) [s]
+    guess: Sequence[Scalar]  # (n,) accelerations
+
+    def split(self, chain: Chain) -> list["Implicit"]:
+        """Its parts per body, modes first, then the joint (0.0 of a welded body)."""
+        parts = zip(*(chain.split(x) for x in self), strict=True)
+        return [Implicit(*([*modes, joint] for joint, modes in part)) for part in parts]
 
 
 def accelerations(
@@ -58,7 +64,7 @@ def accelerations(
     """(n,) accelerations; one pass inward eliminates, one pass outward substitutes."""
     frames = outward(chain, q, v)
     rates = chain.split(v)
-    guesses = chain.split(implicit.guess) if implicit else [(0.0, ())] * len(frames)
+    parts = implicit.split(chain) if implicit else []
     torques = iter(reversed(list(tau)))
     solved = []
     outer, load = NO_INERTIA, Wrench(ZERO, ZERO)
@@ -70,14 +76,14 @@ def accelerations(
         drive = [*(mul(s, torque) for s in f.link.root_slope), torque]
         residual = [minus(t, h) for t, h in zip(drive, forces, strict=False)]
         if implicit:
-            add_implicit(f.link, block.D, residual, implicit, guesses[i])
+            add_implicit(f.link, block.D, residual, parts[i])
         pivots = _eliminate(block, residual)
         solved.append((block, residual, pivots))
         if i:
             own = f.link.rotor_inertia  # on the joint coordinate alone, not on the link before
             if implicit:
-                own = plus(own, mul(implicit.damping, f.link.viscous))
-                own = plus(own, mul(implicit.stiffness, f.link.spring))
+                own = plus(own, mul(parts[i].damping[-1], f.link.viscous))
+                own = plus(own, mul(parts[i].stiffness[-1], f.link.spring))
             inertia = _articulated_inertia(f.link, block, pivots, own)
             outer = inertia.turned(f.R).moved(f.offset)
             push = [mul(e, p) for e, p in zip(residual, pivots, strict=True)]
@@ -92,13 +98,12 @@ def add_implicit(
     link: LinkConstants,
     D: list[list[Scalar]],
     residual: list[Scalar],
-    implicit: Implicit,
-    guess: tuple[Scalar, Sequence[Scalar]],
+    part: Implicit,
 ) -> None:
-    """Add one link's W = stiffness K + damping C to D, and W guess to the residual."""
+    """Add one link's W to D, and W guess to the residual."""
     m = len(link.K)
     slopes = [*link.root_slope, 1.0]
-    values = [*guess[1], guess[0]][: len(D)]
+    values = part.guess[: len(D)]
     for j in range(len(D)):
         row: list[Scalar] = []
         for k in range(len(D)):
@@ -106,7 +111,7 @@ def add_implicit(
             C, K = mul(link.viscous, slope_product), mul(link.spring, slope_product)
             if j < m and k < m:
                 C, K = plus(C, link.damping[j][k]), plus(K, link.K[j][k])
-            row.append(plus(mul(implicit.damping, C), mul(implicit.stiffness, K)))
+            row.append(plus(mul(part.damping[j], C), mul(part.stiffness[j], K)))
             D[j][k] = plus(D[j][k], row[k])
         residual[j] = plus(residual[j], dot(row, values))
 

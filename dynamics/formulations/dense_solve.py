@@ -60,8 +60,8 @@ def accelerations(
     M = [list(row) for row in equations.mass_matrix(chain, q)]
     residual = [minus(0.0, h) for h in equations.bias(chain, q, v)]
     torques, start = iter(tau), 0
-    guesses = chain.split(implicit.guess) if implicit else [(0.0, ())] * len(chain.links)
-    for link, guess in zip(chain.links, guesses, strict=True):
+    parts = implicit.split(chain) if implicit else [None] * len(chain.links)
+    for link, part in zip(chain.links, parts, strict=True):
         stop = start + len(link.K) + (not link.welded)
         indices = list(range(start, stop))  # coordinates of the link: modes, then any joint
         if not link.welded:
@@ -69,10 +69,10 @@ def accelerations(
             torque = next(torques)
             for index, slope in zip(indices, (*link.root_slope, 1.0), strict=True):
                 residual[index] = plus(residual[index], mul(slope, torque))
-        if implicit:
+        if part:
             block = [[M[j][k] for k in indices] for j in indices]
             forces = [residual[j] for j in indices]
-            add_implicit(link, block, forces, implicit, guess)
+            add_implicit(link, block, forces, part)
             for j, row, force in zip(indices, block, forces, strict=True):
                 residual[j] = force
                 for k, value in zip(indices, row, strict=True):

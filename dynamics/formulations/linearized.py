@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +12,11 @@ from dynamics.formulations.gibbs_appell import mass_matrix
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.link_constants import LinkConstants
 from dynamics.integrators.exponential import FrozenModes
+from dynamics.integrators.newmark import EXPLICIT, FAST_BETA, SAFE
 from dynamics.types import Array
 
 _RIGID = 1e-9  # [-] squared frequencies below this fraction of the largest are rigid motions
+_POSTURES = (0.0, 1.0)  # [rad] of all revolute joints, at which `explicit_steps` looks
 _ROUND_OFF = 1e-13  # [-] modal entries below this fraction of their bound are set to zero
 
 
@@ -73,19 +77,26 @@ def _assemble(
 
 @dataclass(frozen=True)
 class LinearArm:
-    """Matrices (n, n) of the linearized arm at one posture, and the straight arm's modes."""
+    """Matrices (n, n) of the linearized arm at one posture."""
 
     M: Array
     K: Array
     C: Array  # modes and viscous joint friction: the damping that implicit methods include
     friction: Array  # Coulomb friction at zero joint rates
-    frozen: FrozenModes
+    aid: Callable[[str], Any]  # what an integrator knows of the arm, by `Integrator.aid`
 
 
 def linear_arm(chain: Chain, q: Array) -> LinearArm:
     """Linearize the arm about rest at q (n,) with straight links."""
-    modes = frozen_modes(chain)
-    return LinearArm(inertia(chain, q), stiffness(chain), damping(chain), friction(chain), modes)
+    known = lru_cache(lambda kind: aid(kind, chain))
+    return LinearArm(inertia(chain, q), stiffness(chain), damping(chain), friction(chain), known)
+
+
+def aid(kind: str, chain: Chain) -> FrozenModes | Array | None:
+    """Constants of the arm that an integrator works with: `Integrator.aid` but for a Jacobian."""
+    if kind == "modes":
+        return frozen_modes(chain)
+    return explicit_steps(chain) if kind == "explicit steps" else None
 
 
 def frozen_modes(chain: Chain) -> FrozenModes:
@@ -102,3 +113,59 @@ def frozen_modes(chain: Chain) -> FrozenModes:
         for x, bound in zip((S.T @ M, S.T), bounds, strict=True)
     )
     return FrozenModes(squares * elastic, decays * elastic, L, back.T)
+
+
+def explicit_steps(chain: Chain) -> Array:
+    """(n,) [s] longest step at which each coordinate can do with Numerov's beta; at most infinite.
+
+    With one beta per coordinate a step is stable if M - h/3 C - h^2 sum (1/4 - beta) K is positive,
+    C being the slow coordinates' damping. As h grows and this fails, the coordinate that takes the
+    largest part in the failing motion gets FAST_BETA, with all that K or C couple it to. Steps are
+    SAFE times the limits.
+    """
+    K, C = stiffness(chain), damping(chain)
+    inertias = [inertia(chain, _posture(chain, angle)) for angle in _POSTURES]
+    block, fast = _coupled(K, C), np.zeros(len(K), dtype=bool)
+    steps = np.full(len(K), np.inf)
+    while np.any((K + C) * ~fast):
+        slow = np.diag(1.0 - fast)
+        elastic, shape = _largest(
+            (0.25 - EXPLICIT) * slow @ K - (FAST_BETA - 0.25) * K @ np.diag(fast), inertias
+        )
+        decay, motion = _largest(slow @ C / 3.0, inertias)
+        limit = 2.0 / (decay + np.sqrt(decay**2 + 4.0 * elastic))  # h decay + h^2 elastic = 1
+        if decay > limit * elastic:
+            shares = motion * (slow @ C @ motion)
+        else:
+            shares = shape * (slow @ K @ shape)
+        chosen = block == block[np.argmax(shares)]
+        fast |= chosen
+        steps[chosen] = SAFE * limit
+    return steps
+
+
+def _largest(A: Array, inertias: Sequence[Array]) -> tuple[float, Array]:
+    """Largest eigenvalue, at least zero, of A x = w M x with any of the M, and its x (n,)."""
+    from scipy.linalg import eigh
+
+    last = [len(A) - 1, len(A) - 1]
+    pairs = [eigh(A, M, subset_by_index=last) for M in inertias]
+    value, vector = max(pairs, key=lambda pair: float(pair[0][0]))
+    return max(float(value[0]), 0.0), vector[:, 0]
+
+
+def _coupled(K: Array, C: Array) -> Array:
+    """(n,) label of each coordinate, equal for those that K or C couple."""
+    from scipy.sparse.csgraph import connected_components
+
+    labels: Array = connected_components((K != 0.0) | (C != 0.0), directed=False)[1]
+    return labels
+
+
+def _posture(chain: Chain, angle: float) -> Array:
+    """(n,) coordinates with all driven revolute joints at `angle` [rad]."""
+    q: list[float] = []
+    for link in chain.links:
+        turns = link.driven and not link.prismatic
+        q += ([] if link.welded else [angle * turns]) + [0.0] * len(link.K)
+    return np.array(q)

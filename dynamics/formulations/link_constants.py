@@ -12,7 +12,7 @@ r = [x, 0, 0] + sum_j delta_j r_j(x); the shape s_j of a mode acts along one dir
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from numpy.polynomial import legendre
 
 from dynamics.description.arm import Arm, Payload
 from dynamics.description.beam_shapes import Shape
+from dynamics.description.deflection import BENDING, DISPLACEMENT, TILT, TWIST
 from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link
 from dynamics.description.mode_shapes import STIFFNESS, quadrature, shape
@@ -30,16 +31,7 @@ from dynamics.types import Array, Matrix3, Vector3
 _ROUND_OFF = 1e-12  # [-] integrals below this fraction of their natural size are set to zero
 _ENTRY_ROUND_OFF = 1e-14  # [-] round-off of an entry of a mounting rotation
 
-_BENDING = ("y", "z")  # directions whose strain is s''; in the others it is s'
-_DISPLACEMENT: dict[str, Vector3] = {  # times s
-    "x": (0, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "axial": (1, 0, 0),
-}  # fmt: skip
-_TILT: dict[str, Vector3] = {  # times s'
-    "x": (0, 0, 0), "y": (0, 0, 1), "z": (0, -1, 0), "axial": (0, 0, 0),
-}  # fmt: skip
-_TWIST: dict[str, Vector3] = {  # times s
-    "x": (1, 0, 0), "y": (0, 0, 0), "z": (0, 0, 0), "axial": (0, 0, 0),
-}  # fmt: skip
+LUMPED_SHARE, LUMPED_TWIST = 1 / 4, 1 / 3  # of mass and polar inertia, at the tip of lumped links
 _E_X = np.array((1.0, 0.0, 0.0))
 _E_Z = np.array((0.0, 0.0, 1.0))
 
@@ -147,8 +139,8 @@ def link_constants(
     tip_inertia = np.array(link.tip_inertia)
     if payload is not None:
         tip_inertia = tip_inertia + np.array(payload.inertia)
-    tilt = np.array([_TILT[mode.direction] for mode in link.modes]).reshape(-1, 3)
-    return LinkConstants(
+    tilt = np.array([TILT[mode.direction] for mode in link.modes]).reshape(-1, 3)
+    constants = LinkConstants(
         length=link.length,
         welded=welded,
         prismatic=link.joint.type == "prismatic",
@@ -179,6 +171,27 @@ def link_constants(
         coulomb_speed=link.joint.coulomb_speed,
         spring=0.0,
     )
+    return _lumped(constants, link) if link.lumped and link.modes else constants
+
+
+def _lumped(constants: LinkConstants, link: Link) -> LinkConstants:
+    """Put a beam's inertia at the Radau points l/3 and l; the modes move only the latter's.
+
+    With weights 3/4 and 1/4, the straight link keeps its mass, first moment and inertia.
+    """
+    share = LUMPED_SHARE * link.rho_A * link.length
+    twist = LUMPED_TWIST * link.rho_Ip * link.length
+    carried = share * link.length**2 * np.diag((0.0, 1.0, 1.0)) + twist * np.outer(_E_X, _E_X)
+    distributed = ("epsilon", "s", "c_jk", "c", "C", "D")
+    return replace(
+        constants,
+        mass=constants.mass - share,
+        first_moment=_tuples(constants.first_moment - share * link.length * _E_X),
+        C0=_tuples(constants.C0 - carried),
+        tip_mass=constants.tip_mass + share,
+        tip_inertia=_tuples(constants.tip_inertia + twist * np.outer(_E_X, _E_X)),
+        **{name: _tuples(0.0 * np.array(getattr(constants, name))) for name in distributed},
+    )
 
 
 class _BeamIntegrals(NamedTuple):
@@ -189,7 +202,7 @@ class _BeamIntegrals(NamedTuple):
     twist: Array  # (m + p) 1 for torsion, else 0
     zeroth: Array  # (m + p) int s_j
     first: Array  # (m + p) int x s_j
-    square: Array  # (m + p, m + p) int s_j s_k
+    square: Array  # (m + p, m + p) int s_j s_k of two modes, else 0
     tip: Array  # (m + p) s_j(l)
     tip_slope: Array  # (m) s_j'(l)
     root_slope: Array  # (m + p) s_j'(0) of pinned-free modes, else 0
@@ -202,14 +215,15 @@ def _beam_integrals(link: Link, foreshortening: bool) -> _BeamIntegrals:
     shapes = [shape(mode, link.beam) for mode in link.modes]
     pairs, shortening, shortening_tip = _shortening(link, shapes, x, weights, foreshortening)
     values = np.vstack([_table([s.value(x) for s in shapes], x.size), shortening])
-    along = np.array([_DISPLACEMENT[mode.direction] for mode in link.modes]).reshape(-1, 3)
-    twist = np.array([_TWIST[mode.direction][0] for mode in link.modes])
+    along = np.array([DISPLACEMENT[mode.direction] for mode in link.modes]).reshape(-1, 3)
+    twist = np.array([TWIST[mode.direction][0] for mode in link.modes])
     root_slope = np.zeros(len(values))
     for j, mode in enumerate(link.modes):
         if mode.kind == "pinned-free":
             root_slope[j] = float(shapes[j].slope(0.0))
     square = (values * weights) @ values.T
     size = np.sqrt(np.diag(square))
+    square[len(shapes) :] = square[:, len(shapes) :] = 0.0  # of higher order, see docs/theory.md
     tip = np.array([*(float(s.value(l)) for s in shapes), *shortening_tip])
     tip_slope = np.array([float(s.slope(l)) for s in shapes])
     return _BeamIntegrals(
@@ -280,42 +294,6 @@ def _exact_right_angles(rotation: Matrix3) -> Array:
     return np.where(np.abs(np.abs(R) - 1.0) < _ENTRY_ROUND_OFF, np.sign(R), R)
 
 
-def deflection(link: Link, delta: Iterable[float], x: Array) -> Array:
-    """Elastic displacement of a link at the points x, in the link's frame.
-
-    Parameters
-    ----------
-    delta : (m,) [m] modal amplitudes.
-    x : (n,) [m] positions along the undeformed link.
-
-    Returns
-    -------
-    (n, 3) [m]
-    """
-    x = np.asarray(x, dtype=np.float64)
-    result = np.zeros((x.size, 3))
-    for mode, d in zip(link.modes, delta, strict=True):
-        result += d * np.outer(shape(mode, link.beam).value(x), _DISPLACEMENT[mode.direction])
-    return result
-
-
-def curvature(link: Link, x: float) -> Array:
-    """Twist per length and curvatures at x, per unit amplitude of each mode.
-
-    Returns
-    -------
-    (m, 3) [1/m^2] about x: s' of a torsion mode; about y: -s'' of a "z" mode; about z: s'' of a
-    "y" mode.
-    """
-    rows = []
-    for mode in link.modes:
-        s = shape(mode, link.beam)
-        about = _TWIST if mode.direction == "x" else _TILT
-        rate = s.curvature(x) if mode.direction in _BENDING else s.slope(x)
-        rows.append(float(rate) * np.array(about[mode.direction]))
-    return np.array(rows).reshape(-1, 3)
-
-
 def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Array:
     """(m, m) int GJ or EA s_j' s_k' (torsion, axial), int EI s_j'' s_k'' (bending).
 
@@ -323,7 +301,7 @@ def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Arr
     """
     bent = _table(
         [
-            s.curvature(x) if mode.direction in _BENDING else s.slope(x)
+            s.curvature(x) if mode.direction in BENDING else s.slope(x)
             for s, mode in zip(shapes, link.modes, strict=True)
         ],
         x.size,
@@ -344,7 +322,7 @@ def _shortening(
         (j, k)
         for j in range(len(shapes))
         for k in range(j, len(shapes))
-        if wanted and directions[j] == directions[k] in _BENDING
+        if wanted and directions[j] == directions[k] in BENDING
     )
     if not pairs:
         return (), _table([], x.size), []

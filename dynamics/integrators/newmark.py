@@ -4,6 +4,8 @@ Variants of Newmark's method, q += h v + h^2 ((1/2 - beta) a + beta a_new). tabl
 arguments; docs/theory.md has the formulas.
 """
 
+import numpy as np
+
 PROBE = 1.0 / 64.0  # fraction of a step over which the rate of the accelerations is measured
 
 # generalized-alpha (Chung & Hulbert 1993)
@@ -14,10 +16,17 @@ GAMMA = 0.5 + ALPHA_F - ALPHA_M
 BETA = 0.25 * (GAMMA + 0.5) ** 2
 
 
+# numerov
+FAST_BETA = 0.4  # [-] of coordinates too fast for the step; stable from 1/4 on
+EXPLICIT = 1.0 / 12.0  # [-] beta of the others
+SAFE = 0.7  # of the stability limit, which changes with posture and rates
+
+
 def set_weights(w, at, stiffness, damping):  # type: ignore[no-untyped-def]
-    """Set the weights of stiffness and damping in the implicit mass matrix."""
-    w[at.implicit] = stiffness
-    w[at.implicit + 1] = damping
+    """Set equal weights of stiffness and damping in the implicit mass matrix."""
+    for i in range(at.n):
+        w[at.implicit + i] = stiffness
+        w[at.implicit + at.n + i] = damping
 
 
 def start_accelerations(w, h, evaluate, at):  # type: ignore[no-untyped-def]
@@ -27,7 +36,7 @@ def start_accelerations(w, h, evaluate, at):  # type: ignore[no-untyped-def]
     probe = PROBE * h
     set_weights(w, at, 0.0, 0.0)
     for i in range(n):
-        w[at.implicit + 2 + i] = 0.0
+        w[at.implicit + 2 * n + i] = 0.0
     evaluate(w)
     for i in range(n):
         w[q0 + i] = w[q + i]
@@ -48,14 +57,14 @@ def start_midpoint(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
     half = 0.5 * h
     set_weights(w, at, half * half, half)
     for i in range(at.n):
-        w[at.implicit + 2 + i] = 0.0
+        w[at.implicit + 2 * at.n + i] = 0.0
     evaluate(w)
 
 
 def midpoint(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
     """Implicit-force midpoint rule: order 2, A-stable on the elastic part, no numerical damping."""
     n, q, v, a = at.n, at.q, at.v, at.a
-    guess, v0, q0 = at.implicit + 2, at.s, at.s + n
+    guess, v0, q0 = at.implicit + 2 * n, at.s, at.s + n
     half = 0.5 * h
     for i in range(n):
         w[guess + i] = w[a + i]
@@ -69,18 +78,32 @@ def midpoint(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
         w[q + i] = w[q0 + i] + half * w[v + i]
 
 
+def prepare_numerov(w, h, at, aid):  # type: ignore[no-untyped-def]
+    """Store 1 for slow and 0 for fast coordinates, and h beta; compiled by numba, not recorded.
+
+    `aid` holds the step [s] from which each coordinate is fast.
+    """
+    for k in range(np.uint64(aid.size)):
+        fast = 1.0 * (h > aid[k])
+        for b in range(k * at.lanes, (k + np.uint64(1)) * at.lanes):
+            w[at.s + np.uint64(5) * at.n + b] = 1.0 - fast
+            w[at.s + np.uint64(6) * at.n + b] = h * (EXPLICIT + fast * (FAST_BETA - EXPLICIT))
+
+
 def start_numerov(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
     """Shifted rates u = v + h^2/12 da/dt, and differences of the accelerations: h da/dt, 0, 0."""
     n = at.n
-    first, second, third, shifted, fresh = (at.s + k * n for k in range(5))
+    first, second, third, shifted, fresh, slow, hbeta = (at.s + k * n for k in range(7))
     twelfth = 1.0 / 12.0 * h
     start_accelerations(w, h, evaluate, at)
-    set_weights(w, at, h * twelfth, 1.0 / 3.0 * h)
     for i in range(n):
+        w[first + i] *= w[slow + i]
         w[second + i] = 0.0
         w[third + i] = 0.0
         w[shifted + i] = w[at.v + i] + twelfth * w[first + i]
         w[fresh + i] = 1.0
+        w[at.implicit + i] = h * w[hbeta + i]
+        w[at.implicit + n + i] = 0.5 * h - 2.0 * twelfth * w[slow + i]
 
 
 def numerov(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
@@ -88,32 +111,35 @@ def numerov(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
 
     The coordinates follow Numerov's formula, the rates the Euler-Maclaurin trapezoidal rule. The
     guess extrapolates the accelerations by their backward differences; in the first step only a
-    and da/dt are known, which `fresh` marks with 1.
+    and da/dt are known, which `fresh` marks with 1. Coordinates too fast for the step follow
+    Newmark's method with beta = FAST_BETA on u = v and linear extrapolation: order 2, A-stable.
     """
     n, q, v, a = at.n, at.q, at.v, at.a
-    first, second, third, shifted, fresh = (at.s + k * n for k in range(5))
-    guess = at.implicit + 2
-    twelfth = 1.0 / 12.0 * h
-    five = 5.0 * twelfth
+    first, second, third, shifted, fresh, slow, hbeta = (at.s + k * n for k in range(7))
+    guess = at.implicit + 2 * n
+    half, twelfth = 0.5 * h, 1.0 / 12.0 * h
     for i in range(n):
         w[second + i] += w[third + i]
         w[first + i] += w[second + i]
         w[guess + i] = w[a + i] + w[first + i]
-        w[q + i] += h * (w[shifted + i] + five * w[a + i] + twelfth * w[guess + i])
-        w[shifted + i] += 0.5 * h * (w[a + i] + w[guess + i])
-        w[v + i] = w[shifted + i] - twelfth * (w[first + i] + 0.5 * w[second + i])
+        w[q + i] += h * (w[shifted + i] + half * w[a + i] + w[hbeta + i] * w[first + i])
+        w[shifted + i] += half * (w[a + i] + w[guess + i])
+        shift = w[slow + i] * (w[first + i] + 0.5 * w[second + i])
+        w[v + i] = w[shifted + i] - twelfth * shift
     evaluate(w)
     for i in range(n):
         error = w[a + i] - w[guess + i]
-        rate_error = w[fresh + i] * (PROBE / (1.0 - PROBE)) * error  # in the first da/dt
+        late = w[slow + i] * error
+        rate_error = w[fresh + i] * (PROBE / (1.0 - PROBE)) * late  # in the first da/dt
         w[first + i] += error
-        w[second + i] += (1.0 + w[fresh + i]) * error + rate_error + rate_error
-        w[third + i] += (1.0 - w[fresh + i]) * error
+        w[second + i] += (1.0 + w[fresh + i]) * late + rate_error + rate_error
+        w[third + i] += (1.0 - w[fresh + i]) * late
         w[fresh + i] = 0.0
-        w[q + i] += h * twelfth * (error - rate_error)
-        w[shifted + i] += 0.5 * h * error - twelfth * rate_error
-        w[v + i] = w[shifted + i] - twelfth * (w[first + i] + 0.5 * w[second + i])
-    set_weights(w, at, h * twelfth, 0.375 * h)
+        w[q + i] += h * (w[hbeta + i] * error - twelfth * rate_error)
+        w[shifted + i] += half * error - twelfth * rate_error
+        shift = w[slow + i] * (w[first + i] + 0.5 * w[second + i])
+        w[v + i] = w[shifted + i] - twelfth * shift
+        w[at.implicit + n + i] = half - 1.5 * twelfth * w[slow + i]
 
 
 def start_generalized_alpha(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
@@ -137,7 +163,7 @@ def generalized_alpha(w, h, evaluate, at, aid):  # type: ignore[no-untyped-def]
     the step.
     """
     n, q, v, a = at.n, at.q, at.v, at.a
-    guess, b, q0, v0 = at.implicit + 2, at.s, at.s + n, at.s + 2 * n
+    guess, b, q0, v0 = at.implicit + 2 * n, at.s, at.s + n, at.s + 2 * n
     share = 1.0 / (1.0 - ALPHA_M)
     inside = (1.0 - ALPHA_F) * h
     for i in range(n):

@@ -10,6 +10,6 @@ class Slots(NamedTuple):
     q: int  # coordinates
     v: int  # rates of the coordinates
     a: int  # accelerations, written by `evaluate`
-    implicit: int  # 2 + n values: weights of stiffness and damping, then the guess
+    implicit: int  # 3 n values: weights of stiffness, weights of damping, guess
     s: int  # scratch space, `Integrator.scratch` values per lane
     lanes: int = 1  # environments in one workspace; 1 unless numba compiles the method's loops

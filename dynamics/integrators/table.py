@@ -10,11 +10,13 @@ by numba directly, with loops over lanes.
 runs at the beginning of each call, under a new torque, and `step` with the same arguments once per
 substep. Only q and v persist between calls, so a multistep method must start from the accelerations
 themselves and, if it needs their rate, from a second evaluation a fraction of a step later. `aid`
-is None, the arm's modes, or a function that writes the Jacobian, as `Integrator.aid` specifies.
+is None, the arm's modes, the longest step that each coordinate stands without implicit forces, or
+a function that writes the Jacobian, as `Integrator.aid` specifies.
 
 An implicit method takes elastic and linear damping forces implicitly and all others at an
-extrapolated state: `evaluate` solves (M + W) a = f(q, v) + W guess with W = k K + c C. The scalars
-k and c are stored at `implicit`, followed by the guess. Each evaluation is one linear solve.
+extrapolated state: `evaluate` solves (M + W) a = f(q, v) + W guess with W = k K + c C. The weights
+k and c, one each per coordinate, are stored at `implicit`, followed by the guess. Coordinates that
+K or C couple have equal weights. Each evaluation is one linear solve.
 """
 
 from collections.abc import Callable
@@ -30,6 +32,7 @@ from dynamics.integrators.newmark import (
     generalized_alpha,
     midpoint,
     numerov,
+    prepare_numerov,
     start_generalized_alpha,
     start_midpoint,
     start_numerov,
@@ -90,7 +93,7 @@ class Integrator:
     per_step: int = 1  # evaluations of the accelerations per step
     per_call: int = 0  # further evaluations per call, in `start`
     implicit: bool = False  # stiffness and damping are part of the mass matrix in `evaluate`
-    aid: str = "none"  # argument beside `evaluate`: "modes" of the arm, or its "jacobian"
+    aid: str = "none"  # argument beside `evaluate`: "modes", "explicit steps" or "jacobian"
     scratch: Callable[[int], int] = lambda n: 4 * n  # number of values per lane at `s`
     kept: Callable[[int], int] = lambda n: 0  # number of leading scratch values kept between steps
     prepare: Callable[..., None] = prepare_nothing
@@ -108,8 +111,9 @@ INTEGRATORS = {
         midpoint, start_midpoint, order=2, implicit=True, limit=UNLIMITED, per_call=1
     ),
     "numerov": Integrator(
-        numerov, start_numerov, order=4, implicit=True, limit=2.449, per_call=2,
-        scratch=lambda n: 5 * n, kept=lambda n: 5 * n,
+        numerov, start_numerov, order=4, implicit=True, limit=UNLIMITED, per_call=2,
+        aid="explicit steps", scratch=lambda n: 7 * n, kept=lambda n: 7 * n,
+        prepare=prepare_numerov,
     ),
     "generalized-alpha": Integrator(
         generalized_alpha, start_generalized_alpha, order=2, implicit=True, limit=UNLIMITED,

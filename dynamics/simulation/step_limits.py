@@ -43,14 +43,15 @@ def amplification(arm: LinearArm, integrator: str, dt: float) -> float:
     results are the columns of the step's matrix.
     """
     method, n = INTEGRATORS[integrator], len(arm.M)
-    Q, V, A, W, GUESS, S = 0, n, 2 * n, 3 * n, 3 * n + 2, 4 * n + 2
+    Q, V, A, W, GUESS, S = 0, n, 2 * n, 3 * n, 5 * n, 6 * n
     places = Slots(n, Q, V, A, W, S)
     size = S + method.kept(n)  # values that outlive a step
     nothing = np.zeros(size + 1).view(_Row)
 
     def evaluate(w: Any) -> None:
         q, v, guess = (np.stack([nothing + x for x in w[at : at + n]]) for at in (Q, V, GUESS))
-        implicit = w[W] * arm.K + w[W + 1] * arm.C if method.implicit else 0.0 * arm.K
+        stiffness, damping = (np.diag(w[at : at + n].astype(float)) for at in (W, W + n))
+        implicit = stiffness @ arm.K + damping @ arm.C
         force = implicit @ guess - arm.K @ q - (arm.C + arm.friction) @ v
         w[A:W] = [row.view(_Row) for row in np.linalg.solve(arm.M + implicit, force)]
 
@@ -58,11 +59,11 @@ def amplification(arm: LinearArm, integrator: str, dt: float) -> float:
         for at, matrix in ((S, arm.K), (S + n * n, arm.C + arm.friction)):
             w[at : at + n * n] = -np.linalg.solve(arm.M, matrix).ravel()
 
-    aid = {"none": None, "modes": arm.frozen, "jacobian": jacobian}[method.aid]
+    aid = jacobian if method.aid == "jacobian" else arm.aid(method.aid)
     w = np.zeros(S + method.scratch(n), dtype=object)
     w[:] = [nothing] * w.size
-    w[W] = w[W + 1] = 0.0
-    state = [i for i in range(size) if i not in (W, W + 1)]
+    w[W:GUESS] = 0.0
+    state = [i for i in range(size) if not W <= i < GUESS]
     with np.errstate(all="ignore"):
         method.prepare(w, dt, places, aid)
         method.start(w, dt, evaluate, places, aid)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dynamics.description.deflection import curvature
 from dynamics.description.validate import double_precision
 from dynamics.formulations.algebra import Scalar, add, combine, matvec
 from dynamics.formulations.articulated_body import Implicit
@@ -28,7 +29,7 @@ from dynamics.formulations.free_base import (
 )
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.formulations.kinematics import Chain, outward, poses
-from dynamics.formulations.link_constants import curvature, parts
+from dynamics.formulations.link_constants import parts
 from dynamics.tracing.traced_arm import TracedArm
 
 
@@ -159,10 +160,11 @@ def _accelerations(traced: TracedArm, implicit: bool) -> Any:
 
     parameters = len(traced.free_parameters) + traced.n_gravity
     sizes = {"q": traced.n, "v": traced.n, "tau": traced.n_joint, "p": parameters,
-             "implicit": 2 + traced.n if implicit else 0}  # fmt: skip
+             "implicit": 3 * traced.n if implicit else 0}  # fmt: skip
     symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
     q, v, tau, _, x = (ca.vertsplit(symbol) for symbol in symbols)
-    weights = Implicit(x[0], x[1], x[2:]) if implicit else None
+    n = traced.n
+    weights = Implicit(x[:n], x[n : 2 * n], x[2 * n :]) if implicit else None
     a = traced.formed.accelerations(_with_parameters(traced, symbols[3]), q, v, tau, weights)
     return ca.Function("accelerations", symbols, [ca.cse(ca.vertcat(*a))])
 

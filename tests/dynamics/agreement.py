@@ -45,7 +45,7 @@ def assert_implicit(arm: Arm, M: Array, h: Array, guess: Array, s: float, d: flo
     M and h belong to `random_state(arm)`.
     """
     (q, v), tau = random_state(arm), random_torque(arm)
-    implicit = articulated_body.Implicit(s, d, floats(guess))
+    implicit = articulated_body.Implicit([s] * arm.n, [d] * arm.n, floats(guess))
     a = articulated_body.accelerations(
         Model(arm).chain, floats(q), floats(v), floats(tau), implicit
     )

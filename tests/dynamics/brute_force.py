@@ -259,15 +259,13 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
         parts.append((np.zeros(1), link.joint.hub_inertia * np.outer(Z, Z)[None], p, hub))
         rotors.append((link.joint.rotor_inertia, q + root))
 
-        r, theta = _deflection(link, delta, 0.5 * link.length * (NODES + 1.0), arm.foreshortening)
-        share = 0.5 * link.length * WEIGHTS
-        section = _product(R, _rotation(theta * X)) if link.rho_Ip else R + 0.0 * r
-        polar = link.rho_Ip * share[:, None, None] * np.outer(X, X)
-        parts.append((link.rho_A * share, polar, p + _product(R, r), section))
-
+        parts += _beam(link, delta, p, R, arm.foreshortening)
         r, theta = _deflection(link, delta, np.array([link.length]), arm.foreshortening)
         p, R = p + _product(R, r), _product(R, _rotation(theta))
         mass, inertia = link.tip_mass, np.array(link.tip_inertia)
+        if link.lumped and link.modes:
+            mass = mass + link.rho_A * link.length / 4.0
+            inertia = inertia + link.rho_Ip * link.length / 3.0 * np.outer(X, X)
         if i == len(whole) - 1 and arm.payload:
             mass, inertia = mass + arm.payload.mass, inertia + np.array(arm.payload.inertia)
         parts.append((np.array([mass]), inertia[None], p, R))
@@ -276,6 +274,33 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
         np.concatenate(m), np.concatenate(J), np.concatenate(ps, 1), np.concatenate(Rs, 1)
     )
     return joined, rotors
+
+
+def _beam(link: Link, delta: Array, p: Array, R: Array, shorten: bool) -> list[tuple[Array, ...]]:
+    """Sections of a beam at Gauss points, or the inner lump of a lumped one.
+
+    Foreshortening u moves a section of mass m from x by r + u. The energies keep the products of
+    second order, those of x + r with itself and of x with u. The latter's are those of masses m/2
+    at x + u and -m/2 at x - u.
+    """
+    if link.lumped and link.modes:
+        mass, polar = link.rho_A * link.length, link.rho_Ip * link.length
+        inner = p + _product(R, _constant(link.length / 3.0 * X))
+        turned = polar * (2.0 / 3.0) * np.outer(X, X)[None]
+        return [(np.array([0.75 * mass]), turned, inner, R)]
+    x = 0.5 * link.length * (NODES + 1.0)
+    mass, share = link.rho_A * 0.5 * link.length * WEIGHTS, 0.5 * link.length * WEIGHTS
+    r, theta = _deflection(link, delta, x, False)
+    section = _product(R, _rotation(theta * X)) if link.rho_Ip else R + 0.0 * r
+    polar = link.rho_Ip * share[:, None, None] * np.outer(X, X)
+    found = [(mass, polar, p + _product(R, r), section)]
+    if shorten:
+        u = _deflection(link, delta, x, True)[0] - r
+        straight = _deflection(link, 0.0 * delta, x, False)[0]
+        for sign in (1.0, -1.0):
+            at = p + _product(R, straight + sign * u)
+            found.append((0.5 * sign * mass, 0.0 * polar, at, section))
+    return found
 
 
 def _base(jet: Array) -> tuple[Array, Array]:

@@ -14,8 +14,8 @@ from dynamics.types import Array
 Matrix = tuple[tuple[float, ...], ...]
 
 KINDS = {
-    "y": ("clamped-free", "pinned-free", "clamped-tip-mass", "poly"),
-    "z": ("clamped-free", "clamped-tip-mass", "poly"),
+    "y": ("clamped-free", "pinned-free", "clamped-tip-mass", "poly", "hierarchical"),
+    "z": ("clamped-free", "clamped-tip-mass", "poly", "hierarchical"),
     "x": ("torsion-fixed-free", "torsion-poly"),
     "axial": ("axial-fixed-free", "axial-poly"),
 }
@@ -26,8 +26,8 @@ def random_arm(seed: int, n_link: int, n_mode: int, *, spatial: bool = True) -> 
     """A valid arm with everything in it: the first link has `n_mode` modes, others fewer or none.
 
     Mixed kinds, directions, torsion, mountings, offsets, tip bodies, rotors, hubs, friction,
-    damping, gravity, payload, segments, foreshortening. Not `spatial`: all in the x-y plane,
-    without torsion.
+    damping, gravity, payload, segments, lumped masses, foreshortening. Not `spatial`: all in the
+    x-y plane, without torsion.
     """
     rng = np.random.default_rng([seed, n_link, n_mode])
     counts = [n_mode, *rng.integers(0, n_mode + 1, n_link - 1)]
@@ -151,6 +151,9 @@ def _link(rng: Generator, count: int, spatial: bool) -> Link:
         return float(rng.uniform(0.0, most) * (rng.random() < 0.6))
 
     weldable = count < 3 and all(mode.kind != "pinned-free" for mode in modes)
+    most = {"x": 1, "y": 2, "z": 2, "axial": 1}
+    few = all(directions.count(d) <= most[d] for d in directions)
+    lumped = weldable and few and rng.random() < 0.4
     damping = {"damping_beta": 1e-4} if rng.random() < 0.5 else {"damping_ratio": 0.02}
     return Link(
         length=rng.uniform(0.3, 1.0),
@@ -164,6 +167,7 @@ def _link(rng: Generator, count: int, spatial: bool) -> Link:
         tip_inertia=_inertia(rng, spatial),
         modes=tuple(modes[int(k)] for k in rng.permutation(count)),
         segments=int(rng.integers(1, 3)) if weldable else 1,
+        lumped=bool(lumped),
         **damping,
         joint=Joint(
             rotation=tuple(map(tuple, mounting)),
@@ -193,11 +197,12 @@ def _diagonal(*values: float) -> Matrix:
 
 
 def _amplitudes(link: Link) -> list[float]:
-    """Modal amplitudes of a moderate deflection."""
+    """Modal amplitudes of a moderate deflection anywhere along a link."""
     part = replace(link, length=link.length / link.segments, segments=1)
     found = []
     for mode in part.modes:
         s = shape(mode, part)
-        value, slope = abs(float(s.value(part.length))), abs(float(s.slope(part.length)))
+        x = np.linspace(0.0, part.length, 9)
+        value, slope = float(np.abs(s.value(x)).max()), float(np.abs(s.slope(x)).max())
         found.append(TURN / (value if mode.direction == "x" else max(slope, value / part.length)))
     return link.segments * found

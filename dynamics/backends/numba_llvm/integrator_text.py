@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 from numba.extending import register_jitable
 
-from dynamics.formulations.linearized import frozen_modes
+from dynamics.formulations.linearized import aid
+from dynamics.integrators.exponential import FrozenModes
 from dynamics.integrators.slots import Slots
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.tracing import graphs
@@ -32,6 +33,7 @@ def evaluate(w):
 _PLACES = "AT = Slots(N, Q, V, ACC, IMPLICIT, SCRATCH, LANES)"
 _CALL = "{0}_method(w, w[H], evaluate, AT, AID)"
 _MODES = "AID = FrozenModes(np.array({0!r}), np.array({1!r}))"
+_STEPS = "AID = np.array({0!r})"
 _PREPARE = "prepare_method = compiled(INTEGRATORS[{0!r}].prepare)"
 _PREPARED = "prepare_method(w, w[H], AT, AID)"
 
@@ -55,16 +57,19 @@ def method_text(
         return MethodText(
             [jacobian], [_PLACES, _LOOPS.format(integrator)], {"#prepare": [], **calls}
         )
-    modes = frozen_modes(arm.chain) if method.aid == "modes" else None
+    known = aid(method.aid, arm.chain)
     places = Slots(arm.n, at["Q"], at["V"], at["ACC"], at["IMPLICIT"], at["SCRATCH"])
-    start = recorded("start", method.start, at["H"], places, modes)
-    step = recorded("step", method.step, at["H"], places, modes)
+    start = recorded("start", method.start, at["H"], places, known)
+    step = recorded("step", method.step, at["H"], places, known)
     functions = [*start.functions, *step.functions]
     marks = {"#prepare": [], "#start": _lines(start), "#step": _lines(step)}
-    if modes is None:
+    if known is None:
         return MethodText(functions, [], marks)
-    aid = _MODES.format(modes.squares.tolist(), modes.decays.tolist())
-    setting = [_PLACES, aid, _PREPARE.format(integrator)]
+    if isinstance(known, FrozenModes):
+        constants = _MODES.format(known.squares.tolist(), known.decays.tolist())
+    else:
+        constants = _STEPS.format(known.tolist()).replace("inf", "np.inf")
+    setting = [_PLACES, constants, _PREPARE.format(integrator)]
     return MethodText(functions, setting, marks | {"#prepare": [_PREPARED]})
 
 

@@ -59,7 +59,8 @@ def generate(arm: TracedArm, dtype: str, lanes: int, integrator: str, added: Add
         **({"ATTITUDE": 4} if arm.arm.base.n else {}),
         "Q": arm.n, "V": arm.n, "TAU": arm.n_joint,
         "PARAMETERS": len(arm.free_parameters) + arm.n_gravity,
-        "IMPLICIT": 2 + arm.n, "ACC": arm.n, "H": 1, "SCRATCH": method.scratch(arm.n),
+        "IMPLICIT": 3 * arm.n * method.implicit, "ACC": arm.n, "H": 1,
+        "SCRATCH": method.scratch(arm.n),
         **added.sizes,
     }  # fmt: skip
     starts = list(accumulate(sizes.values(), initial=0))

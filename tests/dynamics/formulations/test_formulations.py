@@ -165,7 +165,7 @@ def test_accelerations_solve_the_formulations_own_equations(
 
     assert apart(M @ a, drive, M) < 1e-10
     guess = np.linspace(-1.0, 2.0, arm.n)
-    implicit = formed.a(q, v, tau, Implicit(1e-5, 1e-3, floats(guess)))
+    implicit = formed.a(q, v, tau, Implicit([1e-5] * arm.n, [1e-3] * arm.n, floats(guess)))
     W = augmentation(arm, 1e-5, 1e-3)
     assert apart((M + W) @ implicit, drive + W @ guess, M + W) < 1e-10
 

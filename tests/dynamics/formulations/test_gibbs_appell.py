@@ -79,6 +79,7 @@ def test_random_arms_have_everything() -> None:
     assert {arm.payload is None for arm in arms} == {True, False}
     assert any(link.segments > 1 and link.modes for link in links)
     assert any(not link.modes for link in links)
+    assert any(link.lumped and link.segments > 1 and link.modes for link in links)
     assert any(link.in_direction("x") and link.in_direction("z") for link in links)
 
 

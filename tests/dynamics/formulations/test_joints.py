@@ -188,7 +188,7 @@ def test_a_stiff_spring_tends_to_the_rigid_joint() -> None:
     arm = Arm(links=(first, replace(second, joint=replace(second.joint, rotor_inertia=0.2))))
     wanted = Model(arm).frequencies(joints="free")
     gaps = []
-    for k in (1e6, 1e8, 1e10):
+    for k in (1e4, 1e6, 1e8):
         stiff = replace(arm.links[1], joint=replace(arm.links[1].joint, stiffness=k))
         found = Model(replace(arm, links=(first, stiff))).frequencies(joints="free")
         assert found.size == wanted.size + 1

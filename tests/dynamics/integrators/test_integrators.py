@@ -266,7 +266,9 @@ def test_a_method_evaluates_as_often_as_it_says(name: str) -> None:
     """Counted on a workspace of one coordinate with zero accelerations."""
     method, calls = INTEGRATORS[name], []
     modes = FrozenModes(np.ones(1), np.ones(1), np.eye(1), np.eye(1))
-    aid = {"none": None, "modes": modes, "jacobian": lambda w: None}[method.aid]
+    steps = np.array([np.inf])
+    aids = {"none": None, "modes": modes, "explicit steps": steps, "jacobian": lambda w: None}
+    aid = aids[method.aid]
     at = Slots(n=1, q=0, v=1, a=2, implicit=3, s=8)
     w = np.zeros(64)
     w[:2] = 1.0

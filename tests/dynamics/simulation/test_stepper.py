@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 from dynamics import Arm, Model, Payload, Stepper, compile_arm
 from dynamics.backends.numba_llvm.stepper_entries import LANES
-from dynamics.formulations.link_constants import curvature
+from dynamics.description.deflection import curvature
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.runtime import thread_pool
 from tests.dynamics.random_arms import (
