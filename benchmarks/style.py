@@ -57,7 +57,7 @@ def engine(name: str) -> dict[str, Any]:
 
 
 def thinned(points: Sequence[T], errors: Sequence[float], ratio: float) -> list[T]:
-    """Those of ever more accurate points whose errors fall by `ratio` or more, and the last."""
+    """Points, ever more accurate ones, whose errors fall by `ratio` or more; and the last."""
     result: list[T] = []
     before = float("inf")
     for point, error in zip(points, errors, strict=True):
