@@ -23,7 +23,7 @@ from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
 from flexarm_env import arguments
-from flexarm_env.accuracy.certificates import RANDOM_SHARE, STORE, fit, scene
+from flexarm_env.accuracy.certificates import RANDOM_SHARE, STORE, Fitted, fit, scene
 from flexarm_env.accuracy.table import accuracy
 from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.core import Core
@@ -123,7 +123,7 @@ def default_control_dt(arm: Arm) -> float:
     return max((dt for dt in ROUND if dt <= wanted), default=ROUND[0])
 
 
-def described(source: str, control_dt: float | None) -> tuple[Arm, float, int]:
+def described(source: str, control_dt: float | None) -> tuple[Fitted, float, int]:
     """Model that an environment steps for an arm, its control step [s], steps per episode."""
     known = {arm: (dt, length) for arm, dt, length in SCENES.values()}
     arm = load_arm(source)
@@ -131,7 +131,7 @@ def described(source: str, control_dt: float | None) -> tuple[Arm, float, int]:
         control_dt = known[source][0] if source in known else default_control_dt(arm)
     dt = arguments.within("--control-dt", control_dt, *arguments.CONTROL_DT, "s")
     length = known[source][1] if source in known else math.ceil(EPISODE / dt)
-    return fit(arm, dt, "auto", None).arm, dt, length
+    return fit(arm, dt, "auto", None), dt, length
 
 
 def entry(source: str, control_dt: float | None) -> Entry:
@@ -142,7 +142,8 @@ def entry(source: str, control_dt: float | None) -> Entry:
     ValueError : for an arm that no environment takes, or without a step of sufficient accuracy.
     RuntimeError : if the reference does not converge.
     """
-    arm, dt, length = described(source, control_dt)
+    fitted, dt, length = described(source, control_dt)
+    arm = fitted.arm
     found = []
     for method in METHODS:
         _report(f"{source}: fewest steps of {method}")
@@ -158,6 +159,8 @@ def entry(source: str, control_dt: float | None) -> Entry:
     best = steps[0]
     _report(f"{source}: certificate of {best['integrator']}, {best['substeps']} steps")
     certificate = measure(arm, dt, best["integrator"], best["substeps"]).to_dict()
+    if fitted.reason:
+        certificate["reason"] = fitted.reason
     return {"control_dt": dt, "steps": steps, "certificate": certificate}
 
 

@@ -110,6 +110,7 @@ class Fitted:
     integrator: str | None = None  # None: not chosen here
     substeps: int | None = None
     certificate: dict[str, Any] | None = None
+    reason: str = ""  # of the choice for `modes: auto`
 
 
 def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> Fitted:
@@ -142,18 +143,18 @@ def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> 
 
 def _automatic(arm: Arm, control_dt: float) -> Fitted:
     """Model for `modes: auto`, chosen by measurement if that succeeds, else by rule."""
-    tolerance = AUTO_TOLERANCE * arm.reach
+    name, tolerance = arm.name or "the arm", AUTO_TOLERANCE * arm.reach
     found = _choice(arm, control_dt, tolerance)
     if "failed" in found:
-        _log.warning(
-            "modes: auto of %s: no model was found within %.3g m (%s) It keeps the modes of the "
-            "rule, %s, whose error is not known; list modes, or give a tolerance.",
-            arm.name or "the arm", tolerance, found["failed"], fidelity_of(arm),
-        )  # fmt: skip
-        return Fitted(arm.with_listed_modes())
-    chosen = _fitted(found, control_dt)
-    _log.info("modes: auto of %s: %s", arm.name or "the arm", found["reason"])
-    return chosen
+        reason = (
+            f"No model was found within {tolerance:.3g} m ({found['failed']}) The modes are those "
+            f"of the rule, {fidelity_of(arm)}, whose error is not known; list modes, or give a "
+            "tolerance."
+        )
+        _log.warning("modes: auto of %s: %s", name, reason)
+        return Fitted(arm.with_listed_modes(), reason=reason)
+    _log.info("modes: auto of %s: %s", name, found["reason"])
+    return replace(_fitted(found, control_dt), reason=found["reason"])
 
 
 def _chosen(arm: Arm, control_dt: float, tolerance: float) -> Fitted:

@@ -28,8 +28,9 @@ def accuracy(certificate: dict[str, Any], steps: Iterable[dict[str, Any]]) -> st
         (x["integrator"], str(x["substeps"]), f"{x['error']:.1e}", f"{1e6 * x['seconds']:.2g}")
         for x in steps
     ]
+    reason = f"Chosen for `modes: auto`: {c['reason']}\n\n" if "reason" in c else ""
     return (
-        f"Certificate (`{c['reproduce']}`):\n\n"
+        f"{reason}Certificate (`{c['reproduce']}`):\n\n"
         + markdown(("error", "tip [mm]", "tip [reach]"), errors)
         + f"\n\nModel: {c['model']}. Reference: {c['reference']}.\n\nMeasured steps:\n\n"
         + markdown(("integrator", "substeps", "tip error [reach]", "CPU time [us]"), rows)

@@ -153,6 +153,16 @@ def unmeasured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return store
 
 
+def test_the_table_of_an_automatic_arm_says_what_was_chosen(
+    unmeasured: Path, searched: list[float], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "own.json"
+    for name, sentence in (("own", "One mode suffices."), ("hard", "No model was found within")):
+        path.write_text(json.dumps({**OWN, "name": name}))
+        assert certify.main([str(path)]) == 0
+        assert f"Chosen for `modes: auto`: {sentence}" in capsys.readouterr().out
+
+
 def test_the_printed_table_of_a_registered_arm_is_that_of_its_page(
     unmeasured: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
