@@ -1,13 +1,15 @@
 """Growth of the accelerations' cost with links, segments, modes and the size of a batch.
 
-    python -m benchmarks.cost [--quick] [--out FILE] [--images FOLDER]
+    python -m benchmarks.cost [--quick | --charts] [--out FILE] [--images FOLDER]
 
 CPU time is for one right-hand side of one environment, with many lanes on one thread; a batch adds
 its share of the call. Each exponent is fitted to the growth beyond the second point of its line,
 because the first link or segment is cheaper: its root does not move. Compile time is also CPU time,
 from the arm's description to its first right-hand side, without a cache.
+`--charts` draws the stored results.
 """
 
+import json
 import os
 import time
 from functools import partial
@@ -16,12 +18,9 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 from unittest.mock import patch
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
+from benchmarks import style
 from benchmarks.model_choice import ACROSS
 from benchmarks.output import (
     RESULTS,
@@ -41,6 +40,7 @@ EVALUATIONS = 4  # of the accelerations per Runge-Kutta step
 SUBSTEPS = 5
 REPEATED = 50  # evaluations per timed call
 SERIES = ("x", "operations", "ns", "workspace [kB]", "compile [s]")  # columns of numbers
+plt = style.pyplot()
 Row = dict[str, Any]
 K = TypeVar("K")
 
@@ -165,14 +165,16 @@ def measure(most: int, sizes: list[int]) -> Row:
 
 def draw(results: Row, path: Path) -> None:
     """Draw four panels: links and segments, modes, batch size, compile time."""
-    figure, axes = plt.subplots(1, 4, figsize=(18.0, 6.4), layout="constrained")
+    figure, axes = plt.subplots(1, 4, figsize=(18.0, 7.0), layout="constrained")
+    looks = {name: style.series(k) for k, name in enumerate(results["lines"])}
+    lines: dict[str, Any] = {"markersize": 8, "linewidth": 2.0}
     titles = {"parts": "links, or segments of one link", "modes": "modes per link"}
     for axis, (kind, label) in zip(axes, titles.items(), strict=False):
         mine = {k: v for k, v in results["lines"].items() if v["grows"] == kind}
-        for k, (name, line) in enumerate(mine.items()):
+        for name, line in mine.items():
             text = f"{name}: operations {line['exponent, operations']:.2f}"
             text += f", time {line['exponent, time']:.2f}"
-            axis.loglog(line["x"], line["ns"], "o-", color=f"C{k}", label=text)
+            axis.loglog(line["x"], line["ns"], **looks[name], **lines, label=text)
         line = next(iter(mine.values()))
         _guide(axis, line["x"], 0.6 * line["ns"][0])
         axis.set(xlabel=label, ylabel="ns per right-hand side")
@@ -180,18 +182,23 @@ def draw(results: Row, path: Path) -> None:
         axis.set_xticks(ticks, [str(n) for n in ticks])
         axis.set_xticks([], minor=True)
     sizes = results["batch"]["x"]
-    for name in DEFAULT_ARMS:
-        axes[2].loglog(sizes, results["batch"][name], "o-", label=name)
+    for k, name in enumerate(DEFAULT_ARMS):
+        axes[2].loglog(sizes, results["batch"][name], **style.series(k), **lines, label=name)
     axes[2].set(xlabel="environments in the batch", ylabel="ns per right-hand side, calls included")
     for name, line in results["lines"].items():
-        axes[3].loglog(line["operations"], line["compile [s]"], "o", label=name)
+        axes[3].loglog(
+            line["operations"], line["compile [s]"], linestyle="none", **looks[name], markersize=8,
+            label=name,
+        )  # fmt: skip
     least, most = (f(f(x["operations"]) for x in results["lines"].values()) for f in (min, max))
     _guide(axes[3], [least, most], 3e-4 * least)
     axes[3].set(xlabel="operations", ylabel="seconds to trace and compile")
     for axis in axes:
         axis.grid(alpha=0.3)
+        axis.xaxis.label.set_size(12)
+        axis.yaxis.label.set_size(12)
         axis.legend(
-            fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14),
+            fontsize=10, loc="upper center", bbox_to_anchor=(0.5, -0.11), frameon=False,
             title="exponents" if axis in axes[:2] else None,
         )  # fmt: skip
     save_figure(figure, path)
@@ -249,12 +256,16 @@ def main() -> None:
     parser.add_argument(
         "--quick", action="store_true", help="at most four links and eight segments"
     )
+    parser.add_argument("--charts", action="store_true", help="only draw the stored results")
     parser.add_argument("--out", type=Path, default=RESULTS / "cost.json")
     parser.add_argument("--images", type=Path, default=RESULTS)
     options = parser.parse_args()
+    options.images.mkdir(parents=True, exist_ok=True)
+    if options.charts:
+        draw(json.loads(options.out.read_text(encoding="utf-8")), options.images / "cost")
+        return
     sizes = [1, 16, 1024] if options.quick else [4**k for k in range(7)] + [8192]
     results = measure(4 if options.quick else 8, sizes)
-    options.images.mkdir(parents=True, exist_ok=True)
     text = page(results)
     save_results(results, text, options.out)
     print(text)

@@ -58,7 +58,7 @@ class SpinUp:
 
 def _one(rotor: float, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0), **link: float) -> Arm:
     joint = Joint(rotor_inertia=rotor)
-    return Arm(links=(Link(**link, joint=joint),), gravity=gravity)  # type: ignore[arg-type]
+    return Arm(links=(Link(**link, modes=(), joint=joint),), gravity=gravity)  # type: ignore[arg-type]
 
 
 def _scene(name: str, motion: JointMotion) -> Scene:
@@ -66,7 +66,7 @@ def _scene(name: str, motion: JointMotion) -> Scene:
 
 
 def _two(second: Joint) -> Arm:
-    link = Link(length=0.6, rho_A=0.8, EIz=80.0, EIy=80.0, tip_mass=0.3)
+    link = Link(length=0.6, rho_A=0.8, EIz=80.0, EIy=80.0, tip_mass=0.3, modes=())
     first = replace(link, tip_mass=0.5, joint=Joint(rotor_inertia=0.3))
     return Arm(links=(first, replace(link, joint=second)))
 
@@ -74,14 +74,23 @@ def _two(second: Joint) -> Arm:
 S1 = _one(0.01, length=1.2192, rho_A=0.245, EIz=11.82, tip_mass=0.0404)
 MIXED = Arm(
     links=(
-        Link(length=0.7, rho_A=2.0, EIz=5e4, tip_mass=0.3, joint=Joint(rotor_inertia=0.1)),
-        Link(length=0.8, rho_A=0.2, EIz=8.0, tip_mass=0.05, joint=Joint(rotor_inertia=0.02)),
+        Link(
+            length=0.7, rho_A=2.0, EIz=5e4, tip_mass=0.3, modes=(), joint=Joint(rotor_inertia=0.1)
+        ),
+        Link(
+            length=0.8,
+            rho_A=0.2,
+            EIz=8.0,
+            tip_mass=0.05,
+            modes=(),
+            joint=Joint(rotor_inertia=0.02),
+        ),
     )
 )
 CRANK = Arm(
     gravity=(0.0, 0.0, -9.81),
     links=(
-        Link(length=0.6, rho_A=1.0, GJ=60.0, rho_Ip=1e-3, joint=Joint(rotor_inertia=5.0)),
+        Link(length=0.6, rho_A=1.0, GJ=60.0, rho_Ip=1e-3, modes=(), joint=Joint(rotor_inertia=5.0)),
         Link(length=0.5, rho_A=0.5, tip_mass=1.0, joint=Joint(rotor_inertia=5.0)),
     ),
 )

@@ -7,6 +7,7 @@ import platform
 import sys
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from llvmlite.binding import get_host_cpu_name
 
 from agents.run_folder.folder import revision
 
+COLOURS = 256  # of a picture, a third of the size of one in true colours
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 REFERENCE = ROOT / "tests" / "reference"
@@ -70,8 +72,13 @@ def save_results(results: dict[str, Any], text: str, path: Path) -> None:
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Write a figure as PNG and close it."""
+    """Write a figure as PNG of at most COLOURS colours, and close it."""
     import matplotlib.pyplot as plt
+    from PIL import Image
 
-    figure.savefig(path.with_suffix(".png"), dpi=110)
+    drawn = BytesIO()
+    figure.savefig(drawn, dpi=110)
     plt.close(figure)
+    picture = Image.open(drawn).convert("RGB")
+    few = picture.quantize(COLOURS, dither=Image.Dither.NONE)
+    few.save(path.with_suffix(".png"), optimize=True)

@@ -1,22 +1,21 @@
 """Rigid arms: operations of inverse dynamics, and motions recovered from their own torques.
 
-    python -m benchmarks.rigid_arms [--quick] [--out FILE]
+    python -m benchmarks.rigid_arms [--quick | --charts] [--out FILE]
 
 The Newton-Euler torques of a cycloidal motion, as functions of time, drive the forward dynamics.
 The error is the largest deviation of a joint from the planned motion. Where the planned motion is
 unstable, the error grows at the rate of the linearised arm, whatever the integrator.
+`--charts` draws the stored results.
 """
 
+import json
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
+from benchmarks import style
 from benchmarks.output import (
     RESULTS,
     argument_parser,
@@ -32,6 +31,8 @@ from dynamics.formulations.newton_euler import inverse_dynamics, rigid_links
 from dynamics.simulation.nominal_motion import Cycloidal, NominalTorque
 from dynamics.tracing.operation_counts import operations
 
+plt = style.pyplot()
+MARKED = 8  # markers of a drawn line
 SIXTY = np.pi / 3.0
 DURATION = 10.0  # [s] printed for both arms
 MOTIONS = {  # the Stanford arm's motion is printed (2.14); the PUMA's is lost and chosen here
@@ -145,27 +146,41 @@ def page(rows: Rows, trips: dict[str, dict[str, Any]]) -> str:
 
 def draw(trips: dict[str, dict[str, Any]], path: Path) -> None:
     """Draw the nominal torques of both arms, and the errors of their recovered motions."""
-    figure, axes = plt.subplots(1, 3, figsize=(13.0, 3.8), layout="constrained")
+    figure, axes = plt.subplots(1, 3, figsize=(13.0, 4.4), layout="constrained")
     for axis, (name, trip) in zip(axes, trips.items(), strict=False):
         for k, torque in enumerate(np.transpose(trip["torque"])):
             slides = ARMS[name].links[k].joint.type == "prismatic"
-            axis.plot(trip["torque t"], torque, label=f"f{k + 1} [N]" if slides else f"τ{k + 1}")
+            axis.plot(
+                trip["torque t"], torque, **_look(k, trip["torque t"]),
+                label=f"f{k + 1} [N]" if slides else f"τ{k + 1}",
+            )  # fmt: skip
         axis.set(title=f"{name}: nominal torques", xlabel="t [s]", ylabel="[N m]")
         axis.legend(fontsize="small", ncols=2)
-    for name, trip in trips.items():
-        axes[2].semilogy(trip["t"], np.maximum(trip["error"], 1e-17), label=name)
+    for k, (name, trip) in enumerate(trips.items()):
+        error = np.maximum(trip["error"], 1e-17)
+        axes[2].semilogy(trip["t"], error, **_look(k, trip["t"]), label=name)
     axes[2].axhline(1e-9, color="0.6", linewidth=0.8, linestyle="--")
     axes[2].set(title="error of the return", xlabel="t [s]", ylabel="largest joint error [rad, m]")
     axes[2].legend(fontsize="small")
     save_figure(figure, path)
 
 
+def _look(k: int, times: list[float]) -> dict[str, Any]:
+    """Colour and marker of the k-th line, with about MARKED markers at places of its own."""
+    every = max(1, len(times) // MARKED)
+    return style.series(k) | {"markevery": (k * every // 6, every), "linewidth": 1.8}
+
+
 def main() -> None:
     """Write JSON, page and picture."""
     parser = argument_parser("rigid_arms", __doc__)
     parser.add_argument("--quick", action="store_true", help="fewer points in the picture")
+    parser.add_argument("--charts", action="store_true", help="only draw the stored results")
     parser.add_argument("--out", type=Path, default=RESULTS / "rigid_arms.json")
     options = parser.parse_args()
+    if options.charts:
+        draw(json.loads(options.out.read_text(encoding="utf-8"))["trips"], options.out)
+        return
     rows = counts()
     trips = {name: round_trip(name, 21 if options.quick else 201) for name in MOTIONS}
     data = {**provenance("numpy", "scipy", "casadi", "numba"), "counts": rows, "trips": trips}

@@ -1,9 +1,9 @@
 """Stability maps of methods and models: predicted and observed boundaries.
 
-    python -m benchmarks.stability [--quick] [--out FILE] [--images FOLDER]
+    python -m benchmarks.stability [--quick | --charts] [--out FILE] [--images FOLDER]
 
 Every map is a grid of environments stepped in one batch; failed cells are kept in the results.
-`--quick` uses a coarser grid.
+`--quick` uses a coarser grid. `--charts` only draws the stored results.
 """
 
 import json
@@ -12,15 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from benchmarks import style
 from benchmarks.output import RESULTS, argument_parser, provenance, save_figure
 from dynamics import Arm, Joint, Link, Mode, Model, Payload, Stepper, compile_arm
 from dynamics.formulations.linearized import linear_arm
@@ -29,6 +28,8 @@ from dynamics.simulation.step_limits import GROWS, amplification
 from dynamics.types import Array
 
 GROWTH = 10.0  # [-] an amplitude that grows by more than this factor is unstable
+EVERY = 4  # points of a line from one marker to the next
+plt = style.pyplot()
 HEAVY = 1e6  # [kg m^2] a rotor that no link can move: the joint keeps its rate
 
 
@@ -241,73 +242,99 @@ def draw_maps(maps: list[dict[str, Any]], path: Path) -> None:
         x, y = np.array(data["x"]), np.array(data["y"])
         failed, predicted = np.array(data["failed"]), np.array(data["predicted"])
         axis.pcolormesh(
-            x, y, failed, cmap="RdYlGn_r", vmin=-0.3, vmax=1.3, shading="nearest", rasterized=True
-        )
+            x, y, failed, cmap=ListedColormap([style.STABLE, style.FAILED]), vmin=0, vmax=1,
+            shading="nearest", rasterized=True,
+        )  # fmt: skip
         if predicted.any() and not predicted.all():
-            axis.contour(x, y, predicted.astype(float), levels=[0.5], colors="k", linewidths=1.5)
+            axis.contour(x, y, predicted.astype(float), levels=[0.5], colors="k", linewidths=2.0)
         agree = float(np.mean(failed == predicted))
-        axis.set_title(f"{data['title']}\n{agree:.1%} of cells as predicted", fontsize=10)
+        axis.set_title(f"{data['title']}\n{agree:.1%} of cells as predicted", fontsize=12)
         axis.set(xlabel=data["x_label"], ylabel=data["y_label"])
         if "bandwidth" in data["y_label"]:
             axis.set_yscale("log")
+    keys = [
+        Patch(facecolor=style.STABLE, edgecolor="k", label="stable"),
+        Patch(facecolor=style.FAILED, edgecolor="k", label="failed"),
+        Line2D([], [], color="k", linewidth=2.0, label="predicted boundary"),
+    ]
+    figure.legend(handles=keys, loc="outside lower center", ncols=3, fontsize=12)
     save_figure(figure, path)
 
 
 def draw_lines(
     data: dict[str, Any], x: str, labels: tuple[str, str], kinds: tuple[str, str], path: Path
 ) -> None:
-    """Draw a line per row of errors, named "KIND, KIND": first kind by colour, second by dashes."""
-    figure, axis = plt.subplots(figsize=(9.0, 4.5), layout="constrained")
-    groups, rows = (sorted({name.split(", ")[k] for name in data["error"]}) for k in (0, 1))
-    colours = {group: f"C{k}" for k, group in enumerate(groups)}
-    dashes = dict(zip(rows, ("-", "--", ":", "-."), strict=False))
-    for name, errors in data["error"].items():
-        group, row = name.split(", ")
-        axis.loglog(data[x], np.abs(errors), color=colours[group], linestyle=dashes[row])
-    axis.set(xlabel=labels[0], ylabel=labels[1], title=data["title"])
-    axis.grid(alpha=0.3)
-    by_colour = [Line2D([], [], color=colour, label=name) for name, colour in colours.items()]
-    by_dash = [Line2D([], [], color="k", linestyle=dash, label=k) for k, dash in dashes.items()]
-    figure.legend(handles=by_colour, title=kinds[0], fontsize=8, loc="outside right upper")
-    figure.legend(handles=by_dash, title=kinds[1], fontsize=8, loc="outside right lower")
+    """Draw a panel per second kind of the rows, named "KIND, KIND", with a line per first kind."""
+    groups, panels = (sorted({name.split(", ")[k] for name in data["error"]}) for k in (0, 1))
+    looks = {
+        group: style.method(group) if group in INTEGRATORS else style.series(k)
+        for k, group in enumerate(groups)
+    }
+    figure, axes = plt.subplots(
+        1, len(panels), figsize=(4.2 * len(panels), 4.8), sharey=True, layout="constrained"
+    )
+    for axis, panel in zip(axes, panels, strict=True):
+        for k, (group, look) in enumerate(looks.items()):
+            errors = np.abs(np.array(data["error"][f"{group}, {panel}"], float))
+            axis.loglog(
+                data[x], errors, **look, label=group, linewidth=2.0, markersize=8,
+                markevery=(k % EVERY, EVERY),
+            )  # fmt: skip
+        axis.set_title(f"{kinds[1]}: {panel}", fontsize=13)
+        axis.set_xlabel(labels[0], fontsize=12)
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel(labels[1], fontsize=12)
+    names = axes[0].get_legend_handles_labels()
+    figure.legend(*names, title=kinds[0], loc="outside lower center", ncols=len(names[1]))
     save_figure(figure, path)
 
 
-def main() -> None:
-    """Compute all maps, print their agreement with prediction, write JSON and pictures."""
-    parser = argument_parser("stability", __doc__)
-    parser.add_argument("--quick", action="store_true", help="a coarser grid")
-    parser.add_argument("--out", type=Path, default=RESULTS / "stability.json")
-    parser.add_argument("--images", type=Path, default=RESULTS)
-    options = parser.parse_args()
-    cells = 16 if options.quick else 48
+def draw(results: dict[str, Any], folder: Path) -> None:
+    """Draw all maps and lines."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, group in results["maps"].items():
+        draw_maps(group, folder / f"stability_{name}")
+    draw_lines(
+        results["shapes"], "hub", ("rotor inertia over the beam's", "error of the frequency [-]"),
+        ("shapes", "modes"), folder / "stability_shapes",
+    )  # fmt: skip
+    draw_lines(
+        results["torques"], "step", ("step x highest frequency [-]", "tip error [m]"),
+        ("method", "torque"), folder / "stability_torques",
+    )  # fmt: skip
+
+
+def measure(cells: int) -> dict[str, Any]:
+    """Results with maps of `cells` times `cells` environments."""
+    results = provenance("numpy", "scipy", "numba", "casadi")
     maps = {
         "methods": [method_map(name, cells) for name in INTEGRATORS],
         "spin": [spin_map(foreshortening, cells) for foreshortening in (False, True)],
         "loop": [loop_map(payload, cells // 2) for payload in (0.0, 0.1, 0.3)],
     }
-    shapes, torques = shape_map(), torque_map(cells // 3)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.images.mkdir(parents=True, exist_ok=True)
-    for name, group in maps.items():
-        draw_maps(group, options.images / f"stability_{name}")
+    for group in maps.values():
         for data in group:
             failed, predicted = np.array(data["failed"]), np.array(data["predicted"])
             print(
                 f"{data['title']:44} fails in {failed.mean():6.1%} of the cells, "
                 f"{np.mean(failed == predicted):6.1%} as predicted"
             )
-    draw_lines(
-        shapes, "hub", ("rotor inertia over the beam's", "error of the frequency [-]"),
-        ("shapes", "modes"), options.images / "stability_shapes",
-    )  # fmt: skip
-    draw_lines(
-        torques, "step", ("step x highest frequency [-]", "tip error [m]"),
-        ("method", "torque"), options.images / "stability_torques",
-    )  # fmt: skip
-    results = provenance("numpy", "scipy", "numba", "casadi")
-    results |= {"maps": maps, "shapes": shapes, "torques": torques}
-    options.out.write_text(json.dumps(results).replace("NaN", "null") + "\n")
+    return results | {"maps": maps, "shapes": shape_map(), "torques": torque_map(cells // 3)}
+
+
+def main() -> None:
+    """Compute all maps, print their agreement with prediction, write JSON and pictures."""
+    parser = argument_parser("stability", __doc__)
+    parser.add_argument("--quick", action="store_true", help="a coarser grid")
+    parser.add_argument("--charts", action="store_true", help="only draw the stored results")
+    parser.add_argument("--out", type=Path, default=RESULTS / "stability.json")
+    parser.add_argument("--images", type=Path, default=RESULTS)
+    options = parser.parse_args()
+    if not options.charts:
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        results = measure(16 if options.quick else 48)
+        options.out.write_text(json.dumps(results).replace("NaN", "null") + "\n")
+    draw(json.loads(options.out.read_text(encoding="utf-8")), options.images)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from dynamics.arms import ARMS
 from dynamics.description.arm import Arm, Base, Payload
 from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link
+from dynamics.description.mode_rule import RigidLinkWarning
 from dynamics.description.mode_shapes import Mode
 from dynamics.load import load_arm
 
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "Joint", "JointMotion", "Link", "Mode",
-    "Model", "Payload", "Scene", "Stepper", "Trajectory", "ValidityWarning", "choose_model",
-    "compile_arm", "limits", "load_arm", "simulate",
+    "Model", "Payload", "RigidLinkWarning", "Scene", "Stepper", "Trajectory", "ValidityWarning",
+    "choose_model", "compile_arm", "limits", "load_arm", "simulate",
 ]  # fmt: skip
 
 _LATE = {  # these import numba: only when asked for

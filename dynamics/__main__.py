@@ -43,7 +43,11 @@ def main(arguments: list[str] | None = None) -> int:
 def _evaluate(path: Path, out: Path | None) -> int:
     if out is not None:
         check_target(out)
-    case = load_case(path)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        case = load_case(path)
+    for warning in caught:
+        print(f"Warning: {path.name}: {warning.message}", file=sys.stderr)
     from dynamics.simulation.simulate import Diverged
 
     try:

@@ -1,25 +1,30 @@
-"""Certify the registered environments: `python -m flexarm_env.certify [ARM ...]`.
+"""Errors of an arm's model and step: `python -m flexarm_env.certify [ARM ...] [--control-dt S]`.
 
-Each arm's step is chosen first. For every method in METHODS this finds the fewest substeps that
-keep the tip within TIP_ERROR of the reach through episodes of random torques. Of these it takes the
-method with the least CPU time, allowing a tenth more time for a tenth of the error. Model and step
-are then certified on two motions: all joints bang-bang at full torque for one period of the first
-joint-free mode, then coasting; and random torques, constant over each control step. Run nothing
-else on the machine meanwhile.
+ARM is a preset or an arm file; certificates.json stores the registered environments' arms only. The
+tables are those of an environment's page. Each arm's step is chosen first. For every method in
+METHODS this finds the fewest substeps that keep the tip within TIP_ERROR of the reach through
+episodes of random torques. Of these it takes the method with the least CPU time, allowing a tenth
+more time for a tenth of the error. Model and step are then certified on two motions: all joints
+bang-bang at full torque for one period of the first joint-free mode, then coasting; and random
+torques, constant over each control step. Run nothing else on the machine meanwhile.
 """
 
 import argparse
 import json
 import math
+import sys
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from dynamics.accuracy.certificate import Certificate, certify
+from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
-from dynamics.load import load_arm
-from flexarm_env.accuracy.certificates import RANDOM_SHARE, STORE, scene, stored
+from dynamics.load import ArmSource, load_arm
+from flexarm_env import arguments
+from flexarm_env.accuracy.certificates import RANDOM_SHARE, STORE, Fitted, fit, scene
+from flexarm_env.accuracy.table import accuracy
 from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.core import Core
 from flexarm_env.registration import SCENES
@@ -34,12 +39,16 @@ MOST_STEPS = 16  # per control step; more than that is never the cheapest
 BATCH = 1024  # environments that are timed together
 TIMED = 500  # timing rounds, a second of each method: the choice must not depend on disturbances
 TIME_PER_DECADE = 0.1  # relative increase of CPU time that is accepted for a tenth of the error
+EPISODE = 3.0  # [s] of random torques, for an arm that is not registered
+PERIOD_SHARE = 0.15  # [-] control step over the first joint-free period of such an arm
+ROUND = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # [s] its control step
 
+Entry = dict[str, Any]  # control_dt, steps, certificate
 Step = dict[str, Any]  # integrator, substeps, error [of the reach], seconds
 
 
 def largest_error(
-    arm: str, control_dt: float, length: int, integrator: str, substeps: int
+    arm: ArmSource, control_dt: float, length: int, integrator: str, substeps: int
 ) -> float:
     """Largest tip error [of the reach] over EPISODES of random torques, `length` steps each.
 
@@ -64,7 +73,7 @@ def largest_error(
     return worst / coarse.arm.reach
 
 
-def fewest_steps(arm: str, control_dt: float, length: int, integrator: str) -> Step | None:
+def fewest_steps(arm: ArmSource, control_dt: float, length: int, integrator: str) -> Step | None:
     """Step with the fewest stable and accurate substeps of a method; None above MOST_STEPS."""
     limit = SAFE * INTEGRATORS[integrator].limit
     first = int(control_dt * scales(load_arm(arm)).fastest / limit) + 1
@@ -75,7 +84,7 @@ def fewest_steps(arm: str, control_dt: float, length: int, integrator: str) -> S
     return None
 
 
-def timed(arm: str, control_dt: float, steps: list[Step]) -> list[Step]:
+def timed(arm: ArmSource, control_dt: float, steps: list[Step]) -> list[Step]:
     """The steps with `seconds` added: CPU time per control step of one environment in a batch."""
     calls = {}
     for k, step in enumerate(steps):
@@ -96,33 +105,107 @@ def best_first(steps: list[Step]) -> list[Step]:
     return sorted(steps, key=cost)
 
 
-def measure(name: str, control_dt: float, integrator: str, substeps: int) -> Certificate:
-    """Certificate of a preset arm with this step."""
-    arm = load_arm(name)
-    accuracy = (ACCURACY if arm.n_joint <= 2 else LONG_ACCURACY) * arm.reach
-    return certify(arm, scene(arm, control_dt), integrator, control_dt / substeps, accuracy)
+def measure(source: ArmSource, control_dt: float, integrator: str, substeps: int) -> Certificate:
+    """Certificate of an arm with this step."""
+    arm = load_arm(source)
+    residual = (ACCURACY if arm.n_joint <= 2 else LONG_ACCURACY) * arm.reach
+    return certify(arm, scene(arm, control_dt), integrator, control_dt / substeps, residual)
 
 
-def main() -> None:
-    """Measure all registered arms, or those named, and write certificates.json."""
-    known = {arm: (control_dt, length) for arm, control_dt, length in SCENES.values()}
-    parser = argparse.ArgumentParser(description="Certify the environments' arms.")
-    parser.add_argument("arms", nargs="*", metavar="ARM", help=f"of {sorted(known)}; default: all")
-    names = parser.parse_args().arms or list(known)
-    unknown = sorted(set(names) - set(known))
-    if unknown:
-        parser.error(f"unknown arms {unknown}; known: {sorted(known)}")
-    entries = dict(stored())
-    for name in names:
-        control_dt, length = known[name]
-        found = [fewest_steps(name, control_dt, length, method) for method in METHODS]
-        steps = best_first(timed(name, control_dt, [step for step in found if step]))
-        best = steps[0]
-        certificate = measure(name, control_dt, best["integrator"], best["substeps"]).to_dict()
-        entries[name] = {"control_dt": control_dt, "steps": steps, "certificate": certificate}
-        print(f"{name}: {json.dumps(entries[name], indent=2)}")
-        STORE.write_text(json.dumps(entries, indent=2) + "\n", encoding="utf-8")
+def default_control_dt(arm: Arm) -> float:
+    """Control step [s] of an arm that is not registered.
+
+    It is PERIOD_SHARE of the first joint-free period, or ROUND[-1] for rigid links, rounded down
+    to one of ROUND.
+    """
+    free = scales(arm).free
+    wanted = PERIOD_SHARE * 2.0 * math.pi / free[0] if free else ROUND[-1]
+    return max((dt for dt in ROUND if dt <= wanted), default=ROUND[0])
+
+
+def described(source: str, control_dt: float | None) -> tuple[Fitted, float, int]:
+    """Model that an environment steps for an arm, its control step [s], steps per episode."""
+    known = {arm: (dt, length) for arm, dt, length in SCENES.values()}
+    arm = load_arm(source)
+    if control_dt is None:
+        control_dt = known[source][0] if source in known else default_control_dt(arm)
+    dt = arguments.within("--control-dt", control_dt, *arguments.CONTROL_DT, "s")
+    length = known[source][1] if source in known else math.ceil(EPISODE / dt)
+    return fit(arm, dt, "auto", None), dt, length
+
+
+def entry(source: str, control_dt: float | None) -> Entry:
+    """Measured steps and certificate of a preset or an arm file, as certificates.json stores them.
+
+    Raises
+    ------
+    ValueError : for an arm that no environment takes, or without a step of sufficient accuracy.
+    RuntimeError : if the reference does not converge.
+    """
+    fitted, dt, length = described(source, control_dt)
+    arm = fitted.arm
+    found = []
+    for method in METHODS:
+        _report(f"{source}: fewest steps of {method}")
+        found.append(fewest_steps(arm, dt, length, method))
+    enough = [step for step in found if step]
+    if not enough:
+        raise ValueError(
+            f"No method keeps the tip within {TIP_ERROR:g} of the reach with at most {MOST_STEPS} "
+            f"steps per control step of {dt:g} s; give a smaller --control-dt."
+        )
+    _report(f"{source}: CPU time of {len(enough)} methods")
+    steps = best_first(timed(arm, dt, enough))
+    best = steps[0]
+    _report(f"{source}: certificate of {best['integrator']}, {best['substeps']} steps")
+    certificate = measure(arm, dt, best["integrator"], best["substeps"]).to_dict()
+    if fitted.reason:
+        certificate["reason"] = fitted.reason
+    return {"control_dt": dt, "steps": steps, "certificate": certificate}
+
+
+def is_registered(source: str, control_dt: float) -> bool:
+    """True for the preset and control step of a registered environment."""
+    return (source, control_dt) in {(arm, dt) for arm, dt, _ in SCENES.values()}
+
+
+def _report(sentence: str) -> None:
+    print(sentence, file=sys.stderr, flush=True)
+
+
+def main(given: list[str] | None = None) -> int:
+    """Print the tables of the named arms, store those of registered ones; the exit status."""
+    known = [arm for arm, _, _ in SCENES.values()]
+    parser = argparse.ArgumentParser(
+        prog="python -m flexarm_env.certify", description="Measure the errors of arms."
+    )
+    parser.add_argument(
+        "arms", nargs="*", metavar="ARM", default=known,
+        help="preset or arm file (.json, .yaml); default: the registered arms, " + ", ".join(known),
+    )  # fmt: skip
+    parser.add_argument(
+        "--control-dt", type=float, metavar="S",
+        help="time between actions [s]; default: that of the registered environment, else "
+        f"{PERIOD_SHARE:g} of the first joint-free period, rounded down to one of {ROUND}",
+    )  # fmt: skip
+    options = parser.parse_args(given)
+    for source in options.arms:
+        try:
+            measured = entry(source, options.control_dt)
+        except (ValueError, RuntimeError) as error:
+            _report(" ".join(str(error).split()))
+            return 2
+        dt = measured["control_dt"]
+        command = f"python -m flexarm_env.certify {source}"
+        if is_registered(source, dt):
+            entries = {**json.loads(STORE.read_text(encoding="utf-8")), source: measured}
+            STORE.write_text(json.dumps(entries, indent=2) + "\n", encoding="utf-8")
+        else:
+            command += f" --control-dt {dt:g}"
+        print(f"# {source}, control step {dt:g} s\n")
+        print(accuracy(measured["certificate"] | {"reproduce": command}, measured["steps"]) + "\n")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

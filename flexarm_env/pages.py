@@ -14,7 +14,9 @@ import numpy as np
 
 from dynamics.load import load_arm
 from dynamics.simulation.validity import LARGEST_RATE
-from flexarm_env.accuracy.certificates import kept
+from flexarm_env.accuracy.certificates import AUTO_TOLERANCE, kept
+from flexarm_env.accuracy.table import CERTIFICATE, accuracy
+from flexarm_env.accuracy.table import markdown as _table
 from flexarm_env.certify import BATCH, EPISODES, TIP_ERROR
 from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core
@@ -178,7 +180,9 @@ INFO = (
 )
 
 KEYWORDS = (
-    ("arm", "the id's", "preset name, path to an arm file (.json, .yaml), dict or `Arm`"),
+    ("arm", "the id's",
+     "preset name, path to an arm file (.json, .yaml), dict or `Arm`; an arm with `modes: auto` "
+     f"takes the cheapest model within {AUTO_TOLERANCE:g} of the reach, as by `tolerance`"),
     ("obs", '"state"', '"state", or "sensors": encoders, joint rates, strain gauges'),
     ("reward", "the task's", "preset name or a dict of weights of reward terms"),
     ("control_dt", "the id's", "[s] time between actions"),
@@ -201,14 +205,6 @@ KEYWORDS = (
      "dict of ranges (low, high) of `payload_mass` [kg] and of factors on `stiffness`, "
      "`damping` and `friction`, drawn at every reset"),
 )  # fmt: skip
-
-CERTIFICATE = (
-    ("error", "model and step together, from the reference"),
-    ("integration", "the step alone, from converged integration of the model"),
-    ("truncation", "the model from the rich model"),
-    ("nonlinear", "the rich model from the reference"),
-    ("residual", "the reference: tip displacement by its last refinement"),
-)
 
 
 def common_page() -> str:
@@ -340,27 +336,10 @@ def _accuracy(core: Core) -> str:
     c, entry = core.certificate, kept(core.arm, core.control_dt)
     assert c is not None, "A registered environment is certified: see certificates.py."
     assert entry is not None
-    errors = [
-        (name, f"{1e3 * c[name]:.2g}", f"{c[name] / c['reach']:.1e}") for name, _ in CERTIFICATE
-    ]
-    steps = [
-        (x["integrator"], str(x["substeps"]), f"{x['error']:.1e}", f"{1e6 * x['seconds']:.2g}")
-        for x in entry["steps"]
-    ]
-    return (
-        f"Certificate (`{c['reproduce']}`):\n\n"
-        + _table(("error", "tip [mm]", "tip [reach]"), errors)
-        + f"\n\nModel: {c['model']}. Reference: {c['reference']}.\n\nMeasured steps:\n\n"
-        + _table(("integrator", "substeps", "tip error [reach]", "CPU time [us]"), steps)
-    )
+    return accuracy(c, entry["steps"])
 
 
 # ---- text ---------------------------------------------------------------------------------------
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
-    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
 def _code_first(rows: Iterable[Sequence[str]]) -> list[Sequence[str]]:

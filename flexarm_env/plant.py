@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -77,6 +77,8 @@ def plan(
             "step a free base with dynamics.Stepper."
         )
     fitted = fit(described, control_dt, fidelity, tolerance)
+    if described.automatic and tolerance is None and (actuators or randomized):
+        fitted = replace(fitted, integrator=None, substeps=None)  # measured without these keywords
     own = scales(described)  # torques and tasks do not depend on the fidelity of the model
     inertia = np.array(own.inertia)
     if actuators:
@@ -94,7 +96,10 @@ def plan(
         actuation,
         randomized,
     )
-    certificate = fitted.certificate or find(fitted.arm, control_dt, name, count)
+    if (name, count) == (fitted.integrator, fitted.substeps):
+        certificate = fitted.certificate
+    else:
+        certificate = find(fitted.arm, control_dt, name, count)
     return Plant(
         arm=fitted.arm,
         scales=scales(fitted.arm),

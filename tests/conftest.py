@@ -22,6 +22,7 @@ QUICK = {
     "dynamics/accuracy/test_scene.py",
     "dynamics/arms/test_presets.py",
     "dynamics/description/test_arm.py",
+    "dynamics/description/test_mode_rule.py",
     "dynamics/description/test_rotations.py",
     "dynamics/formulations/test_christoffel.py",
     "dynamics/formulations/test_free_base.py",

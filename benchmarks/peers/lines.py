@@ -1,19 +1,13 @@
-"""Runs of the peers' benchmark, each engine's line of cheapest runs, the page and the chart."""
+"""Runs of the peers' benchmark, each engine's line of cheapest runs, and the page."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-
-from benchmarks.output import save_figure, table
-from benchmarks.peers.scenes import SCENES, PeerScene
+from benchmarks.output import table
+from benchmarks.peers.scenes import PeerScene
 from dynamics.types import Array
 
 BATCH = 1024
@@ -180,30 +174,3 @@ def bests(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[str, An
                 if found:
                     rows.append({"at_most": error, "which": which, **found.to_dict(scene)})
     return rows
-
-
-def draw(everything: dict[str, dict[str, list[Point]]], path: Path) -> None:
-    """Draw a panel per scene: all runs as dots, each engine's cheapest runs as a line."""
-    figure, axes = plt.subplots(1, len(everything), figsize=(16.0, 5.4), layout="constrained")
-    for axis, (name, points) in zip(axes, everything.items(), strict=True):
-        scene = SCENES[name]
-        for k, (engine, runs) in enumerate(points.items()):
-            line = front(runs)
-            axis.plot(
-                [p.cost for p in line], [p.error for p in line], color=f"C{k}", marker="o",
-                markersize=3, label=engine, linestyle="--" if engine == BATCHED else "-",
-                drawstyle="steps-post",
-            )  # fmt: skip
-            dots = [p for p in runs if p.error < 0.3]
-            axis.scatter(
-                [p.cost for p in dots], [p.error for p in dots], s=4, color=f"C{k}", alpha=0.2
-            )
-        for error in {error for error, _, _ in scene.demands}:
-            axis.axhline(error, color="0.6", linewidth=0.8, linestyle=":")
-        axis.set(xscale="log", yscale="log", title=scene.title)
-        axis.set_xlabel("processor time per simulated second [s]")
-        axis.grid(alpha=0.3)
-    axes[0].set_ylabel("largest tip error over the reach [-]")
-    names = axes[0].get_legend_handles_labels()
-    figure.legend(*names, loc="outside lower center", ncols=len(names[1]), fontsize=9)
-    save_figure(figure, path)

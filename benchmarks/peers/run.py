@@ -1,18 +1,29 @@
 """Flexible scenes by Exudyn, MuJoCo and flexarm: tip error against processor time, in one process.
 
     python -m benchmarks.peers [--quick] [--out FILE] [--images FOLDER] [--truth]
+    python -m benchmarks.peers --charts [--out FILE] [--images FOLDER]
 
 Every engine simulates the same scenes with many models, methods and steps; its cheapest runs at
 each error form its line. `--quick` takes fewer of them; `--truth` recomputes the third scene's
-truth. Runs need the optional engines: pip install "flexarm[peers]".
+truth; `--charts` draws stored results. Runs need the optional engines: pip install
+"flexarm[peers]".
 """
 
+import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from benchmarks.output import RESULTS, argument_parser, provenance, save_results
-from benchmarks.peers.lines import bests, comparisons, draw, front, page
+from benchmarks.peers.charts import draw, headline
+from benchmarks.peers.lines import bests, comparisons, front, page
 from benchmarks.peers.scenes import SCENES
+
+
+def draw_all(results: dict[str, Any], folder: Path) -> None:
+    """Draw the lines of all engines, and the headline of the README."""
+    draw(results, folder / "peers")
+    headline(results, folder / "error_against_speed")
 
 
 def main() -> None:
@@ -22,7 +33,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "peers.json")
     parser.add_argument("--images", type=Path, default=RESULTS)
     parser.add_argument("--truth", action="store_true", help="recompute the third scene's truth")
+    parser.add_argument("--charts", action="store_true", help="only draw the stored results")
     options = parser.parse_args()
+    options.images.mkdir(parents=True, exist_ok=True)
+    if options.charts:
+        draw_all(json.loads(options.out.read_text(encoding="utf-8")), options.images)
+        return
     try:
         from benchmarks.peers import sweep  # imports the optional engines
     except ModuleNotFoundError as error:
@@ -52,6 +68,5 @@ def main() -> None:
     }
     text = page(results)
     print(text)
-    options.images.mkdir(parents=True, exist_ok=True)
     save_results(results, text, options.out)
-    draw(everything, options.images / "peers")
+    draw_all(results, options.images)

@@ -19,9 +19,9 @@ from dynamics.types import Array
 
 HEAVY = 1e9  # [kg m^2] a rotor that no link can move: its joint turns as prescribed
 SPUN = Arm(
-    links=(Link(length=10.0, rho_A=1.2, EIz=1.4e4, joint=Joint(rotor_inertia=HEAVY)),),
+    links=(Link(length=10.0, rho_A=1.2, EIz=1.4e4, modes=(), joint=Joint(rotor_inertia=HEAVY)),),
 )
-_SWUNG = Link(length=1.0, rho_A=5.0, EIz=1000.0)
+_SWUNG = Link(length=1.0, rho_A=5.0, EIz=1000.0, modes=())
 SWUNG = Arm(links=(_SWUNG, _SWUNG), gravity=(0.0, -9.81, 0.0))
 
 

@@ -13,12 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
+from benchmarks import style
 from benchmarks.output import ROOT, argument_parser, provenance, save_figure, table
 from benchmarks.scenarios.file import Scenario, load_scenario
 from benchmarks.scenarios.motions import DEGREE, Run, figures, twins
@@ -34,6 +31,8 @@ ORDER = (  # of the page; other scenarios come last
     "flying-body", "flying-beam", "flying-rigid-links", "flying-long-links",
     "fixed-base", "double-pendulum",
 )  # fmt: skip
+plt = style.pyplot()
+MARKED = 8  # markers of a drawn line
 QUICK = 20  # --quick simulates this fraction of a motion: 1 / QUICK
 COLUMNS = {  # of the page: name in the results -> format
     "deflection [mm]": ".3g",
@@ -79,21 +78,21 @@ def draw(scenario: Scenario, flexible: Run, rigid: Run, path: Path) -> None:
 
 
 def _draw_attitude(axes: Any, flexible: Run, rigid: Run) -> None:
-    for run, style in _styles(flexible, rigid):
+    for run, dashes in _styles(flexible, rigid):
         t = run.path.t
         assert run.path.base_quaternion is not None
         turned = np.unwrap(np.array([to_euler(x) for x in run.path.base_quaternion]), axis=0)
-        _lines(axes[0], t, turned / DEGREE, style, ("θ₀", "φ₀", "ψ₀"))
-        _lines(axes[1], t, run.path.v[:, 3:6], style, ("ω₁", "ω₂", "ω₃"))
+        _lines(axes[0], t, turned / DEGREE, dashes, ("θ₀", "φ₀", "ψ₀"))
+        _lines(axes[1], t, run.path.v[:, 3:6], dashes, ("ω₁", "ω₂", "ω₃"))
     axes[0].set(ylabel="attitude of the base [°]")
     axes[1].set(ylabel="its angular velocity [rad/s]")
 
 
 def _draw_joints(axes: Any, flexible: Run, rigid: Run) -> None:
     labels = tuple(f"q{k}" for k in range(1, flexible.joints.shape[1] + 1))
-    for run, style in _styles(flexible, rigid):
-        _lines(axes[0], run.path.t, run.joints / DEGREE, style, labels)
-        _lines(axes[1], run.path.t, run.rates / DEGREE, style, labels)
+    for run, dashes in _styles(flexible, rigid):
+        _lines(axes[0], run.path.t, run.joints / DEGREE, dashes, labels)
+        _lines(axes[1], run.path.t, run.rates / DEGREE, dashes, labels)
     axes[0].set(ylabel="joint angle [°]")
     axes[1].set(ylabel="joint rate [°/s]")
 
@@ -106,9 +105,9 @@ def _draw_bending(axes: Any, flexible: Run, rigid: Run) -> None:
         for k, link in enumerate(flexible.model.arm.links):
             for plane, direction in enumerate("yz"):
                 if link.in_direction(direction):
-                    style = {"color": f"C{k}", "linewidth": 1.0, "linestyle": "-:"[plane]}
+                    look = _look(k, t) | {"linewidth": 1.0, "linestyle": "-:"[plane]}
                     label = f"link {k + 1}, {direction}"
-                    axis.plot(t, 1e3 * values[:, k, plane], label=label, **style)
+                    axis.plot(t, 1e3 * values[:, k, plane], label=label, **look)
     axes[0].set(ylabel="tip deflection [mm]")
     axes[1].set(ylabel="its rate [mm/s]")
 
@@ -117,13 +116,19 @@ def _styles(flexible: Run, rigid: Run) -> list[tuple[Run, str]]:
     return [(flexible, "-")] if flexible is rigid else [(flexible, "-"), (rigid, "--")]
 
 
-def _lines(axis: Any, t: Array, values: Array, style: str, labels: tuple[str, ...]) -> None:
-    """Draw the flexible arm's lines coloured, the rigid arm's thin and black."""
+def _look(k: int, t: Array) -> dict[str, Any]:
+    """Colour and marker of the k-th line, with about MARKED markers at places of its own."""
+    every = max(1, t.size // MARKED)
+    return style.series(k) | {"markevery": (k * every // 6, every), "markersize": 5}
+
+
+def _lines(axis: Any, t: Array, values: Array, dashes: str, labels: tuple[str, ...]) -> None:
+    """Draw the flexible arm's lines coloured and marked, the rigid arm's thin and black."""
     for k, (column, label) in enumerate(zip(values.T, labels, strict=True)):
-        if style == "-":
-            axis.plot(t, column, style, color=f"C{k}", linewidth=1.4, label=label)
+        if dashes == "-":
+            axis.plot(t, column, dashes, linewidth=1.4, label=label, **_look(k, t))
         else:
-            axis.plot(t, column, style, color="k", linewidth=0.7)
+            axis.plot(t, column, dashes, color="k", linewidth=0.7)
 
 
 def page(results: dict[str, Any]) -> str:

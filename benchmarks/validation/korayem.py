@@ -246,13 +246,10 @@ def _square_section() -> tuple[float, float, float]:
 
 def draw(folder: Path) -> None:
     """Draw tip deflections of the released arm with one and two modes, and tabulated points."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    from benchmarks import style
     from benchmarks.output import save_figure
 
+    plt = style.pyplot()
     figure, axes = plt.subplots(2, 1, figsize=(8.5, 5.6), sharex=True, layout="constrained")
     for colour, name in (("C0", "1 mode"), ("C1", "2 modes")):
         modes, payload, text = RELEASED[name]

@@ -160,13 +160,10 @@ def tables() -> list[Table]:
 
 def draw(folder: Path) -> None:
     """Draw the step of SLIM, V of both arms, and frequencies from a free to a locked joint."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    from benchmarks import style
     from benchmarks.output import save_figure
 
+    plt = style.pyplot()
     step = STEPS["slim"]
     response = respond(step)
     figure, axes = plt.subplots(2, 1, figsize=(7.5, 5.6), sharex=True, layout="constrained")

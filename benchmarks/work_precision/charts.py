@@ -1,70 +1,89 @@
 """Charts and page of the work-precision benchmark."""
 
+import json
 import math
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-
-from benchmarks.output import save_figure, table
+from benchmarks import style
+from benchmarks.output import RESULTS, save_figure, table
 from dynamics.integrators.table import INTEGRATORS
 
 TARGETS = (1e-2, 1e-3, 1e-4)  # [reach]
 SMALL = 0.3  # largest integration error over model error of a run that shows the model error
 LOWEST, HIGHEST = 3e-8, 2.0  # errors drawn; diverged runs lie at 1
-NEAR = 1.6  # models within this ratio of costs and of errors share one label
-STEP = "The step: distance from the default model's own exact motion"
+NEAR = 2.5  # models within this ratio of costs and of errors share one label
+APART = 2.0  # least ratio of the errors of neighbouring points of a line
+STEP = "The step: distance from the model's own exact motion"
 MODEL = "The model: distance of its exact motion from the truth"
-BOTH = "Both added: every run"
+BOTH = "Both added: the cheapest runs"
+PEERS = {"S1": "S1", "S3": "S3", "korayem-two-link": "korayem"}  # scene: name in peers.json
 STAR: dict[str, Any] = {
-    "color": "gold", "markeredgecolor": "k", "markersize": 14, "zorder": 5, "linestyle": "none",
+    "color": "gold", "markeredgecolor": "k", "markersize": 18, "zorder": 5, "linestyle": "none",
 }  # fmt: skip
 CODE = "modes x segments, f: foreshortened"
 BELOW: dict[str, Any] = {  # legend below the axes, where it hides no run
-    "loc": "upper center", "bbox_to_anchor": (0.5, -0.07), "ncols": 3, "fontsize": 7.5,
-    "title_fontsize": 8, "columnspacing": 1.0, "handletextpad": 0.4,
+    "loc": "upper center", "bbox_to_anchor": (0.5, -0.08), "ncols": 2, "fontsize": 10,
+    "title_fontsize": 10, "columnspacing": 1.0, "handletextpad": 0.4, "frameon": False,
 }  # fmt: skip
 COLUMNS = (
     "wanted", "model", "integrator", "step [ms]", "CPU [us/s]", "error", "of the model",
     "of the step", "measured",
 )  # fmt: skip
 Row = dict[str, Any]
+Place = tuple[float, float, str]  # CPU time, error, model
+Lines = dict[str, list[Row]]  # a peer: its cheapest runs
+plt = style.pyplot()
 
 
-def draw(results: Row, folder: Path) -> None:
+def draw(results: Row, folder: Path, peers: Path = RESULTS / "peers.json") -> None:
     """Draw a figure per scene (step, model, both errors), and one of all scenes."""
-    scenes = results["scenes"]
+    scenes, theirs = results["scenes"], peer_lines(peers)
     for name, scene in scenes.items():
-        figure, axes = plt.subplots(1, 3, figsize=(14.5, 6.4), sharey=True, layout="constrained")
+        figure, axes = plt.subplots(1, 3, figsize=(16.0, 7.6), sharey=True, layout="constrained")
         _draw_steps(axes[0], scene)
         _draw_models(axes[1], scene)
-        _draw_runs(axes[2], scene)
-        axes[0].set_ylabel("tip error / reach [-]")
-        figure.suptitle(scene["title"], fontsize=12)
-        scipy = " (SciPy: one environment, from Python)"
-        figure.supxlabel(_cost_label(results) + scipy, fontsize=10)
+        _draw_runs(axes[2], scene, theirs.get(name, {}))
+        axes[2].legend(**BELOW)
+        axes[0].set_ylabel("tip error / reach [-]", fontsize=12)
+        figure.suptitle(scene["title"], fontsize=14)
+        scipy = " (SciPy and peers: one environment)"
+        figure.supxlabel(_cost_label(results) + scipy, fontsize=12)
         save_figure(figure, folder / f"work_precision_{name}")
     columns = min(3, len(scenes))
     rows = math.ceil(len(scenes) / columns)
     figure, grid = plt.subplots(
-        rows, columns, figsize=(5.0 * columns, 4.4 * rows), squeeze=False, sharey=True,
+        rows, columns, figsize=(5.4 * columns, 4.8 * rows), squeeze=False, sharey=True,
         layout="constrained",
     )  # fmt: skip
-    for axis, scene in zip(grid.flat, scenes.values(), strict=False):
-        _draw_runs(axis, scene)
-        axis.get_legend().remove()
-        axis.set_title(scene["title"], fontsize=10)
-        axis.set_ylim(1e-6, HIGHEST)
+    found: dict[str, Any] = {}
+    for axis, (name, scene) in zip(grid.flat, scenes.items(), strict=False):
+        _draw_runs(axis, scene, theirs.get(name, {}))
+        axis.set_title(scene["title"], fontsize=13)
+        axis.set_ylim(2e-7, HIGHEST)
+        handles, labels = axis.get_legend_handles_labels()
+        found |= dict(zip(labels, handles, strict=True))
     for axis in grid[:, 0]:
-        axis.set_ylabel("tip error / reach [-], model and step added")
-    figure.supxlabel(_cost_label(results), fontsize=10)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=8, fontsize=9, title=CODE)
+        axis.set_ylabel("tip error / reach [-]", fontsize=12)
+    figure.supxlabel(_cost_label(results) + " (peers: one environment)", fontsize=12)
+    figure.legend(
+        list(found.values()), list(found), loc="outside upper center", ncols=6, fontsize=12,
+        frameon=False, title=f"models: {CODE}", title_fontsize=12,
+    )  # fmt: skip
     save_figure(figure, folder / "work_precision")
+
+
+def peer_lines(path: Path) -> dict[str, Lines]:
+    """Lines of the peers by scene, from the results of `python -m benchmarks.peers`."""
+    if not path.exists():
+        return {}
+    scenes = json.loads(path.read_text(encoding="utf-8"))["scenes"]
+    return {
+        name: {k: v for k, v in scenes[stored]["lines"].items() if not k.startswith("ours")}
+        for name, stored in PEERS.items()
+        if stored in scenes
+    }
 
 
 def _cost_label(results: Row) -> str:
@@ -72,11 +91,6 @@ def _cost_label(results: Row) -> str:
         "CPU time per simulated second [s/s] of one environment in a batch of "
         f"{results['batch']}, one thread"
     )
-
-
-def _colour(integrator: str) -> str:
-    names = list(INTEGRATORS)
-    return f"C{names.index(integrator)}" if integrator in names else "0.45"
 
 
 def _drawn(error: float) -> float:
@@ -93,31 +107,35 @@ def _short(model: str) -> str:
 
 def _prepare(axis: Any, title: str, scene: Row) -> None:
     axis.set(xscale="log", yscale="log", ylim=(LOWEST, HIGHEST))
-    axis.set_title(title, fontsize=10)
+    axis.set_title(title, fontsize=12)
     axis.grid(alpha=0.25)
     if title != STEP:
         axis.axhspan(
-            LOWEST, scene["floor"], color="0.88", zorder=0, label="below the truth's accuracy"
+            LOWEST, scene["floor"], color="0.9", zorder=0, label="below the truth's accuracy"
         )
 
 
 def _draw_steps(axis: Any, scene: Row) -> None:
-    """Draw the integration error of the default model, a line per integrator."""
+    """Draw the integration error of the default model, a line per integrator.
+
+    A cross marks the costliest diverged run of a method.
+    """
     _prepare(axis, STEP, scene)
     model = scene["default"]["model"]
     runs = [p for p in scene["points"] if p["model"] == model]
     for name, group in groupby(runs, key=lambda p: p["integrator"]):
-        line = [p for p in group if p["integration"] < math.inf]
-        known = name in INTEGRATORS
-        label = f"{name} (order {INTEGRATORS[name].order})" if known else f"SciPy {name}"
-        marker = "o" if known else "^v"[name == "bdf"]
+        mine = list(group)
+        line = sorted((p for p in mine if p["integration"] < math.inf), key=lambda p: p["cpu"])
+        line = style.thinned(line, [p["integration"] for p in line], APART**2)
+        known, look = name in INTEGRATORS, style.method(name)
         axis.plot(
             [p["cpu"] for p in line], [_drawn(p["integration"]) for p in line],
-            marker=marker, markersize=3.5, linewidth=1.3, color=_colour(name),
-            linestyle="-" if known else ":", label=label,
+            markersize=7, linewidth=1.8, linestyle="-" if known else ":", **look,
+            label=f"{name} (order {INTEGRATORS[name].order})" if known else f"SciPy {name}",
         )  # fmt: skip
-        diverged = [p["cpu"] for p in runs if p["integrator"] == name and p not in line]
-        axis.plot(diverged, [1.0] * len(diverged), "x", color=_colour(name), markersize=5)
+        diverged = [p["cpu"] for p in mine if p["integration"] == math.inf]
+        if diverged:
+            axis.plot(max(diverged), 1.0, "x", color=look["color"], markersize=9, mew=2.5)
     _draw_default(axis, scene, "integration")
     axis.legend(title=model, **BELOW)
 
@@ -125,7 +143,8 @@ def _draw_steps(axis: Any, scene: Row) -> None:
 def _draw_models(axis: Any, scene: Row) -> None:
     """Draw each model's error over the least cost at which its integration error is small."""
     _prepare(axis, MODEL, scene)
-    groups: dict[str, list[tuple[float, float, str]]] = {}
+    axis.margins(x=0.15)
+    groups: dict[str, list[Place]] = {}
     for name, row in scene["models"].items():
         error = row["model error"]
         runs = [p for p in scene["points"] if p["model"] == name and "rtol" not in p]
@@ -136,64 +155,80 @@ def _draw_models(axis: Any, scene: Row) -> None:
         kind = "rigid" if name == "rigid" else kind if good else "diverged"
         groups.setdefault(kind, []).append((place, _drawn(error), name))
     for kind, points in groups.items():
-        colour = {"rigid": "0.3", "diverged": "C3"}.get(kind, "C4" if "linear" in kind else "C2")
+        colour = style.BLUE if "linear" in kind else style.VERMILLION
+        colour = {"rigid": "k", "diverged": "k"}.get(kind, colour)
         marker = {"rigid": "P", "diverged": "x"}.get(kind, "D" if "segments" in kind else "o")
-        x, y, names = zip(*points, strict=True)
-        axis.plot(x, y, marker, color=colour, markersize=7, label=kind)
-        for place, error, name in zip(x, y, names, strict=True):
-            axis.annotate(
-                _short(name), (place, error), textcoords="offset points", xytext=(6, 4), fontsize=8
-            )
-            if name == scene["default"]["model"]:
-                axis.plot(place, error, "*", label="default", **STAR)
+        x, y, _ = zip(*points, strict=True)
+        axis.plot(x, y, marker, color=colour, markersize=9, label=kind)
+        own = [p[:2] for p in points if p[2] == scene["default"]["model"]]
+        if own:
+            axis.plot(*own[0], "*", label="default", **STAR)
+        _label(axis, points, own[0] if own else (math.inf, math.inf))
     axis.legend(title=CODE, **BELOW)
 
 
-def _draw_runs(axis: Any, scene: Row) -> None:
-    """Draw every run of the compiled integrators, the Pareto line, and the default."""
+def _draw_runs(axis: Any, scene: Row, theirs: Lines) -> None:
+    """Draw the Pareto line with the method of each run, the default, and the peers' lines."""
     _prepare(axis, BOTH, scene)
-    for name in INTEGRATORS:
-        runs = [p for p in scene["points"] if p["integrator"] == name]
-        finite = [p for p in runs if p["error"] < math.inf]
+    for engine, runs in theirs.items():
+        ordered = sorted(runs, key=lambda p: p["cpu_seconds_per_second"])
+        line = style.thinned(ordered, [p["error"] for p in ordered], APART**2)
         axis.plot(
-            [p["cpu"] for p in finite], [_drawn(p["error"]) for p in finite], ".",
-            color=_colour(name), alpha=0.45, markersize=5, rasterized=True, label=name,
+            [p["cpu_seconds_per_second"] for p in line], [_drawn(p["error"]) for p in line],
+            label=engine, linewidth=1.5, markersize=6,
+            **style.engine(engine) | {"linestyle": "--", "markerfacecolor": "white"},
         )  # fmt: skip
-        diverged = [p["cpu"] for p in runs if p["error"] == math.inf]
-        axis.plot(
-            diverged, [1.0] * len(diverged), "x", color=_colour(name), alpha=0.3, markersize=3,
-            rasterized=True,
-        )  # fmt: skip
-    line = scene["front"]
-    axis.step(
-        [p["cpu"] for p in line], [_drawn(p["error"]) for p in line], "k-", where="post",
-        linewidth=1.4, label="Pareto line",
+    front = scene["front"]
+    line = style.thinned(front, [p["error"] for p in front], APART)
+    axis.plot(
+        [p["cpu"] for p in line], [_drawn(p["error"]) for p in line], "k-", linewidth=1.6,
+        label="our cheapest runs",
     )  # fmt: skip
+    for name in INTEGRATORS:
+        runs = [p for p in line if p["integrator"] == name]
+        if runs:
+            axis.plot(
+                [p["cpu"] for p in runs], [_drawn(p["error"]) for p in runs], linestyle="none",
+                **style.method(name), markersize=9, label=name,
+            )  # fmt: skip
     first: dict[str, Row] = {}
     for point in line:
         first.setdefault(point["model"], point)
-    names: dict[tuple[float, float], str] = {}  # by place
-    for name, point in first.items():
-        place = point["cpu"], _drawn(point["error"])
-        last = next(reversed(names), (0.0, math.inf))
-        if place[0] < NEAR * last[0] and place[1] > last[1] / NEAR:
-            names[last] += f", {_short(name)}"
-        else:
-            names[place] = _short(name)
-    for place, text in names.items():
-        axis.annotate(
-            text, place, textcoords="offset points", xytext=(2, 3), fontsize=7.5, weight="bold",
-            zorder=6,
-        )  # fmt: skip
+    star = _default(scene, "error")
+    _label(axis, [(p["cpu"], _drawn(p["error"]), name) for name, p in first.items()], star)
     _draw_default(axis, scene, "error")
-    axis.legend(title=CODE, **BELOW)
+
+
+def _label(axis: Any, points: list[Place], star: tuple[float, float]) -> None:
+    """Write the models of points beside them, those of near points together, none on the star."""
+    names: dict[tuple[float, float], str] = {}  # by place
+    for cost, error, model in points:
+        near = [place for place in names if _are_near(place, (cost, error))]
+        if near:
+            names[near[0]] += f", {_short(model)}"
+        else:
+            names[cost, error] = _short(model)
+    for place, text in names.items():
+        below = _are_near(place, star)
+        axis.annotate(
+            text, place, textcoords="offset points", xytext=(-8, -14) if below else (7, 5),
+            ha="right" if below else "left", fontsize=10, zorder=6,
+        )  # fmt: skip
+
+
+def _are_near(a: tuple[float, float], b: tuple[float, float]) -> bool:
+    return all(max(x / y, y / x) < NEAR for x, y in zip(a, b, strict=True))
 
 
 def _draw_default(axis: Any, scene: Row, error: str) -> None:
     """Draw a star at the default."""
-    for point in scene["points"]:
-        if point["default"]:
-            axis.plot(point["cpu"], _drawn(point[error]), "*", label="default", **STAR)
+    axis.plot(*_default(scene, error), "*", label="default", **STAR)
+
+
+def _default(scene: Row, error: str) -> tuple[float, float]:
+    """CPU time and error of the default."""
+    point = next(p for p in scene["points"] if p["default"])
+    return point["cpu"], _drawn(point[error])
 
 
 def page(results: Row) -> str:

@@ -1,7 +1,7 @@
 """Tip error against CPU time over integrators, steps, modes, foreshortening and segments.
 
     python -m benchmarks.work_precision [--quick] [--only NAME ...] [--out FILE] [--images FOLDER]
-    python -m benchmarks.work_precision --redraw | --truth [--only NAME ...]
+    python -m benchmarks.work_precision --charts | --truth [--only NAME ...]
 
 CPU time is per simulated second of one environment in a batch of 1024 on one thread, including
 calls and measurements. Errors are the largest tip distance over the motion, divided by the reach:
@@ -10,7 +10,8 @@ error is that of the converged integration from the truth. Runs are charted and 
 both, because the two may cancel by chance; the total error, that of the run from the truth, is
 stored too. The method of highest order runs on every model; the other methods run on the default
 model and on each model that is more accurate than all cheaper ones.
-`--truth` recomputes the truths in tests/reference/, which takes many minutes.
+`--truth` recomputes the truths in tests/reference/, which takes many minutes. `--charts` draws the
+stored results, and the peers' lines of docs/results/peers.json.
 """
 
 import json
@@ -325,7 +326,7 @@ def main() -> None:
     parser = argument_parser("work_precision", __doc__)
     parser.add_argument("--quick", action="store_true", help="one scene, three models")
     parser.add_argument("--truth", action="store_true", help="only recompute the truths")
-    parser.add_argument("--redraw", action="store_true", help="only redraw the stored results")
+    parser.add_argument("--charts", action="store_true", help="only draw the stored results")
     parser.add_argument("--only", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
     parser.add_argument("--jobs", type=int, default=2, help="number of compiling processes")
     parser.add_argument("--out", type=Path, default=RESULTS / "work_precision.json")
@@ -337,7 +338,7 @@ def main() -> None:
             if setting.refined:
                 make_truth(setting)
         return
-    if options.redraw:
+    if options.charts:
         text = options.out.read_text().replace('"diverged"', "Infinity")
         precision_charts.draw(json.loads(text), options.images)
         return

@@ -177,7 +177,7 @@ def _of_env(
     )
 
 
-_SPUN = Link(length=10.0, rho_A=1.2, EIz=1.4e4, joint=Joint(rotor_inertia=HEAVY))
+_SPUN = Link(length=10.0, rho_A=1.2, EIz=1.4e4, modes=(), joint=Joint(rotor_inertia=HEAVY))
 SETTINGS = {
     setting.name: setting
     for setting in (

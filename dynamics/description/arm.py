@@ -4,11 +4,12 @@ Every description validates itself on construction.
 """
 
 import math
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
 from dynamics.description import parallel_drive, validate
 from dynamics.description.link import Body, Link
+from dynamics.description.mode_rule import AUTO, ModesByRule
 from dynamics.description.rotations import Quaternion, to_rotation_vector
 from dynamics.description.validate import ZEROS, clean
 from dynamics.types import Matrix3, Vector3
@@ -191,6 +192,17 @@ class Arm:
         """(n_joint,) payload per link: None except for the last link."""
         return (*len(self.links) * (None,), self.payload)[1:]
 
+    @property
+    def automatic(self) -> bool:
+        """True if a link was described with `modes: auto`."""
+        return any(isinstance(link.modes, ModesByRule) for link in self.links)
+
+    def with_listed_modes(self) -> "Arm":
+        """The arm as if the modes that `modes: auto` gives had been listed."""
+        return replace(
+            self, links=tuple(replace(link, modes=tuple(link.modes)) for link in self.links)
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Description as plain lists, numbers and text without defaults; `load_arm` reads it."""
         return _plain(self)
@@ -215,15 +227,20 @@ def _joint_inertia(link: Link, payload: Payload | None) -> float:
 
 def _plain(value: Any) -> Any:
     """Convert a description to JSON types."""
+    if isinstance(value, ModesByRule):
+        return AUTO
     if isinstance(value, tuple):
         return [_plain(entry) for entry in value]
     if not hasattr(value, "__dataclass_fields__"):
         return value
-    return {
+    data = {
         entry.name: _plain(getattr(value, entry.name))
         for entry in fields(value)
         if getattr(value, entry.name) != _default(entry)
     }
+    if isinstance(value, Link) and not value.modes and not value.stiffnesses:
+        del data["modes"]  # it cannot bend: nothing to state
+    return data
 
 
 def _default(entry: Any) -> object:

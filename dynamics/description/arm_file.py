@@ -1,10 +1,11 @@
 """Build an arm from the plain data of an arm file; `Arm.to_dict` is the inverse."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any
 
-from dynamics.description import denavit_hartenberg, validate
+from dynamics.description import denavit_hartenberg, mode_rule, validate
 from dynamics.description.arm import MOST_LINKS, Arm, Base, Payload
 from dynamics.description.joint import Joint
 from dynamics.description.link import MOST_MODES, Body, Link
@@ -26,7 +27,10 @@ CASE_KEYS = (  # further keys of an arm file: a motion and its reference results
 
 
 def arm_from_dict(data: Mapping[str, Any]) -> Arm:
-    """Build an arm from plain lists, numbers and text; unknown keys raise ValueError."""
+    """Build an arm from plain lists, numbers and text; unknown keys raise ValueError.
+
+    A link with a stiffness and without the key `modes` is rigid, with a RigidLinkWarning.
+    """
     keys = validate.mapping(data, "the arm", (*ARM_KEYS, *CASE_KEYS))
     if keys.get("units", "SI") != "SI":
         raise ValueError(f'units must be "SI", got {validate.shown(keys["units"])}.')
@@ -53,10 +57,18 @@ def _link(data: object, where: str) -> Link:
         values["joint"] = _build(Joint, values["joint"], f"{where}.joint")
     if values.get("body") is not None:
         values["body"] = _build(Body, values["body"], f"{where}.body")
-    if "modes" in values:
+    silent = "modes" not in values
+    if silent:
+        values["modes"] = []
+    elif isinstance(values["modes"], str):
+        pass  # "auto"; the link refuses any other text
+    else:
         modes = validate.sequence(values["modes"], f"{where}.modes", MOST_MODES)
         values["modes"] = [_build(Mode, m, f"{where}.modes[{j}]") for j, m in enumerate(modes)]
     link: Link = _build(Link, values, where)
+    if silent and link.stiffnesses:
+        sentence = mode_rule.rigid_in_silence(where, link.stiffnesses)
+        warnings.warn(sentence, mode_rule.RigidLinkWarning, stacklevel=5)
     return link
 
 

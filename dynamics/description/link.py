@@ -1,15 +1,21 @@
 """Link description: beam, joint, tip body and mode shapes."""
 
+import logging
+import warnings
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Any
 
-from dynamics.description import validate
+from dynamics.description import mode_rule, validate
 from dynamics.description.joint import Joint
+from dynamics.description.mode_rule import ModesByRule, RigidLinkWarning
 from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, are_independent, shape
 from dynamics.description.validate import ZEROS, clean
 from dynamics.types import Matrix3, Vector3
 
 MOST_MODES = 200
+_UNSTATED: Any = None
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +39,9 @@ class Body:
 class Link:
     """Slender link behind a joint; flexible with modes, rigid without.
 
+    A link with a stiffness states its modes: a list, () for a rigid link, or "auto" for those of
+    `mode_rule`. If it states none it is rigid, with a RigidLinkWarning.
+
     A rigid link may have a `body` in place of a mass per unit length, or both. With a body, the
     length may be zero.
     """
@@ -46,7 +55,7 @@ class Link:
     rho_Ip: float = 0.0  # [kg m] polar rotary inertia per unit length
     tip_mass: float = 0.0  # [kg] point mass at the tip
     tip_inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
-    modes: tuple[Mode, ...] = ()
+    modes: tuple[Mode, ...] = _UNSTATED  # | "auto"
     damping_ratio: float = 0.0  # [-] of every bending mode; of a segment's modes if segmented
     damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
     segments: int = 1  # equal parts welded together, each with all modes: for large deflections
@@ -55,6 +64,9 @@ class Link:
     body: Body | None = None  # only for a rigid link
 
     def __post_init__(self) -> None:
+        given = self.modes
+        automatic = isinstance(given, str | ModesByRule)
+        modes = mode_rule.stated(given)
         at_least = validate.positive if self.body is None else validate.nonnegative
         clean(
             self,
@@ -66,7 +78,7 @@ class Link:
             damping_ratio=validate.nonnegative(self.damping_ratio, "Link.damping_ratio", "-"),
             damping_beta=validate.nonnegative(self.damping_beta, "Link.damping_beta", "s"),
             segments=validate.integer(self.segments, "Link.segments", 1, 1000),
-            modes=tuple(validate.sequence(self.modes, "Link.modes", MOST_MODES)),
+            modes=() if automatic else tuple(validate.sequence(modes, "Link.modes", MOST_MODES)),
             lumped=validate.boolean(self.lumped, "Link.lumped"),
         )
         for name in STIFFNESS.values():
@@ -74,6 +86,9 @@ class Link:
             if value is not None:
                 unit = "N" if name == "EA" else "N m^2"
                 clean(self, **{name: validate.nonnegative(value, f"Link.{name}", unit)})
+        validate.instance(self.joint, "Link.joint", Joint)
+        if automatic:
+            clean(self, modes=self._by_rule())
         if self.segments > 1 and any(mode.kind == "pinned-free" for mode in self.modes):
             raise ValueError(
                 f"Link.segments ({self.segments!r}) must be 1 with pinned-free modes: "
@@ -84,9 +99,20 @@ class Link:
                 f"Link.damping_ratio ({self.damping_ratio!r}) and Link.damping_beta "
                 f"({self.damping_beta!r}) exclude each other; give one."
             )
-        validate.instance(self.joint, "Link.joint", Joint)
         self._check_body()
         self._check_modes()
+        if isinstance(given, str):
+            words = mode_rule.in_words(self.modes, self.stiffnesses)
+            _log.info('link of %.4g m with modes "auto": %s', self.length, words)
+        if given is None and self.stiffnesses:
+            name = f"A link of {self.length:g} m"
+            sentence = mode_rule.rigid_in_silence(name, self.stiffnesses)
+            warnings.warn(sentence, RigidLinkWarning, stacklevel=3)
+
+    def _by_rule(self) -> ModesByRule:
+        if self.body is not None:
+            raise ValueError('Link.modes must be [] beside Link.body, a rigid link, got "auto".')
+        return mode_rule.modes_by_rule(self.beam, self.joint, self.stiffnesses, self.segments)
 
     def _check_body(self) -> None:
         if self.joint.type == "prismatic" and any(m.kind == "pinned-free" for m in self.modes):
@@ -170,6 +196,11 @@ class Link:
             tip_mass=self.tip_mass,
             tip_inertia=self.tip_inertia,
         )
+
+    @property
+    def stiffnesses(self) -> tuple[str, ...]:
+        """Names of the rigidities that are positive, such as "EIz"."""
+        return tuple(name for name in sorted(STIFFNESS.values()) if getattr(self, name))
 
     def in_direction(self, direction: str) -> tuple[Mode, ...]:
         """Modes along "x" (torsion), "y" or "z" (bending), or "axial"."""

@@ -4,6 +4,7 @@
 """
 
 import json
+import logging
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from dynamics import cache
+from dynamics.accuracy.certificate import fidelity_of
 from dynamics.accuracy.fidelity import everything, rigid
 from dynamics.accuracy.model_choice import choose_model
 from dynamics.accuracy.scene import JointMotion, Scene
@@ -23,12 +25,15 @@ from dynamics.load import load_arm
 from dynamics.simulation.case_file import PiecewiseConstant, Torque
 from flexarm_env.scales import scales
 
+_log = logging.getLogger(__name__)
+
 STORE = Path(__file__).with_name("certificates.json")
 RANDOM_STEPS = 40  # control steps of random torque
 RANDOM_SHARE = 0.4  # largest random torque, over full torque
 PERIODS = 4.0  # length of the bang-bang motion, in periods of the first joint-free mode
 RIGID_PERIOD = 0.5  # [s] period for an arm without modes
 FIDELITIES = ("rigid", "auto", "reference")
+AUTO_TOLERANCE = 1e-3  # [of the reach] tip error of the model that `modes: auto` gives
 REFERENCE_MODES, REFERENCE_SEGMENTS = 3, 2  # per direction of bending; per flexible link
 
 
@@ -105,10 +110,14 @@ class Fitted:
     integrator: str | None = None  # None: not chosen here
     substeps: int | None = None
     certificate: dict[str, Any] | None = None
+    reason: str = ""  # of the choice for `modes: auto`
 
 
 def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> Fitted:
     """Model of an arm for a fidelity in FIDELITIES, or the cheapest within a tolerance [m].
+
+    An arm with `modes: auto` takes the cheapest within AUTO_TOLERANCE. Where no model meets that,
+    it keeps the modes of `mode_rule`, and a warning is logged.
 
     Raises
     ------
@@ -129,18 +138,63 @@ def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> 
         cut = tuple(REFERENCE_SEGMENTS if any(count) else 1 for count in counts)
         fine = replace(rigid(arm, foreshortening=True, polynomial=True), counts=counts)
         return Fitted(replace(fine, segments=cut).arm(arm), "midpoint")  # stiff and damped
-    return Fitted(arm)
+    return _automatic(arm, control_dt) if arm.automatic else Fitted(arm)
+
+
+def _automatic(arm: Arm, control_dt: float) -> Fitted:
+    """Model for `modes: auto`, chosen by measurement if that succeeds, else by rule."""
+    name, tolerance = arm.name or "the arm", AUTO_TOLERANCE * arm.reach
+    found = _choice(arm, control_dt, tolerance)
+    if "failed" in found:
+        reason = (
+            f"No model was found within {tolerance:.3g} m ({found['failed']}) The modes are those "
+            f"of the rule, {fidelity_of(arm)}, whose error is not known; list modes, or give a "
+            "tolerance."
+        )
+        _log.warning("modes: auto of %s: %s", name, reason)
+        return Fitted(arm.with_listed_modes(), reason=reason)
+    _log.info("modes: auto of %s: %s", name, found["reason"])
+    return replace(_fitted(found, control_dt), reason=found["reason"])
 
 
 def _chosen(arm: Arm, control_dt: float, tolerance: float) -> Fitted:
-    """Model that `choose_model` finds on the arm's `scene`; cached, since it may take minutes."""
+    """Model that `choose_model` finds on the arm's `scene`."""
+    found = _choice(arm, control_dt, tolerance)
+    if "failed" in found:
+        raise (ValueError if found["refused"] else RuntimeError)(found["failed"])
+    return _fitted(found, control_dt)
+
+
+def _fitted(found: dict[str, Any], control_dt: float) -> Fitted:
+    """Model and step of a choice; a warning is logged if its links are rigid."""
+    substeps = max(1, math.ceil(control_dt / found["dt"] - 1e-9))
+    arm = load_arm(found["arm"])
+    if fidelity_of(arm).rigid and any(link.stiffnesses for link in arm.links):
+        _log.warning(
+            "The chosen model of %s has rigid links: they keep the tip within %.2g m of the "
+            "flexible reference, %.3g m are allowed; take a smaller tolerance for links that bend.",
+            arm.name or "the arm", found["error"], found["tolerance"],
+        )  # fmt: skip
+    certificate = {key: value for key, value in found.items() if key != "arm"}
+    return Fitted(arm, found["integrator"], substeps, certificate)
+
+
+def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
+    """Result of `choose_model` on the arm's `scene`, or `failed` with the reason.
+
+    It is cached, since the search may take minutes.
+    """
+    arm = arm.with_listed_modes()
     described = json.dumps(arm.to_dict())
     search = hash_of_files(sources(("accuracy", "simulation")))
     key = fingerprint("choice", search, described, repr(control_dt), repr(tolerance))
 
     def choose() -> str:
-        return json.dumps(choose_model(arm, scene(arm, control_dt), tolerance).to_dict(), indent=2)
+        try:
+            found = choose_model(arm, scene(arm, control_dt), tolerance).to_dict()
+        except (RuntimeError, ValueError) as error:
+            found = {"failed": str(error), "refused": isinstance(error, ValueError)}
+        return json.dumps(found, indent=2)
 
-    found = json.loads(cache.kept(f"choice_{key}", choose))
-    substeps = max(1, math.ceil(control_dt / found["dt"] - 1e-9))
-    return Fitted(load_arm(found.pop("arm")), found["integrator"], substeps, found)
+    result: dict[str, Any] = json.loads(cache.kept(f"choice_{key}", choose))
+    return result

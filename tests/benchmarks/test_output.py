@@ -11,7 +11,7 @@ from benchmarks.output import command, table
 from tests.paths import ROOT
 
 BENCHMARKS = sorted(
-    {path.stem for path in (ROOT / "benchmarks").glob("*.py")} - {"__init__", "output"}
+    {path.stem for path in (ROOT / "benchmarks").glob("*.py")} - {"__init__", "output", "style"}
     | {path.parent.name for path in (ROOT / "benchmarks").glob("*/__main__.py")}
 )
 

@@ -66,7 +66,7 @@ def test_viscosity_follows_from_the_slowest_direction_and_needs_a_damping_ratio(
     assert both.damping_beta == pytest.approx(stiff.damping_beta * np.sqrt(20.0 / 12.0), rel=1e-9)
     assert both.damping_ratio == stiff.damping_ratio == 0.0
     spun = Body(mass=1.0, inertia=tuple(map(tuple, np.eye(3))))
-    body = Link(length=0.9, body=spun, EIz=12.0, damping_ratio=0.03)
+    body = Link(length=0.9, body=spun, EIz=12.0, modes=(), damping_ratio=0.03)
     rigid = replace(DAMPED, EIz=0.0, EIy=0.0, modes=())
     for link in (replace(DAMPED, damping_ratio=0.0), rigid, body):
         assert viscous(link) is link

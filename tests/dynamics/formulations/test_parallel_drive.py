@@ -274,7 +274,7 @@ def test_it_is_the_serial_arm_in_other_coordinates() -> None:
 
 # ---- refusals ------------------------------------------------------------------------------------
 
-SLAB = Link(length=1.0, rho_A=1.0, EIz=50.0, EIy=50.0, GJ=50.0, rho_Ip=0.1)
+SLAB = Link(length=1.0, rho_A=1.0, EIz=50.0, EIy=50.0, GJ=50.0, rho_Ip=0.1, modes=())
 DRIVEN = replace(SLAB, joint=Joint(parallel=True))
 ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 

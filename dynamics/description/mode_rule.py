@@ -1,0 +1,94 @@
+"""Modes that a link gets by rule (`modes: auto`), and the warning where no modes were stated.
+
+A bending direction with a stiffness gets two modes. Their family suits both ends of the link:
+
+| root                                             | tip                | family           |
+|--------------------------------------------------|--------------------|------------------|
+| turns about the bending axis, on a light joint   | without a body     | pinned-free      |
+| any other                                        | with or without it | clamped-tip-mass |
+| any other                                        | a very heavy body  | poly             |
+
+A light joint has less than LIGHT of the link's inertia: `python -m benchmarks.stability` finds two
+pinned shapes closer than two clamped ones up to there. Torsion gets one mode, if the link or its
+tip body has an inertia about x. Axial stretching gets none, its frequencies are far above those of
+bending.
+"""
+
+from collections.abc import Collection
+
+from dynamics.description.joint import Joint
+from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, shape
+
+AUTO = "auto"
+BENDING = 2  # modes per bending direction
+LIGHT = 0.005  # [-] joint inertia over the link's, up to which pinned shapes suit
+_REMEDY = 'list modes, or write "auto" (shapes by a rule) or [] (a rigid link)'
+
+
+class RigidLinkWarning(UserWarning):
+    """A link with a stiffness is rigid because its description states no modes."""
+
+
+class ModesByRule(tuple[Mode, ...]):
+    """Modes of a link that was described with `modes: auto`."""
+
+
+def modes_by_rule(
+    beam: Beam, joint: Joint, stiffnesses: Collection[str], segments: int
+) -> ModesByRule:
+    """Modes for the directions whose stiffness is among `stiffnesses`, names of Link fields."""
+    modes: list[Mode] = []
+    for direction in "yz":
+        if STIFFNESS[direction] in stiffnesses:
+            pinned = direction == "y" and segments == 1 and _is_pinned(beam, joint)
+            kind = "pinned-free" if pinned else _clamped(beam, direction)
+            modes += [Mode(kind=kind, index=k + 1, direction=direction) for k in range(BENDING)]
+    if STIFFNESS["x"] in stiffnesses and beam.rho_Ip + beam.tip_inertia[0][0] > 0.0:
+        modes.append(Mode(kind="torsion-fixed-free", index=1, direction="x"))
+    return ModesByRule(modes)
+
+
+def stated(modes: object) -> object:
+    """Modes as described; None becomes (), and text other than AUTO raises ValueError."""
+    if modes is None:
+        return ()
+    if isinstance(modes, str) and modes != AUTO:
+        raise ValueError(f"Link.modes must be a list, got {modes[:60]!r}; {_REMEDY}.")
+    return modes
+
+
+def in_words(modes: Collection[Mode], stiffnesses: Collection[str]) -> str:
+    """Modes per direction, and the directions that stay rigid in spite of their stiffness."""
+    parts = []
+    for direction, stiffness in STIFFNESS.items():
+        own = [mode for mode in modes if mode.direction == direction]
+        if own:
+            parts.append(f"{len(own)} {own[0].kind} along {direction}")
+        elif stiffness in stiffnesses:
+            reason = {"x": ", no inertia about x is stated"}.get(direction, "")
+            parts.append(f"none along {direction} ({stiffness} unused{reason})")
+    return ", ".join(parts) or "no stiffness, so none"
+
+
+def rigid_in_silence(name: str, stiffnesses: Collection[str]) -> str:
+    """Sentence of the warning about a link without stated modes."""
+    return (
+        f"{name} has {' and '.join(stiffnesses)} but states no modes, so it is rigid; write "
+        "modes: [] if that is meant, or modes: auto for mode shapes by a rule."
+    )
+
+
+def _is_pinned(beam: Beam, joint: Joint) -> bool:
+    tip = beam.tip_mass > 0.0 or any(map(any, beam.tip_inertia))
+    if joint.type != "revolute" or joint.elastic or joint.parallel or tip:
+        return False
+    own = beam.rho_A * beam.length**3 / 3.0
+    return joint.rotor_inertia + joint.hub_inertia < LIGHT * own
+
+
+def _clamped(beam: Beam, direction: str) -> str:
+    try:
+        shape(Mode(kind="clamped-tip-mass", index=BENDING, direction=direction), beam)
+    except ValueError:  # the tip body is too heavy for these shapes
+        return "poly"
+    return "clamped-tip-mass"

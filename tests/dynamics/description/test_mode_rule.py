@@ -1,0 +1,141 @@
+"""Links whose modes are not listed: rigid with a warning, rigid as stated, or by rule."""
+
+import json
+import logging
+import pickle
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dynamics import ARMS, Arm, Body, Joint, Link, load_arm
+from dynamics.__main__ import main
+from dynamics.description.mode_rule import LIGHT, RigidLinkWarning
+
+BEAM: dict[str, Any] = {"length": 1.0, "rho_A": 0.6, "EIz": 20.0}
+HEAVY_HUB = Joint(rotor_inertia=2.0 * LIGHT * 0.2)  # the beam has 0.2 kg m^2 about the joint
+REMEDIES = r"modes: \[\] .*modes: auto"
+
+
+def kinds(link: Link) -> list[tuple[str, int, str]]:
+    return [(mode.kind, mode.index, mode.direction) for mode in link.modes]
+
+
+def test_an_arm_file_that_states_no_modes_warns_with_the_link_and_both_remedies(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "arm.json").write_text(json.dumps({"links": [{**BEAM, "modes": []}, BEAM]}))
+    with pytest.warns(RigidLinkWarning, match=rf"links\[1\] has EIz .*{REMEDIES}") as caught:
+        arm = load_arm(tmp_path / "arm.json")
+    assert len(caught) == 1
+    assert [link.modes for link in arm.links] == [(), ()]
+
+
+def test_a_link_built_without_modes_warns_at_the_line_that_builds_it() -> None:
+    with pytest.warns(RigidLinkWarning, match=rf"A link of 1 m has EIz .*{REMEDIES}") as caught:
+        link = Link(**BEAM)
+    assert caught[0].filename == __file__
+    assert link.modes == ()
+
+
+def test_a_stated_rigid_link_and_one_without_stiffness_do_not_warn() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stiff = Link(**BEAM, modes=())
+        replace(stiff, length=2.0)
+        Link(length=1.0, rho_A=0.6)
+        Link(length=1.0, body=Body(mass=1.0))
+        assert load_arm({"links": [{**BEAM, "modes": []}]}).links == (stiff,)
+
+
+def test_rigid_links_with_a_stiffness_survive_the_round_trip_without_a_warning() -> None:
+    arm = Arm(links=(Link(**BEAM, modes=()), Link(length=1.0, rho_A=0.6)))
+    plain = arm.to_dict()
+    assert [link.get("modes") for link in plain["links"]] == [[], None]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert load_arm(plain) == arm
+        for preset in ARMS.values():
+            assert load_arm(preset.to_dict()) == preset
+
+
+@pytest.mark.compiles
+def test_evaluating_a_case_without_modes_is_rigid_and_warns_beside_the_result(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outputs = []
+    for name, link in (("silent", BEAM), ("stated", {**BEAM, "modes": []})):
+        path = tmp_path / f"{name}.json"
+        state = {"q": [0.1], "qd": [0.2], "tau": [0.3]}
+        path.write_text(json.dumps({"links": [link], "states": [state]}))
+        assert main(["evaluate", str(path)]) == 0
+        outputs.append(capsys.readouterr())
+    assert outputs[0].out == outputs[1].out
+    assert json.loads(outputs[0].out)["names"] == ["q1"]
+    assert outputs[0].err.startswith("Warning: silent.json: links[0] has EIz")
+    assert outputs[1].err == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "family"),
+    [
+        ({}, "pinned-free"),
+        ({"joint": HEAVY_HUB}, "clamped-tip-mass"),
+        ({"tip_mass": 0.1}, "clamped-tip-mass"),
+        ({"segments": 2}, "clamped-tip-mass"),
+        ({"joint": Joint(type="prismatic")}, "clamped-tip-mass"),
+        ({"joint": Joint(stiffness=10.0, rotor_inertia=1e-6)}, "clamped-tip-mass"),
+        ({"tip_mass": 1e5}, "poly"),
+    ],
+)
+def test_two_modes_of_the_family_that_suits_root_and_tip(
+    changes: dict[str, Any], family: str
+) -> None:
+    link = Link(**{**BEAM, **changes}, modes="auto")  # type: ignore[arg-type]
+    assert kinds(link) == [(family, 1, "y"), (family, 2, "y")]
+
+
+def test_torsion_needs_inertia_and_stretching_gets_no_mode() -> None:
+    stiff = {**BEAM, "EIy": 30.0, "GJ": 5.0, "EA": 1e6, "joint": HEAVY_HUB, "modes": "auto"}
+    bending = [("clamped-tip-mass", k, d) for d in "yz" for k in (1, 2)]
+    assert kinds(Link(**stiff)) == bending
+    assert kinds(Link(**stiff, rho_Ip=1e-3)) == [*bending, ("torsion-fixed-free", 1, "x")]
+
+
+def test_the_choice_is_logged_with_what_stays_rigid(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, "dynamics"):
+        load_arm({"links": [{**BEAM, "GJ": 5.0, "tip_mass": 0.1, "modes": "auto"}]})
+    (record,) = caplog.records
+    assert "2 clamped-tip-mass along y" in record.getMessage()
+    assert "none along x (GJ unused, no inertia about x is stated)" in record.getMessage()
+
+
+def test_an_automatic_arm_survives_the_round_trip_and_follows_changes() -> None:
+    arm = load_arm({"links": [{**BEAM, "modes": "auto"}]})
+    assert arm.automatic
+    assert arm.to_dict()["links"][0]["modes"] == "auto"
+    for copy in (load_arm(arm.to_dict()), pickle.loads(pickle.dumps(arm))):
+        assert copy == arm
+        assert copy.automatic
+    changed = replace(arm.links[0], joint=HEAVY_HUB)
+    assert kinds(changed)[0][0] == "clamped-tip-mass"
+    listed = arm.with_listed_modes()
+    assert listed == arm
+    assert not listed.automatic
+    assert listed.to_dict()["links"][0]["modes"][0]["kind"] == "pinned-free"
+
+
+@pytest.mark.parametrize("value", ["automatic", "rigid", ""])
+def test_other_text_for_modes_is_refused_with_the_remedy(value: str) -> None:
+    sentence = rf'Link\.modes must be a list, got {value!r}; .*"auto" .*\[\]'
+    with pytest.raises(ValueError, match=rf"links\[0\]: {sentence}"):
+        load_arm({"links": [{**BEAM, "modes": value}]})
+    with pytest.raises(ValueError, match=sentence):
+        Link(**BEAM, modes=value)  # type: ignore[arg-type]
+
+
+def test_modes_by_rule_are_refused_beside_a_body() -> None:
+    with pytest.raises(ValueError, match=r"Link\.modes must be \[\] beside Link\.body"):
+        Link(length=1.0, EIz=1.0, body=Body(mass=1.0), modes="auto")  # type: ignore[arg-type]
