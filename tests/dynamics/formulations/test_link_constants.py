@@ -420,7 +420,7 @@ def test_a_straight_lumped_link_keeps_its_inertia() -> None:
 
 
 @pytest.mark.parametrize(
-    "kind, count, sentence",
+    ("kind", "count", "sentence"),
     [("pinned-free", 1, "pinned-free modes, got True"), ("poly", 3, "may hold 2 along 'y', got 3")],
 )
 def test_a_lumped_link_refuses_shapes_that_its_tip_cannot_follow(
