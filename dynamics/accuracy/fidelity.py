@@ -72,6 +72,16 @@ class Fidelity:
         )
         return replace(self, counts=counts)
 
+    def without_highest(self) -> "Fidelity":
+        """One mode less in every link and direction that has most modes."""
+        most = max((n for counts in self.counts for n in counts), default=0)
+        result = self
+        for i, counts in enumerate(self.counts):
+            for d, count in enumerate(counts):
+                if 0 < count == most:
+                    result = result._with_modes(i, d, count - 1)
+        return result
+
     def reductions(self) -> dict[Change, "Fidelity"]:
         """All fidelities with one mode less, or with the segments of one link halved."""
         result = {}

@@ -20,8 +20,9 @@ from dynamics.accuracy.fidelity import (
     everything,
     rigid,
 )
+from dynamics.accuracy.progress import Progress
 from dynamics.accuracy.reference import ModelErrors, largest_distance
-from dynamics.accuracy.rollout import SAMPLES, STRIDES, distance
+from dynamics.accuracy.rollout import SAMPLES, STRIDES
 from dynamics.accuracy.scene import Scene
 from dynamics.description import validate
 from dynamics.description.arm import Arm
@@ -35,7 +36,8 @@ LARGER_BUDGET = 2.0  # ratio of step budgets from which such a refined model is 
 USELESS = 0.05  # gain below which no single change helps, and all modes are raised together
 STEPPING = tuple(name for name, method in INTEGRATORS.items() if method.aid != "jacobian")
 # a Jacobian costs 3 (one link) to 19 (six links) evaluations: never the cheapest method
-STEP_RATIO = 10.0**0.1  # of consecutive trial steps
+STEP_RATIO = 10.0**0.1  # of a step and the smaller one that has to confirm it
+LARGEST_FALL = 0.25  # of a step to the next smaller one that is tried
 MOST_STEPS = 1e6  # per motion
 
 
@@ -89,7 +91,9 @@ class Choice:
         return "\n".join(rows)
 
 
-def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
+def choose_model(
+    arm: ArmSource, scene: Scene, tolerance: float, *, progress: bool | None = None
+) -> Choice:
     """Find the cheapest model, integrator and step with a tip error of at most `tolerance` [m].
 
     Parameters
@@ -99,6 +103,7 @@ def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
         ratio becomes a viscosity, see `damping.viscous`.
     scene : motions on which the tip error is measured, as the largest over time and motions.
     tolerance : [m]
+    progress : True shows a line of progress on standard error; None only on a terminal.
 
     Raises
     ------
@@ -108,10 +113,16 @@ def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
     """
     arm = load_arm(arm)
     validate.instance(scene, "scene", Scene).check(arm)
-    errors = ModelErrors(arm, scene, validate.positive(tolerance, "tolerance", "m"))
+    tolerance = validate.positive(tolerance, "tolerance", "m")
+    with Progress(progress) as line:
+        return _choice(ModelErrors(arm, scene, tolerance, line))
+
+
+def _choice(errors: ModelErrors) -> Choice:
     reference = errors.converge()
     ladder: list[Rung] = []
     sufficient = _cheapest_sufficient(errors, ladder)
+    errors.progress.stage("steps")
     steps = list(_steps(errors, sufficient))
     ladder += [step.rung for step in steps]
     rival = _rival(errors, sufficient)
@@ -123,11 +134,11 @@ def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
     chosen, best = step.model, step.rung
     if best.cost is None:
         raise RuntimeError(
-            f"No step keeps '{chosen}' within {tolerance:.3g} m of the reference; the smallest "
-            f"error is {min(k.rung.error for k in steps):.3g} m. Take a larger tolerance."
+            f"No step keeps '{chosen}' within {errors.tolerance:.3g} m of the reference; the "
+            f"smallest error is {min(k.rung.error for k in steps):.3g} m. Take a larger tolerance."
         )
     return Choice(
-        arm=chosen.arm(arm),
+        arm=chosen.arm(errors.arm),
         integrator=step.integrator,
         dt=step.dt,
         tolerance=errors.tolerance,
@@ -136,7 +147,7 @@ def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
         cost=best.cost,
         reason=_reason(errors, chosen, best),
         reference=reference,
-        scene=scene.name,
+        scene=errors.scene.name,
         ladder=tuple(ladder),
     )
 
@@ -168,28 +179,30 @@ def _kinds(arm: Arm) -> list[list[_Kind]]:
 def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
     """Cheapest model within the model tolerance, of the first kind that has one.
 
-    Kinds and families that fail with all their modes are not refined step by step.
+    Kinds and families that fail with all their modes are not refined step by step. A further family
+    is tried with the modes that suffice in the first one, and fewer.
     """
     start, kinds = rigid(errors.arm), _kinds(errors.arm)
     ladder.append(_rung(errors, start, kinds[0][0].best))
     if errors.error(start) <= errors.model_tolerance:
         return start
     for families in kinds:
-        sufficient = []
+        sufficient: list[Fidelity] = []
         best = families[0].best
         if best is not None and errors.error(best) > errors.model_tolerance:
             ladder.append(_rung(errors, best, best))
             continue
         for kind in families:
-            all_modes = replace(kind.start, counts=kind.most)
-            if best is not None and errors.error(all_modes) > errors.model_tolerance:
-                ladder.append(_rung(errors, all_modes, best))
-                continue
-            path = _refined(errors, kind)
-            if errors.error(path[-1]) <= errors.model_tolerance:
+            if sufficient:  # of another family: as many modes are about as accurate
+                path = [replace(sufficient[0], polynomial=kind.start.polynomial)]
+            elif best is None or _suffices(errors, replace(kind.start, counts=kind.most)):
+                path = _refined(errors, kind)
+            else:
+                path = [replace(kind.start, counts=kind.most)]
+            if _suffices(errors, path[-1]):
                 sufficient.append(_pruned(errors, path[-1]))
                 path += sufficient[-1:] if sufficient[-1] != path[-1] else []
-            ladder += [_rung(errors, f, best) for f in path[1:]]
+            ladder += [_rung(errors, f, best) for f in path if f != kind.start]
         if sufficient:
             return min(sufficient, key=errors.operations)
     last = ladder[-1]
@@ -197,6 +210,10 @@ def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
         f"No model is within {errors.model_tolerance:.3g} m of the reference; the last one tried, "
         f"'{last.description}', has an error of {last.error:.3g} m. Take a larger tolerance."
     )
+
+
+def _suffices(errors: ModelErrors, fidelity: Fidelity) -> bool:
+    return errors.error(fidelity) <= errors.model_tolerance
 
 
 def _refined(errors: ModelErrors, kind: _Kind) -> list[Fidelity]:
@@ -229,13 +246,16 @@ def _gain(errors: ModelErrors, before: Fidelity, after: Fidelity) -> float:
 def _pruned(errors: ModelErrors, fidelity: Fidelity) -> Fidelity:
     """Remove modes and segments that the tolerance does not need, cheapest remainder first.
 
-    A removal that has failed once is not tried again on a smaller model.
+    The highest modes are first removed together. A removal that has failed once is not tried again
+    on a smaller model.
     """
     needed: set[Change] = set()
+    while not fidelity.rigid and _suffices(errors, fidelity.without_highest()):
+        fidelity = fidelity.without_highest()
     while True:
         options = {c: f for c, f in fidelity.reductions().items() if c not in needed}
-        for change in sorted(options, key=lambda c: errors.operations(options[c])):
-            if errors.error(options[change]) <= errors.model_tolerance:
+        for change in sorted(options, key=lambda c: errors.rollout(options[c]).estimate):
+            if _suffices(errors, options[change]):
                 fidelity = options[change]
                 break
             needed.add(change)
@@ -289,43 +309,75 @@ def _rival(errors: ModelErrors, sufficient: Fidelity) -> Fidelity | None:
 
 def _steps(errors: ModelErrors, fidelity: Fidelity, cheapest: float = math.inf) -> Iterator[_Step]:
     """For each integrator the largest step within the budget, unless it exceeds `cheapest`."""
-    model, budget = errors.error(fidelity), errors.step_budget(fidelity)
     for name in STEPPING:
-        method = errors.rollout(fidelity).method(name)
-        work = method.evaluations * method.operations
-        dt, integration = math.inf, math.inf
-        for finer, error in _trials(errors, fidelity, name):
-            if max(integration, error) <= budget:  # the next smaller step confirms this one
-                cheapest = min(cheapest, work / dt)
-                break
-            dt, integration = finer, error
-            if work / dt > cheapest:
-                break
+        dt, integration = _largest_step(errors, fidelity, name, cheapest)
+        fits = integration <= errors.step_budget(fidelity)
+        work = _cost(errors, fidelity, name, dt)
+        cheapest = min(cheapest, work) if fits else cheapest
         rung = Rung(
             description=f"{name}, dt {dt:.4g} s",
-            error=model + integration,
+            error=errors.error(fidelity) + integration,
             integration=integration,
-            operations=method.operations,
-            cost=work / dt if integration <= budget else None,
+            operations=errors.rollout(fidelity).method(name).operations,
+            cost=work if fits else None,
         )
         yield _Step(fidelity, name, dt, rung)
 
 
-def _trials(
-    errors: ModelErrors, fidelity: Fidelity, integrator: str
-) -> Iterator[tuple[float, float]]:
-    """Ever smaller steps [s], each with its integration error [m]."""
-    rollout, motions = errors.rollout(fidelity), errors.scene.motions
+def _largest_step(
+    errors: ModelErrors, fidelity: Fidelity, integrator: str, cheapest: float
+) -> tuple[float, float]:
+    """Largest step [s] within the budget and its integration error [m].
+
+    Steps shrink as the method's order predicts until one fits; a smaller one has to confirm it.
+    The largest fitting step is then bracketed to STEP_RATIO. Without such a step below the cost
+    `cheapest`, the last step that was tried.
+    """
+    budget, rollout = errors.step_budget(fidelity), errors.rollout(fidelity)
+    motions, method = errors.scene.motions, INTEGRATORS[integrator]
+    found: dict[float, float] = {}  # step -> integration error
+
+    def error(dt: float) -> float:
+        if dt not in found:
+            found[dt] = errors.integration(fidelity, integrator, dt)
+        return found[dt]
+
+    def near(dt: float) -> float:
+        return max(rollout.step(motion, dt) for motion in motions)
+
+    def finer(dt: float, ratio: float) -> float:
+        while near(dt * ratio) > (1.0 - 1e-9) * dt:
+            ratio /= STEP_RATIO
+        return near(dt * ratio)
+
     fastest = max(rollout.fastest(motion) for motion in motions)
     shortest = min(motion.t_end for motion in motions)
     dt = shortest / (SAMPLES / STRIDES[0])
     if fastest:
-        dt = min(dt, STABILITY_SHARE * INTEGRATORS[integrator].limit / fastest)
-    while shortest / dt < MOST_STEPS:
-        runs = [rollout.run(motion, integrator, dt) for motion in motions]
-        pairs = zip(runs, errors.tips(fidelity), strict=True)
-        yield max(r.dt for r in runs), max(distance(r.tips, t[:: r.stride]) for r, t in pairs)
-        dt /= STEP_RATIO
+        dt = min(dt, STABILITY_SHARE * method.limit / fastest)
+    dt, bad = near(dt), math.inf
+    while True:
+        while max(error(dt), error(finer(dt, 1.0 / STEP_RATIO))) > budget:
+            if error(dt) <= budget:  # by chance
+                dt = finer(dt, 1.0 / STEP_RATIO)
+            bad = dt
+            if _cost(errors, fidelity, integrator, dt) > cheapest or shortest / dt > MOST_STEPS:
+                return dt, error(dt)
+            fall = (budget / error(dt)) ** (1.0 / method.order)
+            dt = finer(dt, min(max(fall, LARGEST_FALL), 1.0 / STEP_RATIO))
+        between = near(math.sqrt(dt * bad))
+        if bad / dt <= STEP_RATIO**1.5 or between in found:
+            return dt, error(dt)
+        if error(between) <= budget:
+            dt = between
+        else:
+            bad = between
+
+
+def _cost(errors: ModelErrors, fidelity: Fidelity, integrator: str, dt: float) -> float:
+    """Operations per simulated second, largest over the motions."""
+    rollout = errors.rollout(fidelity)
+    return max(rollout.cost(motion, integrator, dt) for motion in errors.scene.motions)
 
 
 def _reason(errors: ModelErrors, chosen: Fidelity, best: Rung) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.accuracy.fidelity import Fidelity, everything, rigid
+from dynamics.accuracy.progress import Progress
 from dynamics.accuracy.rollout import NotConverged, Rollout, distance
 from dynamics.accuracy.scene import Scene
 from dynamics.description.arm import Arm
@@ -24,8 +25,11 @@ REFERENCES = ((2, 3), (4, 3), (8, 3), (16, 2))  # segments per link, modes per d
 class ModelErrors:
     """Tip errors of an arm's models on a scene; each model's motions are computed once."""
 
-    def __init__(self, arm: Arm, scene: Scene, tolerance: float) -> None:
+    def __init__(
+        self, arm: Arm, scene: Scene, tolerance: float, progress: Progress | None = None
+    ) -> None:
         self.arm, self.scene, self.tolerance = arm, scene, tolerance
+        self.progress = progress or Progress(False)
         self.residual = 0.0  # [m] tip displacement by the last refinement of the reference
         self.reference: Tips = []
         self._rollouts: dict[Fidelity, Rollout] = {}
@@ -45,8 +49,10 @@ class ModelErrors:
         """Converged motions of a model; NaN if one diverges."""
         if fidelity not in self._tips:
             found = self._tips[fidelity] = self.tips_of(self.rollout(fidelity))
-            _log.info(
-                "%s: %.2g m from the reference", fidelity, largest_distance(found, self.reference)
+            error = largest_distance(found, self.reference)
+            _log.info("%s: %.2g m from the reference", fidelity, error)
+            self.progress.result(
+                f"{error:.2g} m from the reference, {self.model_tolerance:.2g} m allowed"
             )
         return self._tips[fidelity]
 
@@ -61,6 +67,18 @@ class ModelErrors:
         """[m] distance of a model, with converged integration, from the reference."""
         return largest_distance(self.tips(fidelity), self.reference)
 
+    def integration(self, fidelity: Fidelity, integrator: str, dt: float) -> float:
+        """[m] integration error of a model by steps of about `dt` [s] as in use."""
+        rollout = self.rollout(fidelity)
+        runs = []
+        for motion in self.scene.motions:
+            runs.append(rollout.run(motion, integrator, dt))
+            self.progress.motion()
+        pairs = zip(runs, self.tips(fidelity), strict=True)
+        error = max(distance(run.tips, tips[:: run.stride]) for run, tips in pairs)
+        self.progress.result(f"{integrator}, dt {dt:.3g} s: {error:.2g} m")
+        return error
+
     def step_budget(self, fidelity: Fidelity) -> float:
         """[m] share of the tolerance that a model leaves for its integration error."""
         return self.tolerance - self.residual - self.error(fidelity)
@@ -70,6 +88,7 @@ class ModelErrors:
 
     def converge(self) -> str:
         """Double the reference's segments until its tip settles; return a description of it."""
+        self.progress.stage("reference")
         start = rigid(self.arm, foreshortening=True, polynomial=True)
         start = replace(start, counts=everything(self.arm, 3, 2))
         if start.rigid:
@@ -85,6 +104,9 @@ class ModelErrors:
             tips = self._reference_tips(level)
             change = largest_distance(tips, before)
             _log.info("reference, %s: moved the tip by %.2g m", level, change)
+            self.progress.result(
+                f"moved the tip by {change:.2g} m, {REFERENCE_SHARE * self.tolerance:.2g} m allowed"
+            )
         if change > REFERENCE_SHARE * self.tolerance:
             raise RuntimeError(
                 f"The reference does not converge: with '{level}' the tip still moves by "
@@ -93,6 +115,7 @@ class ModelErrors:
                 "scene."
             )
         self.reference, self.residual = tips, change
+        self.progress.stage("models")
         return f"{level}; its last refinement moved the tip by {change:.2g} m"
 
     def _reference_tips(self, fidelity: Fidelity) -> Tips:
@@ -106,8 +129,11 @@ class ModelErrors:
         return self._tips[fidelity]
 
     def _converged(self, rollout: Rollout) -> Tips:
-        accuracy = INTEGRATION_SHARE * self.tolerance
-        return [rollout.converged(motion, accuracy) for motion in self.scene.motions]
+        accuracy, result = INTEGRATION_SHARE * self.tolerance, []
+        for motion in self.scene.motions:
+            result.append(rollout.converged(motion, accuracy))
+            self.progress.motion()
+        return result
 
 
 def largest_distance(a: Tips, b: Tips) -> float:

@@ -26,6 +26,7 @@ class JointMotion:
     joint_rates: Numbers  # (n_joint,) [rad/s]
     t_end: float  # [s]
     torque: TorqueSignal | None = None  # None: no torque
+    hold: float | None = None  # [s] torque is held, a method starts anew after it; None: each step
 
     def __post_init__(self) -> None:
         angles = validate.numbers(self.joint_angles, "JointMotion.joint_angles", unit="rad")
@@ -38,6 +39,14 @@ class JointMotion:
                 "JointMotion.torque must be a function of time or None, "
                 f"got {validate.shown(self.torque)}."
             )
+        if self.hold is not None:
+            hold = validate.positive(self.hold, "JointMotion.hold", "s")
+            for t in (*self.knots[1:-1], t_end):
+                if abs(t / hold - round(t / hold)) > 1e-6:
+                    raise ValueError(
+                        f"JointMotion.hold ({hold:g} s) must divide the duration and the times at "
+                        f"which the torque jumps, got {t:g} s."
+                    )
         for name, value in (("joint_angles", angles), ("joint_rates", rates), ("t_end", t_end)):
             object.__setattr__(self, name, value)
 

@@ -35,15 +35,14 @@ REFERENCE_MODES, REFERENCE_SEGMENTS = 3, 2  # per direction of bending; per flex
 def scene(arm: Arm, control_dt: float) -> Scene:
     """Motions on which an arm is certified, from its home posture at rest.
 
-    One is bang-bang at full torque, then coasting; the other has random torques that are constant
-    over a control step [s].
+    One is bang-bang at full torque, then coasting; the other has random torques. All torques are
+    constant over a control step [s]: the period is rounded to whole steps.
     """
     found = scales(arm)
     limit = np.array(found.torque_limit)
     period = 2.0 * np.pi / found.free[0] if found.free else RIGID_PERIOD
-    waves = [
-        PiecewiseConstant(times=(0.0, 0.5 * period, period), values=(u, -u, 0.0)) for u in limit
-    ]
+    half = control_dt * max(1, round(0.5 * period / control_dt))
+    waves = [PiecewiseConstant(times=(0.0, half, 2.0 * half), values=(u, -u, 0.0)) for u in limit]
     rng = np.random.default_rng(0)
     shares = rng.uniform(-RANDOM_SHARE, RANDOM_SHARE, (limit.size, RANDOM_STEPS))
     times = tuple((control_dt * np.arange(RANDOM_STEPS)).tolist())
@@ -52,6 +51,7 @@ def scene(arm: Arm, control_dt: float) -> Scene:
         for u, row in zip(limit, shares, strict=True)
     ]
     rest = (0.0,) * arm.n_joint
+    motions = ((waves, 2.0 * PERIODS * half), (steps, control_dt * RANDOM_STEPS))
     return Scene(
         name=f"bang-bang and random torques, held for {control_dt:g} s",
         motions=tuple(
@@ -60,8 +60,9 @@ def scene(arm: Arm, control_dt: float) -> Scene:
                 joint_rates=rest,
                 t_end=t_end,
                 torque=Torque(signals=tuple(signals)),
+                hold=control_dt,
             )
-            for signals, t_end in ((waves, PERIODS * period), (steps, control_dt * RANDOM_STEPS))
+            for signals, t_end in motions
         ),
     )
 
