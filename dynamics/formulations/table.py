@@ -61,7 +61,7 @@ FIXED_BASE_AND_REVOLUTE = {
     }),
     "Link": frozenset({
         "length", "rho_A", "EIz", "EIy", "GJ", "EA", "rho_Ip", "tip_mass", "tip_inertia", "modes",
-        "damping_ratio", "damping_beta", "segments", "joint", "body",
+        "damping_ratio", "damping_beta", "damping_beta_torsion", "segments", "joint", "body",
     }),
 }  # fmt: skip
 
