@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dynamics.accuracy.fidelity import Fidelity, everything
+from dynamics.accuracy.fidelity import DIRECTIONS, Fidelity, everything
 from dynamics.accuracy.progress import Progress
 from dynamics.accuracy.reference import ModelErrors, largest_distance
 from dynamics.accuracy.rollout import Rollout
@@ -104,8 +104,8 @@ def _certificate(errors: ModelErrors, integrator: str, dt: float) -> Certificate
 def fidelity_of(arm: Arm) -> Fidelity:
     """Fidelity of an arm as described, in the terms of `choose_model`."""
     counts = tuple(
-        (len(link.in_direction("y")), len(link.in_direction("z")), len(link.in_direction("x")))
-        for link in arm.links
+        tuple(len(link.in_direction(d)) for d in DIRECTIONS[: len(possible)])
+        for link, possible in zip(arm.links, everything(arm, 1, 1), strict=True)
     )
     segments = tuple(link.segments for link in arm.links)
     return Fidelity(counts=counts, segments=segments, foreshortening=arm.foreshortening)

@@ -17,6 +17,7 @@ from dynamics.accuracy.fidelity import (
     Change,
     Counts,
     Fidelity,
+    divisible,
     everything,
     rigid,
 )
@@ -158,22 +159,28 @@ class _Kind:
 
     start: Fidelity
     most: tuple[Counts, ...]  # modes
-    most_segments: int = 1
+    most_segments: tuple[int, ...]
     best: Fidelity | None = None  # all modes; None for segments, which converge to the reference
 
 
 def _kinds(arm: Arm) -> list[list[_Kind]]:
     """Kinds in order of cost, each with its families of shapes, whose costs have to be measured."""
     few, most = everything(arm, 3, 2), everything(arm, MOST_MODES, 2)
+    few = tuple(f if d else m for f, m, d in zip(few, most, divisible(arm), strict=True))
+    whole, cut = (1,) * arm.n_joint, _most_segments(arm)
     result = []
     for foreshortening, modes in ((False, (5, 3)), (True, (4, 2))):
         start = rigid(arm, foreshortening, polynomial=True)
         best = replace(start, counts=everything(arm, *modes))
         families = {f.arm(arm): f for f in (best, replace(best, polynomial=False))}.values()
         result.append(
-            [_Kind(replace(start, polynomial=f.polynomial), most, best=best) for f in families]
+            [_Kind(replace(start, polynomial=f.polynomial), most, whole, best) for f in families]
         )
-    return [*result, [_Kind(rigid(arm, True, polynomial=True), few, MOST_SEGMENTS)]]
+    return [*result, [_Kind(rigid(arm, True, polynomial=True), few, cut)]]
+
+
+def _most_segments(arm: Arm) -> tuple[int, ...]:
+    return tuple(MOST_SEGMENTS if cut else 1 for cut in divisible(arm))
 
 
 def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
@@ -300,7 +307,8 @@ def _rival(errors: ModelErrors, sufficient: Fidelity) -> Fidelity | None:
     budget = errors.step_budget(sufficient)
     if budget > SMALL_BUDGET * errors.tolerance:
         return None
-    segments = MOST_SEGMENTS if max(sufficient.segments) > 1 else 1
+    segmented = max(sufficient.segments) > 1
+    segments = _most_segments(errors.arm) if segmented else sufficient.segments
     most = everything(errors.arm, MOST_MODES, 2)
     options = sufficient.refinements(most, segments).values()
     rivals = [f for f in options if errors.step_budget(f) > LARGER_BUDGET * budget]

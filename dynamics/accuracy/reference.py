@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.accuracy.fidelity import Fidelity, everything, rigid
+from dynamics.accuracy.fidelity import Fidelity, divisible, everything, rigid
 from dynamics.accuracy.progress import Progress
 from dynamics.accuracy.rollout import NotConverged, Rollout, distance
 from dynamics.accuracy.scene import Scene
 from dynamics.description.arm import Arm
+from dynamics.simulation.validity import LARGEST_DEFLECTION
 
 _log = logging.getLogger(__name__)
 Tips = list[NDArray[np.float64]]  # (N, 3) [m] per motion
@@ -87,7 +88,11 @@ class ModelErrors:
         return self.rollout(fidelity).operations
 
     def converge(self) -> str:
-        """Double the reference's segments until its tip settles; return a description of it."""
+        """Refine the reference until its tip settles; return a description of it.
+
+        The segments of links are doubled; a link before a parallel drive, which has none, gets one
+        more mode.
+        """
         self.progress.stage("reference")
         start = rigid(self.arm, foreshortening=True, polynomial=True)
         start = replace(start, counts=everything(self.arm, 3, 2))
@@ -95,11 +100,17 @@ class ModelErrors:
             start = rigid(self.arm)
         level, tips = start, self._reference_tips(start)
         change = 0.0 if start.rigid else math.inf
-        for segments, modes in REFERENCES:
+        for finer, (segments, modes) in enumerate(REFERENCES, 1):
             if change <= REFERENCE_SHARE * self.tolerance:
                 break
-            cut = tuple(segments if any(counts) else 1 for counts in start.counts)
-            counts, before = everything(self.arm, modes, 2), tips
+            cuts = divisible(self.arm)
+            cut = tuple(
+                segments if any(counts) and cut else 1
+                for counts, cut in zip(start.counts, cuts, strict=True)
+            )
+            few, many = everything(self.arm, modes, 2), everything(self.arm, 3 + finer, 2 + finer)
+            counts = tuple(a if cut else b for a, b, cut in zip(few, many, cuts, strict=True))
+            before = tips
             level = replace(start, counts=counts, segments=cut)
             tips = self._reference_tips(level)
             change = largest_distance(tips, before)
@@ -114,9 +125,24 @@ class ModelErrors:
                 f"{REFERENCE_SHARE * self.tolerance:.3g} m. Take a larger tolerance or a shorter "
                 "scene."
             )
+        self._check_undivided(level)
         self.reference, self.residual = tips, change
         self.progress.stage("models")
         return f"{level}; its last refinement moved the tip by {change:.2g} m"
+
+    def _check_undivided(self, level: Fidelity) -> None:
+        """Refuse large deflections of a link that the reference cannot cut into segments."""
+        for i, cut in enumerate(divisible(self.arm)):
+            if cut or not any(level.counts[i]):
+                continue
+            bent = max(self.rollout(level).deflection(m, i) for m in self.scene.motions)
+            if bent > LARGEST_DEFLECTION:
+                raise RuntimeError(
+                    f"No reference for link {i + 1}: it bends by {bent:.0%} of its length, and "
+                    f"Joint.parallel of link {i + 2} (True) forbids segments, without which "
+                    f"{LARGEST_DEFLECTION:.0%} are allowed. Take smaller torques, or set "
+                    "Joint.parallel to False."
+                )
 
     def _reference_tips(self, fidelity: Fidelity) -> Tips:
         try:

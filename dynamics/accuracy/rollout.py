@@ -128,6 +128,24 @@ class Rollout:
         the torque jumps; if `used`, also as often as in use, see `JointMotion.hold`. After a motion
         diverges, its tip is NaN.
         """
+        states = self._states(motion, integrator, dt, stride, used)
+        tips = np.full((len(_pieces(motion, stride)) + 1, 3), np.nan)
+        tips[: len(states)] = np.array(self._tip.map(len(states))(self._positions(states))).T
+        return tips
+
+    def deflection(self, motion: JointMotion, link: int) -> float:
+        """[-] largest tip deflection of a link in one piece over its length."""
+        states = self._states(motion, "midpoint", motion.t_end / (8 * SAMPLES), 1, False)
+        parts = self.model.chain.split(list(np.array(states)[:, : self.model.n].T))
+        place = self.model.bodies[link]
+        body, (_, delta) = self.model.chain.links[place][-1], parts[place][-1]
+        shift = np.transpose(body.tip_phi[: len(body.K)]) @ np.array(delta)
+        return float(np.linalg.norm(shift, axis=0).max()) / body.length
+
+    def _states(
+        self, motion: JointMotion, integrator: str, dt: float, stride: int, used: bool
+    ) -> list[Array]:
+        """States at every `stride`-th sample up to the first that is not finite."""
         method = self.method(integrator)
         pieces = _pieces(motion, stride)
         steps = max(1, int(np.ceil(max(width for _, width in pieces) / dt - 1e-9)))
@@ -150,9 +168,7 @@ class Rollout:
             states.append(x)
             if not np.all(np.isfinite(x)):
                 break
-        tips = np.full((len(pieces) + 1, 3), np.nan)
-        tips[: len(states)] = np.array(self._tip.map(len(states))(self._positions(states))).T
-        return tips
+        return states
 
     def step(self, motion: JointMotion, dt: float) -> float:
         """[s] step nearest to `dt` that `run` takes."""

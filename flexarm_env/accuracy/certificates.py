@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dynamics import cache
-from dynamics.accuracy.fidelity import everything, rigid
+from dynamics.accuracy.fidelity import divisible, everything, rigid
 from dynamics.accuracy.model_choice import choose_model
 from dynamics.accuracy.scene import JointMotion, Scene
 from dynamics.backends.numba_llvm.fingerprint import fingerprint, hash_of_files, sources
@@ -127,7 +127,10 @@ def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> 
         return Fitted(rigid(arm).arm(arm))
     if fidelity == "reference":
         counts = everything(arm, REFERENCE_MODES, 2)
-        cut = tuple(REFERENCE_SEGMENTS if any(count) else 1 for count in counts)
+        cut = tuple(
+            REFERENCE_SEGMENTS if any(count) and whole else 1
+            for count, whole in zip(counts, divisible(arm), strict=True)
+        )
         fine = replace(rigid(arm, foreshortening=True, polynomial=True), counts=counts)
         return Fitted(replace(fine, segments=cut).arm(arm), "midpoint")  # stiff and damped
     return Fitted(arm)
