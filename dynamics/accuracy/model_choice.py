@@ -9,8 +9,8 @@ shapes. The ladder lists all measured models and steps.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
+from dynamics.accuracy.choice import Choice, Rung, metres
 from dynamics.accuracy.fidelity import (
     MOST_MODES,
     MOST_SEGMENTS,
@@ -40,56 +40,6 @@ STEPPING = tuple(name for name, method in INTEGRATORS.items() if method.aid != "
 STEP_RATIO = 10.0**0.1  # of a step and the smaller one that has to confirm it
 LARGEST_FALL = 0.25  # of a step to the next smaller one that is tried
 MOST_STEPS = 1e6  # per motion
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rung:
-    """One measured model or step; errors are the largest distance of the tip [m]."""
-
-    description: str
-    error: float  # from the reference, a step's integration error added; infinite if diverged
-    truncation: float | None = None  # from the model of the same kind with all modes
-    nonlinear: float | None = None  # of the model of the same kind with all modes
-    integration: float | None = None  # of this step alone
-    operations: int  # per evaluation of the accelerations
-    cost: float | None = None  # operations per simulated second
-
-
-@dataclass(frozen=True, kw_only=True)
-class Choice:
-    """Model, integrator and step that `choose_model` found, with all measured alternatives."""
-
-    arm: Arm
-    integrator: str
-    dt: float  # [s]
-    tolerance: float  # [m]
-    error: float  # [m] model error plus integration error
-    residual: float  # [m] tip displacement by the last refinement of the reference
-    cost: float  # operations per simulated second
-    reason: str
-    reference: str
-    scene: str
-    ladder: tuple[Rung, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Fields as JSON lists, numbers and text; an infinite error becomes "diverged"."""
-        values = {**vars(self), "arm": self.arm.to_dict()}
-        values["ladder"] = [
-            {k: "diverged" if v == math.inf else v for k, v in vars(rung).items()}
-            for rung in self.ladder
-        ]
-        return values
-
-    def table(self) -> str:
-        """The ladder as a Markdown table."""
-        head = "| model | error [m] | modes | nonlinear | integration | operations | per second |"
-        rows = [head, "|---|---|---|---|---|---|---|"]
-        for rung in self.ladder:
-            errors = (rung.error, rung.truncation, rung.nonlinear, rung.integration)
-            cells = [rung.description, *map(_metres, errors), str(rung.operations)]
-            cells.append("" if rung.cost is None else f"{rung.cost:.3g}")
-            rows.append(f"| {' | '.join(cells)} |")
-        return "\n".join(rows)
 
 
 def choose_model(
@@ -390,16 +340,10 @@ def _cost(errors: ModelErrors, fidelity: Fidelity, integrator: str, dt: float) -
 
 def _reason(errors: ModelErrors, chosen: Fidelity, best: Rung) -> str:
     simpler = [errors.error(f) for f in chosen.reductions().values()]
-    less = f"; the next simpler model errs by {_metres(min(simpler))} m" if simpler else ""
+    less = f"; the next simpler model errs by {metres(min(simpler))} m" if simpler else ""
     if simpler and min(simpler) <= errors.model_tolerance:
         less += ", and its shorter steps cost more"
     return (
         f"{str(chosen).capitalize()} with {best.description} keeps the tip within "
-        f"{_metres(best.error)} m of the reference, {errors.tolerance:.3g} m are allowed{less}."
+        f"{metres(best.error)} m of the reference, {errors.tolerance:.3g} m are allowed{less}."
     )
-
-
-def _metres(value: float | None) -> str:
-    if value is None:
-        return ""
-    return "diverged" if value == math.inf else f"{value:.2g}"
