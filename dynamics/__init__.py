@@ -18,7 +18,8 @@ from dynamics.description.mode_shapes import Mode
 from dynamics.load import load_arm
 
 if TYPE_CHECKING:
-    from dynamics.accuracy.model_choice import Choice, choose_model
+    from dynamics.accuracy.choice import Choice
+    from dynamics.accuracy.model_choice import choose_model
     from dynamics.accuracy.scene import JointMotion, Scene
     from dynamics.model import Model, compile_arm
     from dynamics.simulation.simulate import Diverged, simulate
@@ -37,7 +38,7 @@ _LATE = {  # these import numba: only when asked for
     "Stepper": "simulation.stepper", "Trajectory": "simulation.trajectory",
     "Diverged": "simulation.simulate", "simulate": "simulation.simulate",
     "ValidityWarning": "simulation.validity", "limits": "simulation.validity",
-    "Choice": "accuracy.model_choice", "choose_model": "accuracy.model_choice",
+    "Choice": "accuracy.choice", "choose_model": "accuracy.model_choice",
     "JointMotion": "accuracy.scene", "Scene": "accuracy.scene",
 }  # fmt: skip
 

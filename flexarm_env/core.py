@@ -66,7 +66,7 @@ class Core:
     Attributes
     ----------
     certificate : measured errors of model and step, see `dynamics.accuracy.certificate`; None where
-        this arm and step were never certified.
+        none holds; `uncertified` then says why, and the remedy.
     q, v : (N, n) coordinates and rates, writable views.
     dt : [s] integration step.
     rate_scale : [rad/s] peak joint rate of a bang-bang move by `scales.MOVE` at full torque.
@@ -125,6 +125,7 @@ class Core:
         self.integrator, self.substeps = plant.integrator, plant.substeps
         self.control_dt, self.dt = plant.control_dt, plant.dt
         self.torque_limit, self.certificate = plant.torque_limit, plant.certificate
+        self.uncertified = plant.uncertified
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
         sensed = tuple(self.torque_limit.tolist()) if self.actuation else ()
         self.layout = observation_layout(

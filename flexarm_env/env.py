@@ -32,6 +32,7 @@ class CoreAttributes:
     n_joint = property(lambda self: self.core.arm.n_joint)
     reach = property(lambda self: self.core.arm.reach)
     certificate = property(lambda self: self.core.certificate)
+    uncertified = property(lambda self: self.core.uncertified)
     observation_slices = property(lambda self: self.core.layout.slices)
     observation_scales = property(lambda self: self.core.layout.scales)
 

@@ -31,7 +31,8 @@ class Plant:
     control_dt: float  # [s]
     integrator: str
     substeps: int  # integration steps per control step
-    certificate: dict[str, Any] | None  # None: this arm and step were never certified
+    certificate: dict[str, Any] | None
+    uncertified: str | None  # sentence that says why there is no certificate, and the remedy
 
     @property
     def dt(self) -> float:
@@ -70,6 +71,13 @@ def plan(
     described = mounted(described, actuators)
     if actuators:
         refuse_beside_actuators(torque_limit=torque_limit, tolerance=tolerance)
+    if randomized and tolerance is not None:
+        raise ValueError(
+            f"tolerance ({validate.shown(tolerance)} m) covers the arm as described, not "
+            f"parameters drawn by randomize, got {sorted(randomized)}. Leave out one of the two, "
+            "or choose with dynamics.choose_model for the arm at the ends of the ranges, and pass the "
+            "richest choice as arm, integrator and substeps."
+        )
     control_dt = arguments.within("control_dt", control_dt, *arguments.CONTROL_DT, "s")
     if described.base.n:
         raise ValueError(
@@ -100,6 +108,7 @@ def plan(
         certificate = fitted.certificate
     else:
         certificate = find(fitted.arm, control_dt, name, count)
+    uncertified = _uncertified(certificate is not None, bool(actuators), randomized)
     return Plant(
         arm=fitted.arm,
         scales=scales(fitted.arm),
@@ -109,8 +118,31 @@ def plan(
         control_dt=control_dt,
         integrator=name,
         substeps=count,
-        certificate=None if actuation else certificate,
+        certificate=None if uncertified else certificate,
+        uncertified=uncertified,
     )
+
+
+def _uncertified(measured: bool, actuated: bool, randomized: Collection[str]) -> str | None:
+    """Sentence that says why no certificate holds for an environment; None if one does."""
+    remedy = "with dynamics.accuracy.certificate.certify"
+    if actuated:
+        return (
+            "No certificate holds beside actuator: errors were measured for ideal torque sources; "
+            f"measure a scene with the torques that the actuators deliver, {remedy}."
+        )
+    if randomized:
+        return (
+            f"No certificate holds for parameters drawn by randomize ({sorted(randomized)}): "
+            "errors were measured for the arm as described; measure the arm at both ends of "
+            f"each range, {remedy}."
+        )
+    if not measured:
+        return (
+            "No certificate holds: errors of this arm, control_dt, integrator and substeps were "
+            f"never measured; measure them {remedy}, or give a tolerance."
+        )
+    return None
 
 
 def _step(

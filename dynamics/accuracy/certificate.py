@@ -3,7 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dynamics.accuracy.fidelity import Fidelity, everything
+from dynamics.accuracy.fidelity import DIRECTIONS, Fidelity, everything
+from dynamics.accuracy.progress import Progress
 from dynamics.accuracy.reference import ModelErrors, largest_distance
 from dynamics.accuracy.rollout import Rollout
 from dynamics.accuracy.scene import Scene
@@ -40,7 +41,13 @@ class Certificate:
 
 
 def certify(
-    arm: ArmSource, scene: Scene, integrator: str, dt: float, accuracy: float
+    arm: ArmSource,
+    scene: Scene,
+    integrator: str,
+    dt: float,
+    accuracy: float,
+    *,
+    progress: bool | None = None,
 ) -> Certificate:
     """Measure the errors of a model on a scene's motions.
 
@@ -50,6 +57,7 @@ def certify(
     integrator, dt : a method of INTEGRATORS and its step [s].
     accuracy : [m] residual allowed in the reference; a fifth of it is allowed as integration
         error in every converged motion.
+    progress : True shows a line of progress on standard error; None only on a terminal.
 
     Raises
     ------
@@ -60,13 +68,18 @@ def certify(
     validate.instance(scene, "scene", Scene).check(arm)
     validate.known(integrator, "integrator", INTEGRATORS)
     validate.positive(dt, "dt", "s")
-    errors = ModelErrors(arm, scene, 10.0 * validate.positive(accuracy, "accuracy", "m"))
-    reference = errors.converge()
+    accuracy = validate.positive(accuracy, "accuracy", "m")
+    with Progress(progress) as line:
+        return _certificate(ModelErrors(arm, scene, 10.0 * accuracy, line), integrator, dt)
+
+
+def _certificate(errors: ModelErrors, integrator: str, dt: float) -> Certificate:
+    reference, arm, scene = errors.converge(), errors.arm, errors.scene
     own = fidelity_of(arm)
     rich = replace(own, counts=everything(arm, 5, 3), polynomial=True)
     rollout = Rollout(arm)
     tips = errors.tips_of(rollout)
-    method = rollout.method(integrator)
+    errors.progress.stage("steps")
     runs = [rollout.run(motion, integrator, dt) for motion in scene.motions]
     samples = [slice(None, None, run.stride) for run in runs]
     stepped = [run.tips for run in runs]
@@ -82,7 +95,7 @@ def certify(
         nonlinear=errors.error(rich),
         residual=errors.residual,
         reach=arm.reach,
-        cost=method.evaluations * method.operations / dt,
+        cost=max(rollout.cost(motion, integrator, dt) for motion in scene.motions),
         reference=reference,
         scene=scene.name,
     )
@@ -91,8 +104,8 @@ def certify(
 def fidelity_of(arm: Arm) -> Fidelity:
     """Fidelity of an arm as described, in the terms of `choose_model`."""
     counts = tuple(
-        (len(link.in_direction("y")), len(link.in_direction("z")), len(link.in_direction("x")))
-        for link in arm.links
+        tuple(len(link.in_direction(d)) for d in DIRECTIONS[: len(possible)])
+        for link, possible in zip(arm.links, everything(arm, 1, 1), strict=True)
     )
     segments = tuple(link.segments for link in arm.links)
     return Fidelity(counts=counts, segments=segments, foreshortening=arm.foreshortening)

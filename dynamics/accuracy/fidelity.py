@@ -11,13 +11,14 @@ from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
 from dynamics.formulations.damping import viscous_links, yields
 
-DIRECTIONS = ("y", "z", "x")  # bending, bending, torsion
+DIRECTIONS = ("y", "z", "x", "axial")  # bending, bending, torsion, stretching
 MOST_MODES = 4  # per link and direction, in models that `choose_model` tries
 MOST_SEGMENTS = 8
-_NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass"}
-_POLYNOMIAL = {"x": "torsion-poly", "y": "hierarchical", "z": "hierarchical"}
+_NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass",
+            "axial": "axial-fixed-free"}  # fmt: skip
+_POLYNOMIAL = {"x": "torsion-poly", "y": "hierarchical", "z": "hierarchical", "axial": "axial-poly"}
 
-Counts = tuple[int, int, int]  # modes along y, z, x
+Counts = tuple[int, ...]  # modes along y, z, x, and axial ones where the arm's own modes have some
 Change = tuple[int, str]  # link, direction or "segments"
 
 
@@ -46,47 +47,58 @@ class Fidelity:
         return replace(arm, links=links, foreshortening=self.foreshortening)
 
     def _modes(self, link: Link, counts: Counts) -> Iterator[Mode]:
-        for direction, count in zip(DIRECTIONS, counts, strict=True):
+        for direction, count in zip(DIRECTIONS, counts, strict=False):
             own = link.in_direction(direction)
             kind = own[0].kind if own else _NATURAL[direction]
             kind = _POLYNOMIAL[direction] if self.polynomial else kind
             for index in range(1, count + 1):
                 yield Mode(kind=kind, index=index, direction=direction)
 
-    def refinements(self, most: tuple[Counts, ...], most_segments: int) -> dict[Change, "Fidelity"]:
+    def refinements(
+        self, most: tuple[Counts, ...], most_segments: tuple[int, ...]
+    ) -> dict[Change, "Fidelity"]:
         """All fidelities with one more mode, or with the segments of one link doubled."""
         result = {}
         for i, counts in enumerate(self.counts):
-            for d, name in enumerate(DIRECTIONS):
-                if counts[d] < most[i][d]:
-                    result[i, name] = self._with_modes(i, d, counts[d] + 1)
-            if any(counts) and 2 * self.segments[i] <= most_segments:
+            for d, count in enumerate(counts):
+                if count < most[i][d]:
+                    result[i, DIRECTIONS[d]] = self._with_modes(i, d, count + 1)
+            if any(counts) and 2 * self.segments[i] <= most_segments[i]:
                 result[i, "segments"] = self._with_segments(i, 2 * self.segments[i])
         return result
 
     def one_mode_more(self, most: tuple[Counts, ...]) -> "Fidelity":
         """One more mode in every link and direction at once, up to `most`."""
         counts = tuple(
-            (min(y + 1, a), min(z + 1, b), min(x + 1, c))
-            for (y, z, x), (a, b, c) in zip(self.counts, most, strict=True)
+            tuple(min(count + 1, limit) for count, limit in zip(*link, strict=True))
+            for link in zip(self.counts, most, strict=True)
         )
         return replace(self, counts=counts)
+
+    def without_highest(self) -> "Fidelity":
+        """One mode less in every link and direction that has most modes."""
+        most = max((n for counts in self.counts for n in counts), default=0)
+        result = self
+        for i, counts in enumerate(self.counts):
+            for d, count in enumerate(counts):
+                if 0 < count == most:
+                    result = result._with_modes(i, d, count - 1)
+        return result
 
     def reductions(self) -> dict[Change, "Fidelity"]:
         """All fidelities with one mode less, or with the segments of one link halved."""
         result = {}
         for i, counts in enumerate(self.counts):
-            for d, name in enumerate(DIRECTIONS):
-                if counts[d]:
-                    result[i, name] = self._with_modes(i, d, counts[d] - 1)
+            for d, count in enumerate(counts):
+                if count:
+                    result[i, DIRECTIONS[d]] = self._with_modes(i, d, count - 1)
             if self.segments[i] > 1:
                 result[i, "segments"] = self._with_segments(i, self.segments[i] // 2)
         return result
 
     def _with_modes(self, link: int, direction: int, count: int) -> "Fidelity":
-        row = list(self.counts[link])
-        row[direction] = count
-        counts = (*self.counts[:link], (row[0], row[1], row[2]), *self.counts[link + 1 :])
+        row = (*self.counts[link][:direction], count, *self.counts[link][direction + 1 :])
+        counts = (*self.counts[:link], row, *self.counts[link + 1 :])
         segments = self.segments if any(row) else _replaced(self.segments, link, 1)
         return replace(self, counts=counts, segments=segments)
 
@@ -106,10 +118,9 @@ class Fidelity:
 
 def rigid(arm: Arm, foreshortening: bool = False, polynomial: bool = False) -> Fidelity:
     """Fidelity without modes."""
-    n = arm.n_joint
     return Fidelity(
-        counts=((0, 0, 0),) * n,
-        segments=(1,) * n,
+        counts=everything(arm, 0, 0),
+        segments=(1,) * arm.n_joint,
         foreshortening=foreshortening,
         polynomial=polynomial,
     )
@@ -118,24 +129,35 @@ def rigid(arm: Arm, foreshortening: bool = False, polynomial: bool = False) -> F
 def everything(arm: Arm, bending: int, torsion: int) -> tuple[Counts, ...]:
     """Mode counts per link: `bending` and `torsion`, in the directions with a stiffness.
 
-    Torsion also needs an inertia to twist. A link without rho_Ip gets one torsion mode at most.
+    Torsion also needs an inertia to twist. A link without rho_Ip gets one torsion mode at most. A
+    link whose own modes stretch it gets as many axial modes as torsion modes; others are too stiff
+    along their axis for stretching to move the tip. A link before a parallel drive bends along y.
     """
     return tuple(_possible(arm, i, bending, torsion) for i in range(arm.n_joint))
 
 
 def _possible(arm: Arm, i: int, bending: int, torsion: int) -> Counts:
     link = arm.links[i]
-    y, z, x = (yields(link, d) for d in DIRECTIONS)
+    y, z, x = (yields(link, d) for d in "yzx")
     payload = arm.payload.inertia[0][0] if arm.payload else 0.0
     inertia = link.rho_Ip + link.tip_inertia[0][0] + payload
     twists = x and (i < arm.n_joint - 1 or inertia > 0.0)
-    return bending * y, bending * z, (torsion if link.rho_Ip else min(torsion, 1)) * twists
+    stretches = (torsion,) if link.in_direction("axial") else ()
+    if not divisible(arm)[i]:
+        return bending * y, 0, 0, *stretches
+    twisting = (torsion if link.rho_Ip else min(torsion, 1)) * twists
+    return bending * y, bending * z, twisting, *stretches
+
+
+def divisible(arm: Arm) -> tuple[bool, ...]:
+    """Per link, whether it may be cut into segments: not before a parallel drive."""
+    return tuple(not link.joint.parallel for link in (*arm.links[1:], Link(length=1.0, rho_A=1.0)))
 
 
 def _link_text(counts: Counts, segments: int) -> str:
     if not any(counts):
         return "rigid"
-    modes = " + ".join(f"{n} {d}" for n, d in zip(counts, DIRECTIONS, strict=True) if n)
+    modes = " + ".join(f"{n} {d}" for n, d in zip(counts, DIRECTIONS, strict=False) if n)
     return f"{segments} x ({modes})" if segments > 1 else modes
 
 

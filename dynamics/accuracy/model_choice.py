@@ -9,19 +9,21 @@ shapes. The ladder lists all measured models and steps.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
+from dynamics.accuracy.choice import Choice, Rung, metres
 from dynamics.accuracy.fidelity import (
     MOST_MODES,
     MOST_SEGMENTS,
     Change,
     Counts,
     Fidelity,
+    divisible,
     everything,
     rigid,
 )
+from dynamics.accuracy.progress import Progress
 from dynamics.accuracy.reference import ModelErrors, largest_distance
-from dynamics.accuracy.rollout import SAMPLES, STRIDES, distance
+from dynamics.accuracy.rollout import SAMPLES, STRIDES
 from dynamics.accuracy.scene import Scene
 from dynamics.description import validate
 from dynamics.description.arm import Arm
@@ -35,61 +37,14 @@ LARGER_BUDGET = 2.0  # ratio of step budgets from which such a refined model is 
 USELESS = 0.05  # gain below which no single change helps, and all modes are raised together
 STEPPING = tuple(name for name, method in INTEGRATORS.items() if method.aid != "jacobian")
 # a Jacobian costs 3 (one link) to 19 (six links) evaluations: never the cheapest method
-STEP_RATIO = 10.0**0.1  # of consecutive trial steps
+STEP_RATIO = 10.0**0.1  # of a step and the smaller one that has to confirm it
+LARGEST_FALL = 0.25  # of a step to the next smaller one that is tried
 MOST_STEPS = 1e6  # per motion
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rung:
-    """One measured model or step; errors are the largest distance of the tip [m]."""
-
-    description: str
-    error: float  # from the reference, a step's integration error added; infinite if diverged
-    truncation: float | None = None  # from the model of the same kind with all modes
-    nonlinear: float | None = None  # of the model of the same kind with all modes
-    integration: float | None = None  # of this step alone
-    operations: int  # per evaluation of the accelerations
-    cost: float | None = None  # operations per simulated second
-
-
-@dataclass(frozen=True, kw_only=True)
-class Choice:
-    """Model, integrator and step that `choose_model` found, with all measured alternatives."""
-
-    arm: Arm
-    integrator: str
-    dt: float  # [s]
-    tolerance: float  # [m]
-    error: float  # [m] model error plus integration error
-    residual: float  # [m] tip displacement by the last refinement of the reference
-    cost: float  # operations per simulated second
-    reason: str
-    reference: str
-    scene: str
-    ladder: tuple[Rung, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Fields as JSON lists, numbers and text; an infinite error becomes "diverged"."""
-        values = {**vars(self), "arm": self.arm.to_dict()}
-        values["ladder"] = [
-            {k: "diverged" if v == math.inf else v for k, v in vars(rung).items()}
-            for rung in self.ladder
-        ]
-        return values
-
-    def table(self) -> str:
-        """The ladder as a Markdown table."""
-        head = "| model | error [m] | modes | nonlinear | integration | operations | per second |"
-        rows = [head, "|---|---|---|---|---|---|---|"]
-        for rung in self.ladder:
-            errors = (rung.error, rung.truncation, rung.nonlinear, rung.integration)
-            cells = [rung.description, *map(_metres, errors), str(rung.operations)]
-            cells.append("" if rung.cost is None else f"{rung.cost:.3g}")
-            rows.append(f"| {' | '.join(cells)} |")
-        return "\n".join(rows)
-
-
-def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
+def choose_model(
+    arm: ArmSource, scene: Scene, tolerance: float, *, progress: bool | None = None
+) -> Choice:
     """Find the cheapest model, integrator and step with a tip error of at most `tolerance` [m].
 
     Parameters
@@ -99,6 +54,7 @@ def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
         ratio becomes a viscosity, see `damping.viscous`.
     scene : motions on which the tip error is measured, as the largest over time and motions.
     tolerance : [m]
+    progress : True shows a line of progress on standard error; None only on a terminal.
 
     Raises
     ------
@@ -108,10 +64,16 @@ def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
     """
     arm = load_arm(arm)
     validate.instance(scene, "scene", Scene).check(arm)
-    errors = ModelErrors(arm, scene, validate.positive(tolerance, "tolerance", "m"))
+    tolerance = validate.positive(tolerance, "tolerance", "m")
+    with Progress(progress) as line:
+        return _choice(ModelErrors(arm, scene, tolerance, line))
+
+
+def _choice(errors: ModelErrors) -> Choice:
     reference = errors.converge()
     ladder: list[Rung] = []
     sufficient = _cheapest_sufficient(errors, ladder)
+    errors.progress.stage("steps")
     steps = list(_steps(errors, sufficient))
     ladder += [step.rung for step in steps]
     rival = _rival(errors, sufficient)
@@ -123,11 +85,11 @@ def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
     chosen, best = step.model, step.rung
     if best.cost is None:
         raise RuntimeError(
-            f"No step keeps '{chosen}' within {tolerance:.3g} m of the reference; the smallest "
-            f"error is {min(k.rung.error for k in steps):.3g} m. Take a larger tolerance."
+            f"No step keeps '{chosen}' within {errors.tolerance:.3g} m of the reference; the "
+            f"smallest error is {min(k.rung.error for k in steps):.3g} m. Take a larger tolerance."
         )
     return Choice(
-        arm=chosen.arm(arm),
+        arm=chosen.arm(errors.arm),
         integrator=step.integrator,
         dt=step.dt,
         tolerance=errors.tolerance,
@@ -136,7 +98,7 @@ def choose_model(arm: ArmSource, scene: Scene, tolerance: float) -> Choice:
         cost=best.cost,
         reason=_reason(errors, chosen, best),
         reference=reference,
-        scene=scene.name,
+        scene=errors.scene.name,
         ladder=tuple(ladder),
     )
 
@@ -147,49 +109,57 @@ class _Kind:
 
     start: Fidelity
     most: tuple[Counts, ...]  # modes
-    most_segments: int = 1
+    most_segments: tuple[int, ...]
     best: Fidelity | None = None  # all modes; None for segments, which converge to the reference
 
 
 def _kinds(arm: Arm) -> list[list[_Kind]]:
     """Kinds in order of cost, each with its families of shapes, whose costs have to be measured."""
     few, most = everything(arm, 3, 2), everything(arm, MOST_MODES, 2)
+    few = tuple(f if d else m for f, m, d in zip(few, most, divisible(arm), strict=True))
+    whole, cut = (1,) * arm.n_joint, _most_segments(arm)
     result = []
     for foreshortening, modes in ((False, (5, 3)), (True, (4, 2))):
         start = rigid(arm, foreshortening, polynomial=True)
         best = replace(start, counts=everything(arm, *modes))
         families = {f.arm(arm): f for f in (best, replace(best, polynomial=False))}.values()
         result.append(
-            [_Kind(replace(start, polynomial=f.polynomial), most, best=best) for f in families]
+            [_Kind(replace(start, polynomial=f.polynomial), most, whole, best) for f in families]
         )
-    return [*result, [_Kind(rigid(arm, True, polynomial=True), few, MOST_SEGMENTS)]]
+    return [*result, [_Kind(rigid(arm, True, polynomial=True), few, cut)]]
+
+
+def _most_segments(arm: Arm) -> tuple[int, ...]:
+    return tuple(MOST_SEGMENTS if cut else 1 for cut in divisible(arm))
 
 
 def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
     """Cheapest model within the model tolerance, of the first kind that has one.
 
-    Kinds and families that fail with all their modes are not refined step by step.
+    Kinds and families that fail with all their modes are not refined step by step. A further family
+    is tried with the modes that suffice in the first one, and fewer.
     """
     start, kinds = rigid(errors.arm), _kinds(errors.arm)
     ladder.append(_rung(errors, start, kinds[0][0].best))
     if errors.error(start) <= errors.model_tolerance:
         return start
     for families in kinds:
-        sufficient = []
+        sufficient: list[Fidelity] = []
         best = families[0].best
         if best is not None and errors.error(best) > errors.model_tolerance:
             ladder.append(_rung(errors, best, best))
             continue
         for kind in families:
-            all_modes = replace(kind.start, counts=kind.most)
-            if best is not None and errors.error(all_modes) > errors.model_tolerance:
-                ladder.append(_rung(errors, all_modes, best))
-                continue
-            path = _refined(errors, kind)
-            if errors.error(path[-1]) <= errors.model_tolerance:
+            if sufficient:  # of another family: as many modes are about as accurate
+                path = [replace(sufficient[0], polynomial=kind.start.polynomial)]
+            elif best is None or _suffices(errors, replace(kind.start, counts=kind.most)):
+                path = _refined(errors, kind)
+            else:
+                path = [replace(kind.start, counts=kind.most)]
+            if _suffices(errors, path[-1]):
                 sufficient.append(_pruned(errors, path[-1]))
                 path += sufficient[-1:] if sufficient[-1] != path[-1] else []
-            ladder += [_rung(errors, f, best) for f in path[1:]]
+            ladder += [_rung(errors, f, best) for f in path if f != kind.start]
         if sufficient:
             return min(sufficient, key=errors.operations)
     last = ladder[-1]
@@ -197,6 +167,10 @@ def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
         f"No model is within {errors.model_tolerance:.3g} m of the reference; the last one tried, "
         f"'{last.description}', has an error of {last.error:.3g} m. Take a larger tolerance."
     )
+
+
+def _suffices(errors: ModelErrors, fidelity: Fidelity) -> bool:
+    return errors.error(fidelity) <= errors.model_tolerance
 
 
 def _refined(errors: ModelErrors, kind: _Kind) -> list[Fidelity]:
@@ -229,13 +203,16 @@ def _gain(errors: ModelErrors, before: Fidelity, after: Fidelity) -> float:
 def _pruned(errors: ModelErrors, fidelity: Fidelity) -> Fidelity:
     """Remove modes and segments that the tolerance does not need, cheapest remainder first.
 
-    A removal that has failed once is not tried again on a smaller model.
+    The highest modes are first removed together. A removal that has failed once is not tried again
+    on a smaller model.
     """
     needed: set[Change] = set()
+    while not fidelity.rigid and _suffices(errors, fidelity.without_highest()):
+        fidelity = fidelity.without_highest()
     while True:
         options = {c: f for c, f in fidelity.reductions().items() if c not in needed}
-        for change in sorted(options, key=lambda c: errors.operations(options[c])):
-            if errors.error(options[change]) <= errors.model_tolerance:
+        for change in sorted(options, key=lambda c: errors.rollout(options[c]).estimate):
+            if _suffices(errors, options[change]):
                 fidelity = options[change]
                 break
             needed.add(change)
@@ -280,7 +257,8 @@ def _rival(errors: ModelErrors, sufficient: Fidelity) -> Fidelity | None:
     budget = errors.step_budget(sufficient)
     if budget > SMALL_BUDGET * errors.tolerance:
         return None
-    segments = MOST_SEGMENTS if max(sufficient.segments) > 1 else 1
+    segmented = max(sufficient.segments) > 1
+    segments = _most_segments(errors.arm) if segmented else sufficient.segments
     most = everything(errors.arm, MOST_MODES, 2)
     options = sufficient.refinements(most, segments).values()
     rivals = [f for f in options if errors.step_budget(f) > LARGER_BUDGET * budget]
@@ -289,57 +267,83 @@ def _rival(errors: ModelErrors, sufficient: Fidelity) -> Fidelity | None:
 
 def _steps(errors: ModelErrors, fidelity: Fidelity, cheapest: float = math.inf) -> Iterator[_Step]:
     """For each integrator the largest step within the budget, unless it exceeds `cheapest`."""
-    model, budget = errors.error(fidelity), errors.step_budget(fidelity)
     for name in STEPPING:
-        method = errors.rollout(fidelity).method(name)
-        work = method.evaluations * method.operations
-        dt, integration = math.inf, math.inf
-        for finer, error in _trials(errors, fidelity, name):
-            if max(integration, error) <= budget:  # the next smaller step confirms this one
-                cheapest = min(cheapest, work / dt)
-                break
-            dt, integration = finer, error
-            if work / dt > cheapest:
-                break
+        dt, integration = _largest_step(errors, fidelity, name, cheapest)
+        fits = integration <= errors.step_budget(fidelity)
+        work = _cost(errors, fidelity, name, dt)
+        cheapest = min(cheapest, work) if fits else cheapest
         rung = Rung(
             description=f"{name}, dt {dt:.4g} s",
-            error=model + integration,
+            error=errors.error(fidelity) + integration,
             integration=integration,
-            operations=method.operations,
-            cost=work / dt if integration <= budget else None,
+            operations=errors.rollout(fidelity).method(name).operations,
+            cost=work if fits else None,
         )
         yield _Step(fidelity, name, dt, rung)
 
 
-def _trials(
-    errors: ModelErrors, fidelity: Fidelity, integrator: str
-) -> Iterator[tuple[float, float]]:
-    """Ever smaller steps [s], each with its integration error [m]."""
-    rollout, motions = errors.rollout(fidelity), errors.scene.motions
+def _largest_step(
+    errors: ModelErrors, fidelity: Fidelity, integrator: str, cheapest: float
+) -> tuple[float, float]:
+    """Largest step [s] within the budget and its integration error [m].
+
+    Steps shrink as the method's order predicts until one fits; a smaller one has to confirm it.
+    The largest fitting step is then bracketed to STEP_RATIO. Without such a step below the cost
+    `cheapest`, the last step that was tried.
+    """
+    budget, rollout = errors.step_budget(fidelity), errors.rollout(fidelity)
+    motions, method = errors.scene.motions, INTEGRATORS[integrator]
+    found: dict[float, float] = {}  # step -> integration error
+
+    def error(dt: float) -> float:
+        if dt not in found:
+            found[dt] = errors.integration(fidelity, integrator, dt)
+        return found[dt]
+
+    def near(dt: float) -> float:
+        return max(rollout.step(motion, dt) for motion in motions)
+
+    def finer(dt: float, ratio: float) -> float:
+        while near(dt * ratio) > (1.0 - 1e-9) * dt:
+            ratio /= STEP_RATIO
+        return near(dt * ratio)
+
     fastest = max(rollout.fastest(motion) for motion in motions)
     shortest = min(motion.t_end for motion in motions)
     dt = shortest / (SAMPLES / STRIDES[0])
     if fastest:
-        dt = min(dt, STABILITY_SHARE * INTEGRATORS[integrator].limit / fastest)
-    while shortest / dt < MOST_STEPS:
-        runs = [rollout.run(motion, integrator, dt) for motion in motions]
-        pairs = zip(runs, errors.tips(fidelity), strict=True)
-        yield max(r.dt for r in runs), max(distance(r.tips, t[:: r.stride]) for r, t in pairs)
-        dt /= STEP_RATIO
+        dt = min(dt, STABILITY_SHARE * method.limit / fastest)
+    dt, bad = near(dt), math.inf
+    while True:
+        while max(error(dt), error(finer(dt, 1.0 / STEP_RATIO))) > budget:
+            if error(dt) <= budget:  # by chance
+                dt = finer(dt, 1.0 / STEP_RATIO)
+            bad = dt
+            if _cost(errors, fidelity, integrator, dt) > cheapest or shortest / dt > MOST_STEPS:
+                return dt, error(dt)
+            fall = (budget / error(dt)) ** (1.0 / method.order)
+            dt = finer(dt, min(max(fall, LARGEST_FALL), 1.0 / STEP_RATIO))
+        between = near(math.sqrt(dt * bad))
+        if bad / dt <= STEP_RATIO**1.5 or between in found:
+            return dt, error(dt)
+        if error(between) <= budget:
+            dt = between
+        else:
+            bad = between
+
+
+def _cost(errors: ModelErrors, fidelity: Fidelity, integrator: str, dt: float) -> float:
+    """Operations per simulated second, largest over the motions."""
+    rollout = errors.rollout(fidelity)
+    return max(rollout.cost(motion, integrator, dt) for motion in errors.scene.motions)
 
 
 def _reason(errors: ModelErrors, chosen: Fidelity, best: Rung) -> str:
     simpler = [errors.error(f) for f in chosen.reductions().values()]
-    less = f"; the next simpler model errs by {_metres(min(simpler))} m" if simpler else ""
+    less = f"; the next simpler model errs by {metres(min(simpler))} m" if simpler else ""
     if simpler and min(simpler) <= errors.model_tolerance:
         less += ", and its shorter steps cost more"
     return (
         f"{str(chosen).capitalize()} with {best.description} keeps the tip within "
-        f"{_metres(best.error)} m of the reference, {errors.tolerance:.3g} m are allowed{less}."
+        f"{metres(best.error)} m of the reference, {errors.tolerance:.3g} m are allowed{less}."
     )
-
-
-def _metres(value: float | None) -> str:
-    if value is None:
-        return ""
-    return "diverged" if value == math.inf else f"{value:.2g}"

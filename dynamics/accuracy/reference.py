@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.accuracy.fidelity import Fidelity, everything, rigid
+from dynamics.accuracy.fidelity import Fidelity, divisible, everything, rigid
+from dynamics.accuracy.progress import Progress
 from dynamics.accuracy.rollout import NotConverged, Rollout, distance
 from dynamics.accuracy.scene import Scene
 from dynamics.description.arm import Arm
+from dynamics.simulation.validity import LARGEST_DEFLECTION
 
 _log = logging.getLogger(__name__)
 Tips = list[NDArray[np.float64]]  # (N, 3) [m] per motion
@@ -24,8 +26,11 @@ REFERENCES = ((2, 3), (4, 3), (8, 3), (16, 2))  # segments per link, modes per d
 class ModelErrors:
     """Tip errors of an arm's models on a scene; each model's motions are computed once."""
 
-    def __init__(self, arm: Arm, scene: Scene, tolerance: float) -> None:
+    def __init__(
+        self, arm: Arm, scene: Scene, tolerance: float, progress: Progress | None = None
+    ) -> None:
         self.arm, self.scene, self.tolerance = arm, scene, tolerance
+        self.progress = progress or Progress(False)
         self.residual = 0.0  # [m] tip displacement by the last refinement of the reference
         self.reference: Tips = []
         self._rollouts: dict[Fidelity, Rollout] = {}
@@ -45,8 +50,10 @@ class ModelErrors:
         """Converged motions of a model; NaN if one diverges."""
         if fidelity not in self._tips:
             found = self._tips[fidelity] = self.tips_of(self.rollout(fidelity))
-            _log.info(
-                "%s: %.2g m from the reference", fidelity, largest_distance(found, self.reference)
+            error = largest_distance(found, self.reference)
+            _log.info("%s: %.2g m from the reference", fidelity, error)
+            self.progress.result(
+                f"{error:.2g} m from the reference, {self.model_tolerance:.2g} m allowed"
             )
         return self._tips[fidelity]
 
@@ -61,6 +68,18 @@ class ModelErrors:
         """[m] distance of a model, with converged integration, from the reference."""
         return largest_distance(self.tips(fidelity), self.reference)
 
+    def integration(self, fidelity: Fidelity, integrator: str, dt: float) -> float:
+        """[m] integration error of a model by steps of about `dt` [s] as in use."""
+        rollout = self.rollout(fidelity)
+        runs = []
+        for motion in self.scene.motions:
+            runs.append(rollout.run(motion, integrator, dt))
+            self.progress.motion()
+        pairs = zip(runs, self.tips(fidelity), strict=True)
+        error = max(distance(run.tips, tips[:: run.stride]) for run, tips in pairs)
+        self.progress.result(f"{integrator}, dt {dt:.3g} s: {error:.2g} m")
+        return error
+
     def step_budget(self, fidelity: Fidelity) -> float:
         """[m] share of the tolerance that a model leaves for its integration error."""
         return self.tolerance - self.residual - self.error(fidelity)
@@ -69,22 +88,36 @@ class ModelErrors:
         return self.rollout(fidelity).operations
 
     def converge(self) -> str:
-        """Double the reference's segments until its tip settles; return a description of it."""
+        """Refine the reference until its tip settles; return a description of it.
+
+        The segments of links are doubled; a link before a parallel drive, which has none, gets one
+        more mode.
+        """
+        self.progress.stage("reference")
         start = rigid(self.arm, foreshortening=True, polynomial=True)
         start = replace(start, counts=everything(self.arm, 3, 2))
         if start.rigid:
             start = rigid(self.arm)
         level, tips = start, self._reference_tips(start)
         change = 0.0 if start.rigid else math.inf
-        for segments, modes in REFERENCES:
+        for finer, (segments, modes) in enumerate(REFERENCES, 1):
             if change <= REFERENCE_SHARE * self.tolerance:
                 break
-            cut = tuple(segments if any(counts) else 1 for counts in start.counts)
-            counts, before = everything(self.arm, modes, 2), tips
+            cuts = divisible(self.arm)
+            cut = tuple(
+                segments if any(counts) and cut else 1
+                for counts, cut in zip(start.counts, cuts, strict=True)
+            )
+            few, many = everything(self.arm, modes, 2), everything(self.arm, 3 + finer, 2 + finer)
+            counts = tuple(a if cut else b for a, b, cut in zip(few, many, cuts, strict=True))
+            before = tips
             level = replace(start, counts=counts, segments=cut)
             tips = self._reference_tips(level)
             change = largest_distance(tips, before)
             _log.info("reference, %s: moved the tip by %.2g m", level, change)
+            self.progress.result(
+                f"moved the tip by {change:.2g} m, {REFERENCE_SHARE * self.tolerance:.2g} m allowed"
+            )
         if change > REFERENCE_SHARE * self.tolerance:
             raise RuntimeError(
                 f"The reference does not converge: with '{level}' the tip still moves by "
@@ -92,8 +125,24 @@ class ModelErrors:
                 f"{REFERENCE_SHARE * self.tolerance:.3g} m. Take a larger tolerance or a shorter "
                 "scene."
             )
+        self._check_undivided(level)
         self.reference, self.residual = tips, change
+        self.progress.stage("models")
         return f"{level}; its last refinement moved the tip by {change:.2g} m"
+
+    def _check_undivided(self, level: Fidelity) -> None:
+        """Refuse large deflections of a link that the reference cannot cut into segments."""
+        for i, cut in enumerate(divisible(self.arm)):
+            if cut or not any(level.counts[i]):
+                continue
+            bent = max(self.rollout(level).deflection(m, i) for m in self.scene.motions)
+            if bent > LARGEST_DEFLECTION:
+                raise RuntimeError(
+                    f"No reference for link {i + 1}: it bends by {bent:.0%} of its length, and "
+                    f"Joint.parallel of link {i + 2} (True) forbids segments, without which "
+                    f"{LARGEST_DEFLECTION:.0%} are allowed. Take smaller torques, or set "
+                    "Joint.parallel to False."
+                )
 
     def _reference_tips(self, fidelity: Fidelity) -> Tips:
         try:
@@ -106,8 +155,11 @@ class ModelErrors:
         return self._tips[fidelity]
 
     def _converged(self, rollout: Rollout) -> Tips:
-        accuracy = INTEGRATION_SHARE * self.tolerance
-        return [rollout.converged(motion, accuracy) for motion in self.scene.motions]
+        accuracy, result = INTEGRATION_SHARE * self.tolerance, []
+        for motion in self.scene.motions:
+            result.append(rollout.converged(motion, accuracy))
+            self.progress.motion()
+        return result
 
 
 def largest_distance(a: Tips, b: Tips) -> float:

@@ -5,7 +5,9 @@ graph of one step. CasADi evaluates that graph step after step. Preparing a mode
 of a second, so many models can be compared.
 """
 
+import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -15,11 +17,11 @@ import numpy as np
 
 from dynamics.accuracy.scene import JointMotion
 from dynamics.description.arm import Arm
-from dynamics.formulations.articulated_body import Implicit, accelerations
+from dynamics.formulations.free_base import SIZE, local, renewed, world
 from dynamics.formulations.kinematics import outward, poses
 from dynamics.formulations.linearized import aid
 from dynamics.integrators.slots import Slots
-from dynamics.integrators.table import INTEGRATORS
+from dynamics.integrators.table import INTEGRATORS, Integrator
 from dynamics.model import Model
 from dynamics.simulation import step_limits
 from dynamics.tracing import graphs
@@ -29,6 +31,9 @@ from dynamics.types import Array
 SAMPLES = 256  # least number of tip positions at which motions are compared
 STRIDES = (8, 4, 2, 1)  # distances between compared samples; large steps take a large stride
 EXPLICIT_WORK = 1e8  # [operations] (under a second) above which an implicit method starts
+AGREE = 3.0  # difference of two results over the error of the finer one, with order two
+ESTIMATE = 80.0  # [operations] of a link without modes in an estimate of the work
+TRAVELS = 100  # [of the reach] farthest tip of an arm that slides or is on a free base
 EARLY = 3  # samples: a tip that leaves the reach within them does so because of the step
 MOST_WORK = 5e9  # [operations] after which a motion is given up
 
@@ -44,10 +49,30 @@ class TracedMethod:
     A state is the part of the workspace that outlives a step: q and v come first.
     """
 
+    method: Integrator
     start: Any  # (state, torque, step) -> state
-    step: Any
-    evaluations: float  # operations of a step over operations of one evaluation
-    operations: int  # per evaluation of the accelerations
+    step: Any  # the same
+    graph: Any  # of one evaluation
+    own: Any  # (step, ...) -> state after a start, state after a step, without the evaluations
+
+    @cached_property
+    def both(self) -> Any:
+        """Function (state, torque, step) -> state of a start and a step."""
+        import casadi as ca
+
+        x, tau, h = (ca.MX.sym(name, self.step.size1_in(k)) for k, name in enumerate("xth"))
+        return ca.Function("both", [x, tau, h], [self.step(self.start(x, tau, h), tau, h)])
+
+    @cached_property
+    def operations(self) -> int:
+        """Operations per evaluation of the accelerations."""
+        return sum(operations(self.graph).values())
+
+    def work(self, steps: int) -> float:
+        """Operations of a start and of `steps` steps; constants of the step are made before."""
+        start, step = (sum(operations(own, offline=1).values()) for own in self.own)
+        evaluations = self.method.evaluations(steps)
+        return evaluations * self.operations + start + steps * step
 
 
 @dataclass(frozen=True)
@@ -69,13 +94,24 @@ class Rollout:
     @cached_property
     def operations(self) -> int:
         """Operations per explicit evaluation of the accelerations."""
-        return self.method("rk4").operations
+        return sum(operations(graphs.accelerations(self.model.traced)).values())
+
+    @cached_property
+    def estimate(self) -> float:
+        """Estimate of `operations` without a trace; too large for planar arms."""
+        return sum(ESTIMATE * (1 + len(link.K)) ** 2 for link in self.model.chain.links)
 
     def fastest(self, motion: JointMotion) -> float:
         """[rad/s] bound on the eigenvalues of the arm at rest at the start of a motion."""
-        q = np.zeros(self.model.n)
-        q[list(self.arm.joint_index)] = motion.joint_angles
-        return step_limits.fastest(self.model, q)
+        return step_limits.fastest(self.model, self._start(motion)[0])
+
+    def _start(self, motion: JointMotion) -> tuple[Array, Array]:
+        """(n,) coordinates and rates: links straight, a free base as `Base` describes it."""
+        base, joints = self.arm.base, list(self.arm.joint_index)
+        q, v = np.zeros(self.model.n), np.zeros(self.model.n)
+        q[: base.n], v[: base.n] = base.q, base.v
+        q[joints], v[joints] = motion.joint_angles, motion.joint_rates
+        return q, v
 
     def method(self, integrator: str) -> TracedMethod:
         """CasADi functions of one integrator."""
@@ -83,46 +119,78 @@ class Rollout:
             self._methods[integrator] = _trace(self.model, integrator)
         return self._methods[integrator]
 
-    def tips(self, motion: JointMotion, integrator: str, dt: float, stride: int = 1) -> Array:
+    def tips(
+        self, motion: JointMotion, integrator: str, dt: float, stride: int = 1, used: bool = False
+    ) -> Array:
         """(N, 3) [m] tip at every `stride`-th sample, by equal steps of at most `dt`.
 
-        Each step takes the torque at its midpoint, as `simulate` does. After a motion diverges,
-        its tip is NaN.
+        Each step takes the torque at its midpoint, as `simulate` does. The method starts anew where
+        the torque jumps; if `used`, also as often as in use, see `JointMotion.hold`. After a motion
+        diverges, its tip is NaN.
         """
+        states = self._states(motion, integrator, dt, stride, used)
+        tips = np.full((len(_pieces(motion, stride)) + 1, 3), np.nan)
+        tips[: len(states)] = np.array(self._tip.map(len(states))(self._positions(states))).T
+        return tips
+
+    def deflection(self, motion: JointMotion, link: int) -> float:
+        """[-] largest tip deflection of a link in one piece over its length."""
+        states = self._states(motion, "midpoint", motion.t_end / (8 * SAMPLES), 1, False)
+        parts = self.model.chain.split(list(np.array(states)[:, : self.model.n].T))
+        place = self.model.bodies[link]
+        body, (_, delta) = self.model.chain.links[place][-1], parts[place][-1]
+        shift = np.transpose(body.tip_phi[: len(body.K)]) @ np.array(delta)
+        return float(np.linalg.norm(shift, axis=0).max()) / body.length
+
+    def _states(
+        self, motion: JointMotion, integrator: str, dt: float, stride: int, used: bool
+    ) -> list[Array]:
+        """States at every `stride`-th sample up to the first that is not finite."""
         method = self.method(integrator)
         pieces = _pieces(motion, stride)
         steps = max(1, int(np.ceil(max(width for _, width in pieces) / dt - 1e-9)))
-        roll = method.step.mapaccum("roll", steps)
-        n, joints = self.model.n, list(self.arm.joint_index)
+        roll = (method.both if used and motion.hold is None else method.step).mapaccum(steps)
         x = np.zeros(method.start.size1_in(0))
-        x[joints], x[[n + j for j in joints]] = motion.joint_angles, motion.joint_rates
-        states, jumps = [x], motion.knots[:-1]
-        for begin, width in pieces:
+        q, v = self._start(motion)
+        x[: q.size], x[q.size : 2 * q.size] = q, v
+        if self.arm.base.n:
+            x[-4:] = self.arm.base.quaternion
+            for six in (x[:SIZE], x[q.size : q.size + SIZE]):  # into the base's own frame
+                six[:3] = local(six[:3].tolist(), self.arm.base.quaternion)
+            x[3:SIZE] = 0.0
+        states, starts = [x], _starts(motion, pieces, used)
+        for (begin, width), starting in zip(pieces, starts, strict=True):
             h = width / steps
             tau = self._torque(motion, [begin + h * (k + 0.5) for k in range(steps)])
-            if begin in jumps:
+            if starting:
                 x = method.start(x, tau[:, 0], h)
             x = np.array(roll(x, tau, np.full((1, steps), h))[:, -1]).ravel()
             states.append(x)
             if not np.all(np.isfinite(x)):
                 break
-        tips = np.full((len(pieces) + 1, 3), np.nan)
-        tips[: len(states)] = np.array(self._tip.map(len(states))(np.array(states)[:, :n].T)).T
-        return tips
+        return states
+
+    def step(self, motion: JointMotion, dt: float) -> float:
+        """[s] step nearest to `dt` that `run` takes."""
+        _, steps, width = _strides(motion, dt)
+        return width / steps
 
     def run(self, motion: JointMotion, integrator: str, dt: float) -> Run:
-        """Tip by steps of about `dt`, which may be longer than the time between samples."""
-        for stride in reversed(STRIDES):
-            width = max(width for _, width in _pieces(motion, stride))
-            if width >= 4.0 * dt:
-                break
-        steps = max(1, round(width / dt))
-        return Run(self.tips(motion, integrator, width / steps, stride), stride, width / steps)
+        """Tip by steps of about `dt` as in use; steps may be longer than between samples."""
+        stride, steps, width = _strides(motion, dt)
+        tips = self.tips(motion, integrator, width / steps, stride, used=True)
+        return Run(tips, stride, width / steps)
+
+    def cost(self, motion: JointMotion, integrator: str, dt: float) -> float:
+        """Operations per simulated second by steps of `dt` [s] as in use."""
+        hold = motion.hold or dt
+        return self.method(integrator).work(max(1, round(hold / dt))) / hold
 
     def converged(self, motion: JointMotion, accuracy: float) -> Array:
         """(N, 3) [m] tip at all samples, with an integration error of at most `accuracy`.
 
-        Steps are halved until two results agree; these are extrapolated to zero step.
+        Steps are halved until two results agree; these are extrapolated to zero step. The finer
+        result of the lowest order, two, errs by a third of their difference.
 
         Raises
         ------
@@ -130,7 +198,7 @@ class Rollout:
         """
         fastest, method = self.fastest(motion), "rk4"
         dt = min(2.0 / fastest if fastest else np.inf, motion.t_end / (2 * SAMPLES))
-        work = 4.0 * self.operations * motion.t_end
+        work = 4.0 * self.estimate * motion.t_end
         if work / dt > EXPLICIT_WORK:
             method, dt = "midpoint", motion.t_end / (8 * SAMPLES)
             work /= 4.0
@@ -146,19 +214,21 @@ class Rollout:
                 raise NotConverged(
                     f"The motion leaves the reach ({self.arm.reach:.6g} m): diverged."
                 )
-            if distance(fine, coarse) <= accuracy:
+            if distance(fine, coarse) <= AGREE * accuracy:
                 return fine + (fine - coarse) / gain
             if work / dt > MOST_WORK:
                 break
             coarse = fine
         raise NotConverged(
             f"Steps of {dt:.3g} s still move the tip by {distance(fine, coarse):.3g} m, more than "
-            f"{accuracy:.3g} m; the motion is too long, too stiff or chaotic."
+            f"{AGREE * accuracy:.3g} m; the motion is too long, too stiff or chaotic."
         )
 
     def _exit(self, tips: Array) -> int:
-        """Index of the first sample beyond twice the reach or NaN, else the number of samples."""
-        far = ~(np.abs(tips).max(axis=1) <= 2.0 * self.arm.reach)
+        """Index of the first sample that is too far or NaN, else the number of samples."""
+        moves = self.arm.base.n or any(x.joint.type == "prismatic" for x in self.arm.links)
+        farthest = math.hypot(*self.arm.base.position) + (TRAVELS if moves else 2) * self.arm.reach
+        far = ~(np.abs(tips).max(axis=1) <= farthest)
         return int(np.argmax(far)) if far.any() else len(tips)
 
     def _torque(self, motion: JointMotion, times: list[float]) -> Array:
@@ -166,13 +236,21 @@ class Rollout:
             return np.zeros((self.model.n_joint, len(times)))
         return np.array([motion.torque(t) for t in times], dtype=np.float64).T
 
+    def _positions(self, states: list[Array]) -> Array:
+        """(n, N) coordinates of states, or (n + 4, N) with the attitude of a free base."""
+        rows, n = np.array(states), self.model.n
+        return np.hstack([rows[:, :n], rows[:, -4:]]).T if self.arm.base.n else rows[:, :n].T
+
     @cached_property
     def _tip(self) -> Any:
         import casadi as ca
 
-        q = ca.SX.sym("q", self.model.n)
-        frames = outward(self.model.chain, ca.vertsplit(q), [0.0] * self.model.n)
-        return ca.Function("tip", [q], [ca.cse(ca.vertcat(*poses(frames)[-1].tip))])
+        n = self.model.n
+        x = ca.SX.sym("x", n + 4 * (self.arm.base.n > 0))
+        q, attitude = ca.vertsplit(x)[:n], ca.vertsplit(x)[n:]
+        frames = outward(self.model.chain, q, [0.0] * n)
+        tip = world(poses(frames)[-1].tip, attitude)
+        return ca.Function("tip", [x], [ca.cse(ca.vertcat(*tip))])
 
 
 def distance(a: Array, b: Array) -> float:
@@ -186,10 +264,43 @@ def _pieces(motion: JointMotion, stride: int) -> list[tuple[float, float]]:
     """Start and width [s] of every interval between samples; torque jumps lie on starts."""
     result = []
     for begin, end in pairwise(motion.knots):
-        count = STRIDES[0] * int(np.ceil(SAMPLES / STRIDES[0] * (end - begin) / motion.t_end))
+        if motion.hold is None:
+            count = STRIDES[0] * int(np.ceil(SAMPLES / STRIDES[0] * (end - begin) / motion.t_end))
+        else:
+            count = _in_hold(motion) * round((end - begin) / motion.hold)
         width = (end - begin) / count * stride
         result += [(begin + k * width, width) for k in range(count // stride)]
     return result
+
+
+def _in_hold(motion: JointMotion) -> int:
+    """Samples per time for which a torque is held: a power of two."""
+    assert motion.hold is not None
+    return 1 << max(0, int(np.ceil(np.log2(SAMPLES * motion.hold / motion.t_end))))
+
+
+def _starts(motion: JointMotion, pieces: list[tuple[float, float]], used: bool) -> list[bool]:
+    """True for each interval between samples at whose beginning a method starts."""
+    if not used:
+        jumps = motion.knots[:-1]
+        return [begin in jumps for begin, _ in pieces]
+    if motion.hold is None:
+        return [False] * len(pieces)  # a start is part of each step
+    every = max(1, round(motion.hold / pieces[0][1]))
+    return [k % every == 0 for k in range(len(pieces))]
+
+
+def _strides(motion: JointMotion, dt: float) -> tuple[int, int, float]:
+    """Stride, steps per interval between the samples that it leaves, and this interval [s]."""
+    if motion.hold is not None:  # steps divide the hold; compare where steps and samples meet
+        steps, samples = max(1, round(motion.hold / dt)), _in_hold(motion)
+        common = math.gcd(steps, samples)
+        return samples // common, steps // common, motion.hold / common
+    for stride in reversed(STRIDES):
+        width = max(width for _, width in _pieces(motion, stride))
+        if width >= 4.0 * dt:
+            break
+    return stride, max(1, round(width / dt)), width
 
 
 def _trace(model: Model, integrator: str) -> TracedMethod:
@@ -200,21 +311,24 @@ def _trace(model: Model, integrator: str) -> TracedMethod:
     Q, V, A, W, SCRATCH = 0, n, 2 * n, 3 * n, 6 * n
     places = Slots(n, Q, V, A, W, SCRATCH)
     keep = SCRATCH + method.kept(n)
-    x = ca.vertsplit(ca.SX.sym("x", keep))  # the part of the workspace that steps keep
+    graph = graphs.accelerations(model.traced, method.implicit)
+    x = ca.SX.sym("x", keep)  # the part of the workspace that steps keep
     tau, h = ca.SX.sym("tau", model.n_joint), ca.SX.sym("h")
-    weights = Implicit(*(x[W + k * n : W + (k + 1) * n] for k in range(3)))
-    implicit = weights if method.implicit else None
-    result = accelerations(model.chain, x[Q:V], x[V:A], ca.vertsplit(tau), implicit)
-    inputs = [ca.vertcat(*part) for part in (x[Q:V], x[V:A], x[W:SCRATCH])]
-    graph = ca.Function("accelerations", [*inputs, tau], [ca.cse(ca.vertcat(*result))])
+
+    attitude = ca.vertsplit(ca.SX.sym("attitude", 4)) if model.arm.base.n else []
+
+    def parameters() -> Any:
+        gravity = local(model.arm.gravity, attitude) if model.traced.n_gravity else ()
+        return ca.vertcat(*gravity)
 
     def evaluate(w: Any) -> None:
-        values = [ca.vertcat(*part) for part in (w[Q:V], w[V:A], w[W:SCRATCH])]
-        w[A:W] = ca.vertsplit(graph(*values, tau))
+        implicit = ca.vertcat(*w[W:SCRATCH]) if method.implicit else ca.SX(0, 1)
+        q, v = (ca.vertcat(*w[i : i + n]) for i in (Q, V))
+        w[A:W] = ca.vertsplit(graph(q, v, tau, parameters(), implicit))
 
     def jacobian(w: Any) -> None:
         values = [ca.vertcat(*part) for part in (w[Q:V], w[V:A])]
-        rows = graphs.state_jacobian(model.traced)(*values, tau, *[ca.SX(0, 1)] * 2)
+        rows = graphs.state_jacobian(model.traced)(*values, tau, parameters(), ca.SX(0, 1))
         w[SCRATCH : SCRATCH + 2 * n * n] = ca.vertsplit(rows)
 
     known = jacobian if method.aid == "jacobian" else aid(method.aid, model.chain)
@@ -223,14 +337,28 @@ def _trace(model: Model, integrator: str) -> TracedMethod:
         method.prepare(w, h, places, known)
         method.start(w, h, *rest)
 
-    steps = []
-    for function in (start, method.step):
+    def after(function: Callable[..., None], evaluate: Callable[[Any], None]) -> Any:
+        """State after a start or a step; after a step a free base's frame is its own again."""
         w = np.zeros(SCRATCH + method.scratch(n), dtype=object)
-        w[:keep] = x
+        w[:keep] = ca.vertsplit(x)
         with warnings.catch_warnings():  # CasADi warns of numpy.cos on symbols, which is intended
             warnings.simplefilter("ignore")
             function(w, h, evaluate, places, known)
-        after = ca.vertcat(*w[:keep])
-        steps.append(ca.Function("step", [ca.vertcat(*x), tau, h], [after]))
-    cost, whole = (sum(operations(x).values()) for x in (graph, steps[1]))
-    return TracedMethod(steps[0], steps[1], whole / cost, cost)
+        turned = list(attitude)
+        if attitude and function is method.step:
+            six, rates = (list(w[i : i + SIZE]) for i in (Q, V))
+            w[Q : Q + SIZE], w[V : V + SIZE], turned = renewed(six, rates, attitude)
+        return ca.vertcat(*w[:keep], *turned)
+
+    results: list[Any] = []
+
+    def given(w: Any) -> None:
+        results.append(ca.SX.sym("a", n))
+        w[A:W] = ca.vertsplit(results[-1])
+
+    whole = ca.vertcat(x, *attitude)
+    functions = (start, method.step)
+    first, step = (ca.Function("step", [whole, tau, h], [after(f, evaluate)]) for f in functions)
+    own = [after(f, given) for f in (method.start, method.step)]
+    own = [ca.Function("own", [h, whole, tau, *results], [state]) for state in own]
+    return TracedMethod(method, first, step, graph, own)

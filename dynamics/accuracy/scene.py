@@ -1,7 +1,8 @@
 """Scenes: motions in joint space that any model of an arm can follow.
 
 A scene gives joint angles, joint rates and joint torques, and no modal amplitudes: every link
-starts straight and without modal rates. `choose_model` compares models of an arm on a scene.
+starts straight and without modal rates. A free base starts as `Base` describes it, and the tip is
+in the world. Sliding joints have m, m/s and N. `choose_model` compares models of an arm on a scene.
 """
 
 import math
@@ -15,21 +16,24 @@ from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.simulation.case_file import Numbers, PiecewiseConstant, Torque
 
-TorqueSignal = Callable[[float], ArrayLike]  # (n_joint,) [N m]; jumps listed in `.breakpoints`
+TorqueSignal = Callable[[float], ArrayLike]  # (n_joint,) [N m], [N]; jumps listed in `.breakpoints`
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointMotion:
     """One motion: initial joint angles and rates, torques and duration."""
 
-    joint_angles: Numbers  # (n_joint,) [rad]
-    joint_rates: Numbers  # (n_joint,) [rad/s]
+    joint_angles: Numbers  # (n_joint,) [rad], of sliding joints [m]
+    joint_rates: Numbers  # (n_joint,) [rad/s], [m/s]
     t_end: float  # [s]
     torque: TorqueSignal | None = None  # None: no torque
+    hold: float | None = None  # [s] torque is held, a method starts anew after it; None: each step
 
     def __post_init__(self) -> None:
-        angles = validate.numbers(self.joint_angles, "JointMotion.joint_angles", unit="rad")
-        rates = validate.numbers(self.joint_rates, "JointMotion.joint_rates", len(angles), "rad/s")
+        angles = validate.numbers(self.joint_angles, "JointMotion.joint_angles", unit="rad or m")
+        rates = validate.numbers(
+            self.joint_rates, "JointMotion.joint_rates", len(angles), "rad/s or m/s"
+        )
         t_end = validate.positive(self.t_end, "JointMotion.t_end", "s")
         if not angles:
             raise ValueError("JointMotion.joint_angles must hold one angle per joint, got [].")
@@ -38,6 +42,14 @@ class JointMotion:
                 "JointMotion.torque must be a function of time or None, "
                 f"got {validate.shown(self.torque)}."
             )
+        if self.hold is not None:
+            hold = validate.positive(self.hold, "JointMotion.hold", "s")
+            for t in (*self.knots[1:-1], t_end):
+                if abs(t / hold - round(t / hold)) > 1e-6:
+                    raise ValueError(
+                        f"JointMotion.hold ({hold:g} s) must divide the duration and the times at "
+                        f"which the torque jumps, got {t:g} s."
+                    )
         for name, value in (("joint_angles", angles), ("joint_rates", rates), ("t_end", t_end)):
             object.__setattr__(self, name, value)
 
@@ -65,19 +77,7 @@ class Scene:
         object.__setattr__(self, "name", validate.text(self.name, "Scene.name"))
 
     def check(self, arm: Arm) -> None:
-        """Refuse an arm with another number of joints, a free base or a parallel drive."""
-        if arm.base.n:
-            raise ValueError(
-                f"Base.type must be 'fixed' for a scene, got {arm.base.type!r}: a scene has no "
-                "initial state of a base."
-            )
-        for i, link in enumerate(arm.links, 1):
-            if link.joint.parallel:
-                raise ValueError(
-                    f"Joint.parallel of link {i} must be false for a scene, got True: the "
-                    "reference cuts links into segments, which a link before a parallel drive "
-                    "cannot have."
-                )
+        """Refuse an arm with another number of joints."""
         for k, motion in enumerate(self.motions):
             shapes = {"joint_angles": (len(motion.joint_angles),)}
             if motion.torque is not None:

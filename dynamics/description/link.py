@@ -56,8 +56,9 @@ class Link:
     tip_mass: float = 0.0  # [kg] point mass at the tip
     tip_inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
     modes: tuple[Mode, ...] = _UNSTATED  # | "auto"
-    damping_ratio: float = 0.0  # [-] of every bending mode; of a segment's modes if segmented
+    damping_ratio: float = 0.0  # [-] of each mode; in segments, of the link's first mode
     damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
+    damping_beta_torsion: float | None = None  # [s] the same for torsion; None: damping_beta
     segments: int = 1  # equal parts welded together, each with all modes: for large deflections
     lumped: bool = False  # deflection moves a quarter of the beam's mass, at the tip: heavy tips
     joint: Joint = field(default_factory=Joint)
@@ -81,6 +82,9 @@ class Link:
             modes=() if automatic else tuple(validate.sequence(modes, "Link.modes", MOST_MODES)),
             lumped=validate.boolean(self.lumped, "Link.lumped"),
         )
+        if self.damping_beta_torsion is not None:
+            name = "damping_beta_torsion"
+            clean(self, **{name: validate.nonnegative(getattr(self, name), f"Link.{name}", "s")})
         for name in STIFFNESS.values():
             value = getattr(self, name)
             if value is not None:
@@ -94,11 +98,12 @@ class Link:
                 f"Link.segments ({self.segments!r}) must be 1 with pinned-free modes: "
                 "inner segments are welded at their roots."
             )
-        if self.damping_ratio > 0.0 and self.damping_beta > 0.0:
-            raise ValueError(
-                f"Link.damping_ratio ({self.damping_ratio!r}) and Link.damping_beta "
-                f"({self.damping_beta!r}) exclude each other; give one."
-            )
+        for name in ("damping_beta", "damping_beta_torsion"):
+            if self.damping_ratio > 0.0 and getattr(self, name):
+                raise ValueError(
+                    f"Link.damping_ratio ({self.damping_ratio!r}) and Link.{name} "
+                    f"({getattr(self, name)!r}) exclude each other; give one."
+                )
         self._check_body()
         self._check_modes()
         if isinstance(given, str):

@@ -26,6 +26,7 @@ from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link
 from dynamics.description.mode_shapes import STIFFNESS, quadrature, shape
 from dynamics.description.validate import IDENTITY, ZEROS
+from dynamics.formulations.damping import viscous
 from dynamics.types import Array, Matrix3, Vector3
 
 _ROUND_OFF = 1e-12  # [-] integrals below this fraction of their natural size are set to zero
@@ -89,7 +90,7 @@ def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
                     foreshortening=arm.foreshortening,
                     welded=k > 0,
                 )
-                for k, part in enumerate(parts(link))
+                for k, part in enumerate(parts(viscous(link) if link.segments > 1 else link))
             ),
         )
         for link, payload in zip(arm.links, arm.carried, strict=True)
@@ -277,14 +278,17 @@ def _modal_inertia(link: Link, b: _BeamIntegrals) -> tuple[Array, Array, list[Ar
 def _damping(link: Link, b: _BeamIntegrals) -> Array:
     """(m, m) [N s/m] 2 zeta sqrt(K_jj m_jj) on the diagonal, or beta K.
 
-    m_jj is the mass that a mode displaces: beam and tip mass without payload. A torsion mode
-    displaces none, so only beta damps it.
+    m_jj is the mass that a mode displaces, beam and tip mass without payload; of a torsion mode the
+    inertia that it turns.
     """
     m = len(link.modes)
-    displaced = (link.rho_A * np.diag(b.square) + link.tip_mass * b.tip**2)[:m]
-    modal = np.where(b.twist[:m] == 1.0, 0.0, displaced)
+    square, tip, twist = np.diag(b.square)[:m], b.tip[:m] ** 2, b.twist[:m] == 1.0
+    displaced = link.rho_A * square + link.tip_mass * tip
+    modal = np.where(twist, link.rho_Ip * square + link.tip_inertia[0][0] * tip, displaced)
     damping = 2.0 * link.damping_ratio * np.diag(np.sqrt(np.diag(b.K) * modal))
-    return damping + link.damping_beta * b.K
+    own = link.damping_beta_torsion
+    beta = np.where(twist, link.damping_beta if own is None else own, link.damping_beta)
+    return damping + beta[:, None] * b.K
 
 
 def _exact_right_angles(rotation: Matrix3) -> Array:

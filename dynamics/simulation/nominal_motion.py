@@ -48,6 +48,7 @@ def stiffened(arm: Arm) -> Arm:
     links = tuple(
         replace(
             link, modes=(), segments=1, damping_ratio=0.0, damping_beta=0.0,
+            damping_beta_torsion=None,
             joint=replace(link.joint, stiffness=None, spring_damping=0.0),
         )
         for link in arm.links

@@ -1,10 +1,8 @@
-"""Checks of a motion against the model's assumptions: deflection, joint rate and damping."""
+"""Checks of a motion against the model's assumptions: deflection and joint rate."""
 
 import numpy as np
 
 from dynamics.description import validate
-from dynamics.description.arm import Arm
-from dynamics.formulations.damping import viscous_links
 from dynamics.model import Model
 from dynamics.simulation.trajectory import Trajectory
 
@@ -22,7 +20,7 @@ def limits(model: Model, trajectory: Trajectory) -> tuple[str, ...]:
     """One sentence for each assumption of the model that a motion violates."""
     validate.instance(model, "model", Model)
     validate.instance(trajectory, "trajectory", Trajectory)
-    return (*_rates(model, trajectory), *_bending(model, trajectory), *_damping(model.arm))
+    return (*_rates(model, trajectory), *_bending(model, trajectory))
 
 
 def _rates(model: Model, trajectory: Trajectory) -> list[str]:
@@ -36,16 +34,6 @@ def _rates(model: Model, trajectory: Trajectory) -> list[str]:
         f"joints locked ({first:.3g} rad/s): linear modes lose stiffness; set Arm.foreshortening."
         for i, (rate, link) in enumerate(zip(fastest.tolist(), model.arm.links, strict=True), 1)
         if link.joint.type == "revolute" and rate > LARGEST_RATE * first
-    ]
-
-
-def _damping(arm: Arm) -> list[str]:
-    return [
-        f"Link {i} has {link.segments} segments, and its damping_ratio of {link.damping_ratio:g} "
-        f"applies to the fast modes of each segment: the slow modes of the link are hardly damped; "
-        f"set damping_beta={instead.damping_beta:.3g} instead."
-        for i, (link, instead) in enumerate(zip(arm.links, viscous_links(arm), strict=True), 1)
-        if link.segments > 1 and instead is not link
     ]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from dynamics import cache
 from dynamics.accuracy.certificate import fidelity_of
-from dynamics.accuracy.fidelity import everything, rigid
+from dynamics.accuracy.fidelity import divisible, everything, rigid
 from dynamics.accuracy.model_choice import choose_model
 from dynamics.accuracy.scene import JointMotion, Scene
 from dynamics.backends.numba_llvm.fingerprint import fingerprint, hash_of_files, sources
@@ -40,15 +40,14 @@ REFERENCE_MODES, REFERENCE_SEGMENTS = 3, 2  # per direction of bending; per flex
 def scene(arm: Arm, control_dt: float) -> Scene:
     """Motions on which an arm is certified, from its home posture at rest.
 
-    One is bang-bang at full torque, then coasting; the other has random torques that are constant
-    over a control step [s].
+    One is bang-bang at full torque, then coasting; the other has random torques. All torques are
+    constant over a control step [s]: the period is rounded to whole steps.
     """
     found = scales(arm)
     limit = np.array(found.torque_limit)
     period = 2.0 * np.pi / found.free[0] if found.free else RIGID_PERIOD
-    waves = [
-        PiecewiseConstant(times=(0.0, 0.5 * period, period), values=(u, -u, 0.0)) for u in limit
-    ]
+    half = control_dt * max(1, round(0.5 * period / control_dt))
+    waves = [PiecewiseConstant(times=(0.0, half, 2.0 * half), values=(u, -u, 0.0)) for u in limit]
     rng = np.random.default_rng(0)
     shares = rng.uniform(-RANDOM_SHARE, RANDOM_SHARE, (limit.size, RANDOM_STEPS))
     times = tuple((control_dt * np.arange(RANDOM_STEPS)).tolist())
@@ -57,6 +56,7 @@ def scene(arm: Arm, control_dt: float) -> Scene:
         for u, row in zip(limit, shares, strict=True)
     ]
     rest = (0.0,) * arm.n_joint
+    motions = ((waves, 2.0 * PERIODS * half), (steps, control_dt * RANDOM_STEPS))
     return Scene(
         name=f"bang-bang and random torques, held for {control_dt:g} s",
         motions=tuple(
@@ -65,8 +65,9 @@ def scene(arm: Arm, control_dt: float) -> Scene:
                 joint_rates=rest,
                 t_end=t_end,
                 torque=Torque(signals=tuple(signals)),
+                hold=control_dt,
             )
-            for signals, t_end in ((waves, PERIODS * period), (steps, control_dt * RANDOM_STEPS))
+            for signals, t_end in motions
         ),
     )
 
@@ -135,7 +136,10 @@ def fit(arm: Arm, control_dt: float, fidelity: str, tolerance: float | None) -> 
         return Fitted(rigid(arm).arm(arm))
     if fidelity == "reference":
         counts = everything(arm, REFERENCE_MODES, 2)
-        cut = tuple(REFERENCE_SEGMENTS if any(count) else 1 for count in counts)
+        cut = tuple(
+            REFERENCE_SEGMENTS if any(count) and whole else 1
+            for count, whole in zip(counts, divisible(arm), strict=True)
+        )
         fine = replace(rigid(arm, foreshortening=True, polynomial=True), counts=counts)
         return Fitted(replace(fine, segments=cut).arm(arm), "midpoint")  # stiff and damped
     return _automatic(arm, control_dt) if arm.automatic else Fitted(arm)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import eigh
 
 from dynamics import Arm, Body, Joint, Link, Mode
 from dynamics.description.mode_shapes import Shape, shape
@@ -122,11 +123,14 @@ def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
                 else:
                     EI = link.EIz if mode.direction == "y" else link.EIy
                     K[j, k] = EI * weights @ (s.curvature(x) * r.curvature(x))
-            if mode.direction != "x":
-                m = link.rho_A * weights @ s.value(x) ** 2
-                m += link.tip_mass * s.value(link.length) ** 2
-                C[j, j] = 2.0 * link.damping_ratio * np.sqrt(K[j, j] * m)
-        C += link.damping_beta * K
+            twist = mode.direction == "x"
+            m = (link.rho_Ip if twist else link.rho_A) * weights @ s.value(x) ** 2
+            m += (link.tip_inertia[0][0] if twist else link.tip_mass) * s.value(link.length) ** 2
+            C[j, j] = 2.0 * link.damping_ratio * np.sqrt(K[j, j] * m)
+        twists = np.array([mode.direction == "x" for mode in link.modes], dtype=bool)
+        torsion = link.damping_beta_torsion
+        torsion = link.damping_beta if torsion is None else torsion
+        C += np.where(twists, torsion, link.damping_beta)[:, None] * K
         slip = rate + root @ delta_dot
         joint = link.joint
         friction = joint.viscous * slip + joint.coulomb * np.tanh(slip / joint.coulomb_speed)
@@ -200,6 +204,29 @@ def _constant(x: object) -> Array:
     return np.stack([value, 0.0 * value, 0.0 * value])[:, None]
 
 
+def _first_frequencies(link: Link) -> list[float]:
+    """[rad/s] of the clamped link with its tip body: bending (else axial) and torsion, by Ritz."""
+    l, powers = link.length, np.arange(1, 8)
+
+    def lowest(rigidity: float, inertia: float, tip: float, turning: float, order: int) -> float:
+        if not rigidity or inertia + tip == 0.0:
+            return np.inf
+        p = powers + order - 1 if inertia else np.array([order])
+        curved = p * (p - 1) if order == 2 else p
+        both = p[:, None] + p
+        K = rigidity * np.outer(curved, curved) / (both - 2 * order + 1) / l ** (2 * order - 1)
+        M = inertia * l / (both + 1) + tip + turning * np.outer(p, p) / l**2
+        return float(np.sqrt(eigh(K, M, eigvals_only=True)[0]))
+
+    J, m = np.diag(link.tip_inertia), link.tip_mass
+    bending = [
+        lowest(EI or 0.0, link.rho_A, m, J[k], 2) for EI, k in ((link.EIz, 2), (link.EIy, 1))
+    ]
+    if min(bending) == np.inf:
+        bending = [lowest(link.EA or 0.0, link.rho_A, m, 0.0, 1)]
+    return [min(bending), lowest(link.GJ or 0.0, link.rho_Ip, J[0], 0.0, 1)]
+
+
 def _parts(arm: Arm) -> list[tuple[Link, bool, float]]:
     """All segments of all links, whether they are welded to the one before, springs at joints.
 
@@ -213,6 +240,11 @@ def _parts(arm: Arm) -> list[tuple[Link, bool, float]]:
             parts.append((Link(length=0.0, body=Body(mass=0.0), joint=mounted), False, 0.0))
             joint = Joint(
                 type=joint.type, hub_inertia=joint.hub_inertia, viscous=joint.spring_damping
+            )
+        if link.segments > 1 and link.damping_ratio:
+            betas = [2.0 * link.damping_ratio / w for w in _first_frequencies(link)]
+            link = replace(
+                link, damping_ratio=0.0, damping_beta=betas[0], damping_beta_torsion=betas[1]
             )
         for k in range(link.segments):
             part = replace(link, length=link.length / link.segments, segments=1)

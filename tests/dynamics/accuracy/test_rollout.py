@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from dynamics import ARMS, simulate
+from dynamics import ARMS, Base, Stepper, simulate
 from dynamics.accuracy.rollout import SAMPLES, NotConverged, Rollout
 from dynamics.accuracy.scene import JointMotion, bang_bang, release
 from dynamics.integrators.table import INTEGRATORS
+from dynamics.model import Model
+from dynamics.simulation.case_file import PiecewiseConstant, Torque
 from tests.dynamics.random_arms import compiled, two_link_spatial
 
 ARM, MOTION = ARMS["slim"], bang_bang((0.5,), pulse=0.25, t_end=1.0)
@@ -69,28 +71,79 @@ def swinging(t: float) -> np.ndarray:
     return np.array([np.cos(50.0 * t), -0.5])
 
 
-def steady(t: float) -> np.ndarray:
-    return np.array([1.0, -0.5])
-
-
 SLOW_TO_COMPILE = {"rosenbrock": pytest.mark.slow}
 
 
-@pytest.mark.parametrize(
-    "integrator",
-    [pytest.param(name, marks=SLOW_TO_COMPILE.get(name, ())) for name in INTEGRATORS],
-)
-def test_traced_steps_are_the_compiled_steps(integrator: str) -> None:
-    """`simulate` restarts a method at each step of a varying torque: some get a steady one."""
-    method = INTEGRATORS[integrator]
-    signal = steady if method.implicit or method.kept(1) else swinging
-    arm = replace(two_link_spatial(), foreshortening=True)
-    start = {"joint_angles": (0.3, 0.5), "joint_rates": (1.0, -1.0)}
-    motion = JointMotion(**start, t_end=0.1, torque=signal)
-    model = compiled(arm)
+ALL = [pytest.param(name, marks=SLOW_TO_COMPILE.get(name, ())) for name in INTEGRATORS]
+START = {"joint_angles": (0.3, 0.5), "joint_rates": (1.0, -1.0)}
+
+
+def compiled_start(model: Model) -> tuple[np.ndarray, np.ndarray]:
     q, v = np.zeros(model.n), np.zeros(model.n)
-    q[list(arm.joint_index)], v[list(arm.joint_index)] = start.values()
-    torque = steady(0.0) if signal is steady else signal
-    dt = 0.1 / 256
-    end = simulate(model, q, v, torque, [0.0, 0.1], integrator=integrator, dt=dt).tip[-1]
-    assert_allclose(Rollout(arm).tips(motion, integrator, dt)[-1], end, rtol=0.0, atol=1e-11)
+    q[list(model.arm.joint_index)], v[list(model.arm.joint_index)] = START.values()
+    return q, v
+
+
+@pytest.mark.parametrize("integrator", ALL)
+def test_traced_steps_are_the_compiled_steps(integrator: str) -> None:
+    """As used: `simulate` restarts a method at each step of a torque that is a function."""
+    model = compiled(replace(two_link_spatial(), foreshortening=True))
+    motion = JointMotion(**START, t_end=0.1, torque=swinging)
+    end = simulate(
+        model, *compiled_start(model), swinging, [0.0, 0.1], integrator=integrator, dt=0.1 / 256
+    ).tip[-1]
+    tips = Rollout(model.arm).tips(motion, integrator, 0.1 / 256, used=True)
+    assert_allclose(tips[-1], end, rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("integrator", ALL)
+def test_steps_under_a_held_torque_are_those_of_a_stepper(integrator: str) -> None:
+    """A stepper starts a method anew at each call, as an environment does at each control step."""
+    model, substeps, calls = compiled(replace(two_link_spatial(), foreshortening=True)), 3, 32
+    hold = 0.1 / calls
+    held = PiecewiseConstant(
+        times=tuple(hold * k for k in range(calls)), values=tuple(np.cos(range(calls)).tolist())
+    )
+    torque = Torque(signals=(held, None))
+    stepper = Stepper(model, 1, dt=hold / substeps, substeps=substeps, integrator=integrator)
+    stepper.q[0], stepper.v[0] = compiled_start(model)
+    for k in range(calls):
+        stepper.torque[0] = held.values[k], 0.0
+        stepper.advance()
+    motion = JointMotion(**START, t_end=calls * hold, torque=torque, hold=hold)
+    run = Rollout(model.arm).run(motion, integrator, hold / substeps)
+    assert run.dt == pytest.approx(hold / substeps)
+    assert_allclose(run.tips[-1], model.tip(stepper.q[0]), rtol=0.0, atol=1e-11)
+
+
+def test_restarts_are_part_of_the_error_and_of_the_cost() -> None:
+    """Between restarts Numerov's method is of order four; its start is worth two evaluations."""
+    arm = two_link_spatial()
+    rollout, dt = Rollout(arm), 0.4 / 256
+    free, held = (
+        JointMotion(joint_angles=(0.3, 0.5), joint_rates=(1.0, -1.0), t_end=0.4, hold=hold)
+        for hold in (None, 0.2)
+    )
+    truth = rollout.converged(held, 1e-10)
+    anew, smooth = (rollout.run(x, "numerov", dt) for x in (free, held))
+    errors = [np.abs(x.tips - truth[:: x.stride]).max() for x in (anew, smooth)]
+    assert errors[0] > 3.0 * errors[1]
+    costs = [rollout.cost(x, "numerov", dt) for x in (free, held)]
+    assert 2.5 < costs[0] / costs[1] < 3.1
+
+
+def test_a_free_base_moves_as_in_simulate() -> None:
+    """The tip in the world: the frame of a free base follows it from step to step."""
+    base = Base(
+        type="free", mass=3.0, inertia=((0.2, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.4)),
+        position=(0.3, -0.2, 0.1), quaternion=(0.8, 0.0, 0.6, 0.0), velocity=(0.1, 0.2, -0.1),
+        angular_velocity_body=(0.2, -0.3, 0.4),
+    )  # fmt: skip
+    arm = replace(two_link_spatial(), base=base)
+    motion = JointMotion(**START, t_end=0.1, torque=swinging)
+    model = compiled(arm)
+    q, v = (x[base.n :] for x in compiled_start(model))
+    times = np.linspace(0.0, 0.1, 257)
+    tips = simulate(model, q, v, swinging, times, integrator="rk4", dt=0.1 / 256).tip
+    assert_allclose(Rollout(arm).tips(motion, "rk4", 0.1 / 256), tips, rtol=0.0, atol=1e-11)
+    assert np.linalg.norm(tips[-1] - tips[0]) > 1e-3

@@ -8,7 +8,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from dynamics import Arm, Joint, Link, Mode, Model, load_arm, simulate
-from dynamics.accuracy.scene import Scene, release
 from dynamics.backends.numba_llvm.stepper_entries import LANES
 from dynamics.formulations import articulated_body, gibbs_appell
 from dynamics.formulations.kinematics import outward, poses
@@ -326,9 +325,7 @@ def test_other_formulations_refuse_it(formulation: str) -> None:
         Model(two_links(), formulation=formulation)
 
 
-def test_newton_euler_and_scenes_refuse_it() -> None:
+def test_newton_euler_refuses_it() -> None:
     rigid = Arm(links=(SLAB, DRIVEN))
     with pytest.raises(ValueError, match="but link 2 has a parallel drive"):
         rigid_links(rigid)
-    with pytest.raises(ValueError, match=r"Joint.parallel of link 2 must be false for a scene"):
-        Scene(motions=(release((0.0, 0.0), 1.0),)).check(rigid)

@@ -20,8 +20,6 @@ from dynamics import (
     load_arm,
     simulate,
 )
-from dynamics.accuracy.model_choice import choose_model
-from dynamics.accuracy.scene import Scene, release
 from dynamics.description.rotations import from_rotation_vector, product, to_rotation_vector
 from dynamics.formulations.articulated_body import accelerations
 from dynamics.simulation.validity import limits
@@ -355,11 +353,6 @@ def test_a_shaft_on_a_massless_base_has_the_frequencies_of_a_free_free_shaft() -
 
     assert_allclose(free[:2], np.array([1, 2]) * np.pi / 2.0 * speed, rtol=1e-4)
     assert_allclose(fixed[:2], np.array([1, 3]) * np.pi / 4.0 * speed, rtol=1e-4)
-
-
-def test_a_scene_refuses_an_arm_on_a_free_base() -> None:
-    with pytest.raises(ValueError, match=r"Base.type must be 'fixed' for a scene, got 'free'"):
-        choose_model(COAST, Scene(motions=(release((0.1, 0.0), 0.1),)), tolerance=1e-3)
 
 
 def test_a_free_base_adds_operations_but_does_not_triple_them() -> None:
