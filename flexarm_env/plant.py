@@ -75,8 +75,8 @@ def plan(
         raise ValueError(
             f"tolerance ({validate.shown(tolerance)} m) covers the arm as described, not "
             f"parameters drawn by randomize, got {sorted(randomized)}. Leave out one of the two, "
-            "or choose with dynamics.choose_model for the arm at the ends of the ranges, and pass the "
-            "richest choice as arm, integrator and substeps."
+            "or choose with dynamics.choose_model for the arm at the ends of the ranges, and pass "
+            "the richest choice as arm, integrator and substeps."
         )
     control_dt = arguments.within("control_dt", control_dt, *arguments.CONTROL_DT, "s")
     if described.base.n:

@@ -76,7 +76,7 @@ def certify(
 def _certificate(errors: ModelErrors, integrator: str, dt: float) -> Certificate:
     reference, arm, scene = errors.converge(), errors.arm, errors.scene
     own = fidelity_of(arm)
-    rich = replace(own, counts=everything(arm, 5, 3), polynomial=True)
+    rich = replace(own, counts=everything(arm, 5, 3), polynomial=True, lumped=False)
     rollout = Rollout(arm)
     tips = errors.tips_of(rollout)
     errors.progress.stage("steps")
@@ -108,4 +108,10 @@ def fidelity_of(arm: Arm) -> Fidelity:
         for link, possible in zip(arm.links, everything(arm, 1, 1), strict=True)
     )
     segments = tuple(link.segments for link in arm.links)
-    return Fidelity(counts=counts, segments=segments, foreshortening=arm.foreshortening)
+    bending = [link for link in arm.links if link.modes]
+    return Fidelity(
+        counts=counts,
+        segments=segments,
+        foreshortening=arm.foreshortening,
+        lumped=bool(bending) and all(link.lumped for link in bending),
+    )

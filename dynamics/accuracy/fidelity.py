@@ -1,4 +1,4 @@
-"""Fidelity of a model: modes per link and direction, segments per link, foreshortening.
+"""Fidelity of a model: modes per link and direction, segments, foreshortening, lumped masses.
 
 Damping does not depend on fidelity: see formulations/damping.py.
 """
@@ -18,18 +18,21 @@ _NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-ti
             "axial": "axial-fixed-free"}  # fmt: skip
 _POLYNOMIAL = {"x": "torsion-poly", "y": "hierarchical", "z": "hierarchical", "axial": "axial-poly"}
 
+LUMPED_MODES = (2, 2, 1, 1)  # most that a lumped link may have, in the order of DIRECTIONS
+
 Counts = tuple[int, ...]  # modes along y, z, x, and axial ones where the arm's own modes have some
 Change = tuple[int, str]  # link, direction or "segments"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fidelity:
-    """Modes and segments of every link, and whether bending foreshortens it."""
+    """Modes and segments of every link, whether bending foreshortens it, and how mass is spread."""
 
     counts: tuple[Counts, ...]  # per link
     segments: tuple[int, ...]  # per link
     foreshortening: bool = False
     polynomial: bool = False  # polynomial shapes, else the arm's own family or beam modes
+    lumped: bool = False  # every flexible link's mass
 
     @property
     def rigid(self) -> bool:
@@ -39,7 +42,12 @@ class Fidelity:
     def arm(self, arm: Arm) -> Arm:
         """The arm reduced to this fidelity, damped as `viscous_links` returns it."""
         links = tuple(
-            replace(link, modes=tuple(self._modes(link, counts)), segments=segments)
+            replace(
+                link,
+                modes=tuple(self._modes(link, counts)),
+                segments=segments,
+                lumped=self.lumped and any(counts),
+            )
             for link, counts, segments in zip(
                 viscous_links(arm), self.counts, self.segments, strict=True
             )
@@ -113,7 +121,8 @@ class Fidelity:
             alike.setdefault(_link_text(*kept), []).append(i)
         texts = [f"{_link_list(links)}: {text}" for text, links in alike.items()]
         shapes = ", polynomial" if self.polynomial else ""
-        return "; ".join(texts) + shapes + (", foreshortened" if self.foreshortening else "")
+        lumped = ", lumped" if self.lumped else ""
+        return "; ".join(texts) + shapes + lumped + ", foreshortened" * self.foreshortening
 
 
 def rigid(arm: Arm, foreshortening: bool = False, polynomial: bool = False) -> Fidelity:

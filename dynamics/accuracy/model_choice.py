@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from dynamics.accuracy.choice import Choice, Rung, metres
 from dynamics.accuracy.fidelity import (
+    LUMPED_MODES,
     MOST_MODES,
     MOST_SEGMENTS,
     Change,
@@ -123,10 +124,16 @@ def _kinds(arm: Arm) -> list[list[_Kind]]:
         start = rigid(arm, foreshortening, polynomial=True)
         best = replace(start, counts=everything(arm, *modes))
         families = {f.arm(arm): f for f in (best, replace(best, polynomial=False))}.values()
-        result.append(
-            [_Kind(replace(start, polynomial=f.polynomial), most, whole, best) for f in families]
-        )
+        kinds = [
+            _Kind(replace(start, polynomial=f.polynomial), most, whole, best) for f in families
+        ]
+        result.append([*kinds, _Kind(replace(start, lumped=True), _fewer(most), whole, best)])
     return [*result, [_Kind(rigid(arm, True, polynomial=True), few, cut)]]
+
+
+def _fewer(counts: tuple[Counts, ...]) -> tuple[Counts, ...]:
+    """Counts that a lumped link may have."""
+    return tuple(tuple(map(min, row, LUMPED_MODES)) for row in counts)
 
 
 def _most_segments(arm: Arm) -> tuple[int, ...]:
@@ -137,7 +144,7 @@ def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
     """Cheapest model within the model tolerance, of the first kind that has one.
 
     Kinds and families that fail with all their modes are not refined step by step. A further family
-    is tried with the modes that suffice in the first one, and fewer.
+    is tried with the modes that the first one reached, and fewer.
     """
     start, kinds = rigid(errors.arm), _kinds(errors.arm)
     ladder.append(_rung(errors, start, kinds[0][0].best))
@@ -145,18 +152,20 @@ def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
         return start
     for families in kinds:
         sufficient: list[Fidelity] = []
+        reached: Fidelity | None = None  # in the first family that suffices
         best = families[0].best
         if best is not None and errors.error(best) > errors.model_tolerance:
             ladder.append(_rung(errors, best, best))
             continue
         for kind in families:
-            if sufficient:  # of another family: as many modes are about as accurate
-                path = [replace(sufficient[0], polynomial=kind.start.polynomial)]
+            if reached:  # as many modes of another family are about as accurate
+                path = [_alike(kind, reached)]
             elif best is None or _suffices(errors, replace(kind.start, counts=kind.most)):
                 path = _refined(errors, kind)
             else:
                 path = [replace(kind.start, counts=kind.most)]
             if _suffices(errors, path[-1]):
+                reached = reached or path[-1]
                 sufficient.append(_pruned(errors, path[-1]))
                 path += sufficient[-1:] if sufficient[-1] != path[-1] else []
             ladder += [_rung(errors, f, best) for f in path if f != kind.start]
@@ -167,6 +176,14 @@ def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
         f"No model is within {errors.model_tolerance:.3g} m of the reference; the last one tried, "
         f"'{last.description}', has an error of {last.error:.3g} m. Take a larger tolerance."
     )
+
+
+def _alike(kind: _Kind, fidelity: Fidelity) -> Fidelity:
+    """A kind's fidelity with the modes of another, as far as it may have them."""
+    counts = tuple(
+        tuple(map(min, own, most)) for own, most in zip(fidelity.counts, kind.most, strict=True)
+    )
+    return replace(kind.start, counts=counts, segments=fidelity.segments)
 
 
 def _suffices(errors: ModelErrors, fidelity: Fidelity) -> bool:
