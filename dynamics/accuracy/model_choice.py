@@ -277,6 +277,7 @@ def _rival(errors: ModelErrors, sufficient: Fidelity) -> Fidelity | None:
     segmented = max(sufficient.segments) > 1
     segments = _most_segments(errors.arm) if segmented else sufficient.segments
     most = everything(errors.arm, MOST_MODES, 2)
+    most = _fewer(most) if sufficient.lumped else most
     options = sufficient.refinements(most, segments).values()
     rivals = [f for f in options if errors.step_budget(f) > LARGER_BUDGET * budget]
     return min(rivals, key=errors.operations, default=None)
