@@ -26,7 +26,7 @@ from benchmarks.peers.scenes import PeerScene
 RATES = (
     *(Fraction(1, k) for k in (10, 5, 4, 3, 2)),
     *(Fraction(k) for k in (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48, 64, 96)),
-    *(Fraction(k) for k in (128, 192, 256, 384, 512)),
+    *(Fraction(k) for k in (128, 256, 512)),
 )
 FEWEST = 40  # least number of tips compared
 LONGEST = 0.4  # [s] longest processor time expected of a run
