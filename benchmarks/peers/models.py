@@ -75,7 +75,7 @@ OUR_SHAPES = {  # the first two make the quick form
     "S3": (
         *(Shapes(("clamped-free",), (n,), True) for n in (1, 2, 3, 4)),
         *_cut((2, 2), (2, 4), (2, 8)),
-        *_cut((2, 4), (2, 6), (2, 8), (2, 12), (2, 16), (2, 24), axial=1),
+        *_cut((2, 4), (2, 6), (2, 8), (2, 12), (2, 16), axial=1),
     ),
     "korayem": (
         Shapes(("pinned-free", "pinned-free"), (2, 2), False),
