@@ -49,7 +49,7 @@ class Shapes:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Methods worth a run: the others never were the cheapest at any error."""
+        """Methods worth a run: the others are seldom the cheapest, or compile slowly."""
         if self.segments > 1 or self.axial:
             return FAST
         return tuple(INTEGRATORS) if len(self.kinds) == 1 else (*FAST, "rk4", "numerov")
