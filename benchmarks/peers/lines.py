@@ -109,6 +109,52 @@ def comparisons(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[s
     return rows
 
 
+def levels(scene: PeerScene) -> list[float]:
+    """Errors 1e-2, 1e-3 ... down to the smallest that the truth resolves."""
+    return [10.0**-k for k in range(2, 1 + math.floor(-math.log10(scene.finest)))]
+
+
+def speeds(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[str, Any]]:
+    """Our cheapest run and the cheapest of all peers at each of the levels of error."""
+    theirs = [p for engine in ENGINES[1:] for p in points[engine]]
+    rows = []
+    for error in levels(scene):
+        found = {"ours": best(points[OURS], error), "peer": best(theirs, error)}
+        rows.append({"error": error, **{k: p and p.to_dict(scene) for k, p in found.items()}})
+    return rows
+
+
+def ahead(scene: PeerScene, points: dict[str, list[Point]]) -> list[Point]:
+    """Peers' runs below and left of our line: no run of ours is as accurate and as cheap.
+
+    Errors below those that the truth resolves count as equal to them.
+    """
+    result = []
+    for engine in ENGINES[1:]:
+        for p in front(points[engine]):
+            ours = best(points[OURS], max(p.error, scene.finest))
+            if ours is None or ours.cost > p.cost:
+                result.append(p)
+    return result
+
+
+def statement(scene: dict[str, Any]) -> str:
+    """Sentences on the peers' runs below and left of our line, and on the end of the lines."""
+    ends = f"The truth resolves errors down to {scene['finest']:.1g}; the smallest error is " + (
+        ", ".join(f"{e:.2g} ({engine})" for engine, e in scene["smallest"].items()) + "."
+    )
+    if not scene["ahead"]:
+        return f"No peer's run lies below and left of our line. {ends}"
+    worst = ", ".join(
+        f"{p['engine']}, {p['model']}, {p['method']}: error {p['error']:.2g} at "
+        f"{1e6 * p['cpu_seconds_per_second']:.4g} us/s"
+        for p in scene["ahead"]
+    )
+    return (
+        f"**{len(scene['ahead'])} runs of peers lie below and left of our line**: {worst}. {ends}"
+    )
+
+
 def verdict(reached: dict[str, bool]) -> str:
     """Verdict on a demand: met, met under conditions, or not met."""
     if all(reached.values()):
@@ -116,6 +162,18 @@ def verdict(reached: dict[str, bool]) -> str:
     if reached["ratio"] and reached["steady"]:
         return "only without foreshortening"
     return "only by luck" if reached["ratio"] else "**no**"
+
+
+def speed(run: dict[str, Any] | None) -> str:
+    """Simulated seconds per processor second."""
+    return f"{1.0 / run['cpu_seconds_per_second']:.3g}" if run else "-"
+
+
+def gain(row: dict[str, Any]) -> str:
+    """Our speed over the best peer's."""
+    if row["ours"] is None or row["peer"] is None:
+        return "-"
+    return f"{row['peer']['cpu_seconds_per_second'] / row['ours']['cpu_seconds_per_second']:.3g}"
 
 
 def page(results: dict[str, Any]) -> str:
@@ -145,6 +203,15 @@ def page(results: dict[str, Any]) -> str:
             "lllrrrrl",
         ),
     ]
+    lines += ["\n## Simulated seconds per processor second\n"]
+    for scene in results["scenes"].values():
+        rows = [
+            [f"{row['error']:g}", *(speed(row[side]) for side in ("ours", "peer")), gain(row)]
+            + [f"{p['engine']}, {p['model']}, {p['method']}" if p else "-" for p in (row["peer"],)]
+            for row in scene["speeds"]
+        ]
+        heads = ["error at most", "ours", "best peer", "ratio", "its model and method"]
+        lines += [f"\n{scene['title']}. {statement(scene)}\n", table(heads, rows, "lrrrl")]
     header = ["error at most", "which", "engine", "model", "method", "step", "error", "cost"]
     for scene in results["scenes"].values():
         rows = [
@@ -159,6 +226,21 @@ def page(results: dict[str, Any]) -> str:
         ]
         lines += [f"\n## {scene['title']}\n", table(header, rows, "lllllr")]
     return "\n".join(lines) + "\n"
+
+
+def summary(scene: PeerScene, points: dict[str, list[Point]]) -> dict[str, Any]:
+    """Results of a scene: cheapest runs at demanded and at round errors, lines, runs ahead."""
+    return {
+        "title": scene.title,
+        "finest": scene.finest,
+        "smallest": {e: min(p.error for p in points[e]) for e in ENGINES if points[e]},
+        "best": bests(scene, points),
+        "speeds": speeds(scene, points),
+        "ahead": [p.to_dict(scene) for p in ahead(scene, points)],
+        "lines": {
+            engine: [p.to_dict(scene) for p in front(runs)] for engine, runs in points.items()
+        },
+    }
 
 
 def bests(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[str, Any]]:

@@ -4,9 +4,9 @@
     python -m benchmarks.peers --charts [--out FILE] [--images FOLDER]
 
 Every engine simulates the same scenes with many models, methods and steps; its cheapest runs at
-each error form its line. `--quick` takes fewer of them; `--truth` recomputes the third scene's
-truth; `--charts` draws stored results. Runs need the optional engines: pip install
-"flexarm[peers]".
+each error form its line. `--quick` takes fewer of them; `--truth` only recomputes the truths, which
+takes a quarter of an hour; `--charts` draws stored results. Runs need the optional engines: pip
+install "flexarm[peers]".
 """
 
 import json
@@ -16,8 +16,9 @@ from typing import Any
 
 from benchmarks.output import RESULTS, argument_parser, provenance, save_results
 from benchmarks.peers.charts import draw, headline
-from benchmarks.peers.lines import bests, comparisons, front, page
+from benchmarks.peers.lines import comparisons, page, summary
 from benchmarks.peers.scenes import SCENES
+from benchmarks.peers.truth import make_truths
 
 
 def draw_all(results: dict[str, Any], folder: Path) -> None:
@@ -32,9 +33,12 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few models and methods")
     parser.add_argument("--out", type=Path, default=RESULTS / "peers.json")
     parser.add_argument("--images", type=Path, default=RESULTS)
-    parser.add_argument("--truth", action="store_true", help="recompute the third scene's truth")
+    parser.add_argument("--truth", action="store_true", help="only recompute the truths")
     parser.add_argument("--charts", action="store_true", help="only draw the stored results")
     options = parser.parse_args()
+    if options.truth:
+        make_truths()
+        return
     options.images.mkdir(parents=True, exist_ok=True)
     if options.charts:
         draw_all(json.loads(options.out.read_text(encoding="utf-8")), options.images)
@@ -43,8 +47,6 @@ def main() -> None:
         from benchmarks.peers import sweep  # imports the optional engines
     except ModuleNotFoundError as error:
         sys.exit(str(error))
-    if options.truth:
-        sweep.make_truth()
     results = provenance("exudyn", "mujoco", "numba", "numpy")  # of the code that now runs
     everything = {
         name: sweep.time_again(scene, sweep.explore(scene, options.quick))
@@ -54,17 +56,7 @@ def main() -> None:
         "comparisons": [
             row for name, points in everything.items() for row in comparisons(SCENES[name], points)
         ],
-        "scenes": {
-            name: {
-                "title": SCENES[name].title,
-                "best": bests(SCENES[name], points),
-                "lines": {
-                    engine: [p.to_dict(SCENES[name]) for p in front(runs)]
-                    for engine, runs in points.items()
-                },
-            }
-            for name, points in everything.items()
-        },
+        "scenes": {name: summary(SCENES[name], points) for name, points in everything.items()},
     }
     text = page(results)
     print(text)

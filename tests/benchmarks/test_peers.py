@@ -8,7 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.peers.lines import BATCHED, ENGINES, OURS, Family, Point, best, front, steady
+from benchmarks.peers.lines import (
+    BATCHED,
+    ENGINES,
+    OURS,
+    Family,
+    Point,
+    ahead,
+    best,
+    front,
+    levels,
+    page,
+    speeds,
+    statement,
+    steady,
+    summary,
+)
+from benchmarks.peers.models import Shapes, compiled, our_run
 from benchmarks.peers.scenes import SCENES
 from dynamics.types import Array
 from tests.paths import ROOT
@@ -37,6 +53,36 @@ def test_a_run_whose_finer_steps_err_more_is_not_steady() -> None:
     assert best(runs[:-1], 1e-3) == lucky
     assert steady(runs, 1e-3) == []
     assert steady(runs, 2.5e-3) == [lucky, finer[0]]
+
+
+def test_a_run_below_and_left_of_our_line_is_ahead() -> None:
+    """Cheaper at its error, or more accurate than any of ours; but not below the truth's own."""
+    scene = SCENES["S1"]
+    ours = [a_point(1e-3, 1.0), a_point(1e-5, 10.0), a_point(0.5 * scene.finest, 100.0)]
+    behind = [a_point(1e-3, 1.1), a_point(2e-5, 10.0), a_point(0.1 * scene.finest, 200.0)]
+    left, below = a_point(1e-3, 0.9), a_point(9e-6, 11.0)
+    none: dict[str, list[Point]] = {engine: [] for engine in (*ENGINES, BATCHED)}
+    points = none | {OURS: ours, "MuJoCo": behind}
+    assert ahead(scene, points) == []
+    assert "No peer's run lies below and left" in statement(summary(scene, points))
+    points["MuJoCo"] = [*behind, left, below]
+    assert ahead(scene, points) == [below, left]
+    assert "2 runs of peers lie below and left" in statement(summary(scene, points))
+
+
+def test_the_table_has_our_speed_and_the_best_peers_down_to_the_truth() -> None:
+    scene = SCENES["S1"]
+    assert levels(scene) == pytest.approx([10.0**-k for k in range(2, 8)])
+    assert scene.finest <= levels(scene)[-1]
+    points = {engine: [a_point(1e-3, 4.0)] for engine in (*ENGINES, BATCHED)}
+    points |= {OURS: [a_point(1e-3, 1.0), a_point(1e-4, 2.0)], "MuJoCo": [a_point(5e-3, 3.0)]}
+    rows = [(row["ours"], row["peer"]) for row in speeds(scene, points)]
+    costs = [tuple(p and p["cpu_seconds_per_second"] for p in row) for row in rows]
+    assert costs == [(1.0, 3.0), (1.0, 4.0), (2.0, None), *3 * [(None, None)]]
+    results = {"machine": {"processor": ""}, "versions": {}, "command": "", "comparisons": []}
+    text = page(results | {"scenes": {"S1": summary(scene, points)}})
+    assert "| 0.001 | 1 | 0.25 | 4 |" in text
+    assert "| 0.0001 | 0.5 | - | - | - |" in text
 
 
 @pytest.mark.parametrize("missing", ["exudyn", "mujoco"])
@@ -78,11 +124,10 @@ def tips(peers: Any) -> dict[str, Array]:
     """S1's tip by cable elements, chains of hinges and assumed modes, with small steps."""
     engines, scene, fine = peers.engines, SCENES["S1"], Fraction(24)
     cable = engines.cable(scene, 6, scene.axial, explicit=False)
-    shapes = peers.Shapes(("clamped-tip-mass",), (3,), True)
-    model = peers.compiled(shapes.arm(scene.arm))
+    model = compiled(Shapes(("clamped-tip-mass",), (3,), True).arm(scene))
     result = {
         "cable": engines.follow(cable, scene, engines.Method("GeneralizedAlpha"), fine)[0],
-        "ours": peers.our_run(scene, model, "rk4", fine, True)[0],
+        "ours": our_run(scene, model, "rk4", fine, True)[0],
     }
     for hinges, rate in ((8, 20), (16, 80), (32, 256)):
         result[f"{hinges} hinges"] = engines.mujoco_chain(scene, hinges, "RK4", Fraction(rate))[0]
@@ -107,12 +152,22 @@ def test_a_chain_of_hinges_converges_to_our_tip_quadratically(tips: dict[str, Ar
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.3)
 
 
-def test_cable_elements_confirm_the_truth_from_hinges(peers: Any) -> None:
-    """The truth of the two links is an extrapolated chain; engines are compared at 1e-5."""
+def test_cable_elements_confirm_the_truth_of_two_links(peers: Any) -> None:
+    """To the elements' own error: four per link are not converged."""
     engines, scene, fine = peers.engines, SCENES["korayem"], Fraction(32)
     cable = engines.cable(scene, 4, scene.axial, explicit=False)
     tips, _ = engines.follow(cable, scene, engines.EXUDYN_METHODS["trapezoidal"], fine)
     assert scene.error(tips, fine) < 1e-5
+
+
+def test_hinges_extrapolated_confirm_the_truth_of_two_links(peers: Any) -> None:
+    """MuJoCo's chains of 16 and 32 hinges, whose distance from each other is 4e-7."""
+    scene = SCENES["korayem"]
+    coarse, fine = (
+        peers.engines.mujoco_chain(scene, hinges, "RK4", Fraction(rate))[0]
+        for hinges, rate in ((16, 160), (32, 640))
+    )
+    assert scene.error(fine + (fine - coarse) / 3.0, Fraction(1)) < 2e-7
 
 
 def test_every_engine_has_a_line_and_ours_is_the_cheapest(peers: Any) -> None:
