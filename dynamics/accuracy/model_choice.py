@@ -144,7 +144,8 @@ def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
     """Cheapest model within the model tolerance, of the first kind that has one.
 
     Kinds and families that fail with all their modes are not refined step by step. A further family
-    is tried with the modes that the first one reached, and fewer.
+    is tried with the modes that suffice in the first one, and fewer; lumped links, whose errors are
+    larger, with those that the first one reached before needless ones were removed.
     """
     start, kinds = rigid(errors.arm), _kinds(errors.arm)
     ladder.append(_rung(errors, start, kinds[0][0].best))
@@ -158,8 +159,8 @@ def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
             ladder.append(_rung(errors, best, best))
             continue
         for kind in families:
-            if reached:  # as many modes of another family are about as accurate
-                path = [_alike(kind, reached)]
+            if reached:  # as many modes of another family are about as accurate, if not lumped
+                path = [_alike(kind, reached if kind.start.lumped else sufficient[0])]
             elif best is None or _suffices(errors, replace(kind.start, counts=kind.most)):
                 path = _refined(errors, kind)
             else:
@@ -306,7 +307,7 @@ def _largest_step(
     """Largest step [s] within the budget and its integration error [m].
 
     Steps shrink as the method's order predicts until one fits; a smaller one has to confirm it.
-    The largest fitting step is then bracketed to STEP_RATIO. Without such a step below the cost
+    The largest fitting step is then bracketed to the root of STEP_RATIO. Without such a step below the cost
     `cheapest`, the last step that was tried.
     """
     budget, rollout = errors.step_budget(fidelity), errors.rollout(fidelity)
@@ -342,7 +343,7 @@ def _largest_step(
             fall = (budget / error(dt)) ** (1.0 / method.order)
             dt = finer(dt, min(max(fall, LARGEST_FALL), 1.0 / STEP_RATIO))
         between = near(math.sqrt(dt * bad))
-        if bad / dt <= STEP_RATIO**1.5 or between in found:
+        if bad / dt <= STEP_RATIO**0.5 or between in found:
             return dt, error(dt)
         if error(between) <= budget:
             dt = between
