@@ -108,11 +108,13 @@ id with five bending modes per direction and three torsion modes per link.
 
 {certificate}
 
-The step of an id is chosen by measurement, too: for each integrator, the fewest substeps that keep
-the tip within {tip_error:g} of the reach through {episodes} episodes of random torques. The
-environment uses the first row of its table of steps. It has the least CPU time, where a tenth more
-time is accepted for a tenth of the error. CPU time is per control step of one environment in a
-batch of {batch}, on the machine that measured. `python -m flexarm_env.certify` measures both again.
+Model and step of an id are the cheapest for an error of {tip_error:g} of the reach in all, model
+and step together, on these motions: `dynamics.choose_model` finds the model, and for each
+integrator the fewest substeps are listed. The environment uses the first row of its table of steps.
+It has the least CPU time, where a tenth more time is accepted for a tenth of the error. CPU time is
+per control step of one environment in a batch of {batch}, on the machine that measured. The step's
+error grows with time: the table also has the largest of {episodes} episodes of random torques, from
+the step alone. `python -m flexarm_env.certify` measures all of this again.
 """
 
 TERMINOLOGY = (

@@ -64,41 +64,76 @@ def certify(
     RuntimeError : if the reference does not converge; the message states the residual.
     ValueError : for a scene that does not fit the arm.
     """
-    arm = load_arm(arm)
-    validate.instance(scene, "scene", Scene).check(arm)
-    validate.known(integrator, "integrator", INTEGRATORS)
-    validate.positive(dt, "dt", "s")
     accuracy = validate.positive(accuracy, "accuracy", "m")
     with Progress(progress) as line:
-        return _certificate(ModelErrors(arm, scene, 10.0 * accuracy, line), integrator, dt)
+        return Certifier(arm, scene, accuracy, line).certificate(integrator, dt)
 
 
-def _certificate(errors: ModelErrors, integrator: str, dt: float) -> Certificate:
-    reference, arm, scene = errors.converge(), errors.arm, errors.scene
-    own = fidelity_of(arm)
-    rich = replace(own, counts=everything(arm, 5, 3), polynomial=True, lumped=False)
-    rollout = Rollout(arm)
-    tips = errors.tips_of(rollout)
-    errors.progress.stage("steps")
-    runs = [rollout.run(motion, integrator, dt) for motion in scene.motions]
-    samples = [slice(None, None, run.stride) for run in runs]
-    stepped = [run.tips for run in runs]
-    converged = [x[k] for x, k in zip(tips, samples, strict=True)]
-    true = [x[k] for x, k in zip(errors.reference, samples, strict=True)]
-    return Certificate(
-        model=str(own),
-        integrator=integrator,
-        dt=dt,
-        error=largest_distance(stepped, true),
-        integration=largest_distance(stepped, converged),
-        truncation=largest_distance(tips, errors.tips(rich)),
-        nonlinear=errors.error(rich),
-        residual=errors.residual,
-        reach=arm.reach,
-        cost=max(rollout.cost(motion, integrator, dt) for motion in scene.motions),
-        reference=reference,
-        scene=scene.name,
-    )
+class Certifier:
+    """Errors of one model on a scene by any method and step, all from one reference.
+
+    The arguments are those of `certify`, but for a line of progress.
+    """
+
+    def __init__(
+        self, arm: ArmSource, scene: Scene, accuracy: float, line: Progress | None = None
+    ) -> None:
+        self.arm = load_arm(arm)
+        validate.instance(scene, "scene", Scene).check(self.arm)
+        self._errors = ModelErrors(self.arm, scene, 10.0 * accuracy, line)
+        self._described = self._errors.converge()
+        self._rollout = Rollout(self.arm)
+        self._tips = self._errors.tips_of(self._rollout)
+        self._errors.progress.stage("steps")
+
+    @property
+    def model_error(self) -> float:
+        """[m] of the model, with converged integration."""
+        return largest_distance(self._tips, self._errors.reference)
+
+    def error(self, integrator: str, dt: float) -> float:
+        """[m] of model and step together."""
+        return self._distances(integrator, dt)[0]
+
+    def certificate(self, integrator: str, dt: float) -> Certificate:
+        """Errors of the model with a step, separated by cause."""
+        errors, motions = self._errors, self._errors.scene.motions
+        own = fidelity_of(self.arm)
+        rich = replace(own, counts=everything(self.arm, 5, 3), polynomial=True, lumped=False)
+        error, integration = self._distances(integrator, dt)
+        return Certificate(
+            model=str(own),
+            integrator=integrator,
+            dt=dt,
+            error=error,
+            integration=integration,
+            truncation=largest_distance(self._tips, errors.tips(rich)),
+            nonlinear=errors.error(rich),
+            residual=errors.residual,
+            reach=self.arm.reach,
+            cost=max(self._rollout.cost(motion, integrator, dt) for motion in motions),
+            reference=self._described,
+            scene=errors.scene.name,
+        )
+
+    def _distances(self, integrator: str, dt: float) -> tuple[float, float]:
+        """[m] of a run from the reference, and from the model's converged motion."""
+        validate.known(integrator, "integrator", INTEGRATORS)
+        validate.positive(dt, "dt", "s")
+        for motion in self._errors.scene.motions:
+            if motion.hold and abs(motion.hold / dt - round(motion.hold / dt)) > 1e-6:
+                raise ValueError(
+                    f"dt ({dt:g} s) must divide JointMotion.hold ({motion.hold:g} s), the time for "
+                    "which a torque is held."
+                )
+        motions = self._errors.scene.motions
+        runs = [self._rollout.run(motion, integrator, dt) for motion in motions]
+        self._errors.progress.motion()
+        samples = [slice(None, None, run.stride) for run in runs]
+        stepped = [run.tips for run in runs]
+        converged = [x[k] for x, k in zip(self._tips, samples, strict=True)]
+        true = [x[k] for x, k in zip(self._errors.reference, samples, strict=True)]
+        return largest_distance(stepped, true), largest_distance(stepped, converged)
 
 
 def fidelity_of(arm: Arm) -> Fidelity:

@@ -307,8 +307,8 @@ def _largest_step(
     """Largest step [s] within the budget and its integration error [m].
 
     Steps shrink as the method's order predicts until one fits; a smaller one has to confirm it.
-    The largest fitting step is then bracketed to the root of STEP_RATIO. Without such a step below the cost
-    `cheapest`, the last step that was tried.
+    The largest fitting step is then bracketed to the root of STEP_RATIO. Without such a step below
+    the cost `cheapest`, the last step that was tried.
     """
     budget, rollout = errors.step_budget(fidelity), errors.rollout(fidelity)
     motions, method = errors.scene.motions, INTEGRATORS[integrator]

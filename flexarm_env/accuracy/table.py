@@ -25,7 +25,13 @@ def accuracy(certificate: dict[str, Any], steps: Iterable[dict[str, Any]]) -> st
         (name, f"{1e3 * c[name]:.2g}", f"{c[name] / c['reach']:.1e}") for name, _ in CERTIFICATE
     ]
     rows = [
-        (x["integrator"], str(x["substeps"]), f"{x['error']:.1e}", f"{1e6 * x['seconds']:.2g}")
+        (
+            x["integrator"],
+            str(x["substeps"]),
+            f"{x['error']:.1e}",
+            f"{x['episode_error']:.1e}",
+            f"{1e6 * x['seconds']:.2g}",
+        )
         for x in steps
     ]
     reason = f"Chosen for `modes: auto`: {c['reason']}\n\n" if "reason" in c else ""
@@ -33,5 +39,8 @@ def accuracy(certificate: dict[str, Any], steps: Iterable[dict[str, Any]]) -> st
         f"{reason}Certificate (`{c['reproduce']}`):\n\n"
         + markdown(("error", "tip [mm]", "tip [reach]"), errors)
         + f"\n\nModel: {c['model']}. Reference: {c['reference']}.\n\nMeasured steps:\n\n"
-        + markdown(("integrator", "substeps", "tip error [reach]", "CPU time [us]"), rows)
+        + markdown(
+            ("integrator", "substeps", "in all [reach]", "step alone, episodes", "CPU time [us]"),
+            rows,
+        )
     )

@@ -139,17 +139,22 @@ def unmeasured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
         def to_dict(self) -> dict[str, Any]:
             return known["certificate"]
 
+    class Certifies:
+        def certificate(self, integrator: str, dt: float) -> Measured:
+            return Measured()
+
     store = tmp_path / "certificates.json"
     store.write_text(certificates.STORE.read_text(encoding="utf-8"), encoding="utf-8")
     monkeypatch.setattr(certify, "STORE", store)
     monkeypatch.setattr(
         certify, "fewest_steps",
-        lambda arm, dt, length, method: next(
+        lambda certifier, dt, method: next(
             (x for x in known["steps"] if x["integrator"] == method), None
         ),
     )  # fmt: skip
     monkeypatch.setattr(certify, "timed", lambda arm, dt, steps: steps)
-    monkeypatch.setattr(certify, "measure", lambda *step: Measured())
+    monkeypatch.setattr(certify, "largest_error", lambda *step: known["steps"][0]["episode_error"])
+    monkeypatch.setattr(certify, "certifier_of", lambda arm, dt: Certifies())
     return store
 
 
