@@ -296,7 +296,7 @@ def _facts(core: Core, steps: int) -> str:
         ("torque limits", f"{_numbers(core.torque_limit)} N m"),
         ("control step", f"{core.control_dt:g} s"),
         ("episode", f"{steps} steps, {steps * core.control_dt:g} s"),
-        ("integration", f"{core.integrator}, {core.substeps} steps per control step"),
+        ("integration", f"{core.integrator}, {_counted(core.substeps, 'step')} per control step"),
         ("first locked frequencies", f"{_numbers(locked)} Hz"),
         ("first free frequencies", f"{_numbers(free)} Hz"),
         ("move time", f"{core.move_time:.2f} s"),
@@ -331,6 +331,10 @@ def _components(core: Core, part: Part) -> str:
         return ", ".join(f"link {k // 2 + 1} {'yz'[k % 2]}" for k in part.entries)
     first, last = part.entries[0] + 1, part.entries[-1] + 1
     return f"joint {first}" if first == last else f"joints {first} to {last}"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def _accuracy(core: Core) -> str:

@@ -28,11 +28,12 @@ GOOD = "Good to"  # in a truth's file, the error over the reach follows this tex
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """Fidelity of a model, equal for all links: modes, foreshortening, segments."""
+    """Fidelity of a model, equal for all links: modes, foreshortening, segments, lumped masses."""
 
     modes: int  # per link (or segment) and direction
     foreshortening: bool = False
     segments: int = 1
+    lumped: bool = False
 
     def arm(self, arm: Arm) -> Arm:
         """The arm at this fidelity; segments have polynomial shapes, whole links the arm's own."""
@@ -40,7 +41,8 @@ class Level:
             counts=everything(arm, self.modes, 0),
             segments=(self.segments if self.modes else 1,) * arm.n_joint,
             foreshortening=self.foreshortening,
-            polynomial=self.segments > 1,
+            polynomial=self.segments > 1 or self.lumped,
+            lumped=self.lumped,
         )
         return fidelity.arm(arm)
 
@@ -50,7 +52,8 @@ class Level:
         if self.modes == 0:
             return "rigid"
         cut = f"{self.segments} segments, " if self.segments > 1 else ""
-        return cut + ("foreshortened" if self.foreshortening else "linear")
+        lumped = "lumped, " if self.lumped else ""
+        return cut + lumped + ("foreshortened" if self.foreshortening else "linear")
 
     def __str__(self) -> str:
         if self.modes == 0:
@@ -70,6 +73,7 @@ _SIX_FINER = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (1, 
 SHORT = (  # for an arm of six links
     *(Level(modes=m) for m in (0, 1, 2, 3)),
     *(Level(modes=m, foreshortening=True) for m in (1, 2)),
+    Level(modes=2, foreshortening=True, lumped=True),
 )
 
 
@@ -137,12 +141,15 @@ class Setting:
 
 def undamped(arm: Arm) -> Arm:
     """The arm without damping of its links."""
-    links = tuple(replace(link, damping_ratio=0.0, damping_beta=0.0) for link in arm.links)
+    links = tuple(
+        replace(link, damping_ratio=0.0, damping_beta=0.0, damping_beta_torsion=None)
+        for link in arm.links
+    )
     return replace(arm, links=links)
 
 
 def _clamped(arm: Arm, foreshortening: bool = False) -> Arm:
-    """The arm with two clamped-tip-mass modes per link, as the presets have."""
+    """The arm with two clamped-tip-mass modes per link, as SLIM has."""
     modes = tuple(Mode(kind="clamped-tip-mass", index=k, direction="y") for k in (1, 2))
     links = tuple(replace(link, modes=modes) for link in arm.links)
     return replace(arm, links=links, foreshortening=foreshortening)
