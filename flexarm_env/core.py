@@ -174,12 +174,15 @@ class Core:
             self.task.ranges(self.move_time),
             np.array(self.scales.home),
             np.array(self.arm.joint_index, dtype=np.uint64),
-            np.array(self.scales.modal_scale),
-            np.array(self.scales.modal_rate),
+            self._vibration(self.scales.vibration),
+            self._vibration(self.scales.vibration_rate),
             np.array([MOVE, self.rate_scale**2 / MOVE]),
             np.array(list(self.randomize.values()), dtype=np.float64).reshape(-1, 2),
             np.array([first[name] for name in names], dtype=np.uint64),
         )
+
+    def _vibration(self, shapes: tuple[tuple[float, ...], ...]) -> Array:
+        return np.array(shapes).reshape(-1, self.arm.n - self.arm.n_joint)
 
     def _allocate(self) -> None:
         """Create the state of all environments, and a workspace per thread."""

@@ -113,8 +113,9 @@ and step together, on these motions: `dynamics.choose_model` finds the model, an
 integrator the fewest substeps are listed. The environment uses the first row of its table of steps.
 It has the least CPU time, where a tenth more time is accepted for a tenth of the error. CPU time is
 per control step of one environment in a batch of {batch}, on the machine that measured. The step's
-error grows with time: the table also has the largest of {episodes} episodes of random torques, from
-the step alone. `python -m flexarm_env.certify` measures all of this again.
+error grows with time: the table also has the largest of {episodes} episodes of random torques in
+Reach and in Damp, from the step alone. Methods by which one of them diverges are left out.
+`python -m flexarm_env.certify` measures all of this again.
 """
 
 TERMINOLOGY = (

@@ -27,6 +27,7 @@ BENT = 0.6  # [rad] home angle of every joint but the first
 MOVE = 0.5  # [rad] angle scale: the angle of the bang-bang move that sets rate and time scales
 RIGID_RATE = 25.0  # [rad/s] of motions of an arm without flexible links
 RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
+SLOW = 10.0  # frequency over the first of the slow natural modes, which Damp excites
 SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequency
 SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # largest dt omega by a method's order, omega of the first
 # joint-free mode: moves excite it, and a step must follow it to 1e-3 of the reach
@@ -50,6 +51,9 @@ class Scales:
     fastest: float  # [rad/s] highest frequency, or fastest decay [1/s] by damping and friction
     modal_scale: tuple[float, ...]  # (n - n_joint,) [m] peak in the bang-bang test; 1 if unmoved
     modal_rate: tuple[float, ...]  # (n - n_joint,) [m/s] peak rate in the test; 1 if unmoved
+    # modal amplitudes [m] and rates [m/s] at the peaks of the slow natural modes with locked joints
+    vibration: tuple[tuple[float, ...], ...]  # (r, n - n_joint)
+    vibration_rate: tuple[tuple[float, ...], ...]  # (r, n - n_joint)
 
 
 def home_posture(n_joint: int) -> tuple[float, ...]:
@@ -84,11 +88,13 @@ def _derived(arm: Arm) -> Scales:
     inertia = np.diag(M)[joints]
     locked = _frequencies(M[np.ix_(modal, modal)], K[np.ix_(modal, modal)])
     free = _frequencies(M, K)[arm.n_joint :]
+    shapes = _slow_modes(M, K, modal)
     if modal:
-        acceleration, peak = _bang_bang(arm, M, K, inertia, float(free[0]))
+        acceleration, peak, swing = _bang_bang(arm, M, K, inertia, float(free[0]), shapes)
         scale = np.where(peak > _UNMOVED * peak.max(), peak, 1.0)
     else:
-        acceleration, scale = RIGID_ACCELERATION, np.zeros(0)
+        acceleration, scale, swing = RIGID_ACCELERATION, np.zeros(0), np.zeros(0)
+    vibration = swing.reshape(2, -1, 1) * shapes[:, modal]
     return Scales(
         home=home,
         torque_limit=tuple(two_digits(acceleration * x) for x in inertia),
@@ -98,6 +104,8 @@ def _derived(arm: Arm) -> Scales:
         fastest=max((decay, *locked.tolist(), *free.tolist())),
         modal_scale=tuple(scale[modal].tolist()),
         modal_rate=tuple(scale[[arm.n + i for i in modal]].tolist()),
+        vibration=tuple(map(tuple, vibration[0].tolist())),
+        vibration_rate=tuple(map(tuple, vibration[1].tolist())),
     )
 
 
@@ -125,12 +133,27 @@ def _exponential(A: Array) -> Array:
     return result
 
 
-def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tuple[float, Array]:
-    """Largest valid acceleration [rad/s^2] in the bang-bang test, and (2 n,) peaks of q and v.
+def _slow_modes(M: Array, K: Array, modal: list[int]) -> Array:
+    """(r, n) natural modes with locked joints and modal mass 1, up to SLOW times the first."""
+    shapes = np.zeros((0, len(M)))
+    if modal:
+        inverse = np.linalg.inv(np.linalg.cholesky(M[np.ix_(modal, modal)]))
+        squares, turned = np.linalg.eigh(inverse @ K[np.ix_(modal, modal)] @ inverse.T)
+        slow = squares <= SLOW**2 * squares[0]
+        shapes = np.zeros((np.count_nonzero(slow), len(M)))
+        shapes[:, modal] = (inverse.T @ turned[:, slow]).T
+    return shapes
 
-    Joint torques are the acceleration times `inertia`. One period of bang-bang at `first` [rad/s],
-    the first joint-free frequency, excites that mode most. All joints move at once and their peaks
-    add up.
+
+def _bang_bang(
+    arm: Arm, M: Array, K: Array, inertia: Array, first: float, shapes: Array
+) -> tuple[float, Array, Array]:
+    """Largest valid acceleration [rad/s^2] in the bang-bang test, and what it moves.
+
+    These are the peaks of q and v (2 n,), and those of the amplitudes and rates of the r natural
+    modes `shapes` (2 r,), reduced so that all amplitudes together are valid. Joint torques are the
+    acceleration times `inertia`. One period of bang-bang at `first` [rad/s], the first joint-free
+    frequency, excites that mode most. All joints move at once and their peaks add up.
     """
     n, m = arm.n, arm.n_joint
     C, B, strains = _damping_inputs_strains(arm)
@@ -141,14 +164,21 @@ def _bang_bang(arm: Arm, M: Array, K: Array, inertia: Array, first: float) -> tu
     step = _exponential(np.block([[A, forces], [np.zeros((m, 2 * n + m))]]) * dt)
     x = np.zeros((2 * n, m))  # one column per joint that is driven alone
     peak_strain, peak = np.zeros((2 * m, m)), np.zeros((2 * n, m))
+    swing = np.zeros((2, len(shapes), m))
+    amplitudes = shapes @ M
+    amplitudes[:, list(arm.joint_index)] = 0.0  # of the modes with locked joints
     for k in range(2 * _SAMPLES):
         sign = 1.0 if k < _SAMPLES // 2 else -1.0 if k < _SAMPLES else 0.0
         x = step[: 2 * n, : 2 * n] @ x + sign * step[: 2 * n, 2 * n :]
         peak_strain = np.maximum(peak_strain, np.linalg.norm(strains @ x[:n], axis=1))
         peak = np.maximum(peak, np.abs(x))
+        swing = np.maximum(swing, np.abs(amplitudes @ x.reshape(2, n, m)))
     largest = float(peak_strain.sum(axis=1).max())
     acceleration = 1.0 / largest if largest else RIGID_ACCELERATION  # springs alone: any twist
-    return acceleration, acceleration * peak.sum(axis=1)
+    swing = acceleration * swing.sum(axis=2)
+    bent = np.linalg.norm(np.einsum("acn,rn->acr", strains, shapes), axis=1)
+    together = float((bent @ swing[0]).max(initial=1.0))
+    return acceleration, acceleration * peak.sum(axis=1), swing.ravel() / together
 
 
 def _damping_inputs_strains(arm: Arm) -> tuple[Array, Array, Array]:

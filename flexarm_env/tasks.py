@@ -32,7 +32,7 @@ class Task:
     moves: Range = (0.0, 0.0)  # [rad] joint angles from start to target, either sign
     share: Range = (0.0, 0.0)  # [-] acceleration of each sine over that at full torque
     tempo: Range = (0.0, 0.0)  # [-] frequency of the sines times move_time / pi
-    shake: Range = (0.0, 0.0)  # [-] modal amplitudes and rates over `Scales.modal_scale`, `_rate`
+    shake: Range = (0.0, 0.0)  # [-] of `Scales.vibration` and `vibration_rate`
 
     @property
     def moving(self) -> bool:
@@ -85,8 +85,9 @@ TASKS = {
         start=(-0.5, 0.5),
         shake=(-0.6, 0.6),
         start_text=(
-            "Joints at rest, links vibrating. Modal amplitudes and rates: uniform within 60 % of "
-            "their scales (the peaks of the bang-bang test). Joint angles: uniform within 0.5 rad "
+            "Joints at rest, links vibrating in their slow natural modes (joints locked, up to ten "
+            "times the first frequency). Amplitudes and rates: uniform within 60 % of the modes' "
+            "peaks in the bang-bang test. Joint angles: uniform within 0.5 rad "
             "of the home posture. Target: the same joint angles, at rest."
         ),
         reward="damp",

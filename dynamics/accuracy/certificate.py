@@ -147,6 +147,6 @@ def fidelity_of(arm: Arm) -> Fidelity:
     return Fidelity(
         counts=counts,
         segments=segments,
-        foreshortening=arm.foreshortening,
+        foreshortening=bool(arm.foreshortening),
         lumped=bool(bending) and all(link.lumped for link in bending),
     )

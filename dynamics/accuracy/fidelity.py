@@ -6,7 +6,7 @@ Damping does not depend on fidelity: see formulations/damping.py.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from dynamics.description.arm import Arm
+from dynamics.description.arm import SECOND_ORDER, Arm
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
 from dynamics.formulations.damping import viscous_links, yields
@@ -52,7 +52,7 @@ class Fidelity:
                 viscous_links(arm), self.counts, self.segments, strict=True
             )
         )
-        return replace(arm, links=links, foreshortening=self.foreshortening)
+        return replace(arm, links=links, foreshortening=self.foreshortening and SECOND_ORDER)
 
     def _modes(self, link: Link, counts: Counts) -> Iterator[Mode]:
         for direction, count in zip(DIRECTIONS, counts, strict=False):

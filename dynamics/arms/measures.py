@@ -30,7 +30,7 @@ def hertz(arm: Arm, joints: str = "locked", angles: tuple[float, ...] | None = N
 def alone(arm: Arm, link: int, modes: int, kind: str = "clamped-tip-mass", **changes: Any) -> Arm:
     """Arm of one link (numbered from 0) with its tip body and `modes` shapes along y."""
     shapes = tuple(Mode(kind=kind, index=k, direction="y") for k in range(1, modes + 1))
-    single = replace(arm.links[link], modes=shapes, segments=1, **changes)
+    single = replace(arm.links[link], modes=shapes, segments=1, lumped=False, **changes)
     return Arm(links=(replace(single, joint=replace(single.joint, parallel=False)),))
 
 

@@ -19,6 +19,8 @@ MOST_LINKS = 1000
 MOST_COORDINATES = 1000  # an arm of this size compiles in minutes
 BASE_NAMES = ("base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz")
 
+SECOND_ORDER = "second-order"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Payload:
@@ -106,7 +108,9 @@ class Arm:
     description: str = ""
     gravity: Vector3 = (0.0, 0.0, 0.0)  # [m/s^2] in the world frame
     rotation: str = "exp"  # of a deflected tip: "exp" is a true rotation, "linear" is 1 + theta~
-    foreshortening: bool = False  # u = -1/2 int (y'^2 + z'^2): fast rotation stiffens links
+    # u = -1/2 int (y'^2 + z'^2): fast rotation stiffens links. True, or SECOND_ORDER: the beam's
+    # energies to second order in the deflection, as u itself is
+    foreshortening: bool | str = False
     base: Base = field(default_factory=Base)
     payload: Payload | None = None
 
@@ -122,7 +126,8 @@ class Arm:
                 f"Arm.links must have at most {MOST_COORDINATES} coordinates (joints, springs, "
                 f"modes of every segment), got {count}; use fewer Link.segments or Link.modes."
             )
-        validate.boolean(self.foreshortening, "Arm.foreshortening")
+        if self.foreshortening != SECOND_ORDER:
+            validate.boolean(self.foreshortening, f"Arm.foreshortening (or {SECOND_ORDER!r})")
         validate.instance(self.base, "Arm.base", Base)
         if self.payload is not None:
             validate.instance(self.payload, "Arm.payload", Payload)

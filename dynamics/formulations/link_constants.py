@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from dynamics.description.arm import Arm, Payload
+from dynamics.description.arm import SECOND_ORDER, Arm, Payload
 from dynamics.description.beam_shapes import Shape
 from dynamics.description.deflection import BENDING, DISPLACEMENT, TILT, TWIST
 from dynamics.description.joint import Joint
@@ -128,7 +128,7 @@ def link_constants(
     link: Link,
     payload: Payload | None = None,
     *,
-    foreshortening: bool = False,
+    foreshortening: bool | str = False,
     welded: bool = False,
 ) -> LinkConstants:
     """All constants of one link without segments; `payload` is added to its tip body."""
@@ -203,18 +203,18 @@ class _BeamIntegrals(NamedTuple):
     twist: Array  # (m + p) 1 for torsion, else 0
     zeroth: Array  # (m + p) int s_j
     first: Array  # (m + p) int x s_j
-    square: Array  # (m + p, m + p) int s_j s_k of two modes, else 0
+    square: Array  # (m + p, m + p) int s_j s_k; to second order only of two modes
     tip: Array  # (m + p) s_j(l)
     tip_slope: Array  # (m) s_j'(l)
     root_slope: Array  # (m + p) s_j'(0) of pinned-free modes, else 0
     K: Array  # (m, m) stiffness
 
 
-def _beam_integrals(link: Link, foreshortening: bool) -> _BeamIntegrals:
+def _beam_integrals(link: Link, foreshortening: bool | str) -> _BeamIntegrals:
     l = link.length
     x, weights = quadrature(l, link.modes)
     shapes = [shape(mode, link.beam) for mode in link.modes]
-    pairs, shortening, shortening_tip = _shortening(link, shapes, x, weights, foreshortening)
+    pairs, shortening, shortening_tip = _shortening(link, shapes, x, weights, bool(foreshortening))
     values = np.vstack([_table([s.value(x) for s in shapes], x.size), shortening])
     along = np.array([DISPLACEMENT[mode.direction] for mode in link.modes]).reshape(-1, 3)
     twist = np.array([TWIST[mode.direction][0] for mode in link.modes])
@@ -224,7 +224,8 @@ def _beam_integrals(link: Link, foreshortening: bool) -> _BeamIntegrals:
             root_slope[j] = float(shapes[j].slope(0.0))
     square = (values * weights) @ values.T
     size = np.sqrt(np.diag(square))
-    square[len(shapes) :] = square[:, len(shapes) :] = 0.0  # of higher order, see docs/theory.md
+    if foreshortening == SECOND_ORDER:
+        square[len(shapes) :] = square[:, len(shapes) :] = 0.0
     tip = np.array([*(float(s.value(l)) for s in shapes), *shortening_tip])
     tip_slope = np.array([float(s.slope(l)) for s in shapes])
     return _BeamIntegrals(

@@ -53,11 +53,11 @@ def begin(  # type: ignore[no-untyped-def]
     """Draw a new episode for the environments `rows`: state, reference, zero action.
 
     The reference is off the start by `ranges[MOVES]`, or moves along sines with `ranges[TEMPO]`;
-    the modes vibrate with `ranges[SHAKE]`. Ranges with an upper end of zero are not drawn.
+    the natural modes vibrate with `ranges[SHAKE]`. Ranges with an upper end of zero are not drawn.
 
-    `amplitude` and `rate` are the modal scales. `most` holds the largest angle [rad] and
-    acceleration [rad/s^2] of a path, `free` the ranges of the arm's free parameters, `at` the first
-    rows of the state in the order Q, V, CENTRE, ...
+    `amplitude` and `rate` are the vibrations of `Scales`, a row per natural mode. `most` holds the
+    largest angle [rad] and acceleration [rad/s^2] of a path, `free` the ranges of the arm's free
+    parameters, `at` the first rows of the state in the order Q, V, CENTRE, ...
     """
     n_joint = U(joints.shape[0])
     for r in range(U(rows.shape[0])):
@@ -79,14 +79,17 @@ def begin(  # type: ignore[no-untyped-def]
                     state[at[PHASE] + wave, i] = uniform(streams, i, 0.0, 2.0 * math.pi)
             state[at[CENTRE] + j, i] = centre
         if ranges[SHAKE, 1] > 0.0:
-            mode = U(0)
-            for k in range(at[V] - at[Q]):
-                joint = False
-                for j in range(n_joint):
-                    joint = joint or joints[j] == k
-                if not joint:
-                    state[at[Q] + k, i] = amplitude[mode] * draw(streams, i, ranges, SHAKE)
-                    state[at[V] + k, i] = rate[mode] * draw(streams, i, ranges, SHAKE)
-                    mode += U(1)
+            for w in range(U(amplitude.shape[0])):
+                here = draw(streams, i, ranges, SHAKE)
+                moving = draw(streams, i, ranges, SHAKE)
+                mode = U(0)
+                for k in range(at[V] - at[Q]):
+                    joint = False
+                    for j in range(n_joint):
+                        joint = joint or joints[j] == k
+                    if not joint:
+                        state[at[Q] + k, i] += amplitude[w, mode] * here
+                        state[at[V] + k, i] += rate[w, mode] * moving
+                        mode += U(1)
         for k in range(U(free.shape[0])):
             state[at[FREE] + k, i] = draw(streams, i, free, k)

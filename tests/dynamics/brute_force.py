@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from dynamics import Arm, Body, Joint, Link, Mode
+from dynamics.description.arm import SECOND_ORDER
 from dynamics.description.mode_shapes import Shape, shape
 from dynamics.description.validate import ZEROS
 from dynamics.types import Array
@@ -292,7 +293,7 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
         rotors.append((link.joint.rotor_inertia, q + root))
 
         parts += _beam(link, delta, p, R, arm.foreshortening)
-        r, theta = _deflection(link, delta, np.array([link.length]), arm.foreshortening)
+        r, theta = _deflection(link, delta, np.array([link.length]), bool(arm.foreshortening))
         p, R = p + _product(R, r), _product(R, _rotation(theta))
         mass, inertia = link.tip_mass, np.array(link.tip_inertia)
         if link.lumped and link.modes:
@@ -308,12 +309,14 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
     return joined, rotors
 
 
-def _beam(link: Link, delta: Array, p: Array, R: Array, shorten: bool) -> list[tuple[Array, ...]]:
+def _beam(
+    link: Link, delta: Array, p: Array, R: Array, shorten: bool | str
+) -> list[tuple[Array, ...]]:
     """Sections of a beam at Gauss points, or the inner lump of a lumped one.
 
-    Foreshortening u moves a section of mass m from x by r + u. The energies keep the products of
-    second order, those of x + r with itself and of x with u. The latter's are those of masses m/2
-    at x + u and -m/2 at x - u.
+    Foreshortening u moves a section of mass m from x by r + u. To second order the energies keep
+    the products of x + r with itself and of x with u. The latter's are those of masses m/2 at x + u
+    and -m/2 at x - u.
     """
     if link.lumped and link.modes:
         mass, polar = link.rho_A * link.length, link.rho_Ip * link.length
@@ -322,11 +325,11 @@ def _beam(link: Link, delta: Array, p: Array, R: Array, shorten: bool) -> list[t
         return [(np.array([0.75 * mass]), turned, inner, R)]
     x = 0.5 * link.length * (NODES + 1.0)
     mass, share = link.rho_A * 0.5 * link.length * WEIGHTS, 0.5 * link.length * WEIGHTS
-    r, theta = _deflection(link, delta, x, False)
+    r, theta = _deflection(link, delta, x, shorten is True)
     section = _product(R, _rotation(theta * X)) if link.rho_Ip else R + 0.0 * r
     polar = link.rho_Ip * share[:, None, None] * np.outer(X, X)
     found = [(mass, polar, p + _product(R, r), section)]
-    if shorten:
+    if shorten == SECOND_ORDER:
         u = _deflection(link, delta, x, True)[0] - r
         straight = _deflection(link, 0.0 * delta, x, False)[0]
         for sign in (1.0, -1.0):

@@ -8,6 +8,7 @@ from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 from dynamics import Arm, Base, Joint, Link, Mode, Model, Payload, compile_arm
+from dynamics.description.arm import SECOND_ORDER
 from dynamics.description.mode_shapes import shape
 from dynamics.types import Array
 
@@ -36,7 +37,7 @@ def random_arm(seed: int, n_link: int, n_mode: int, *, spatial: bool = True) -> 
         links=tuple(_link(rng, int(m), spatial) for m in counts),
         gravity=tuple(rng.normal(0.0, 6.0, 3) * (1.0, 1.0, spatial)),
         payload=Payload(mass=0.3, inertia=_inertia(rng, spatial)) if rng.random() < 0.5 else None,
-        foreshortening=bool(rng.random() < 0.5),
+        foreshortening=(False, False, True, SECOND_ORDER)[rng.integers(4)],
     )
 
 

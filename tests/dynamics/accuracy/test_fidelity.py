@@ -15,6 +15,7 @@ from dynamics import (
     Payload,
     simulate,
 )
+from dynamics.accuracy.certificate import fidelity_of
 from dynamics.accuracy.fidelity import Fidelity, everything
 from dynamics.formulations import linearized
 from dynamics.formulations.damping import viscous
@@ -119,3 +120,19 @@ def test_viscosities_follow_from_the_lowest_modes_and_need_a_damping_ratio() -> 
     for link in (replace(DAMPED, damping_ratio=0.0), rigid, body):
         assert viscous(link) is link
     assert everything(Arm(links=(DAMPED, body)), 2, 1) == ((2, 2, 0), (0, 0, 0))
+
+
+def test_lumped_models_lump_flexible_links_and_say_so() -> None:
+    rigid_link = replace(OWN, EIz=None, EIy=None, modes=(), damping_ratio=0.0)
+    arm = Arm(links=(OWN, rigid_link))
+    fidelity = Fidelity(
+        counts=((2, 1, 0), (0, 0, 0)), segments=(1, 1), polynomial=True, lumped=True,
+        foreshortening=True,
+    )  # fmt: skip
+
+    first, second = fidelity.arm(arm).links
+
+    assert (first.lumped, second.lumped) == (True, False)
+    assert [mode.kind for mode in first.modes] == 3 * ["hierarchical"]
+    assert str(fidelity) == "link 1: 2 y + 1 z; link 2: rigid, polynomial, lumped, foreshortened"
+    assert fidelity_of(fidelity.arm(arm)) == replace(fidelity, polynomial=False)
