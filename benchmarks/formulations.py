@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.operations import Case, given_arm
 from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
-from dynamics import ARMS, Arm, compile_arm, simulate
+from dynamics import ARMS, Arm, Mode, compile_arm, simulate
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.table import FORMULATIONS, why_not
 from dynamics.types import Array
@@ -50,7 +50,10 @@ def conservative(arm: Arm) -> Arm:
 
 def planar_arm() -> Arm:
     """Two soft links in the plane, each with two modes."""
-    return conservative(ARMS["deluca-siciliano"])
+    arm = ARMS["deluca-siciliano"]
+    modes = tuple(Mode(kind="clamped-tip-mass", index=k, direction="y") for k in (1, 2))
+    links = tuple(replace(link, modes=modes) for link in arm.links)
+    return conservative(replace(arm, links=links, foreshortening=False))
 
 
 def spatial_arm() -> Arm:

@@ -126,9 +126,20 @@ def published(name: str, case: Case) -> Counts:
 # ---- arms ----------------------------------------------------------------------------------------
 
 
-def given_arm(case: Case, rotation: str = "exp") -> Arm:
-    """The first links of the six-link preset, under gravity; the third mode is torsion."""
+def one_shape_per_plane() -> Arm:
+    """The six-link preset as the literature has it: one clamped shape per plane, linear."""
+    shapes = tuple(Mode(kind="clamped-tip-mass", index=1, direction=d) for d in "yz")
     whole = ARMS["six-link"]
+    links = tuple(
+        replace(link, modes=shapes, lumped=False, damping_beta=0.0, damping_ratio=0.01)
+        for link in whole.links
+    )
+    return replace(whole, links=links, foreshortening=False)
+
+
+def given_arm(case: Case, rotation: str = "exp") -> Arm:
+    """The first links of `one_shape_per_plane`, under gravity; the third mode is torsion."""
+    whole = one_shape_per_plane()
     links = []
     for i, link in enumerate(whole.links[: case.n]):
         torsion = Mode(kind="torsion-fixed-free", index=1, direction="x")

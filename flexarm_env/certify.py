@@ -5,9 +5,10 @@ tables are those of an environment's page. Errors are measured on two motions: a
 at full torque for one period of the first joint-free mode, then coasting; and random torques,
 constant over each control step. For every method in METHODS this finds the fewest substeps that
 keep the error of model and step together within TIP_ERROR of the reach, or within SLACK times the
-model's own error where that is larger. A method by which an episode of random torques diverges is
-left out. Of the others it takes that with the least CPU time, allowing a tenth more time for a
-tenth of the error. Run nothing else on the machine meanwhile.
+model's own error where that is larger. A method that errs by more than EPISODE_ERROR in an episode
+of Reach or Damp, by the step alone, is left out. Of the others it takes that with the least CPU
+time, allowing a tenth more time for a tenth of the error. Run nothing else on the machine
+meanwhile.
 """
 
 import argparse
@@ -25,7 +26,7 @@ from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
 from flexarm_env import arguments
-from flexarm_env.accuracy.certificates import RANDOM_SHARE, STORE, Fitted, fit, scene
+from flexarm_env.accuracy.certificates import RANDOM_SHARE, RANDOM_STEPS, STORE, Fitted, fit, scene
 from flexarm_env.accuracy.table import accuracy
 from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.core import Core
@@ -38,11 +39,11 @@ TIP_ERROR = 1e-3  # [of the reach] of model and step together
 SLACK = 1.1  # [-] error with a step over that of a model that errs by more than TIP_ERROR itself
 EPISODES, TASKS = 32, ("Reach", "Damp")
 FINER = 4  # times the Runge-Kutta steps of an arm: the reference for steps
+EPISODE_ERROR = 1e-2  # [of the reach] of the step alone, above which a method is left out
 MOST_STEPS = 24  # per control step; more than that is never the cheapest
 BATCH = 1024  # environments that are timed together
 TIMED = 500  # timing rounds, a second of each method: the choice must not depend on disturbances
 TIME_PER_DECADE = 0.1  # relative increase of CPU time that is accepted for a tenth of the error
-EPISODE = 3.0  # [s] of random torques, for an arm that is not registered
 PERIOD_SHARE = 0.15  # [-] control step over the first joint-free period of such an arm
 ROUND = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # [s] its control step
 
@@ -50,20 +51,18 @@ Entry = dict[str, Any]  # control_dt, steps, certificate
 Step = dict[str, Any]  # integrator, substeps, error and episode_error [of the reach], seconds
 
 
-def largest_error(
-    arm: ArmSource, control_dt: float, length: int, integrator: str, substeps: int
-) -> float:
+def largest_error(arm: ArmSource, control_dt: float, integrator: str, substeps: int) -> float:
     """Largest tip error [of the reach] of the step alone over episodes of random torques.
 
-    Infinite if an episode diverges that does not with finer steps. Those of TASKS, EPISODES each,
-    have `length` control steps: Reach starts at rest, Damp with links that vibrate. An episode
+    Infinite if one diverges that does not with finer steps. There are EPISODES of each of TASKS,
+    RANDOM_STEPS control steps long: Reach starts at rest, Damp with links that vibrate. An episode
     counts until it ends.
     """
-    return max(_task_error(task, arm, control_dt, length, integrator, substeps) for task in TASKS)
+    return max(_task_error(task, arm, control_dt, integrator, substeps) for task in TASKS)
 
 
 def _task_error(
-    task: str, arm: ArmSource, control_dt: float, length: int, integrator: str, substeps: int
+    task: str, arm: ArmSource, control_dt: float, integrator: str, substeps: int
 ) -> float:
     setting: dict[str, Any] = {"task": task, "arm": arm, "control_dt": control_dt}
     count = FINER * integration(load_arm(arm), control_dt, "rk4")[1]
@@ -74,7 +73,7 @@ def _task_error(
             core.seed(row, np.random.default_rng(row))
         core.reset(np.arange(EPISODES))
     rng, worst, going = np.random.default_rng(0), 0.0, np.ones(EPISODES, dtype=bool)
-    for _ in range(length):
+    for _ in range(RANDOM_STEPS):
         torque = rng.uniform(-RANDOM_SHARE, RANDOM_SHARE, (EPISODES, coarse.arm.n_joint))
         infos = [core.step(torque.astype(np.float32))[0].described() for core in (coarse, fine)]
         if np.any(going & infos[0]["diverged"] & ~infos[1]["diverged"]):
@@ -140,15 +139,14 @@ def default_control_dt(arm: Arm) -> float:
     return max((dt for dt in ROUND if dt <= wanted), default=ROUND[0])
 
 
-def described(source: str, control_dt: float | None) -> tuple[Fitted, float, int]:
-    """Model that an environment steps for an arm, its control step [s], steps per episode."""
-    known = {arm: (dt, length) for arm, dt, length in SCENES.values()}
+def described(source: str, control_dt: float | None) -> tuple[Fitted, float]:
+    """Model that an environment steps for an arm, its and its control step [s]."""
+    known = {arm: dt for arm, dt, _ in SCENES.values()}
     arm = load_arm(source)
     if control_dt is None:
-        control_dt = known[source][0] if source in known else default_control_dt(arm)
+        control_dt = known[source] if source in known else default_control_dt(arm)
     dt = arguments.within("--control-dt", control_dt, *arguments.CONTROL_DT, "s")
-    length = known[source][1] if source in known else math.ceil(EPISODE / dt)
-    return fit(arm, dt, "auto", None), dt, length
+    return fit(arm, dt, "auto", None), dt
 
 
 def entry(source: str, control_dt: float | None) -> Entry:
@@ -159,7 +157,7 @@ def entry(source: str, control_dt: float | None) -> Entry:
     ValueError : for an arm that no environment takes, or without a step of sufficient accuracy.
     RuntimeError : if the reference does not converge.
     """
-    fitted, dt, length = described(source, control_dt)
+    fitted, dt = described(source, control_dt)
     arm = fitted.arm
     _report(f"{source}: reference")
     certifier, found = certifier_of(arm, dt), []
@@ -168,8 +166,8 @@ def entry(source: str, control_dt: float | None) -> Entry:
         found.append(fewest_steps(certifier, dt, method))
     enough = []
     for step in filter(None, found):
-        error = largest_error(arm, dt, length, step["integrator"], step["substeps"])
-        if error < math.inf:
+        error = largest_error(arm, dt, step["integrator"], step["substeps"])
+        if error <= EPISODE_ERROR:
             enough.append(step | {"episode_error": error})
     if not enough:
         raise ValueError(

@@ -182,7 +182,7 @@ class Core:
         )
 
     def _vibration(self, shapes: tuple[tuple[float, ...], ...]) -> Array:
-        return np.array(shapes).reshape(-1, self.arm.n - self.arm.n_joint)
+        return np.array(shapes).reshape(len(shapes), self.arm.n - self.arm.n_joint)
 
     def _allocate(self) -> None:
         """Create the state of all environments, and a workspace per thread."""

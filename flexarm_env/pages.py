@@ -17,7 +17,7 @@ from dynamics.simulation.validity import LARGEST_RATE
 from flexarm_env.accuracy.certificates import AUTO_TOLERANCE, kept
 from flexarm_env.accuracy.table import CERTIFICATE, accuracy
 from flexarm_env.accuracy.table import markdown as _table
-from flexarm_env.certify import BATCH, EPISODES, TIP_ERROR
+from flexarm_env.certify import BATCH, EPISODE_ERROR, EPISODES, TIP_ERROR
 from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core
 from flexarm_env.env import FlexArmEnv
@@ -113,8 +113,9 @@ and step together, on these motions: `dynamics.choose_model` finds the model, an
 integrator the fewest substeps are listed. The environment uses the first row of its table of steps.
 It has the least CPU time, where a tenth more time is accepted for a tenth of the error. CPU time is
 per control step of one environment in a batch of {batch}, on the machine that measured. The step's
-error grows with time: the table also has the largest of {episodes} episodes of random torques in
-Reach and in Damp, from the step alone. Methods by which one of them diverges are left out.
+error differs between starts: the table also has the largest of {episodes} episodes each of Reach,
+from rest, and of Damp, with links that vibrate, all as long as the certificate's random torques and
+by the step alone. Methods above {episode_error:g} of the reach there are left out.
 `python -m flexarm_env.certify` measures all of this again.
 """
 
@@ -226,6 +227,7 @@ def common_page() -> str:
         certificate=_table(("error", "of"), _code_first(CERTIFICATE)),
         tip_error=TIP_ERROR,
         episodes=EPISODES,
+        episode_error=EPISODE_ERROR,
         batch=BATCH,
     )
 

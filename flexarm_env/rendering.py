@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dynamics.description.deflection import deflection
+from dynamics.description.deflection import deflection, shortening
 from dynamics.formulations.link_constants import chain_constants, parts
 from dynamics.types import Array
 from flexarm_env.core import Core
@@ -103,6 +103,8 @@ class Renderer:
                 theta = np.zeros(3)
                 if part.modes:
                     shape += deflection(part, delta, x)
+                    if core.arm.foreshortening:
+                        shape[:, 0] += shortening(part, delta, x)
                     theta = np.array(constant.tip_theta).T @ delta
                 R = R @ E
                 line.append(end + shape @ R.T)

@@ -27,6 +27,7 @@ BENT = 0.6  # [rad] home angle of every joint but the first
 MOVE = 0.5  # [rad] angle scale: the angle of the bang-bang move that sets rate and time scales
 RIGID_RATE = 25.0  # [rad/s] of motions of an arm without flexible links
 RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
+LINEAR = 0.97  # share of validity in the bang-bang test, which is linear: bent links bend more
 SLOW = 10.0  # frequency over the first of the slow natural modes, which Damp excites
 SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequency
 SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # largest dt omega by a method's order, omega of the first
@@ -174,7 +175,7 @@ def _bang_bang(
         peak = np.maximum(peak, np.abs(x))
         swing = np.maximum(swing, np.abs(amplitudes @ x.reshape(2, n, m)))
     largest = float(peak_strain.sum(axis=1).max())
-    acceleration = 1.0 / largest if largest else RIGID_ACCELERATION  # springs alone: any twist
+    acceleration = LINEAR / largest if largest else RIGID_ACCELERATION  # springs alone: any twist
     swing = acceleration * swing.sum(axis=2)
     bent = np.linalg.norm(np.einsum("acn,rn->acr", strains, shapes), axis=1)
     together = float((bent @ swing[0]).max(initial=1.0))

@@ -39,6 +39,29 @@ def deflection(link: Link, delta: Iterable[float], x: Array) -> Array:
     return result
 
 
+def shortening(link: Link, delta: Iterable[float], x: Array) -> Array:
+    """Displacement along the link by foreshortening, u = -1/2 int_0^x (y'^2 + z'^2).
+
+    Parameters
+    ----------
+    delta : (m,) [m] modal amplitudes.
+    x : (n,) [m] positions along the undeformed link.
+
+    Returns
+    -------
+    (n,) [m]
+    """
+    x = np.asarray(x, dtype=np.float64)
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    inside = 0.5 * np.outer(x, nodes + 1.0)  # from the root to each point
+    slopes = np.zeros((2, *inside.shape))
+    for mode, d in zip(link.modes, delta, strict=True):
+        if mode.direction in BENDING:
+            slopes[BENDING.index(mode.direction)] += d * shape(mode, link.beam).slope(inside)
+    result: Array = -0.25 * x * (np.sum(slopes**2, axis=0) @ weights)
+    return result
+
+
 def curvature(link: Link, x: float) -> Array:
     """Twist per length and curvatures at x, per unit amplitude of each mode.
 

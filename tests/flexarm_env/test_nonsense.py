@@ -248,10 +248,10 @@ def test_a_joint_whose_angle_is_too_large_for_a_sine_has_diverged(dtype: str, mo
     assert any(ends)
 
 
-@pytest.mark.parametrize(("name", "value"), [("EIz", 1e18), ("length", 1e15)])
-def test_scales_that_overflow_are_refused(name: str, value: float) -> None:
-    arm = ARMS["deluca-siciliano"]
-    links = (replace(arm.links[0], **{name: value}), *arm.links[1:])
+@pytest.mark.parametrize("name", ["korayem-two-link", "six-link"])
+def test_scales_that_overflow_are_refused(name: str) -> None:
+    arm = ARMS[name]
+    links = (replace(arm.links[0], length=1e15), *arm.links[1:])
     with pytest.raises(ValueError, match=r"frequencies and scales .* too far apart"):
         gym.make(ONE, arm=replace(arm, links=links))
 

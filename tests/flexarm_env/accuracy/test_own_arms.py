@@ -153,7 +153,8 @@ def unmeasured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
         ),
     )  # fmt: skip
     monkeypatch.setattr(certify, "timed", lambda arm, dt, steps: steps)
-    monkeypatch.setattr(certify, "largest_error", lambda *step: known["steps"][0]["episode_error"])
+    errors = {step["integrator"]: step["episode_error"] for step in known["steps"]}
+    monkeypatch.setattr(certify, "largest_error", lambda arm, dt, method, count: errors[method])
     monkeypatch.setattr(certify, "certifier_of", lambda arm, dt: Certifies())
     return store
 
