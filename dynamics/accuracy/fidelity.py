@@ -6,6 +6,8 @@ Damping does not depend on fidelity: see formulations/damping.py.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from dynamics.description.arm import SECOND_ORDER, Arm
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
@@ -18,7 +20,6 @@ _NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-ti
             "axial": "axial-fixed-free"}  # fmt: skip
 _POLYNOMIAL = {"x": "torsion-poly", "y": "hierarchical", "z": "hierarchical", "axial": "axial-poly"}
 
-LUMPED_MODES = (2, 2, 1, 1)  # most that a lumped link may have, in the order of DIRECTIONS
 
 Counts = tuple[int, ...]  # modes along y, z, x, and axial ones where the arm's own modes have some
 Change = tuple[int, str]  # link, direction or "segments"
@@ -156,6 +157,19 @@ def _possible(arm: Arm, i: int, bending: int, torsion: int) -> Counts:
         return bending * y, 0, 0, *stretches
     twisting = (torsion if link.rho_Ip else min(torsion, 1)) * twists
     return bending * y, bending * z, twisting, *stretches
+
+
+def lumped(arm: Arm, counts: tuple[Counts, ...]) -> tuple[Counts, ...]:
+    """Mode counts per link as far as lumped links can have them.
+
+    A tip without inertia about the axis of bending has one mode there, under a tip force.
+    """
+    result = []
+    for row, link, payload in zip(counts, arm.links, arm.carried, strict=True):
+        inertia = np.diag(link.tip_inertia) + (np.diag(payload.inertia) if payload else 0.0)
+        most = (1 + (inertia[2] > 0.0), 1 + (inertia[1] > 0.0), 1, 1)
+        result.append(tuple(map(min, row, most)))
+    return tuple(result)
 
 
 def divisible(arm: Arm) -> tuple[bool, ...]:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 from dynamics.accuracy.choice import Choice, Rung, metres
 from dynamics.accuracy.fidelity import (
-    LUMPED_MODES,
     MOST_MODES,
     MOST_SEGMENTS,
     Change,
@@ -20,6 +19,7 @@ from dynamics.accuracy.fidelity import (
     Fidelity,
     divisible,
     everything,
+    lumped,
     rigid,
 )
 from dynamics.accuracy.progress import Progress
@@ -127,13 +127,8 @@ def _kinds(arm: Arm) -> list[list[_Kind]]:
         kinds = [
             _Kind(replace(start, polynomial=f.polynomial), most, whole, best) for f in families
         ]
-        result.append([*kinds, _Kind(replace(start, lumped=True), _fewer(most), whole, best)])
+        result.append([*kinds, _Kind(replace(start, lumped=True), lumped(arm, most), whole, best)])
     return [*result, [_Kind(rigid(arm, True, polynomial=True), few, cut)]]
-
-
-def _fewer(counts: tuple[Counts, ...]) -> tuple[Counts, ...]:
-    """Counts that a lumped link may have."""
-    return tuple(tuple(map(min, row, LUMPED_MODES)) for row in counts)
 
 
 def _most_segments(arm: Arm) -> tuple[int, ...]:
@@ -278,7 +273,7 @@ def _rival(errors: ModelErrors, sufficient: Fidelity) -> Fidelity | None:
     segmented = max(sufficient.segments) > 1
     segments = _most_segments(errors.arm) if segmented else sufficient.segments
     most = everything(errors.arm, MOST_MODES, 2)
-    most = _fewer(most) if sufficient.lumped else most
+    most = lumped(errors.arm, most) if sufficient.lumped else most
     options = sufficient.refinements(most, segments).values()
     rivals = [f for f in options if errors.step_budget(f) > LARGER_BUDGET * budget]
     return min(rivals, key=errors.operations, default=None)
