@@ -94,7 +94,7 @@ def test_the_arms_have_everything() -> None:
     assert any(link.joint.coulomb for link in parallel)
     assert any(link.segments > 1 for link in parallel)
     assert any(link.joint.elastic and link.modes for link in parallel)
-    assert {arm.foreshortening for arm in arms} == {arm.payload is None for arm in arms}
+    assert {bool(arm.foreshortening) for arm in arms} == {arm.payload is None for arm in arms}
 
 
 @any_arm
