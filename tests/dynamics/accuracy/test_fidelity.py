@@ -71,7 +71,7 @@ def test_torsion_decays_by_the_ratio_in_modes_and_in_segments(
 ) -> None:
     tip = ((inertia, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     shaft = Link(length=0.9, rho_A=0.3, EIz=12.0, GJ=8.0, rho_Ip=1e-3, tip_inertia=tip,
-                 damping_ratio=0.03)  # fmt: skip
+                 damping_ratio=0.03, modes=())  # fmt: skip
     model = Fidelity(counts=((0, 0, modes),), segments=(segments,), polynomial=True)
     viscid = model.arm(Arm(links=(shaft,)))
     own = viscid.links[0].modes

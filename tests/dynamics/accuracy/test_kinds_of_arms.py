@@ -16,8 +16,12 @@ from dynamics.accuracy.model_choice import _kinds
 from dynamics.accuracy.scene import JointMotion, bang_bang
 from dynamics.model import Model
 
-BEAM = Link(length=0.8, rho_A=0.5, EIz=30.0, tip_mass=0.2, joint=Joint(rotor_inertia=0.05))
-STUB = Link(length=0.6, rho_A=0.6, EIz=400.0, tip_mass=0.2, joint=Joint(rotor_inertia=0.1))
+BEAM = Link(
+    length=0.8, rho_A=0.5, EIz=30.0, tip_mass=0.2, modes=(), joint=Joint(rotor_inertia=0.05)
+)
+STUB = Link(
+    length=0.6, rho_A=0.6, EIz=400.0, tip_mass=0.2, modes=(), joint=Joint(rotor_inertia=0.1)
+)
 RIGID = Link(length=0.3, rho_A=1.0, tip_mass=1.0, joint=Joint(rotor_inertia=0.1))
 SLIDER = replace(RIGID, joint=Joint(type="prismatic"))
 PARALLEL = replace(BEAM, joint=Joint(rotor_inertia=0.05, parallel=True))
