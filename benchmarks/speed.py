@@ -199,7 +199,7 @@ def errors(env_id: str) -> dict[str, float]:
     entry = kept(core.arm, core.control_dt)
     assert entry is not None
     return {
-        "error of the step over episodes [reach]": entry["steps"][0]["error"],
+        "error of the step over episodes [reach]": entry["steps"][0]["episode_error"],
         "error in all at full torque [reach]": entry["certificate"]["error"] / core.arm.reach,
     }
 
