@@ -137,7 +137,7 @@ def unmeasured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
     class Measured:
         def to_dict(self) -> dict[str, Any]:
-            return known["certificate"]
+            return dict(known["certificate"])
 
     class Certifies:
         def certificate(self, integrator: str, dt: float) -> Measured:
