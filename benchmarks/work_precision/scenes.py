@@ -69,7 +69,7 @@ WHOLE = (
 CUT = tuple(Level(modes=2, segments=k, foreshortening=f) for k in (2, 4) for f in (False, True))
 DEEP = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (2, 4))  # for one link
 _FINER = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (4, 8))
-_SIX_FINER = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (1, 2))
+_SIX_FINER = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (2, 4))
 SHORT = (  # for an arm of six links
     *(Level(modes=m) for m in (0, 1, 2, 3)),
     *(Level(modes=m, foreshortening=True) for m in (1, 2)),
