@@ -113,6 +113,8 @@ def our_run(
     Only the first `most` steps are run.
     """
     stepper = Stepper(model, n_env, dt=scene.step(rate), substeps=1, integrator=integrator)
+    stepper.advance()  # its first call finds the compiled code, which takes as long as many steps
+    stepper.q[:], stepper.v[:], stepper.status[:] = 0.0, 0.0, 0
     stepper.q[:, list(model.arm.joint_index)] = scene.motion.joint_angles
     torques = scene.torques(rate)[:most]
     ends = np.arange(torques.size) // rate.numerator if record else np.zeros(torques.size)
