@@ -17,6 +17,11 @@ from agents.policy import Controller
 from dynamics.types import AnyArray
 
 
+def titled(env_id: str, kwargs: Mapping[str, Any]) -> str:
+    """An id with the keywords that differ from it, as titles show it."""
+    return " ".join([env_id, *(f"{name}={value}" for name, value in kwargs.items())])
+
+
 def compare(
     controllers: Mapping[str, Controller],
     env_id: str,
@@ -45,7 +50,7 @@ def compare(
     results = {name: episode_metrics(r) for name, r in recordings.items()}
     header = {"env": env_id, "env_kwargs": dict(kwargs), "reach": reach} | dict(about or {})
     write_results(folder, results, seeds, header)
-    title = f"{env_id}, {episodes} episodes"
+    title = f"{titled(env_id, kwargs)}, {episodes} episodes"
     plot_recordings(folder / "trajectories.png", recordings, title)
     chosen = list(controllers.items())[:filmed]
     print_table(results)

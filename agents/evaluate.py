@@ -34,7 +34,10 @@ def main(arguments: list[str] | None = None) -> int:
         metavar="RUN_OR_CONTROLLER",
         help=f"a run's folder, or one of {', '.join(sorted(CONTROLLERS))}",
     )
-    parser.add_argument("--env", metavar="ID", help="environment id (a run's own)")
+    parser.add_argument(
+        "--env", metavar="ID",
+        help="environment id, with --env-kwargs alone (default: a run's own, with its keywords)",
+    )  # fmt: skip
     parser.add_argument("--env-kwargs", metavar="YAML", help="e.g. '{obs: sensors}' (a run's own)")
     parser.add_argument("--episodes", type=int, default=100, metavar="N")
     parser.add_argument("--seed", type=int, default=10_000, metavar="S", help="first of N seeds")
@@ -70,6 +73,8 @@ def evaluate(a: argparse.Namespace) -> None:
     env_kwargs = parse_kwargs(a.env_kwargs)
     policy = find_policy(a.subject, a.trust)
     env_id, kwargs = find_env(policy, a.env, env_kwargs)
+    if policy is not None and a.env is None and kwargs:
+        print(f"{env_id} with the keywords of the training: {validate.shown(kwargs)}")
     name, controller = make_controller(a.subject, policy, env_id, kwargs, a.seed)
     a.out.mkdir(parents=True, exist_ok=True)
     with folder_lock(a.out):
@@ -116,14 +121,15 @@ def find_env(
 ) -> tuple[str, dict[str, Any]]:
     """Environment id and keywords from the command line, by default those of the training.
 
-    A policy file may name only environments of this package; the command line may name any.
+    With an id on the command line, the keywords of the training do not count. A policy file may
+    name only environments of this package; the command line may name any.
     """
     about: Mapping[str, Any] = {} if policy is None else policy.about
     own: str = about.get("env_id", "")
     if env_id is None and not own:
         raise UsageError("--env is needed: this subject names no environment.")
     try:
-        if kwargs is None and env_id in (None, own):
+        if kwargs is None and env_id is None:
             kwargs = check_keywords(about.get("env_kwargs", {}), "about.env_kwargs")
         return registered(own) if env_id is None else env_id, kwargs or {}
     except ValueError as error:
@@ -147,9 +153,11 @@ def make_controller(
         shapes = (env.single_observation_space.shape, env.single_action_space.shape)
         wanted = (policy.observation_low.shape, policy.biases[-1].shape)
         if shapes != wanted:
+            trained = policy.about.get("env_kwargs")
+            remedy = f" Its training had --env-kwargs {validate.shown(trained)}." if trained else ""
             raise UsageError(
                 f"{subject}: takes {wanted[0][0]} observations and gives {wanted[1][0]} actions, "
-                f"but {env_id} has {shapes[0][0]} and {shapes[1][0]}."
+                f"but {env_id} has {shapes[0][0]} and {shapes[1][0]}.{remedy}"
             )
         return Path(subject).name, policy
     finally:

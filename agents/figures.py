@@ -122,6 +122,8 @@ def film(
             action=np.array(actions, float)[:, None],
             failed=np.array([failed]),
             reach=float(base.reach),
+            duration=base.control_dt * step,
+            moving=base.core.task.moving,
             **columns,
         )
         return frames, recording

@@ -23,6 +23,7 @@ SATURATED = 0.999  # [-] an action of this magnitude or more is saturated
 
 METRICS = {  # name: (unit, meaning)
     "success": ("-", "settled until the end of the episode"),
+    "score": ("-", "0 to 1: share of the episode left after settling; Track: closeness of the RMS"),
     "settling_time": ("s", "tip error below 2 % of the reach from here to the end; inf if never"),
     "tip_error_final": ("m", "tip error at the end"),
     "tip_error_rms": ("m", "root mean square tip error over the episode"),
@@ -40,7 +41,7 @@ CAPTION = (
 )
 NOTE = (
     "Medians over episodes; an episode that ends early has infinite values in every metric but "
-    "success. JSON has no infinity: null stands for an infinite value. SI units: "
+    "success and score. JSON has no infinity: null stands for an infinite value. SI units: "
     + "; ".join(f"{name} [{unit}] {meaning}" for name, (unit, meaning) in METRICS.items())
 )
 
@@ -57,6 +58,8 @@ class Recording:
     action: AnyArray  # (T, N, n_joint) [-]; the first sample is zero
     failed: AnyArray  # (N,) bool: terminated before the time limit
     reach: float  # [m]
+    duration: float  # [s] of an episode that does not fail
+    moving: bool  # the target moves
 
 
 def make_batch(env_id: str, n_env: int, kwargs: Mapping[str, Any] | None = None) -> Any:
@@ -94,11 +97,15 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
         running &= ~(terminated | truncated)
     stacked = {name: np.stack(rows) for name, rows in samples.items()}
     time = base.control_dt * np.arange(len(stacked["action"]))
-    return Recording(time=time, failed=failed, reach=float(base.reach), **stacked)
+    core = base.core
+    return Recording(
+        time=time, failed=failed, reach=float(base.reach), moving=core.task.moving,
+        duration=core.max_steps * base.control_dt, **stacked,
+    )  # fmt: skip
 
 
 def episode_metrics(recording: Recording) -> dict[str, AnyArray]:
-    """All METRICS per episode; in a failed episode all but success are infinite."""
+    """All METRICS per episode; in a failed episode all but success and score are infinite."""
     r = recording
     time = r.time
     settling = np.array([settling_time(time, e, SETTLED_BAND * r.reach) for e in r.tip_error.T])
@@ -121,7 +128,19 @@ def episode_metrics(recording: Recording) -> dict[str, AnyArray]:
         "saturated": saturated.sum(axis=0) / last,
     }
     values = {name: np.where(r.failed, np.inf, value) for name, value in values.items()}
-    return {"success": np.isfinite(values["settling_time"]).astype(float)} | values
+    success = np.isfinite(values["settling_time"]).astype(float)
+    return {"success": success, "score": score(values, r)} | values
+
+
+def score(values: Mapping[str, AnyArray], recording: Recording) -> AnyArray:
+    """Score of every episode in [0, 1], which does not depend on the reward; 0 for a failure.
+
+    With a resting target it is the share of the episode that is left after settling. With a moving
+    target it is 1 / (1 + RMS / band): 1/2 for an RMS tip error as wide as the settled band.
+    """
+    if recording.moving:
+        return 1.0 / (1.0 + values["tip_error_rms"] / (SETTLED_BAND * recording.reach))
+    return np.clip(1.0 - values["settling_time"] / recording.duration, 0.0, 1.0)
 
 
 def settling_time(time: AnyArray, error: AnyArray, band: float) -> float:
@@ -196,22 +215,25 @@ def print_table(results: Mapping[str, Mapping[str, AnyArray]]) -> None:
     """Print the main metrics of every controller."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     table = Table()
     for column in (
         "",
         "success",
+        "score",
         "settling [s]",
         "tip error [mm]",
         "vibration [mm]",
         "effort [N²m²s]",
     ):
-        table.add_column(column, justify="right" if column else "left")
+        table.add_column(Text(column), justify="right" if column else "left")
     for name, metrics in results.items():
         s = summarise(metrics)
         table.add_row(
             name,
             f"{100 * s['success_rate']:.0f} %",
+            f"{s['score']:.3f}",
             f"{s['settling_time']:.2f}" if math.isfinite(s["settling_time"]) else "never",
             f"{1e3 * s['tip_error_final']:.2f}",
             f"{1e3 * s['residual_vibration']:.2g}",

@@ -36,7 +36,7 @@ from dynamics.tracing.ssa import Code
 from flexarm_env import FlexArmVectorEnv
 from flexarm_env.accuracy.certificates import kept
 
-DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "deluca-siciliano", "SixLink": "six-link"}
+DEFAULT_ARMS = {"OneLink": "slim", "TwoLink": "two-link", "SixLink": "six-link"}
 BATCHES = (1024, 16384)
 LANE_COUNTS = {"one lane": 1, "many lanes": LANES}
 TOLERANCE = 1e-3  # tip error over the reach

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dynamics.description import validate
 from dynamics.integrators.table import INTEGRATORS
-from dynamics.load import ArmSource
+from dynamics.load import ArmSource, load_arm
 from dynamics.model import Model, compile_arm
 from dynamics.runtime.numba_internals import compiled_for
 from dynamics.runtime.thread_pool import ThreadPool, in_use, useful_threads
@@ -21,9 +21,11 @@ from dynamics.types import Array
 from flexarm_env import arguments
 from flexarm_env.compiled import episode
 from flexarm_env.compiled.outputs import SPARE, BatchOutputs, Outputs, SingleOutputs
+from flexarm_env.compiled.sensing import Sensing
 from flexarm_env.compiled.signals import Signals
 from flexarm_env.compiled.termination import FLAGS, LOST
-from flexarm_env.observations import observation_layout
+from flexarm_env.hardware.sensors import load_hardware, refuse_exact_state
+from flexarm_env.observations import curvature_columns, curvature_scale, observation_layout
 from flexarm_env.plant import plan
 from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.scales import DEFLECTION_LIMIT, MOVE, SLOPE_PER_DEFLECTION
@@ -44,7 +46,8 @@ class Core:
     arm : an `Arm`, or a source that `load_arm` takes.
     n_env : number of environments.
     single : whether `step` and `reset` return `SingleOutputs`, else `BatchOutputs`.
-    obs : "state" or "sensors".
+    obs : "state", "sensors" or "goal", which gives dicts for hindsight replay and the reward of
+        `rewards.goal_reward`; None: "sensors" with imperfect hardware, else "state".
     reward : name in `rewards.REWARDS` or weights of `rewards.TERMS`; None: the task's default.
     control_dt : [s] time between actions.
     integrator, substeps : None: the fastest method and step that certify.py measured as accurate;
@@ -58,6 +61,8 @@ class Core:
     dtype : number type of the compiled code, the state, rewards and info: "float64" or "float32".
     randomize : ranges (low, high) of free parameters, drawn at every reset; names are those of
         `dynamics.formulations.free_parameters.FREE_PARAMETERS`.
+    hardware : sensors and spread of the plant: a name in `hardware.PRESETS`, or a dict of fields of
+        `hardware.Hardware`. None: "ideal". Its ranges yield to those of `randomize`.
     fidelity : "auto", the arm as described; "rigid", without modes; or "reference", links cut into
         foreshortened segments (slow).
     tolerance : [m] replaces `fidelity`: `dynamics.choose_model` takes the cheapest model,
@@ -84,7 +89,7 @@ class Core:
         arm: ArmSource,
         n_env: int = 1,
         single: bool = False,
-        obs: str = "state",
+        obs: str | None = None,
         reward: str | Mapping[str, float] | None = None,
         control_dt: float = 0.02,
         integrator: str | None = None,
@@ -98,20 +103,29 @@ class Core:
         fidelity: str = "auto",
         tolerance: float | None = None,
         actuator: Any = None,
+        hardware: Any = None,
     ) -> None:
         self.arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
         self.n_env = validate.integer(n_env, "num_envs", 1, MOST_ENVIRONMENTS)
         self.threads = validate.integer(threads, "threads", 1, MOST_THREADS)
-        self.randomize = arguments.ranges({} if randomize is None else randomize)
+        described, fitted = load_arm(arm), load_hardware(hardware)
+        spread = fitted.spread(described) if fitted else {}
+        given = {} if randomize is None else randomize
+        self.randomize = arguments.ranges(spread) | arguments.ranges(given)
         self._outputs = SingleOutputs if single else BatchOutputs
         deflection_limit = arguments.within(
             "deflection_limit", deflection_limit, *arguments.DEFLECTION_LIMITS, "-"
         )
-        max_steps = validate.integer(max_steps, "max_episode_steps", 0, arguments.MOST_STEPS)
+        self.max_steps = validate.integer(max_steps, "max_episode_steps", 0, arguments.MOST_STEPS)
+        if obs == "goal" and reward is not None:
+            raise ValueError(
+                f"reward ({validate.shown(reward)}) must be left out beside obs='goal', whose "
+                "reward is that of compute_reward."
+            )
         weights = resolve_weights(self.task.reward if reward is None else reward)
         plant = plan(
-            arm=arm,
+            arm=described,
             control_dt=control_dt,
             integrator=integrator,
             substeps=substeps,
@@ -127,26 +141,32 @@ class Core:
         self.torque_limit, self.certificate = plant.torque_limit, plant.certificate
         self.uncertified = plant.uncertified
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
-        sensed = tuple(self.torque_limit.tolist()) if self.actuation else ()
+        torques = tuple(self.torque_limit.tolist()) if self.actuation else ()
+        if obs is None:
+            obs = "sensors" if fitted else "state"
+        refuse_exact_state(obs, fitted)
         self.layout = observation_layout(
-            self.arm, self.task, obs, self.scales, self.rate_scale, sensed
+            self.arm, self.task, obs, self.scales, self.rate_scale, torques
         )
+        gauges = curvature_columns(self.arm)
+        self.sensing = Sensing(fitted, self.arm.n_joint, gauges) if fitted else None
+        self._gauge_scale = np.array(curvature_scale(self.arm, gauges))
         self.model: Model = compile_arm(
             self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
         )
-        self.signals = Signals(self.model, self.task.moving, self.layout, self.actuation)
-        self._constants = self._fixed_numbers(weights, deflection_limit, max_steps)
+        self.signals = Signals(
+            self.model, self.task.moving, self.layout, self.actuation, self.sensing
+        )
+        self._constants = self._fixed_numbers(weights, deflection_limit)
         self._start = self._episode_ranges()
         self._allocate()
 
-    def _fixed_numbers(
-        self, weights: dict[str, float], deflection_limit: float, max_steps: int
-    ) -> Array:
+    def _fixed_numbers(self, weights: dict[str, float], deflection_limit: float) -> Array:
         """Constants of all environments, in the order of `signals.Signals.constants`."""
         values: dict[str, Any] = {
             "torque_limit": self.torque_limit,
             "control_dt": self.control_dt,
-            "max_steps": max_steps,
+            "max_steps": self.max_steps,
             "deflection_limit": deflection_limit,
             "slope_limit": SLOPE_PER_DEFLECTION * deflection_limit,
             "rate_limit": self._rate_limit(),
@@ -158,6 +178,8 @@ class Core:
         if self.actuation:
             values["command_limit"] = self.actuation.command
             values["actuators"] = self.actuation.constants(self.dt)
+        if self.sensing:
+            values |= self.sensing.numbers(self._gauge_scale)
         return self.signals.constants.packed(values, self.model.dtype)
 
     def _rate_limit(self) -> float:
@@ -177,7 +199,12 @@ class Core:
             self._vibration(self.scales.vibration),
             self._vibration(self.scales.vibration_rate),
             np.array([MOVE, self.rate_scale**2 / MOVE]),
-            np.array(list(self.randomize.values()), dtype=np.float64).reshape(-1, 2),
+            np.concatenate(
+                [
+                    np.array(list(self.randomize.values()), dtype=np.float64).reshape(-1, 2),
+                    self.sensing.ranges(self._gauge_scale) if self.sensing else np.zeros((0, 2)),
+                ]
+            ),
             np.array([first[name] for name in names], dtype=np.uint64),
         )
 

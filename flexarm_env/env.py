@@ -1,6 +1,6 @@
 """One environment with the Gymnasium interface."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -11,10 +11,11 @@ from dynamics.description.validate import choice, shown
 from dynamics.types import Array
 from flexarm_env.arguments import whole_seed
 from flexarm_env.core import Core
-from flexarm_env.observations import Layout
+from flexarm_env.observations import GOALS, Layout
+from flexarm_env.rewards import goal_reward
 
 RENDER_MODES = ("human", "rgb_array")
-Observation = NDArray[np.float32]
+Observation = Any  # an array of float32, or with goals a dict of such arrays
 _ONE = np.zeros(1, np.int64)
 
 
@@ -35,6 +36,13 @@ class CoreAttributes:
     uncertified = property(lambda self: self.core.uncertified)
     observation_slices = property(lambda self: self.core.layout.slices)
     observation_scales = property(lambda self: self.core.layout.scales)
+
+    @property
+    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
+        """Function (achieved, desired, info) of goals (k,) or (N, k); only with obs="goal"."""
+        if not self.core.layout.goal:
+            raise AttributeError("compute_reward is for obs='goal'")
+        return goal_reward
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
@@ -61,6 +69,7 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_joint,), np.float32)
         self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
         self._several = self.core.arm.n_joint > 1
+        self._observed, self._goal = self.core.layout.observed, bool(self.core.layout.goal)
         self._seeded = False
 
     # ---- for controllers -----------------------------------------------------------------------
@@ -93,7 +102,8 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return out.observation.copy(), out.described(out.values.tolist(), out.marks.tolist())
+        observation = self._observed(out.observation.copy())
+        return observation, out.described(out.values.tolist(), out.marks.tolist())
 
     def step(
         self, action: NDArray[np.float32]
@@ -111,6 +121,11 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
         if self.render_mode == "human":
             self.render()
         info = out.described(values, marks)
+        if self._goal:
+            observation = self._observed(out.observation.copy())
+            achieved, desired = (observation[name] for name in GOALS)
+            reward = self.compute_reward(achieved, desired, info)
+            return observation, reward, marks[0], marks[1], info
         return out.observation.copy(), values[0], marks[0], marks[1], info
 
     def _store(self, action: Any) -> None:
@@ -158,5 +173,10 @@ def frames_per_second(core: Core) -> int:
 
 def observation_space(layout: Layout) -> Any:
     """Gymnasium space of an observation layout."""
-    bound = layout.bounds.astype(np.float32)
-    return gym.spaces.Box(-bound, bound, dtype=np.float32)
+    bound = layout.observed(layout.bounds.astype(np.float32))
+    if not layout.goal:
+        return gym.spaces.Box(-bound, bound, dtype=np.float32)
+    boxes: dict[str, gym.Space[Any]] = {
+        name: gym.spaces.Box(-x, x, dtype=np.float32) for name, x in bound.items()
+    }
+    return gym.spaces.Dict(boxes)

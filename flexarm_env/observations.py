@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,8 @@ from flexarm_env.scales import MOVE, Scales
 from flexarm_env.tasks import Task
 
 BOUND = 10.0  # [-] scaled elements are clipped to [-BOUND, BOUND]
-MODES = ("state", "sensors")
+MODES = ("state", "sensors", "goal")
+GOALS = ("achieved_goal", "desired_goal")  # the last parts of a goal-conditioned observation
 TIP_ERROR = "target minus tip, along the axes of the undeformed first link"
 CURVATURE = "curvature at the root of a link, as a strain gauge measures it"
 
@@ -60,6 +62,22 @@ class Layout:
             for part, stop in zip(self.parts, stops, strict=True)
         }
 
+    @cached_property
+    def goal(self) -> int:
+        """Number of elements of a goal; 0 without goals."""
+        return next((len(part.entries) for part in self.parts if part.name in GOALS), 0)
+
+    def observed(self, elements: Any) -> Any:
+        """Observation of elements (..., size): the array itself, or a dict of views with goals."""
+        if not self.goal:
+            return elements
+        first, second = self.size - 2 * self.goal, self.size - self.goal
+        return {
+            "observation": elements[..., :first],
+            "achieved_goal": elements[..., first:second],
+            "desired_goal": elements[..., second:],
+        }
+
     @property
     def scales(self) -> dict[str, Array]:
         """Factors from observation to physical units, by part."""
@@ -90,9 +108,12 @@ def observation_layout(
     """Observation layout of an arm with a task.
 
     `rate` [rad/s] is the rate scale. `torques` [N m] scale the joint torques; if empty, joint
-    torques are not observed.
+    torques are not observed. Of a goal-conditioned observation only "desired_goal" depends on the
+    target.
     """
     validate.choice(kind, "obs", MODES)
+    if kind == "goal":
+        return _goal_layout(arm, task, scales, rate, torques)
     joints, columns = range(arm.n_joint), curvature_columns(arm)
     modal = [i for i in range(arm.n) if i not in arm.joint_index]
     axes = [k for k in range(3) if (k or arm.n_joint > 1) and (k != 2 or not is_planar(arm))]
@@ -122,6 +143,27 @@ def observation_layout(
     sensed = joints if torques else ()
     every.append(_part("joint_torque", "torque at the joint", "N m", sensed, torques))
     every.append(_part("last_action", "action of the last step", "-", joints, 1.0, 1.0))
+    return Layout(tuple(part for part in every if part.entries))
+
+
+def _goal_layout(
+    arm: Arm, task: Task, scales: Scales, rate: float, torques: tuple[float, ...]
+) -> Layout:
+    if task.moving:
+        raise ValueError(f"obs must be 'state' or 'sensors' where the target moves ({task.title}).")
+    joints, axes = range(arm.n_joint), range(2 if is_planar(arm) else 3)
+    modal = [i for i in range(arm.n) if i not in arm.joint_index]
+    every = (
+        _part("joint_sin", "sine of the joint angle", "-", joints, 1.0, 1.0),
+        _part("joint_cos", "cosine of the joint angle", "-", joints, 1.0, 1.0),
+        _part("joint_rate", "joint rate", "rad/s", joints, rate),
+        _part("modal_amplitude", "modal amplitude", "m", modal, scales.modal_scale),
+        _part("modal_rate", "modal rate", "m/s", modal, scales.modal_rate),
+        _part("joint_torque", "torque at the joint", "N m", joints if torques else (), torques),
+        _part("last_action", "action of the last step", "-", joints, 1.0, 1.0),
+        _part("achieved_goal", "position of the tip", "m", axes, arm.reach),
+        _part("desired_goal", "position of the target", "m", axes, arm.reach),
+    )
     return Layout(tuple(part for part in every if part.entries))
 
 

@@ -14,8 +14,8 @@ from dynamics.load import ArmSource, load_arm
 from dynamics.types import Array
 from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import find, fit, kept
-from flexarm_env.actuators import load_actuators, mounted, refuse_beside_actuators
 from flexarm_env.compiled.actuation import Actuation
+from flexarm_env.hardware.actuators import load_actuators, mounted, refuse_beside_actuators
 from flexarm_env.scales import BY_RULE, MOVE, Scales, integration, scales
 
 
@@ -108,7 +108,10 @@ def plan(
         certificate = fitted.certificate
     else:
         certificate = find(fitted.arm, control_dt, name, count)
-    uncertified = _uncertified(certificate is not None, bool(actuators), randomized)
+    stronger = actuation is None and bool(np.any(limit > np.array(own.torque_limit)))
+    uncertified = _uncertified(
+        certificate is not None, bool(actuators), randomized, own.torque_limit if stronger else ()
+    )
     return Plant(
         arm=fitted.arm,
         scales=scales(fitted.arm),
@@ -123,8 +126,14 @@ def plan(
     )
 
 
-def _uncertified(measured: bool, actuated: bool, randomized: Collection[str]) -> str | None:
-    """Sentence that says why no certificate holds for an environment; None if one does."""
+def _uncertified(
+    measured: bool, actuated: bool, randomized: Collection[str], exceeded: Sequence[float]
+) -> str | None:
+    """Sentence that says why no certificate holds for an environment; None if one does.
+
+    `exceeded` [N m] are the torque limits at which errors were measured, if the environment's are
+    larger.
+    """
     remedy = "with dynamics.accuracy.certificate.certify"
     if actuated:
         return (
@@ -136,6 +145,11 @@ def _uncertified(measured: bool, actuated: bool, randomized: Collection[str]) ->
             f"No certificate holds for parameters drawn by randomize ({sorted(randomized)}): "
             "errors were measured for the arm as described; measure the arm at both ends of "
             f"each range, {remedy}."
+        )
+    if exceeded:
+        return (
+            f"No certificate holds for torques above {', '.join(f'{x:g}' for x in exceeded)} N m, "
+            f"at which errors were measured; measure a scene with larger torques {remedy}."
         )
     if not measured:
         return (

@@ -9,17 +9,29 @@ from flexarm_env.tasks import TASKS
 
 SCENES: dict[str, tuple[str, float, int]] = {  # preset, control_dt [s], steps per episode
     "OneLink": ("slim", 0.02, 150),
-    "TwoLink": ("deluca-siciliano", 0.05, 240),
+    "TwoLink": ("two-link", 0.05, 240),
     "SixLink": ("six-link", 0.02, 150),
 }
-IDS: dict[str, dict[str, Any]] = {
-    f"FlexArm/{scene}-{task}-v0": {
-        "kwargs": {"task": task, "arm": arm, "control_dt": control_dt},
-        "max_episode_steps": steps,
-    }
-    for scene, (arm, control_dt, steps) in SCENES.items()
-    for task in TASKS
+AGILE: dict[str, tuple[float, ...]] = {  # [N m] torque limits of Reach, about three times the usual
+    "OneLink": (3.0,),
+    "TwoLink": (0.39, 0.126),
 }
+
+
+def _spec(scene: str, task: str, **keywords: Any) -> dict[str, Any]:
+    arm, control_dt, steps = SCENES[scene]
+    kwargs = {"task": task, "arm": arm, "control_dt": control_dt, **keywords}
+    return {"kwargs": kwargs, "max_episode_steps": steps}
+
+
+IDS: dict[str, dict[str, Any]] = (
+    {f"FlexArm/{scene}-{task}-v0": _spec(scene, task) for scene in SCENES for task in TASKS}
+    | {
+        f"FlexArm/{scene}-ReachAgile-v0": _spec(scene, "Reach", torque_limit=limits)
+        for scene, limits in AGILE.items()
+    }
+    | {f"FlexArm/{scene}-ReachGoal-v0": _spec(scene, "Reach", obs="goal") for scene in SCENES}
+)
 
 
 def register() -> None:

@@ -12,10 +12,14 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, SupportsFloat
 
 import gymnasium as gym
+import numpy as np
 
 from dynamics.description import validate
+from dynamics.types import AnyArray
+from flexarm_env.tasks import SETTLED_BAND
 
 HEAVIEST = 1e9  # largest weight of a term
+FAILURE = 100.0  # weight of a failure: more than a hundred steps of the best reward
 
 
 class Measured(NamedTuple):
@@ -91,15 +95,24 @@ TERMS: dict[str, Callable[[Measured], Any]] = {
 REWARDS: dict[str, dict[str, float]] = {
     "reach": {
         "tracking": 0.5, "precision": 0.25, "stillness": 0.25, "tip_speed": 0.02,
-        "smoothness": 0.02, "failure": 20.0,
+        "smoothness": 0.02, "failure": FAILURE,
     },
-    "track": {"tracking": 0.6, "precision": 0.4, "smoothness": 0.02, "failure": 20.0},
-    "damp": {"stillness": 1.0, "tip_speed": 0.5, "smoothness": 0.02, "failure": 20.0},
-    "tip_tracking": {"tracking": 0.7, "precision": 0.3, "failure": 20.0},
+    "track": {"tracking": 0.6, "precision": 0.4, "smoothness": 0.02, "failure": FAILURE},
+    "damp": {"stillness": 1.0, "tip_speed": 0.5, "smoothness": 0.02, "failure": FAILURE},
+    "tip_tracking": {"tracking": 0.7, "precision": 0.3, "failure": FAILURE},
     "vibration_suppression": {
-        "tracking": 0.4, "stillness": 0.6, "vibration": 0.1, "smoothness": 0.02, "failure": 20.0,
+        "tracking": 0.4, "stillness": 0.6, "vibration": 0.1, "smoothness": 0.02, "failure": FAILURE,
     },
 }  # fmt: skip
+
+
+def goal_reward(achieved: AnyArray, desired: AnyArray, info: Any = None) -> Any:
+    """(...) reward of tips (..., k) over the reach: 1 in the settled band of the goal, else 0.
+
+    A failure ends the reward, so that no policy gains by one. `info` is not used.
+    """
+    apart = np.linalg.norm(np.subtract(achieved, desired, dtype=np.float64), axis=-1)
+    return np.asarray(apart < SETTLED_BAND, dtype=np.float64)[()]
 
 
 def resolve_weights(reward: str | Mapping[str, float]) -> dict[str, float]:

@@ -26,13 +26,13 @@ class SB3VecEnv(VecEnv):
     def __init__(self, id: str, n_envs: int, **kwargs: Any) -> None:
         envs = gym.make_vec(id, num_envs=n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
         assert isinstance(envs, FlexArmVectorEnv)
-        self.envs, self.core = envs, envs.core
+        self.envs, self.core, self._observed = envs, envs.core, envs.core.layout.observed
         super().__init__(n_envs, envs.single_observation_space, envs.single_action_space)
         self._actions: NDArray[np.float32] = np.zeros(envs.action_space.shape or (), np.float32)
         self._returns, self._lengths = np.zeros(n_envs), np.zeros(n_envs, np.int64)
         self._started = time.time()
 
-    def reset(self) -> NDArray[np.float32]:
+    def reset(self) -> Any:
         """Start episodes, with the seeds and options set by `seed` and `set_options`."""
         seeds = [None if seed is None else int(seed) for seed in self._seeds]
         given = any(seed is not None for seed in seeds)
@@ -48,7 +48,7 @@ class SB3VecEnv(VecEnv):
         self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
-        return out.obs
+        return self._observed(out.obs)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Store the actions for `step_wait`."""
@@ -64,8 +64,8 @@ class SB3VecEnv(VecEnv):
 
     def _stepped(self) -> Any:
         out, ended = self.core.step(self._actions)
-        reward = out.reward.astype(np.float32)
-        self._returns += out.reward
+        reward = self.envs.rewarded(out).astype(np.float32)
+        self._returns += reward
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         dones = out.terminated | out.truncated
@@ -77,7 +77,7 @@ class SB3VecEnv(VecEnv):
                 infos[i]["TimeLimit.truncated"] = bool(timed_out)
             self.core.restart(rows, out)
             self._returns[rows], self._lengths[rows] = 0.0, 0
-        return out.obs, reward, dones, infos
+        return self._observed(out.obs), reward, dones, infos
 
     def _report(self, rows: Any, out: BatchOutputs, infos: list[Any]) -> None:
         """Fill the infos of the environments whose episode ended."""
@@ -90,7 +90,7 @@ class SB3VecEnv(VecEnv):
                 for name, values in described.items()
             }
             entry["reward_terms"] = {name: float(values[i]) for name, values in terms.items()}
-            entry["terminal_observation"] = out.obs[i].copy()
+            entry["terminal_observation"] = self._observed(out.obs[i].copy())
             entry["is_success"] = entry["settled"]
             entry["episode"] = {
                 "r": round(float(self._returns[i]), 6),
@@ -119,6 +119,8 @@ class SB3VecEnv(VecEnv):
             return [pictures[i] for i in self._get_indices(indices)]
         result = getattr(self.envs, method_name)(*method_args, **method_kwargs)
         rows = list(self._get_indices(indices))
+        if method_name == "compute_reward":  # of any goals, not of the environments'
+            return [result for _ in rows]
         if isinstance(result, np.ndarray) and result.shape[:1] == (self.num_envs,):
             return [result[i] for i in rows]
         if isinstance(result, tuple) and all(np.shape(x)[:1] == (self.num_envs,) for x in result):

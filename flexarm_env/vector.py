@@ -23,6 +23,8 @@ from flexarm_env.env import (
     frames_per_second,
     observation_space,
 )
+from flexarm_env.observations import GOALS
+from flexarm_env.rewards import goal_reward
 
 Flags = NDArray[np.bool_]
 _AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
@@ -66,6 +68,7 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_joint,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._observed = self.core.layout.observed
         self._shape = (self.num_envs, self.core.arm.n_joint)
         self._all = np.arange(self.num_envs)
         self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
@@ -127,7 +130,7 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return out.obs, out.marked()
+        return self._observed(out.obs), out.marked()
 
     def step(self, actions: Any) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """Advance all by one control step; ended episodes restart by `autoreset_mode`.
@@ -166,21 +169,30 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
             ended = True
         if ended:
             self._pending = np.flatnonzero(out.terminated | out.truncated)
-        return out.obs, out.reward, out.terminated, out.truncated, out.marked()
+        reward = self.rewarded(out)
+        return self._observed(out.obs), reward, out.terminated, out.truncated, out.marked()
+
+    def rewarded(self, out: BatchOutputs) -> Array:
+        """(num_envs,) rewards: compiled, or with goals those of `compute_reward`."""
+        if not self.core.layout.goal:
+            return out.reward
+        observation = self._observed(out.obs)
+        reward = goal_reward(*(observation[name] for name in GOALS))
+        return np.where(out.described()["time"] > 0.0, reward, 0.0)  # none at a reset
 
     def _restart_now(
         self, out: BatchOutputs, ended: int
     ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """SAME_STEP: return the first observation of a new episode, with the last in final_obs."""
-        outcome = out.reward, out.terminated, out.truncated
+        outcome = self.rewarded(out), out.terminated, out.truncated
         final: dict[str, Any] = {}
         if ended:
-            outcome = out.reward.copy(), out.terminated.copy(), out.truncated.copy()
+            outcome = outcome[0].copy(), out.terminated.copy(), out.truncated.copy()
             done = out.terminated | out.truncated
             rows = np.flatnonzero(done)
             last = np.full(self.num_envs, None, dtype=object)
             for i in rows:
-                last[i] = out.obs[i].copy()
+                last[i] = self._observed(out.obs[i].copy())
             final = {
                 "final_obs": last,
                 "_final_obs": done,
@@ -188,7 +200,7 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
                 "_final_info": done.copy(),
             }
             self.core.restart(rows, out)
-        return out.obs, *outcome, out.marked() | final
+        return self._observed(out.obs), *outcome, out.marked() | final
 
     def _final_info(self, out: BatchOutputs, done: Flags) -> dict[str, Any]:
         """Copies of the info of this step, masked by `done`."""

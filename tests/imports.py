@@ -30,7 +30,7 @@ ROOMS = (
     "dynamics",
     "flexarm_env.arguments",
     "flexarm_env.scales",
-    "flexarm_env.actuators",
+    "flexarm_env.hardware",
     "flexarm_env.tasks",
     "flexarm_env.rewards",
     "flexarm_env.observations",

@@ -23,7 +23,7 @@ from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
 from dynamics.tracing.function import Function, traced
 from dynamics.types import Array, Symbols
-from flexarm_env.actuators import Actuator, Law
+from flexarm_env.hardware.actuators import Actuator, Law
 from flexarm_env.scales import SAFE, scales
 
 UNLIMITED = 1e30  # [N m]

@@ -19,7 +19,8 @@ from dynamics.types import Symbols
 from flexarm_env.compiled.actuation import DRIVEN, Actuation
 from flexarm_env.compiled.episode import WAVES
 from flexarm_env.compiled.rows import Rows
-from flexarm_env.compiled.step_entry import ENTRIES, IDEAL
+from flexarm_env.compiled.sensing import NOISY, Sensing
+from flexarm_env.compiled.step_entry import ENTRIES, EXACT, IDEAL
 from flexarm_env.compiled.termination import FLAGS, flags, lost
 from flexarm_env.observations import Layout, curvature_columns
 from flexarm_env.rewards import TERMS, Measured
@@ -41,24 +42,34 @@ class Signals:
     ----------
     state : rows of an environment's state, for `episode.begin` and `step_entry`.
     memory : rows of the state between "v" and "free", with their sizes.
+    drawn : rows of the state behind "free", drawn at every reset, with their sizes.
     info : rows of the reward and the info entries.
     constants : rows of the numbers that all environments share.
     gauges : columns of the model's "curvature" that info reports.
     """
 
     def __init__(
-        self, model: Model, moving: bool, layout: Layout, actuation: Actuation | None = None
+        self,
+        model: Model,
+        moving: bool,
+        layout: Layout,
+        actuation: Actuation | None = None,
+        sensing: Sensing | None = None,
     ) -> None:
         n, m = model.n, model.n_joint
         self.model, self.moving, self.layout, self.actuation = model, moving, layout, actuation
+        self.sensing = sensing
         self.gauges = curvature_columns(model.arm)
         waves = WAVES * m * moving
         self.memory = {
             "action": m, "elapsed": 1, "target": m,
             "actuator": actuation.states if actuation else 0,
+            **(sensing.memory if sensing else {"angles": 0}),
             "centre": m, "amplitude": waves, "frequency": waves, "phase": waves,
         }  # fmt: skip
-        self.state = Rows({"q": n, "v": n, **self.memory, "free": len(model.free_parameters)})
+        self.drawn = sensing.drawn if sensing else {}
+        free = len(model.free_parameters)
+        self.state = Rows({"q": n, "v": n, **self.memory, "free": free, **self.drawn})
         self.info = Rows({
             "reward": 1, **dict.fromkeys(NUMBERS, 1), "reward_terms": len(TERMS),
             "root_curvature": len(self.gauges), "torque": m,
@@ -69,6 +80,7 @@ class Signals:
             "slope_limit": 1, "rate_limit": 1, "per_rate": 1, "move_time": 1,
             "weights": len(TERMS), "factors": layout.size,
             **({"command_limit": m, "actuators": actuation.n_constant} if actuation else {}),
+            **(sensing.constants if sensing else {}),
         })  # fmt: skip
 
     @property
@@ -77,21 +89,27 @@ class Signals:
         m = self.model.n_joint
         sizes = {name.upper(): size for name, size in self.memory.items()}
         sizes |= {"GIVEN": m, "BEFORE": m, "LOST": 1, "CONSTANTS": self.constants.total}
-        sizes |= {"TARGET_NOW": m, "FLAGS": len(FLAGS), "INFO": self.info.total}
+        sizes |= {"DRAWN": sum(self.drawn.values()), "NOISE": self.noise}
+        sizes |= {"TARGET_NOW": m, "READINGS_NOW": self.readings}
+        sizes |= {"FLAGS": len(FLAGS), "INFO": self.info.total}
         sizes |= {"OBSERVATION": self.layout.size, "RATE_BEFORE": m if self.actuation else 0}
         counts = {
             "N_STATE": 2 * self.model.n, "N_JOINT": m, "N_MEMORY": sum(self.memory.values()),
             "N_FREE": len(self.model.free_parameters), "N_FLAG": len(FLAGS),
             "N_INFO": self.info.total, "N_OBSERVATION": self.layout.size,
-            "N_ACTUATOR": self.memory["actuator"], "N_KEPT": 2 * m + 1 + self.memory["actuator"],
+            "N_ACTUATOR": self.memory["actuator"], "N_READING": self.readings,
+            "N_KEPT": 2 * m + 1 + self.memory["actuator"] + self.readings,
+            "N_DRAWN": sum(self.drawn.values()), "N_NOISE": self.noise,
             "FIRST_TARGET": self.state.slices["target"].start,
             "FIRST_ACTUATOR": self.state.slices["actuator"].start,
+            "FIRST_READING": self.state.slices["actuator"].stop,
         }  # fmt: skip
         lines = [f"{name} = np.uint64({count})" for name, count in counts.items()]
         parts = [(part.name, part.entries, part.bound) for part in self.layout.parts]
 
         def functions(at: Mapping[str, int]) -> list[Function]:
-            inputs = [at["Q"], at["V"], at["ACTION"], at["BEFORE"], at["LOST"], at["CONSTANTS"]]
+            inputs = [at[x] for x in ("Q", "V", "ACTION", "BEFORE", "LOST", "CONSTANTS")]
+            inputs += [at["DRAWN"], at["NOISE"]]
             state = [at[name] + k for name in ("Q", "V") for k in range(self.model.n)]
             rows = [self.info.slices[name].start for name in ("reward", *NUMBERS)]
             numbers = [at["INFO"] + row for row in rows]
@@ -99,14 +117,24 @@ class Signals:
             report = traced("report", self.graph, inputs, at["TARGET_NOW"])
             return [self._command(at), check, report, *self._driving(at)]
 
-        actuation = self.actuation and self.actuation.key
+        actuation, sensing = (x and x.key for x in (self.actuation, self.sensing))
         return Addition(
-            key=f"environment {_SOURCES} {self.moving} {parts} {actuation}",
+            key=f"environment {_SOURCES} {self.moving} {parts} {actuation} {sensing}",
             sizes=sizes,
             functions=functions,
             entries="\n".join([*lines, ENTRIES]),
-            marks=DRIVEN if self.actuation else IDEAL,
+            marks=(DRIVEN if self.actuation else IDEAL) | (NOISY if self.sensing else EXACT),
         )
+
+    @property
+    def readings(self) -> int:
+        """Number of kept readings."""
+        return sum(self.sensing.memory.values()) if self.sensing else 0
+
+    @property
+    def noise(self) -> int:
+        """Random numbers per step."""
+        return len(self.gauges) if self.sensing else 0
 
     def _driving(self, at: Mapping[str, int]) -> list[Function]:
         """Functions of the actuators."""
@@ -137,22 +165,28 @@ class Signals:
 
     @property
     def graph(self) -> Any:
-        """CasADi Function (q, v, memory, before, lost, constants) -> target, flags, info, obs."""
+        """CasADi Function of the state and the constants: all that a step reports.
+
+        (q, v, memory, before, lost, constants, drawn, noise) -> target, readings, flags, info, obs.
+        """
         import casadi as ca
 
         model, total = self.model, sum(self.memory.values())
         sizes = {"q": model.n, "v": model.n, "memory": total, "before": model.n_joint, "lost": 1,
-                 "constants": self.constants.total}  # fmt: skip
+                 "constants": self.constants.total, "drawn": sum(self.drawn.values()),
+                 "noise": self.noise}  # fmt: skip
         symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
         s = dict(symbols)
         s |= {k: symbols["memory"][rows] for k, rows in Rows(self.memory).slices.items()}
         s |= {k: symbols["constants"][rows] for k, rows in self.constants.slices.items()}
+        s |= {k: symbols["drawn"][rows] for k, rows in Rows(self.drawn).slices.items()}
         s["time"] = s["control_dt"] * s["elapsed"]
         s["target"], s["target_rate"] = self._reference(s, s["time"])
         values = self._values(s)
-        outputs = [s["target"], *(values[name] for name in FLAGS)]
+        measured, kept = self._sensed(s, values)
+        outputs = [s["target"], kept, *(values[name] for name in FLAGS)]
         outputs += [values[name] for name in self.info.sizes]
-        outputs.append(self._observation(s, values))
+        outputs.append(self._observation(s, values, measured))
         return ca.Function("report", list(symbols.values()), [ca.cse(ca.vertcat(*outputs))])
 
     def _reference(self, s: Symbols, t: Any) -> tuple[Any, Any]:
@@ -217,6 +251,7 @@ class Signals:
             "tip_deflection": bent,
             "reward_terms": terms, "root_curvature": here["curvature"][list(self.gauges)],
             **self._torques(s), "gap": gap, "curvature": here["curvature"],
+            "tip": here["tip"], "goal": goal["tip"],
         }  # fmt: skip
 
     def _torques(self, s: Symbols) -> dict[str, Any]:
@@ -225,30 +260,42 @@ class Signals:
             return {"torque": s["action"] * s["torque_limit"]}
         return {"torque": self.actuation.torque(s), "command": s["action"] * s["command_limit"]}
 
-    def _observation(self, s: Symbols, values: Symbols) -> Any:
+    def _sensed(self, s: Symbols, values: Symbols) -> tuple[Symbols, Any]:
+        """Joint angles, joint rates and curvatures as sensors give them, and readings to keep."""
+        import casadi as ca
+
+        joints = list(self.model.arm.joint_index)
+        angle, rate, curvature = s["q"][joints], s["v"][joints], values["curvature"]
+        if self.sensing:
+            return self.sensing.readings(s, angle, curvature)
+        return {"angle": angle, "rate": rate, "curvature": curvature}, ca.SX(0, 1)
+
+    def _observation(self, s: Symbols, values: Symbols, measured: Symbols) -> Any:
         """Scaled and clipped observation."""
         import casadi as ca
 
-        signals = self._signals(s, values)
+        signals = self._signals(s, values, measured)
         picked = [signals[part.name][k] for part in self.layout.parts for k in part.entries]
         bounds = self.layout.bounds
         return ca.fmin(ca.fmax(ca.vertcat(*picked) * s["factors"], -bounds), bounds)
 
-    def _signals(self, s: Symbols, values: Symbols) -> dict[str, Any]:
+    def _signals(self, s: Symbols, values: Symbols, measured: Symbols) -> dict[str, Any]:
         """All signals that an observation may hold, in physical units."""
         import casadi as ca
 
-        joints = s["q"][list(self.model.arm.joint_index)]
+        joints = measured["angle"]
         signals = {
             "joint_error": joints - s["target"],
             "joint_sin": ca.sin(joints),
             "joint_cos": ca.cos(joints),
-            "joint_rate": s["v"][list(self.model.arm.joint_index)],
+            "joint_rate": measured["rate"],
             "modal_amplitude": s["q"],
             "modal_rate": s["v"],
             "tip_error": self._in_first_link(values["gap"], joints[0]),
-            "root_curvature": values["curvature"],
+            "root_curvature": measured["curvature"],
             "last_action": s["action"],
+            "achieved_goal": values["tip"],
+            "desired_goal": values["goal"],
             "joint_torque": values["torque"],
             "target_rate": s["target_rate"],
         }

@@ -3,7 +3,8 @@
 The template is text because it becomes part of a generated module, whose functions it calls: the
 arm's `accelerations(w)`, the task's `command(w)`, `check(w)` and `report(w)`, and the parts of the
 integrator. Lines that begin with # are marks and are replaced: #steps, #start and #step by the
-integrator, #advance by `IDEAL` or `actuation.DRIVEN`. `python -m dynamics source ARM --env ID`
+integrator, #advance by `IDEAL` or `actuation.DRIVEN`, #sensors and #noise by `EXACT` or
+`sensing.NOISY`. `python -m dynamics source ARM --env ID`
 prints the module.
 
 `control_step` is the only entry point because `report` takes long to compile. It steps the
@@ -18,6 +19,7 @@ take, put, expect = lane_moves(int(LANES))
 gather, scatter = row_moves(int(LANES))
 
 
+#sensors
 @outermost
 def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags):
     width = np.uint64(state.shape[1])
@@ -31,9 +33,12 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
                     w[Q + k * LANES + b] = state[k, i]
                 for k in range(N_MEMORY):
                     w[ACTION + k * LANES + b] = state[N_STATE + k, i]
+                for k in range(N_DRAWN):
+                    w[DRAWN + k * LANES + b] = state[N_STATE + N_MEMORY + N_FREE + k, i]
                 for j in range(N_JOINT):
                     w[BEFORE + j * LANES + b] = w[ACTION + j * LANES + b]
                 w[LOST + b] = 0.0
+            #noise
             report(w)
             check(w)
             report(w)
@@ -41,6 +46,8 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
                 i = np.uint64(rows[first + b])
                 for j in range(N_JOINT):
                     state[FIRST_TARGET + j, i] = w[TARGET_NOW + j * LANES + b]
+                for k in range(N_READING):
+                    state[FIRST_READING + k, i] = w[READINGS_NOW + k * LANES + b]
                 for k in range(N_FLAG):
                     flags[k, i] = w[FLAGS + k * LANES + b] != 0.0
                 for k in range(N_INFO):
@@ -69,8 +76,12 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
                 take(w, ACTION + k * LANES, state, (N_STATE + k) * width + column)
             for k in range(N_FREE):
                 take(w, PARAMETERS + k * LANES, state, (N_STATE + N_MEMORY + k) * width + column)
+            for k in range(N_DRAWN):
+                row = N_STATE + N_MEMORY + N_FREE + k
+                take(w, DRAWN + k * LANES, state, row * width + column)
             gather(w, GIVEN, actions, column)
             command(w)
+            #noise
             #advance
             report(w)
             check(w)
@@ -86,6 +97,8 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
                 report(w)
             for k in range(N_JOINT):
                 put(w, TARGET_NOW + k * LANES, w, TARGET + k * LANES)
+            for k in range(N_READING):
+                put(w, READINGS_NOW + k * LANES, w, ANGLES + k * LANES)
             for k in range(N_STATE):
                 put(w, Q + k * LANES, state, k * width + column)
             for k in range(N_KEPT):
@@ -104,3 +117,5 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
 
 # marks for an arm with ideal torque sources
 IDEAL = {"#advance": ["#start", "for _ in range(substeps):", "    #step"]}
+# marks for an arm with exact sensors
+EXACT: dict[str, list[str]] = {"#sensors": [], "#noise": []}

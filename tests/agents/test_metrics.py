@@ -30,7 +30,8 @@ def recording(tip_error: Any, failed: bool = False, **more: Any) -> Recording:
         "torque": np.zeros((n, 1, 1)),
         "action": np.zeros((n, 1, 1)),
     }
-    return Recording(time=TIME, failed=np.array([failed]), reach=1.0, **(columns | more))
+    given = {"failed": np.array([failed]), "reach": 1.0, "duration": 4.0, "moving": False}
+    return Recording(time=TIME, **(given | columns | more))  # type: ignore[arg-type]
 
 
 def test_settling_time_is_the_last_entry_into_the_band() -> None:
@@ -44,6 +45,25 @@ def test_settling_time_restarts_when_the_error_leaves_the_band() -> None:
     error[np.abs(TIME - 2.0) < 0.005] = 0.5
     assert settling_time(TIME, error, 0.02) == pytest.approx(2.01)
     assert settling_time(TIME, np.zeros_like(TIME), 0.02) == 0.0
+
+
+@pytest.mark.parametrize(("settled", "score"), [(0.0, 1.0), (1.0, 0.75), (3.0, 0.25), (9.0, 0.0)])
+def test_score_is_the_share_of_the_episode_after_settling(settled: float, score: float) -> None:
+    r = recording(np.where(settled - 1e-9 > TIME, 1.0, 0.0))
+    assert episode_metrics(r)["score"] == pytest.approx([score])
+
+
+@pytest.mark.parametrize(("rms", "score"), [(0.0, 1.0), (0.02, 0.5), (0.06, 0.25)])
+def test_score_of_a_moving_target_is_the_closeness_of_the_rms_error(
+    rms: float, score: float
+) -> None:
+    r = recording(np.full(TIME.size, rms), moving=True)
+    assert episode_metrics(r)["score"] == pytest.approx([score])
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_score_of_a_failure_is_zero(moving: bool) -> None:
+    assert episode_metrics(recording(np.zeros(TIME.size), failed=True, moving=moving))["score"] == 0
 
 
 def test_metrics_of_a_known_motion() -> None:

@@ -3,9 +3,12 @@
 import csv
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from agents.evaluate import find_env
 from agents.evaluate import main as evaluate
 from agents.run_folder.checkpoints import list_checkpoints
 from agents.run_folder.folder import RunFolder
@@ -148,3 +151,12 @@ def test_a_killed_run_resumes_and_loses_nothing(
     curve = [row["steps"] for row in run.curve()]
     assert curve == sorted(set(curve))
     assert (run.policy / "policy.json").is_file()
+
+
+def test_keywords_of_a_training_count_only_without_an_id() -> None:
+    about = {"env_id": ENV_ID, "env_kwargs": {"control_dt": 0.01}}
+    policy: Any = SimpleNamespace(about=about)
+    assert find_env(policy, None, None) == (ENV_ID, {"control_dt": 0.01})
+    assert find_env(policy, ENV_ID, None) == (ENV_ID, {})
+    assert find_env(policy, None, {"obs": "sensors"}) == (ENV_ID, {"obs": "sensors"})
+    assert find_env(policy, "FlexArm/OneLink-Damp-v0", None) == ("FlexArm/OneLink-Damp-v0", {})

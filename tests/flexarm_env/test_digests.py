@@ -33,20 +33,25 @@ def processor() -> str:
     return f"{binding.get_host_cpu_name()}, numba {numba.__version__}"
 
 
+def numbers_of(obs: Any) -> list[Any]:
+    """Arrays of an observation, which may be a dict."""
+    return list(obs.values()) if isinstance(obs, dict) else [obs]
+
+
 def followed(env: Any, batch: bool) -> tuple[str, list[float]]:
     """Digest of the results of some steps of random torque, and a few of the numbers."""
     digest, rng = hashlib.sha256(), np.random.default_rng(0)
     obs, _ = env.reset(seed=7)
-    given = [obs]
+    given = numbers_of(obs)
     for _ in range(STEPS):
         action = rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
         obs, reward, terminated, truncated, info = env.step(action)
-        given += [obs, reward, terminated, truncated]
+        given += [*numbers_of(obs), reward, terminated, truncated]
         given += [
             info[name] for name in ("tip_error", "tip_deflection", "root_curvature", "torque")
         ]
         if not batch and (terminated or truncated):
-            given.append(env.reset()[0])
+            given += numbers_of(env.reset()[0])
     for x in given:
         digest.update(np.ascontiguousarray(x).tobytes())
     few = [np.sum(reward), np.sum(info["tip_error"]), np.sum(info["tip_deflection"])]

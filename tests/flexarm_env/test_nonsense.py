@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 import flexarm_env
 from dynamics import ARMS
-from flexarm_env.actuators import ACTUATORS
 from flexarm_env.core import Core
+from flexarm_env.hardware.actuators import ACTUATORS
 from tests.dynamics.test_nonsense import PLAIN, changed, changes
 from tests.refusal import NONSENSE, used_or_refused
 

@@ -27,11 +27,24 @@ from flexarm_env.core import Core
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 SIX_LINKS = pytest.param("six-link", marks=pytest.mark.slow)
-ARMS = ["slim", "deluca-siciliano", SIX_LINKS]
+ARMS = ["slim", "two-link", SIX_LINKS]
+USUAL = [env_id for env_id in flexarm_env.IDS if "Agile" not in env_id]
+AGILE = sorted(set(flexarm_env.IDS) - set(USUAL))
 MEASURED = ("error", "integration", "truncation", "nonlinear", "residual")
 
 
-@pytest.mark.parametrize("env_id", flexarm_env.IDS)
+@pytest.mark.parametrize("env_id", AGILE)
+def test_no_certificate_holds_above_the_torques_that_were_measured(env_id: str) -> None:
+    base = gym.make(env_id).unwrapped
+    usual = gym.make(env_id.replace("ReachAgile", "Reach")).unwrapped
+    assert base.certificate is None  # type: ignore[attr-defined]
+    limits = usual.torque_limit.tolist()  # type: ignore[attr-defined]
+    assert f"above {limits[0]:g}" in base.uncertified  # type: ignore[attr-defined]
+    weaker = gym.make(env_id, torque_limit=limits).unwrapped
+    assert weaker.certificate == usual.certificate  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("env_id", USUAL)
 def test_every_environment_has_the_certificate_of_its_own_step(env_id: str) -> None:
     core = gym.make(env_id).unwrapped.core  # type: ignore[attr-defined]
     certificate = core.certificate

@@ -14,8 +14,8 @@ from scipy.linalg import expm
 import flexarm_env  # noqa: F401  (registers the ids)
 from dynamics import Arm, Joint, Link, Mode, load_arm
 from dynamics.model import Model
-from flexarm_env.actuators import ACTUATORS, PRESETS, load_actuators, mounted
 from flexarm_env.compiled.actuation import Actuation
+from flexarm_env.hardware.actuators import ACTUATORS, PRESETS, load_actuators, mounted
 from flexarm_env.scales import scales
 from tests.paths import ROOT
 

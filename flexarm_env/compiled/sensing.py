@@ -1,0 +1,137 @@
+"""Imperfect sensors inside the compiled control step; `hardware` describes them.
+
+Readings are taken at the end of every control step and kept as long as the longest delay needs.
+Noise is a hash of a number drawn for the episode, of the step and of the gauge, so it does not
+depend on the batch or on threads. It is the sum of four uniform numbers, scaled to the standard
+deviation: nearly normal, and never beyond 3.5 standard deviations.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dynamics.runtime.jit import compiled
+from dynamics.types import Array, Symbols
+from flexarm_env.hardware.sensors import FINEST, Hardware
+
+# marks of step_entry.py for an arm with imperfect sensors
+NOISY = {
+    "#noise": ["noise(w)"],
+    "#sensors": [
+        "from flexarm_env.compiled.sensing import normal",
+        "",
+        "",
+        "@compiled",
+        "def noise(w):",
+        "    for k in range(N_NOISE):",
+        "        for b in range(LANES):",
+        "            w[NOISE + k * LANES + b] = normal(w[DRAWN + b], w[ELAPSED + b], k)",
+        "",
+        "",
+    ],
+}
+KEYS = 2.0**24  # episode keys; integers below it are exact in float32
+
+
+class Sensing:
+    """The sensors of an arm with m joints and g strain gauges.
+
+    Attributes
+    ----------
+    memory : rows of earlier readings in an environment's state, with their sizes.
+    drawn : rows of the state that are drawn at a reset, with their sizes.
+    gauges : columns of the model's "curvature".
+    """
+
+    def __init__(self, hardware: Hardware, m: int, gauges: tuple[int, ...]) -> None:
+        self.hardware, self.gauges, self._m = hardware, gauges, m
+        self.latest = hardware.delay[1]
+        g = len(gauges)
+        self.memory = {"angles": m * (self.latest + 1), "curvatures": g * self.latest}
+        self.drawn = {"key": 1, "delay": 1, "bias": g}
+        self.constants = {"encoder_step": 1, "gauge_step": g, "gauge_noise": g}
+
+    @property
+    def key(self) -> str:
+        """Cache key: the properties on which the compiled functions depend."""
+        return f"sensing {self.latest} {self._m} {self.gauges}"
+
+    def ranges(self, scale: Array) -> Array:
+        """(n_drawn, 2) ranges of the drawn rows; `scale` [1/m] is that of each gauge."""
+        h, bias = self.hardware, self.hardware.gauge_bias * scale
+        return np.array(
+            [(0.0, KEYS), (h.delay[0], h.delay[1] + 1.0), *zip(-bias, bias, strict=True)]
+        )
+
+    def numbers(self, scale: Array) -> dict[str, Any]:
+        """Values of `constants`; `scale` [1/m] is that of each gauge."""
+        h = self.hardware
+        turn = 2.0 * math.pi / h.encoder_counts if h.encoder_counts else FINEST
+        count = 1.0 / h.gauge_counts if h.gauge_counts else FINEST
+        return {
+            "encoder_step": turn,
+            "gauge_step": count * scale,
+            "gauge_noise": h.gauge_noise * scale,
+        }
+
+    def readings(self, s: Symbols, joints: Any, curvature: Any) -> tuple[dict[str, Any], Any]:
+        """Signals that the sensors give, and the readings to keep.
+
+        Parameters
+        ----------
+        s : symbols of the memory, the drawn rows, the constants, "noise" and "elapsed".
+        joints : [rad] true joint angles.
+        curvature : [1/m] true curvatures of all links.
+        """
+        import casadi as ca
+
+        angle = _quantised(joints, s["encoder_step"])
+        exact = curvature[list(self.gauges)]
+        bent = _quantised(exact + s["bias"] + s["gauge_noise"] * s["noise"], s["gauge_step"])
+        angles = self._history(s, angle, s["angles"])
+        bends = self._history(s, bent, s["curvatures"])
+        earlier, late = angles[1:], ca.fmin(ca.floor(s["delay"]), self.latest)
+        rates = [(a - b) / s["control_dt"] for a, b in zip(angles[:-1], earlier, strict=True)]
+        measured = ca.SX(curvature)
+        measured[list(self.gauges)] = _chosen(bends, late)
+        signals = {
+            "angle": _chosen(angles[:-1], late),
+            "rate": _chosen(rates, late),
+            "curvature": measured,
+        }
+        return signals, ca.vertcat(*angles[:-1], *bends[:-1])
+
+    def _history(self, s: Symbols, present: Any, kept: Any) -> list[Any]:
+        """The present reading and the kept ones, latest first; at a start all are the present."""
+        size = present.numel()
+        earlier = [kept[i : i + size] for i in range(0, kept.numel(), max(size, 1))]
+        live = s["elapsed"] > 0.0
+        return [present, *(live * reading + (1.0 - live) * present for reading in earlier)]
+
+
+def _quantised(value: Any, step: Any) -> Any:
+    import casadi as ca
+
+    return step * ca.floor(value / step + 0.5)
+
+
+def _chosen(values: list[Any], index: Any) -> Any:
+    """The entry at a whole-numbered symbol."""
+    import casadi as ca
+
+    return sum((ca.fabs(index - k) < 0.5) * value for k, value in enumerate(values))
+
+
+@compiled
+def normal(key, step, k):  # type: ignore[no-untyped-def]
+    """Number k of a step: mean 0, standard deviation 1 (a finaliser of splitmix64)."""
+    z = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    z ^= (np.uint64(step) * np.uint64(256) + np.uint64(k)) * np.uint64(0xD1342543DE82EF95)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    low, mask = np.uint64(0), np.uint64(0xFFFF)
+    for shift in range(4):
+        low += (z >> np.uint64(16 * shift)) & mask
+    return (np.float64(low) - 131070.0) * (math.sqrt(3.0) / 65536.0)

@@ -1,0 +1,1 @@
+"""Between the arm and a controller: actuators, sensors, and the spread of the plant."""

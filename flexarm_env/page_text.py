@@ -1,0 +1,221 @@
+"""Words of the environments' pages: the common page, and the tables of names."""
+
+from dynamics.simulation.validity import LARGEST_RATE
+from flexarm_env.accuracy.certificates import AUTO_TOLERANCE
+from flexarm_env.scales import DEFLECTION_LIMIT, MOVE
+from flexarm_env.tasks import SETTLED_BAND
+
+COMMON = """\
+# Environments
+
+{ids}
+
+The page of an id has its numbers. This page has the rules that all ids share.
+
+## Use
+
+```python
+import gymnasium as gym
+import flexarm_env  # registers the ids
+
+env = gym.make("FlexArm/OneLink-Reach-v0")  # one environment
+envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=1024)  # a batch, stepped in one call
+sb3_envs = flexarm_env.SB3VecEnv("FlexArm/OneLink-Reach-v0", 1024)  # for stable-baselines3
+```
+
+Environment i of a batch with `seed=s` is the single environment with seed s + i. All quantities are
+in SI units. `env.unwrapped` has the attributes `arm`, `model`, `task`, `control_dt`,
+`torque_limit`, `n_joint`, `reach`, `certificate`, `observation_slices` and `observation_scales`,
+and the methods `joint_target()` and `joint_state()`. An id never changes its dynamics, observations
+or rewards: a change gets a new version. All ids are at v0, the first.
+
+## Definitions
+
+{terms}
+
+## Actions
+
+`Box(-1, 1, (n_joint,), float32)`: torque of each joint over its torque limit, clipped to [-1, 1]
+and constant over a control step. Numbers that are not finite are refused.
+
+## Observations
+
+`Box((n,), float32)`: each element is a quantity over its scale, clipped to [-{bound:g}, {bound:g}];
+sine, cosine and action to [-1, 1].
+
+{observations}
+
+With `obs="goal"` an observation is a dict of `observation`, `achieved_goal` (the tip) and
+`desired_goal` (the target). Nothing but `desired_goal` depends on the target, and the reward is
+`env.unwrapped.compute_reward(achieved_goal, desired_goal, info)`, for one pair of goals or many: 1
+in the settled band, else 0. `SB3VecEnv` takes stable-baselines3's `HerReplayBuffer`.
+
+## Rewards
+
+The reward is the sum of weight times term. Goals lie in [0, 1], costs are at most 0. Joint rates
+are in units of the rate scale, tip speeds (relative to the target) in units of the speed scale. The
+columns are the presets of `reward=`; a dict sets other weights.
+
+{rewards}
+
+## Reset
+
+`reset(seed=..., options=...)` draws the start of the task, except where `options` sets `state`, a
+dict of `q` and `v` (one number per coordinate; zeros if left out), or `target`, joint angles. In a
+batch, options may have one row per environment.
+
+## Termination and truncation
+
+- Terminated, `info["invalid"]`: a link deflects by more than {deflection:.0%} of its length, or
+  its tip turns by more than {slope:.2g} rad (the slope of the first shape of a beam on a light hub
+  at that deflection).
+- Terminated, `info["diverged"]`: a deflection exceeds {lost:g} times that limit, or the state is
+  not finite or too large. In the second case observation and info show the state before the step.
+- Truncated: the episode has the number of steps on the page of the id.
+
+## Info
+
+{info}
+
+## Keywords
+
+{keywords}
+
+## Hardware
+
+`hardware="laboratory"` has the sensors of a real arm and a plant that differs between episodes. A
+dict sets single numbers, `{{"encoder_counts": 4096, "delay": 1}}`, or changes some of a preset's,
+`{{"preset": "laboratory", "delay": (0, 1)}}`. What is left out stays ideal, but joint rates are
+always differences of two angles over a control step. Bias, delay, payload and stiffness are drawn
+at every reset, noise at every step, from the environment's own stream; `info` keeps the exact
+values. `randomize` replaces payload and stiffness.
+
+{hardware}
+
+## Accuracy
+
+The certificate of an id (`env.unwrapped.certificate`) has the largest tip error on two motions from
+rest at the home posture: bang-bang at full torque in all joints, then coasting; and random torques,
+each constant over a control step. Gentler motions have smaller errors. The reference is a
+foreshortened model in segments, refined until its tip converges. The rich model is the model of the
+id with five bending modes per direction and three torsion modes per link.
+
+{certificate}
+
+Model and step of an id are the cheapest for an error of {tip_error:g} of the reach in all, model
+and step together, on these motions: `dynamics.choose_model` finds the model, and for each
+integrator the fewest substeps are listed. The environment uses the first row of its table of steps.
+It has the least CPU time, where a tenth more time is accepted for a tenth of the error. CPU time is
+per control step of one environment in a batch of {batch}, on the machine that measured. The step's
+error differs between starts: the table also has the largest of {episodes} episodes each of Reach,
+from rest, and of Damp, with links that vibrate, all as long as the certificate's random torques and
+by the step alone. Methods above {episode_error:g} of the reach there are left out.
+`python -m flexarm_env.certify` measures all of this again.
+"""
+
+TERMINOLOGY = (
+    (
+        "coordinates q",
+        "joint angles `q1`, ... [rad]; modal amplitudes `d1_1`, ... [m] of link 1, ...",
+    ),
+    ("straight-link arm", "the arm at its joint angles with all modal amplitudes zero"),
+    ("target", "tip of the straight-link arm at the target joint angles"),
+    ("reach", "length of the stretched arm"),
+    ("locked, free frequencies", "natural frequencies with the joints locked or free"),
+    (
+        "bang-bang test",
+        "all joints take full torque for half a period of the first free frequency, the opposite "
+        "torque for the other half, then none",
+    ),
+    (
+        "torque limit",
+        "torque that gives each joint the same acceleration, the largest for which the model stays "
+        "valid in the bang-bang test; rounded down to two digits",
+    ),
+    ("angle scale", f"{MOVE:g} rad"),
+    ("rate scale", "peak joint rate of a bang-bang move by the angle scale at full torque [rad/s]"),
+    ("move time", "duration of this move [s]"),
+    ("speed scale", "reach times rate scale [m/s]"),
+    ("modal scales", "peaks of modal amplitudes [m] and modal rates [m/s] in the bang-bang test"),
+    ("settled", f"tip error below {SETTLED_BAND:.0%} of the reach"),
+)
+
+PRESENT = {  # observation: (scale, where it is present); its meaning comes from the layout
+    "joint_error": ("angle scale", "always"),
+    "joint_sin": ("1", "joint 2 and later; joint 1 only under gravity"),
+    "joint_cos": ("1", "as `joint_sin`"),
+    "joint_rate": ("rate scale", "always"),
+    "modal_amplitude": ("modal scale", '`obs="state"`'),
+    "modal_rate": ("modal scale", '`obs="state"`'),
+    "tip_error": (f"{MOVE:g} reach", '`obs="state"`; directions in which it can differ from zero'),
+    "root_curvature": ("that of a tip force at 10 % deflection", '`obs="sensors"`'),
+    "target_rate": ("rate scale", "task Track"),
+    "target_near": ("angle scale", "task Track"),
+    "target_far": ("angle scale", "task Track"),
+    "joint_torque": ("torque limit", "with `actuator`"),
+    "last_action": ("1", "always"),
+    "achieved_goal": ("reach", '`obs="goal"`'),
+    "desired_goal": ("reach", '`obs="goal"`'),
+}
+
+INFO = (
+    ("time", "s", "since the start of the episode"),
+    ("tip_error", "m", "distance from tip to target"),
+    ("tip_speed", "m/s", "speed of the tip relative to the target"),
+    ("deflection", "-", "largest deflection of a link over its length"),
+    ("tip_deflection", "m", "distance from the tip to the tip of the straight-link arm"),
+    ("root_curvature", "1/m", "at the root of each link, per bending direction"),
+    ("torque", "N m", "at the joints, at the end of the step"),
+    ("command", "V or N m", "command of the action, with `actuator` only"),
+    ("reward_terms", "-", "dict of all reward terms"),
+    ("settled", "-", "whether the tip error is in the settled band"),
+    ("invalid", "-", "whether a link bends beyond its limit, see above"),
+    ("diverged", "-", "whether the state diverged, see above"),
+    (
+        "overspeed",
+        "-",
+        f"whether a joint turns faster than {LARGEST_RATE:g} of the first locked frequency, where "
+        "linear modes lose stiffness; never with foreshortening",
+    ),
+)
+
+KEYWORDS = (
+    ("arm", "the id's",
+     "preset name, path to an arm file (.json, .yaml), dict or `Arm`; an arm with `modes: auto` "
+     f"takes the cheapest model within {AUTO_TOLERANCE:g} of the reach, as by `tolerance`"),
+    ("obs", "None",
+     '"state"; "sensors": encoders and strain gauges; "goal": a dict for hindsight replay; None: '
+     '"state", or "sensors" beside `hardware`'),
+    ("reward", "the task's", "preset name or a dict of weights of reward terms"),
+    ("control_dt", "the id's", "[s] time between actions"),
+    ("integrator", "None",
+     "a method of `dynamics.integrators.table.INTEGRATORS`; None: the measured best; for an arm "
+     "that was not measured, by rule the fewest evaluations for an error of 1e-3 of the reach"),
+    ("substeps", "None", "integration steps per control step; None: chosen with the integrator"),
+    ("torque_limit", "None", "[N m] one number or one per joint; None: as defined above"),
+    ("actuator", "None", "[actuators](../actuators.md) between action and torque; None: ideal"),
+    ("hardware", '"ideal"', 'sensors and spread of the plant: "ideal", "laboratory" or a dict'),
+    ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
+    ("render_mode", "None", '"rgb_array" or "human"'),
+    ("threads", "1", "largest number of worker threads, `gym.make_vec` only"),
+    ("fidelity", '"auto"',
+     '"auto", the arm as described; "rigid"; or "reference", fine segments and slow'),
+    ("tolerance", "None",
+     "[m] replaces `fidelity`: the cheapest model, integrator and step with a smaller tip error "
+     "on the motions of the certificate; searched once, then cached"),
+    ("dtype", '"float64"', 'number type of the compiled code: "float64" or "float32"'),
+    ("randomize", "None",
+     "dict of ranges (low, high) of `payload_mass` [kg] and of factors on `stiffness`, "
+     "`damping` and `friction`, drawn at every reset"),
+)  # fmt: skip
+
+
+HARDWARE = (
+    ("encoder_counts", "counts of an encoder per turn of the joint"),
+    ("gauge_noise", "standard deviation of a strain gauge, over its scale above"),
+    ("gauge_bias", "largest bias of a strain gauge, over its scale"),
+    ("gauge_counts", "counts of a strain gauge per scale"),
+    ("delay", "control steps by which all readings are late; one number, or the range"),
+    ("payload", "range of the mass added at the tip, over that of the last link with its tip"),
+    ("stiffness", "range of the factor on all stiffnesses"),
+)
