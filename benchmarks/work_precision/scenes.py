@@ -189,7 +189,7 @@ SETTINGS = {
     setting.name: setting
     for setting in (
         _of_env("OneLink", "OneLink: SLIM, bang-bang", 4, 48, (*WHOLE, *CUT, *DEEP)),
-        _of_env("TwoLink", "TwoLink: De Luca and Siciliano, bang-bang", 8, 48),
+        _of_env("TwoLink", "TwoLink: after De Luca and Siciliano, bang-bang", 8, 48),
         _of_env("SixLink", "SixLink: spatial, bang-bang", 4, 40, SHORT, _SIX_FINER),
         Setting(
             name="S1", title="S1: one link, bang-bang", arm=_clamped(S1), period=0.01,
