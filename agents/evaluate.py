@@ -10,7 +10,7 @@ import yaml
 
 from agents.comparison import compare
 from agents.config import LIMITS
-from agents.controllers import CONTROLLERS
+from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
 from agents.environments import REFUSALS, check_keywords
 from agents.files import FolderError, check_folder, folder_lock
 from agents.metrics import make_batch
@@ -18,6 +18,8 @@ from agents.policy import Controller, Policy, PolicyError, load_policy, load_zip
 from agents.run_folder.folder import versions
 from agents.sentences import one_line
 from agents.signals import Interrupted, signals_to, stop_at_once
+from agents.tracks import track_of
+from agents.tune import parameters_of
 from dynamics.description import validate
 from flexarm_env import registered
 
@@ -75,11 +77,11 @@ def evaluate(a: argparse.Namespace) -> None:
     env_id, kwargs = find_env(policy, a.env, env_kwargs)
     if policy is not None and a.env is None and kwargs:
         print(f"{env_id} with the keywords of the training: {validate.shown(kwargs)}")
-    name, controller = make_controller(a.subject, policy, env_id, kwargs, a.seed)
+    name, subject = make_controller(a.subject, policy, env_id, kwargs)
     a.out.mkdir(parents=True, exist_ok=True)
     with folder_lock(a.out):
         compare(
-            {name: controller},
+            {name: subject},
             env_id,
             kwargs,
             episodes=a.episodes,
@@ -139,7 +141,7 @@ def find_env(
 
 
 def make_controller(
-    subject: str, policy: Policy | None, env_id: str, kwargs: dict[str, Any], seed: int
+    subject: str, policy: Policy | None, env_id: str, kwargs: dict[str, Any]
 ) -> tuple[str, Controller]:
     """Name and controller; refuses an environment that is unknown or does not fit the policy."""
     try:
@@ -149,7 +151,7 @@ def make_controller(
         raise UsageError(f"{env_id}{with_keywords}: {error}") from None
     try:
         if policy is None:
-            return subject, CONTROLLERS[subject](env, env_id, kwargs, seed)
+            return subject, classical(subject, env, env_id, kwargs)
         shapes = (env.single_observation_space.shape, env.single_action_space.shape)
         wanted = (policy.observation_low.shape, policy.biases[-1].shape)
         if shapes != wanted:
@@ -162,6 +164,25 @@ def make_controller(
         return Path(subject).name, policy
     finally:
         env.close()
+
+
+def classical(name: str, env: Any, env_id: str, kwargs: dict[str, Any]) -> Controller:
+    """A controller of the table: with stored parameters, else joint PD with the best of its grid.
+
+    Parameters are stored for ids with the keywords of a track; elsewhere they must be searched.
+    """
+    if not CONTROLLERS[name].ranges:
+        return controller(name, env)
+    track = track_of(name, env_id, kwargs)
+    if track is not None:
+        return controller(name, env, parameters_of(name, env_id, track))
+    if name == "pd":
+        gains = tune_pd(env_id, kwargs)
+        return joint_pd(env, gains.frequency_ratio, gains.damping_ratio)
+    raise UsageError(
+        f"{name} was not tuned for {env_id} with {validate.shown(kwargs)}; use pd, whose gains are "
+        "searched here, or agents.tune.tune from Python."
+    )
 
 
 if __name__ == "__main__":

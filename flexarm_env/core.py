@@ -150,7 +150,7 @@ class Core:
         )
         gauges = curvature_columns(self.arm)
         self.sensing = Sensing(fitted, self.arm.n_joint, gauges) if fitted else None
-        self._gauge_scale = np.array(curvature_scale(self.arm, gauges))
+        self.gauge_scale = np.array(curvature_scale(self.arm, gauges))
         self.model: Model = compile_arm(
             self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
         )
@@ -179,7 +179,7 @@ class Core:
             values["command_limit"] = self.actuation.command
             values["actuators"] = self.actuation.constants(self.dt)
         if self.sensing:
-            values |= self.sensing.numbers(self._gauge_scale)
+            values |= self.sensing.numbers(self.gauge_scale)
         return self.signals.constants.packed(values, self.model.dtype)
 
     def _rate_limit(self) -> float:
@@ -202,7 +202,7 @@ class Core:
             np.concatenate(
                 [
                     np.array(list(self.randomize.values()), dtype=np.float64).reshape(-1, 2),
-                    self.sensing.ranges(self._gauge_scale) if self.sensing else np.zeros((0, 2)),
+                    self.sensing.ranges(self.gauge_scale) if self.sensing else np.zeros((0, 2)),
                 ]
             ),
             np.array([first[name] for name in names], dtype=np.uint64),

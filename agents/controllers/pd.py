@@ -1,14 +1,13 @@
-"""Classical controllers with the interface of a trained policy, and the search for PD gains."""
+"""Joint PD, and the search for its gains."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from agents.metrics import episode_metrics, make_batch, record, summarise
-from agents.policy import Controller
 from dynamics.types import AnyArray
 
 # Dimensionless gains, so that one grid suits every arm; see `joint_pd`. The grid is so fine that
@@ -47,41 +46,6 @@ class JointPD:
             rate = rate - x[..., self.slices["target_rate"]] * self.scales["target_rate"]
         torque = -self.stiffness * error - self.damping * rate
         return np.clip(torque / self.torque_limit, -1.0, 1.0), state
-
-
-@dataclass(frozen=True, kw_only=True)
-class Zero:
-    """Zero torque, as a baseline."""
-
-    n_joint: int
-
-    def predict(
-        self,
-        observation: AnyArray,
-        state: Any = None,
-        episode_start: AnyArray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[AnyArray, Any]:
-        """Zero actions."""
-        return np.zeros((*np.shape(observation)[:-1], self.n_joint)), state
-
-
-class Random:
-    """Uniformly random actions, determined by the seed."""
-
-    def __init__(self, n_joint: int, seed: int = 0) -> None:
-        self.n_joint = n_joint
-        self.rng = np.random.default_rng(seed)
-
-    def predict(
-        self,
-        observation: AnyArray,
-        state: Any = None,
-        episode_start: AnyArray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[AnyArray, Any]:
-        """Actions drawn from [-1, 1]."""
-        return self.rng.uniform(-1.0, 1.0, (*np.shape(observation)[:-1], self.n_joint)), state
 
 
 def joint_pd(
@@ -156,17 +120,3 @@ def tune_pd(
         damping_ratio=best["damping_ratio"],
         table=tuple(table),
     )
-
-
-def tuned_joint_pd(env: Any, env_id: str, kwargs: Mapping[str, Any], seed: int) -> Controller:
-    """The joint PD controller with the best gains of the grid."""
-    tuned = tune_pd(env_id, kwargs)
-    return joint_pd(env, tuned.frequency_ratio, tuned.damping_ratio)
-
-
-# name: (environment, its id, its keywords, seed) -> controller
-CONTROLLERS: dict[str, Callable[[Any, str, Mapping[str, Any], int], Controller]] = {
-    "pd": tuned_joint_pd,
-    "zero": lambda env, env_id, kwargs, seed: Zero(n_joint=env.unwrapped.n_joint),
-    "random": lambda env, env_id, kwargs, seed: Random(env.unwrapped.n_joint, seed),
-}

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.controllers import CONTROLLERS, JointPD, joint_pd, tune_pd
+from agents.controllers import JointPD, joint_pd, tune_pd
 from agents.metrics import episode_metrics, make_batch, record
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
@@ -59,13 +59,3 @@ def test_a_search_in_one_batch_equals_separate_searches(envs: Any) -> None:
         assert row["tip_error_rms"] == float(np.median(metrics["tip_error_rms"]))
     best = min(tuned.table, key=lambda r: (-r["success_rate"], r["settling_time"]))
     assert tuned.frequency_ratio == best["frequency_ratio"]
-
-
-@pytest.mark.parametrize("name", sorted(CONTROLLERS))
-def test_every_controller_takes_one_observation_or_a_batch(name: str, envs: Any) -> None:
-    controller = CONTROLLERS[name](envs, ENV_ID, {}, 0)
-    observations, _ = envs.reset(seed=0)
-    actions, _ = controller.predict(observations)
-    assert actions.shape == envs.action_space.shape
-    assert np.all(np.abs(actions) <= 1.0)
-    assert controller.predict(observations[0])[0].shape == envs.single_action_space.shape

@@ -1,0 +1,65 @@
+"""Classical controllers with the interface of a trained policy.
+
+To add one, write a class whose `predict` gives actions, and an entry of CONTROLLERS.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from agents.controllers.lqr import LQG, LQR
+from agents.controllers.pd import JointPD, joint_pd, tune_pd
+from agents.controllers.shaped import ShapedPD, ei, zv, zvd
+from agents.controllers.simple import Random, Zero
+from agents.policy import Controller
+
+__all__ = ["CONTROLLERS", "JointPD", "Kind", "controller", "joint_pd", "tune_pd"]
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A controller of the table: how to build it, and what may be tuned."""
+
+    text: str  # one line for tables and pages
+    build: Callable[..., Controller]  # (env, **parameters)
+    ranges: Mapping[str, Range] = field(default_factory=dict)  # searched on a logarithmic scale
+    obs: tuple[str, ...] = ("state", "sensors")  # kinds of observation that it can use
+    follows: bool = True  # it can follow a moving target
+
+    @property
+    def middle(self) -> dict[str, float]:
+        """Parameters in the middle of the ranges."""
+        return {name: (low * high) ** 0.5 for name, (low, high) in self.ranges.items()}
+
+
+_PD = {"frequency_ratio": (0.05, 1.5), "damping_ratio": (0.15, 3.0)}
+_SHAPED = _PD | {"rise": (0.05, 2.0)}
+_LQR = {"effort": (1e-4, 1e3), "lead": (0.003, 1.0), "clip": (0.05, 2.0)}
+CONTROLLERS: dict[str, Kind] = {
+    "pd": Kind(text="joint PD", build=joint_pd, ranges=_PD),
+    **{
+        f"pd-{shaper.__name__}": Kind(
+            text=f"joint PD behind a {shaper.__name__.upper()} shaper",
+            build=partial(ShapedPD, shaper=shaper),
+            ranges=_SHAPED,
+            follows=False,
+        )
+        for shaper in (zv, zvd, ei)
+    },
+    "lqr": Kind(text="LQR with clipped joint errors", build=LQR, ranges=_LQR, obs=("state",)),
+    "lqg": Kind(
+        text="LQG that knows noise and delay", build=LQG, follows=False, obs=("sensors",),
+        ranges=_LQR | {"disturbance": (1e-3, 10.0)},
+    ),
+    "zero": Kind(text="no torque", build=lambda env: Zero(n_joint=env.unwrapped.n_joint)),
+    "random": Kind(text="random torque", build=lambda env: Random(env.unwrapped.n_joint)),
+}  # fmt: skip
+
+
+def controller(name: str, env: Any, parameters: Mapping[str, float] | None = None) -> Controller:
+    """A controller for an environment; without parameters in the middle of its ranges."""
+    kind = CONTROLLERS[name]
+    return kind.build(env, **(kind.middle if parameters is None else parameters))

@@ -1,0 +1,246 @@
+"""Linear-quadratic control of the tip about the target: LQR on states, LQG on sensors.
+
+The cost of a control step is |tip error|^2 + (lead |tip velocity|)^2, in units of the settled band,
+plus `effort` times the squared action of every joint, plus a little for the joints themselves,
+which a tip does not fix where there are more than three. Joint errors are clipped before the gain:
+a far target would otherwise saturate every torque for long (see Franklin, Powell and Emami-Naeini,
+Feedback Control of Dynamic Systems, on saturation).
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from agents.controllers.linear_model import LinearModel, LinearModels
+from agents.controllers.reading import Reading
+from dynamics.types import AnyArray, Array
+from flexarm_env.tasks import SETTLED_BAND
+
+JOINTS = 0.1  # weight of joint errors over that of tip errors
+
+
+@dataclass
+class _Design:
+    """Gains of a controller at every posture it has met."""
+
+    models: LinearModels
+    limit: Array  # (m,) [N m]
+    reach: float  # [m]
+    effort: float  # [-]
+    lead: float  # [s]
+    known: dict[int, Array] = field(default_factory=dict)
+
+    def gain(self, model: LinearModel) -> Array:
+        """(m, 2n) K of tau = -K x."""
+        key = id(model)
+        if key not in self.known:
+            self.known[key] = self._solved(model)
+        return self.known[key]
+
+    def _solved(self, model: LinearModel) -> Array:
+        n = len(model.M)
+        band = SETTLED_BAND * self.reach
+        place = model.tip.T @ model.tip / band**2
+        place[self.models.joints, self.models.joints] += (JOINTS / SETTLED_BAND) ** 2
+        Q = np.zeros((2 * n, 2 * n))
+        Q[:n, :n], Q[n:, n:] = place, self.lead**2 * place
+        R = np.diag(self.effort / self.limit**2)
+        P = solve_discrete_are(model.A, model.B, Q, R)
+        return np.asarray(np.linalg.solve(R + model.B.T @ P @ model.B, model.B.T @ P @ model.A))
+
+
+class LQR:
+    """State feedback; needs obs="state".
+
+    A moving target is followed with the torque, the joint angles and the bending of a steady
+    acceleration at the target's own.
+    """
+
+    def __init__(self, env: Any, *, effort: float, lead: float, clip: float) -> None:
+        base = env.unwrapped
+        self.read = Reading.of(env)
+        self.read.require("lqr", "joint_error", "joint_rate", "modal_amplitude", "modal_rate")
+        self.models = LinearModels(env)
+        self.limit = np.asarray(base.torque_limit, dtype=np.float64)
+        self.design = _Design(
+            self.models, self.limit, base.reach, effort, lead * base.core.move_time
+        )
+        self.clip = clip
+
+    def predict(
+        self,
+        observation: AnyArray,
+        state: Any = None,
+        episode_start: AnyArray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[AnyArray, Any]:
+        """Actions; the state is the last rate of the target."""
+        x = np.atleast_2d(observation)
+        posture = posture_of(self.read, x)
+        rate = target_rate(self.read, x)
+        fresh = fresh_of(state, episode_start, len(x))
+        before = np.where(fresh[:, None], rate, rate if state is None else state)
+        torque = np.empty((len(x), self.limit.size))
+        for i, angles in enumerate(posture):
+            model = self.models.at(angles)
+            offset, forward = followed(
+                model, self.models, (rate[i] - before[i]) / self.models.control_dt
+            )
+            error = self._error(x[i], rate[i], offset)
+            torque[i] = forward - self.design.gain(model) @ error
+        action = np.clip(torque / self.limit, -1.0, 1.0)
+        return action.reshape(*np.shape(observation)[:-1], -1), rate
+
+    def _error(self, x: AnyArray, rate: Array, offset: Array) -> Array:
+        """(2n,) state from the target's, joint errors clipped."""
+        n, joints, modal = self.models.model.n, self.models.joints, self.models.modal
+        error = np.zeros(2 * n)
+        error[joints] = self.read(x, "joint_error")
+        error[modal] = self.read(x, "modal_amplitude")
+        error[[n + i for i in joints]] = self.read(x, "joint_rate") - rate
+        error[[n + i for i in modal]] = self.read(x, "modal_rate")
+        error[:n] -= offset
+        error[joints] = np.clip(error[joints], -self.clip, self.clip)
+        return error
+
+
+@dataclass
+class _Belief:
+    """What LQG knows between two steps."""
+
+    x: Array  # (N, 2n) estimated state of `delay` steps ago
+    torque: Array  # (N, delay + 1, m) [N m] past torques, oldest first
+    posture: Array  # (N, m) [rad] target
+
+
+class LQG:
+    """Output feedback: a steady Kalman filter for late readings, prediction, then the LQR gain.
+
+    The readings are joint angles and curvatures; joint rates are their differences and add nothing.
+    The delay is that in the middle of the range of the environment's hardware.
+    """
+
+    def __init__(
+        self, env: Any, *, effort: float, lead: float, clip: float, disturbance: float
+    ) -> None:
+        base = env.unwrapped
+        self.read = Reading.of(env)
+        self.read.require("lqg", "joint_error", "root_curvature")
+        self.models = LinearModels(env)
+        self.limit = np.asarray(base.torque_limit, dtype=np.float64)
+        self.design = _Design(
+            self.models, self.limit, base.reach, effort, lead * base.core.move_time
+        )
+        self.clip, self.disturbance = clip, disturbance
+        self.delay, self.noise = _sensors(base.core)
+        self._filters: dict[int, Array] = {}
+
+    def predict(
+        self,
+        observation: AnyArray,
+        state: _Belief | None = None,
+        episode_start: AnyArray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[AnyArray, _Belief]:
+        """Actions; the state is a belief."""
+        x = np.atleast_2d(observation)
+        error = self.read(x, "joint_error")
+        readings = np.concatenate([error, self.read(x, "root_curvature")], axis=1)
+        belief = self._started(x, error, state, fresh_of(state, episode_start, len(x)))
+        torque = np.empty((len(x), self.limit.size))
+        for i, angles in enumerate(belief.posture):
+            model = self.models.at(angles)
+            gain = self._filter(model)
+            now = model.A @ belief.x[i] + model.B @ belief.torque[i, 0]
+            now += gain @ (readings[i] - model.C @ now)
+            belief.x[i] = now
+            for past in belief.torque[i, 1:]:
+                now = model.A @ now + model.B @ past
+            now[self.models.joints] = np.clip(now[self.models.joints], -self.clip, self.clip)
+            torque[i] = np.clip(-self.design.gain(model) @ now, -self.limit, self.limit)
+        belief.torque = np.concatenate([belief.torque[:, 1:], torque[:, None]], axis=1)
+        action = torque / self.limit
+        return action.reshape(*np.shape(observation)[:-1], -1), belief
+
+    def _started(
+        self, x: AnyArray, error: Array, belief: _Belief | None, fresh: AnyArray
+    ) -> _Belief:
+        """The belief, begun anew where an episode starts: the arm rests at its first reading."""
+        n, m = self.models.model.n, self.limit.size
+        if belief is None:
+            belief = _Belief(
+                np.zeros((len(x), 2 * n)),
+                np.zeros((len(x), self.delay + 1, m)),
+                np.zeros((len(x), m)),
+            )
+        belief.x[fresh] = 0.0
+        belief.x[np.ix_(fresh, np.array(self.models.joints))] = error[fresh]
+        belief.torque[fresh] = 0.0
+        belief.posture[fresh] = posture_of(self.read, x)[fresh]
+        return belief
+
+    def _filter(self, model: LinearModel) -> Array:
+        """(2n, m + g) steady Kalman gain of a reading; torques are disturbed."""
+        key = id(model)
+        if key not in self._filters:
+            W = model.B @ np.diag((self.disturbance * self.limit) ** 2) @ model.B.T
+            W += 1e-12 * np.trace(W) / len(W) * np.eye(len(W))
+            V = np.diag(self.noise**2)
+            P = solve_discrete_are(model.A.T, model.C.T, W, V)
+            S = model.C @ P @ model.C.T + V
+            self._filters[key] = np.linalg.solve(S, model.C @ P).T
+        return self._filters[key]
+
+
+def posture_of(read: Reading, x: AnyArray) -> Array:
+    """(N, m) [rad] target angles; the first, which does not matter without gravity, is zero."""
+    error = read(x, "joint_error")
+    posture = np.zeros_like(error)
+    if "joint_sin" in read:
+        angle = np.arctan2(read(x, "joint_sin"), read(x, "joint_cos"))
+        posture[:, -angle.shape[1] :] = angle - error[:, -angle.shape[1] :]
+    return posture
+
+
+def target_rate(read: Reading, x: AnyArray) -> Array:
+    """(N, m) [rad/s] rate of the target."""
+    return (
+        read(x, "target_rate") if "target_rate" in read else np.zeros_like(read(x, "joint_error"))
+    )
+
+
+def followed(model: LinearModel, models: LinearModels, acceleration: Array) -> tuple[Array, Array]:
+    """(n,) coordinates off the target and (m,) [N m] torque of a steady joint acceleration.
+
+    The links bend under it, and the joints turn so far that the tip stays on the target.
+    """
+    joints, modal = models.joints, models.modal
+    offset = np.zeros(len(model.M))
+    if modal and acceleration.any():
+        load = -model.M[np.ix_(modal, joints)] @ acceleration
+        offset[modal] = np.linalg.solve(model.K[np.ix_(modal, modal)], load)
+        gap = model.tip[:, modal] @ offset[modal]
+        offset[joints] = -np.linalg.lstsq(model.tip[:, joints], gap, rcond=1e-6)[0]
+    return offset, model.M[np.ix_(joints, joints)] @ acceleration
+
+
+def fresh_of(state: Any, episode_start: AnyArray | None, count: int) -> AnyArray:
+    """(N,) environments whose episode starts."""
+    if state is None or episode_start is None:
+        return np.full(count, state is None)
+    return np.asarray(episode_start, dtype=bool)
+
+
+def _sensors(core: Any) -> tuple[int, Array]:
+    """Delay [control steps], and standard deviations of the readings; exact ones have small."""
+    gauges = np.asarray(core.gauge_scale)
+    hardware = core.sensing.hardware if core.sensing else None
+    if hardware is None:
+        return 0, np.array([*[1e-5] * core.arm.n_joint, *(1e-4 * gauges)])
+    count = 2.0 * np.pi / hardware.encoder_counts if hardware.encoder_counts else 1e-5
+    quantum = 1.0 / hardware.gauge_counts if hardware.gauge_counts else 1e-4
+    deviation = np.hypot(hardware.gauge_noise, np.hypot(hardware.gauge_bias, quantum) / 3.0)
+    angles = [count / np.sqrt(12.0)] * core.arm.n_joint
+    return round(0.5 * sum(hardware.delay)), np.array([*angles, *(deviation * gauges)])

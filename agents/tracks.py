@@ -1,0 +1,68 @@
+"""What is ranked: the tasks, and the conditions ("tracks") under which controllers meet them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from agents.controllers import CONTROLLERS
+from flexarm_env import IDS, TASKS
+
+RANKED = tuple(env_id for env_id in IDS if "Goal" not in env_id)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """Keywords of the environments on which controllers are ranked."""
+
+    text: str
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    obs: tuple[str, ...] = ("state", "sensors")  # kinds of observation, the preferred first
+    design: str  # track for which controllers are tuned and trained
+
+
+TRACKS = {
+    "state": Track(text="exact states, the arm as described", design="state"),
+    "laboratory": Track(
+        text='`hardware="laboratory"`: sensors, delay, drawn payload and stiffness',
+        kwargs={"hardware": "laboratory"}, obs=("sensors",), design="laboratory",
+    ),
+    "transfer": Track(
+        text=(
+            "controllers of `laboratory`, unchanged, on a reference model of the arm with more "
+            "payload, less stiffness and longer delays than they were made for"
+        ),
+        kwargs={
+            "hardware": {
+                "preset": "laboratory", "payload": (0.5, 0.75), "stiffness": (0.8, 0.9),
+                "delay": (2, 3),
+            },
+            "fidelity": "reference",
+        },
+        obs=("sensors",), design="laboratory",
+    ),
+}  # fmt: skip
+
+
+def keywords(name: str, track: str) -> dict[str, Any]:
+    """Keywords of the environment in which a controller acts on a track."""
+    kinds = CONTROLLERS[name].obs
+    obs = next(kind for kind in TRACKS[track].obs if kind in kinds)
+    return {**TRACKS[track].kwargs, "obs": obs}
+
+
+def takes_part(name: str, env_id: str, track: str) -> bool:
+    """True if a controller can act on a task and a track."""
+    kind = CONTROLLERS[name]
+    moving = TASKS[IDS[env_id]["kwargs"]["task"]].moving
+    seen = any(obs in kind.obs for obs in TRACKS[track].obs)
+    return seen and (kind.follows or not moving)
+
+
+def track_of(name: str, env_id: str, kwargs: Mapping[str, Any]) -> str | None:
+    """Track whose keywords these are for a controller, or None."""
+    exact = kwargs.get("hardware", "ideal") == "ideal"
+    given = {"obs": "state" if exact else "sensors", **kwargs}
+    if env_id not in RANKED:
+        return None
+    fit = (t for t in TRACKS if takes_part(name, env_id, t) and keywords(name, t) == given)
+    return next(fit, None)

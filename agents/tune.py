@@ -1,0 +1,134 @@
+"""`python -m agents.tune`: parameters of the classical controllers, found on tuning episodes.
+
+Every controller gets the same number of trials of Optuna's TPE sampler on the same tuning episodes,
+whose seeds differ from those of every evaluation. A trial is judged by the mean score. The first
+trial is the middle of the ranges. Results go to agents/tuned.json; a search that was interrupted
+keeps what it has finished.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.controllers import CONTROLLERS, controller
+from agents.files import atomic_write
+from agents.metrics import episode_metrics, make_batch, record
+from agents.tracks import RANKED, TRACKS, keywords, takes_part
+from dynamics.description import validate
+
+TRIALS = 40
+EPISODES = 16
+SEED = 500_000  # of the first tuning episode
+STORE = Path(__file__).with_name("tuned.json")
+
+
+def tune(
+    name: str,
+    env_id: str,
+    kwargs: Mapping[str, Any],
+    *,
+    trials: int = TRIALS,
+    episodes: int = EPISODES,
+    seed: int = SEED,
+) -> dict[str, Any]:
+    """Best parameters of a controller and their mean score."""
+    import optuna
+
+    ranges = CONTROLLERS[name].ranges
+    envs = make_batch(env_id, episodes, kwargs)
+    seeds = list(range(seed, seed + episodes))
+
+    def score(trial: Any) -> float:
+        drawn = {
+            key: trial.suggest_float(key, low, high, log=True)
+            for key, (low, high) in ranges.items()
+        }
+        try:
+            metrics = episode_metrics(record(controller(name, envs, drawn), envs, seeds))
+        except np.linalg.LinAlgError:  # no gain for these weights
+            return 0.0
+        return float(metrics["score"].mean())
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=0))
+    study.enqueue_trial(CONTROLLERS[name].middle)
+    try:
+        study.optimize(score, n_trials=trials if ranges else 1)
+    finally:
+        envs.close()
+    best = study.best_trial
+    parameters = {key: float(f"{value:.4g}") for key, value in best.params.items()}
+    return {"parameters": parameters, "score": best.value, "trials": len(study.trials)}
+
+
+@lru_cache(maxsize=1)
+def tuned() -> dict[str, Any]:
+    """Contents of tuned.json: id -> track -> controller -> parameters, score, trials."""
+    result: dict[str, Any] = json.loads(STORE.read_text(encoding="utf-8"))
+    return result
+
+
+def parameters_of(name: str, env_id: str, track: str) -> dict[str, float]:
+    """Stored parameters of a controller; a ValueError if it was not tuned there."""
+    found = tuned().get(env_id, {}).get(TRACKS[track].design, {}).get(name)
+    if found is None:
+        raise ValueError(
+            f"{name} was not tuned for {env_id} on the track {track!r}; run python -m agents.tune "
+            f"--tasks {env_id} --controllers {name}."
+        )
+    result: dict[str, float] = found["parameters"]
+    return result
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Tune, and store after each controller; the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m agents.tune", description=__doc__)
+    parser.add_argument("--tasks", nargs="+", default=list(RANKED), metavar="ID")
+    parser.add_argument("--tracks", nargs="+", default=["state", "laboratory"], metavar="TRACK")
+    parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), metavar="NAME")
+    parser.add_argument("--trials", type=int, default=TRIALS)
+    parser.add_argument("--out", type=Path, default=STORE)
+    options = parser.parse_args(arguments)
+    try:
+        for name in options.controllers:
+            validate.known(name, "controller", CONTROLLERS)
+        for track in options.tracks:
+            validate.known(track, "track", TRACKS)
+        for env_id in options.tasks:
+            validate.known(env_id, "task", RANKED)
+        trials = validate.integer(options.trials, "--trials", 1, 100_000)
+    except ValueError as error:
+        print(f"agents.tune: {error}", file=sys.stderr)
+        return 2
+    for env_id in options.tasks:
+        for track in options.tracks:
+            for name in options.controllers:
+                if not takes_part(name, env_id, track) or not CONTROLLERS[name].ranges:
+                    continue
+                found = tune(name, env_id, keywords(name, track), trials=trials)
+                print(f"{env_id}, {track}, {name}: {_line(found)}", flush=True)
+                store(options.out, env_id, track, name, found)
+    return 0
+
+
+def store(path: Path, env_id: str, track: str, name: str, found: Mapping[str, Any]) -> None:
+    """Add one result to the file, whatever it has by now."""
+    data = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    data.setdefault(env_id, {}).setdefault(track, {})[name] = dict(found)
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(data, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def _line(found: Mapping[str, Any]) -> str:
+    numbers = ", ".join(f"{key} {value:g}" for key, value in found["parameters"].items())
+    return f"score {found['score']:.3f} with {numbers}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
