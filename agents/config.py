@@ -9,7 +9,7 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from agents.environments import check_keywords
-from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS
+from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS, MOST_STACKED
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
 from flexarm_env import registered
@@ -64,6 +64,7 @@ POLICY_KWARGS: dict[str, tuple[type, ...]] = {
 LIMITS: dict[str, tuple[float, float]] = {
     "total_steps": (1, 10**11),
     "n_envs": (1, 65_536),
+    "stack": (1, MOST_STACKED),
     "seed": (0, 2**31 - 1),
     "checkpoint_seconds": (1e-3, 1e6),
     "episodes": (1, 10_000),
@@ -100,6 +101,7 @@ ZOO_NAMES = {
     "policy_kwargs": "agent.kwargs.policy_kwargs",
     "normalize": "nothing: observations are scaled by the environment",
     "env_wrapper": "env.reward (a table of reward terms and weights)",
+    "frame_stack": "env.stack",
 }
 TYPE_NAMES = {int: "an int", float: "a float", str: "text", bool: "true or false"}
 TYPE_NAMES |= {list: "a list", dict: "a table"}
@@ -117,6 +119,7 @@ class EnvConfig:
     kwargs: dict[str, Any] = field(default_factory=dict)  # keywords of the environment
     reward: dict[str, float] | None = None  # weights of the reward terms; None: the task's
     n_envs: int = 1
+    stack: int = 1  # latest observations that the policy sees
 
     @property
     def make_kwargs(self) -> dict[str, Any]:

@@ -13,12 +13,12 @@ from agents.config import LIMITS
 from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
 from agents.environments import REFUSALS, check_keywords
 from agents.files import FolderError, check_folder, folder_lock
+from agents.leaderboard.tracks import track_of
 from agents.metrics import make_batch
 from agents.policy import Controller, Policy, PolicyError, load_policy, load_zip
 from agents.run_folder.folder import versions
 from agents.sentences import one_line
 from agents.signals import Interrupted, signals_to, stop_at_once
-from agents.tracks import track_of
 from agents.tune import parameters_of
 from dynamics.description import validate
 from flexarm_env import registered
@@ -153,7 +153,7 @@ def make_controller(
         if policy is None:
             return subject, classical(subject, env, env_id, kwargs)
         shapes = (env.single_observation_space.shape, env.single_action_space.shape)
-        wanted = (policy.observation_low.shape, policy.biases[-1].shape)
+        wanted = ((policy.n_observation,), policy.biases[-1].shape)
         if shapes != wanted:
             trained = policy.about.get("env_kwargs")
             remedy = f" Its training had --env-kwargs {validate.shown(trained)}." if trained else ""

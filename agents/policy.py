@@ -25,6 +25,7 @@ KEYS += " action_high about"
 LARGEST_JSON = 2**20  # bytes
 LARGEST_LAYER = 2048  # units
 MOST_LAYERS = 10  # including observation and action
+MOST_STACKED = 32  # observations
 ENDS = ("low", "high")
 OVERHEAD = 2**16  # bytes of an archive in addition to the numbers
 
@@ -60,7 +61,11 @@ class Controller(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Policy:
-    """A multilayer perceptron from observation to action, evaluated with numpy in float32."""
+    """A multilayer perceptron from observation to action, evaluated with numpy in float32.
+
+    A policy with a memory takes its latest observations, stacked oldest first; zeros precede the
+    first one of an episode. The state that `predict` returns holds them.
+    """
 
     weights: tuple[AnyArray, ...]  # each (n_out, n_in)
     biases: tuple[AnyArray, ...]  # each (n_out,)
@@ -70,6 +75,17 @@ class Policy:
     observation_high: AnyArray
     about: dict[str, Any]  # env id and keywords, algorithm, steps, versions: plain JSON
 
+    @property
+    def stack(self) -> int:
+        """Number of observations that are stacked."""
+        count: int = self.about.get("stack", 1)
+        return count
+
+    @property
+    def n_observation(self) -> int:
+        """Size of one observation."""
+        return self.observation_low.size // self.stack
+
     def predict(
         self,
         observation: AnyArray,
@@ -77,17 +93,19 @@ class Policy:
         episode_start: AnyArray | None = None,
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
-        """Return the mean action (..., n_action), and the unchanged state."""
+        """Return the mean action (..., n_action), and the state for the next call."""
         if not deterministic:
             raise ValueError(
                 "A stored policy holds the mean action only; call predict(deterministic=True)."
             )
         x = np.asarray(observation, np.float32)
-        if x.shape[-1:] != self.observation_low.shape:
+        if x.shape[-1:] != (self.n_observation,):
             raise ValueError(
-                f"The policy takes {self.observation_low.size} observations, got shape {x.shape}. "
+                f"The policy takes {self.n_observation} observations, got shape {x.shape}. "
                 f"It was trained on {validate.shown(self.about.get('env_id'))}."
             )
+        if self.stack > 1:
+            x = state = self._stacked(x, state, episode_start)
         activation = ACTIVATIONS[self.activation]
         with np.errstate(over="ignore", invalid="ignore"):
             for W, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
@@ -96,6 +114,14 @@ class Policy:
         if np.isnan(x).any():
             raise PolicyError("The policy's weights are so large that its action is not a number.")
         return x.astype(np.float32), state
+
+    def _stacked(self, x: AnyArray, before: Any, episode_start: AnyArray | None) -> AnyArray:
+        """The latest observations (..., stack * n_observation), as `VecFrameStack` orders them."""
+        if before is None:
+            before = np.zeros((*x.shape[:-1], self.observation_low.size), np.float32)
+        elif episode_start is not None:
+            before = np.where(np.asarray(episode_start, bool)[..., None], np.float32(0.0), before)
+        return np.concatenate([before[..., self.n_observation :], x], axis=-1)
 
 
 def export_policy(model: Any, about: dict[str, Any]) -> Policy:
@@ -208,6 +234,9 @@ def read_description(path: Path) -> dict[str, Any]:
     if not isinstance(d["about"], dict):
         raise ValueError(f"about must be a table, got {validate.shown(d['about'])}.")
     validate.text(d["about"].get("env_id", ""), "about.env_id")
+    stack = validate.integer(d["about"].get("stack", 1), "about.stack", 1, MOST_STACKED)
+    if sizes[0] % stack:
+        raise ValueError(f"about.stack ({stack}) must divide the {sizes[0]} observations.")
     return d
 
 

@@ -38,6 +38,7 @@ def build_model(config: Config) -> Any:
     """The stable-baselines3 model of the experiment on its batch environment."""
     import torch
     from stable_baselines3 import PPO, SAC
+    from stable_baselines3.common.vec_env import VecFrameStack
 
     from flexarm_env import SB3VecEnv
 
@@ -52,10 +53,12 @@ def build_model(config: Config) -> Any:
         if isinstance(value, str):
             kwargs[key] = falling(float(value.removeprefix("lin_")))
     try:
-        env = SB3VecEnv(config.env.id, config.env.n_envs, **config.env.make_kwargs)
+        env: Any = SB3VecEnv(config.env.id, config.env.n_envs, **config.env.make_kwargs)
     except REFUSALS as error:
         keywords = validate.shown(config.env.make_kwargs)
         raise ConfigError(f"env: {config.env.id} refuses {keywords}: {error}") from None
+    if config.env.stack > 1:
+        env = VecFrameStack(env, config.env.stack)
     try:
         algorithm = {"ppo": PPO, "sac": SAC}[config.agent.name]
         return algorithm(
@@ -95,7 +98,12 @@ def learn(run: RunFolder, config: Config) -> int:
         print(sentence)
     model = build_model(config)
     about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.make_kwargs}
-    about |= {"config": config.name, "seed": config.seed, "versions": versions()["packages"]}
+    about |= {
+        "stack": config.env.stack,
+        "config": config.name,
+        "seed": config.seed,
+        "versions": versions()["packages"],
+    }
     save_untrained(run, model, about)
     progress = restore_newest(run, config, model)
     if model.num_timesteps < config.total_steps:

@@ -18,8 +18,8 @@ import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
 from agents.files import atomic_write
+from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import episode_metrics, make_batch, record
-from agents.tracks import RANKED, TRACKS, keywords, takes_part
 from dynamics.description import validate
 
 TRIALS = 40

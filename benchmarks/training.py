@@ -22,6 +22,8 @@ import gymnasium as gym
 from agents.config import Config, load_config
 from agents.controllers import joint_pd, tune_pd
 from agents.figures import film, plot_learning_curve, plot_recordings, write_gif
+from agents.leaderboard.shipped import ship
+from agents.leaderboard.tracks import track_of
 from agents.metrics import (
     METRICS,
     Recording,
@@ -270,13 +272,19 @@ def main() -> None:
     parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--keep", type=Path, help="folder that keeps the runs")
+    parser.add_argument("--ship", action="store_true", help="keep the policies in agents/policies")
     parser.add_argument("--gif", action="store_true", help="film the first seed and joint PD")
     a = parser.parse_args()
     config = load_config(a.config)
     if a.steps is not None:
         config = replace(config, total_steps=a.steps)
     with tempfile.TemporaryDirectory() as temporary:
-        benchmark(config, a.seeds, a.keep or Path(temporary), a.out, a.gif)
+        work = a.keep or Path(temporary)
+        benchmark(config, a.seeds, work, a.out, a.gif)
+        track = track_of(config.agent.name, config.env.id, config.env.make_kwargs)
+        if a.ship and track is not None:
+            for seed in a.seeds:
+                ship(load_policy(RunFolder(work / f"seed{seed}").policy), config.env.id, track)
 
 
 if __name__ == "__main__":

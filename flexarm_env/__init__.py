@@ -1,7 +1,7 @@
 """Gymnasium environments for robot arms with flexible links.
 
-Importing this package registers FlexArm/{OneLink,TwoLink,SixLink}-{Reach,Track,Damp}-v0;
-`gym.make("flexarm_env:FlexArm/OneLink-Reach-v0")` does both at once.
+Importing this package registers FlexArm/{OneLink,TwoLink,SixLink}-{Reach,Track,Damp}-v0 and the
+variants in `IDS`; `gym.make("flexarm_env:FlexArm/OneLink-Reach-v0")` does both at once.
 """
 
 from typing import Any

@@ -26,20 +26,18 @@ from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
 from flexarm_env import arguments
-from flexarm_env.accuracy.certificates import RANDOM_SHARE, RANDOM_STEPS, STORE, Fitted, fit, scene
+from flexarm_env.accuracy.certificates import STORE, Fitted, fit, scene
+from flexarm_env.accuracy.episodes import EPISODE_ERROR, episode_error
 from flexarm_env.accuracy.table import accuracy
 from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.core import Core
 from flexarm_env.registration import SCENES
-from flexarm_env.scales import SAFE, integration, scales
+from flexarm_env.scales import SAFE, scales
 
 ACCURACY = 1e-4  # [of the reach] of the reference
 METHODS = ("rk4", "numerov", "exponential", "midpoint")
 TIP_ERROR = 1e-3  # [of the reach] of model and step together
 SLACK = 1.1  # [-] error with a step over that of a model that errs by more than TIP_ERROR itself
-EPISODES, TASKS = 32, ("Reach", "Damp")
-FINER = 4  # times the Runge-Kutta steps of an arm: the reference for steps
-EPISODE_ERROR = 1e-2  # [of the reach] of the step alone, above which a method is left out
 MOST_STEPS = 24  # per control step; more than that is never the cheapest
 BATCH = 1024  # environments that are timed together
 TIMED = 500  # timing rounds, a second of each method: the choice must not depend on disturbances
@@ -49,39 +47,6 @@ ROUND = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # [s] its control step
 
 Entry = dict[str, Any]  # control_dt, steps, certificate
 Step = dict[str, Any]  # integrator, substeps, error and episode_error [of the reach], seconds
-
-
-def largest_error(arm: ArmSource, control_dt: float, integrator: str, substeps: int) -> float:
-    """Largest tip error [of the reach] of the step alone over episodes of random torques.
-
-    Infinite if one diverges that does not with finer steps. There are EPISODES of each of TASKS,
-    RANDOM_STEPS control steps long: Reach starts at rest, Damp with links that vibrate. An episode
-    counts until it ends.
-    """
-    return max(_task_error(task, arm, control_dt, integrator, substeps) for task in TASKS)
-
-
-def _task_error(
-    task: str, arm: ArmSource, control_dt: float, integrator: str, substeps: int
-) -> float:
-    setting: dict[str, Any] = {"task": task, "arm": arm, "control_dt": control_dt}
-    count = FINER * integration(load_arm(arm), control_dt, "rk4")[1]
-    coarse = Core(**setting, n_env=EPISODES, integrator=integrator, substeps=substeps)
-    fine = Core(**setting, n_env=EPISODES, integrator="rk4", substeps=count)
-    for core in (coarse, fine):
-        for row in range(EPISODES):
-            core.seed(row, np.random.default_rng(row))
-        core.reset(np.arange(EPISODES))
-    rng, worst, going = np.random.default_rng(0), 0.0, np.ones(EPISODES, dtype=bool)
-    for _ in range(RANDOM_STEPS):
-        torque = rng.uniform(-RANDOM_SHARE, RANDOM_SHARE, (EPISODES, coarse.arm.n_joint))
-        infos = [core.step(torque.astype(np.float32))[0].described() for core in (coarse, fine)]
-        if np.any(going & infos[0]["diverged"] & ~infos[1]["diverged"]):
-            return float("inf")
-        going &= ~np.any([info["diverged"] | info["invalid"] for info in infos], axis=0)
-        tips = [np.array([core.model.tip(q) for q in core.q[going]]) for core in (coarse, fine)]
-        worst = max(worst, float(np.linalg.norm(tips[0] - tips[1], axis=-1).max(initial=0.0)))
-    return worst / coarse.arm.reach
 
 
 def fewest_steps(certifier: Certifier, control_dt: float, integrator: str) -> Step | None:
@@ -166,7 +131,7 @@ def entry(source: str, control_dt: float | None) -> Entry:
         found.append(fewest_steps(certifier, dt, method))
     enough = []
     for step in filter(None, found):
-        error = largest_error(arm, dt, step["integrator"], step["substeps"])
+        error = episode_error(arm, dt, step["integrator"], step["substeps"])
         if error <= EPISODE_ERROR:
             enough.append(step | {"episode_error": error})
     if not enough:

@@ -14,9 +14,10 @@ import numpy as np
 
 from dynamics.load import load_arm
 from flexarm_env.accuracy.certificates import kept
+from flexarm_env.accuracy.episodes import EPISODE_ERROR, EPISODES
 from flexarm_env.accuracy.table import CERTIFICATE, accuracy
 from flexarm_env.accuracy.table import markdown as _table
-from flexarm_env.certify import BATCH, EPISODE_ERROR, EPISODES, TIP_ERROR
+from flexarm_env.certify import BATCH, TIP_ERROR
 from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core
 from flexarm_env.env import FlexArmEnv

@@ -52,7 +52,7 @@ CONTROLLERS: dict[str, Kind] = {
     "lqr": Kind(text="LQR with clipped joint errors", build=LQR, ranges=_LQR, obs=("state",)),
     "lqg": Kind(
         text="LQG that knows noise and delay", build=LQG, follows=False, obs=("sensors",),
-        ranges=_LQR | {"disturbance": (1e-3, 10.0)},
+        ranges=_LQR | {"disturbance": (1e-5, 1.0)},
     ),
     "zero": Kind(text="no torque", build=lambda env: Zero(n_joint=env.unwrapped.n_joint)),
     "random": Kind(text="random torque", build=lambda env: Random(env.unwrapped.n_joint)),

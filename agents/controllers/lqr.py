@@ -32,6 +32,13 @@ class _Design:
     lead: float  # [s]
     known: dict[int, Array] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, env: Any, effort: float, lead: float) -> "_Design":
+        """Design for an environment; `lead` is over its move time."""
+        base = env.unwrapped
+        limit = np.asarray(base.torque_limit, dtype=np.float64)
+        return cls(LinearModels(env), limit, base.reach, effort, lead * base.core.move_time)
+
     def gain(self, model: LinearModel) -> Array:
         """(m, 2n) K of tau = -K x."""
         key = id(model)
@@ -59,14 +66,10 @@ class LQR:
     """
 
     def __init__(self, env: Any, *, effort: float, lead: float, clip: float) -> None:
-        base = env.unwrapped
         self.read = Reading.of(env)
         self.read.require("lqr", "joint_error", "joint_rate", "modal_amplitude", "modal_rate")
-        self.models = LinearModels(env)
-        self.limit = np.asarray(base.torque_limit, dtype=np.float64)
-        self.design = _Design(
-            self.models, self.limit, base.reach, effort, lead * base.core.move_time
-        )
+        self.design = _Design.of(env, effort, lead)
+        self.models, self.limit = self.design.models, self.design.limit
         self.clip = clip
 
     def predict(
@@ -108,34 +111,33 @@ class LQR:
 
 @dataclass
 class _Belief:
-    """What LQG knows between two steps."""
+    """What LQG knows between two steps, for each of D delays."""
 
-    x: Array  # (N, 2n) estimated state of `delay` steps ago
-    torque: Array  # (N, delay + 1, m) [N m] past torques, oldest first
+    x: Array  # (D, N, 2n) estimated state when the latest reading was taken
+    surprise: Array  # (D, N) sum of squared innovations over their variances
+    torque: Array  # (N, latest + 1, m) [N m] past torques, oldest first
     posture: Array  # (N, m) [rad] target
 
 
 class LQG:
-    """Output feedback: a steady Kalman filter for late readings, prediction, then the LQR gain.
+    """Output feedback: steady Kalman filters, one per possible delay, and the LQR gain.
 
     The readings are joint angles and curvatures; joint rates are their differences and add nothing.
-    The delay is that in the middle of the range of the environment's hardware.
+    The filter with the smallest innovations since the start is believed (multiple-model estimation,
+    Bar-Shalom, Li and Kirubarajan, Estimation with Applications, 2001, section 11.6); its estimate
+    is predicted to the present with the torques since.
     """
 
     def __init__(
         self, env: Any, *, effort: float, lead: float, clip: float, disturbance: float
     ) -> None:
-        base = env.unwrapped
         self.read = Reading.of(env)
         self.read.require("lqg", "joint_error", "root_curvature")
-        self.models = LinearModels(env)
-        self.limit = np.asarray(base.torque_limit, dtype=np.float64)
-        self.design = _Design(
-            self.models, self.limit, base.reach, effort, lead * base.core.move_time
-        )
+        self.design = _Design.of(env, effort, lead)
+        self.models, self.limit = self.design.models, self.design.limit
         self.clip, self.disturbance = clip, disturbance
-        self.delay, self.noise = _sensors(base.core)
-        self._filters: dict[int, Array] = {}
+        self.delays, self.noise = _sensors(env.unwrapped.core)
+        self._filters: dict[int, tuple[Array, Array]] = {}
 
     def predict(
         self,
@@ -150,47 +152,59 @@ class LQG:
         readings = np.concatenate([error, self.read(x, "root_curvature")], axis=1)
         belief = self._started(x, error, state, fresh_of(state, episode_start, len(x)))
         torque = np.empty((len(x), self.limit.size))
-        for i, angles in enumerate(belief.posture):
-            model = self.models.at(angles)
-            gain = self._filter(model)
-            now = model.A @ belief.x[i] + model.B @ belief.torque[i, 0]
-            now += gain @ (readings[i] - model.C @ now)
-            belief.x[i] = now
-            for past in belief.torque[i, 1:]:
-                now = model.A @ now + model.B @ past
+        for i, posture in enumerate(belief.posture):
+            model = self.models.at(posture)
+            now = self._present(model, belief, i, readings[i])
             now[self.models.joints] = np.clip(now[self.models.joints], -self.clip, self.clip)
             torque[i] = np.clip(-self.design.gain(model) @ now, -self.limit, self.limit)
         belief.torque = np.concatenate([belief.torque[:, 1:], torque[:, None]], axis=1)
         action = torque / self.limit
         return action.reshape(*np.shape(observation)[:-1], -1), belief
 
+    def _present(self, model: LinearModel, belief: _Belief, i: int, reading: Array) -> Array:
+        """(2n,) present state of environment i, after its filters took a reading."""
+        gain, precision = self._filter(model)
+        past = belief.torque[i]
+        for k, delay in enumerate(self.delays):
+            x = model.A @ belief.x[k, i] + model.B @ past[-1 - delay]
+            innovation = reading - model.C @ x
+            belief.x[k, i] = x + gain @ innovation
+            belief.surprise[k, i] += innovation @ precision @ innovation
+        best = int(np.argmin(belief.surprise[:, i]))
+        now: Array = belief.x[best, i]
+        for torque in past[len(past) - self.delays[best] :]:
+            now = model.A @ now + model.B @ torque
+        return now.copy()
+
     def _started(
         self, x: AnyArray, error: Array, belief: _Belief | None, fresh: AnyArray
     ) -> _Belief:
         """The belief, begun anew where an episode starts: the arm rests at its first reading."""
-        n, m = self.models.model.n, self.limit.size
         if belief is None:
+            count, size, m = len(self.delays), 2 * self.models.model.n, self.limit.size
             belief = _Belief(
-                np.zeros((len(x), 2 * n)),
-                np.zeros((len(x), self.delay + 1, m)),
-                np.zeros((len(x), m)),
+                x=np.zeros((count, len(x), size)),
+                surprise=np.zeros((count, len(x))),
+                torque=np.zeros((len(x), self.delays[-1] + 1, m)),
+                posture=np.zeros((len(x), m)),
             )
-        belief.x[fresh] = 0.0
-        belief.x[np.ix_(fresh, np.array(self.models.joints))] = error[fresh]
-        belief.torque[fresh] = 0.0
+        belief.x[:, fresh] = 0.0
+        for k, joint in enumerate(self.models.joints):
+            belief.x[:, fresh, joint] = error[fresh, k]
+        belief.surprise[:, fresh], belief.torque[fresh] = 0.0, 0.0
         belief.posture[fresh] = posture_of(self.read, x)[fresh]
         return belief
 
-    def _filter(self, model: LinearModel) -> Array:
-        """(2n, m + g) steady Kalman gain of a reading; torques are disturbed."""
+    def _filter(self, model: LinearModel) -> tuple[Array, Array]:
+        """(2n, m + g) steady Kalman gain of a reading, and the precision of the innovations."""
         key = id(model)
         if key not in self._filters:
             W = model.B @ np.diag((self.disturbance * self.limit) ** 2) @ model.B.T
             W += 1e-12 * np.trace(W) / len(W) * np.eye(len(W))
             V = np.diag(self.noise**2)
             P = solve_discrete_are(model.A.T, model.C.T, W, V)
-            S = model.C @ P @ model.C.T + V
-            self._filters[key] = np.linalg.solve(S, model.C @ P).T
+            precision = np.linalg.inv(model.C @ P @ model.C.T + V)
+            self._filters[key] = P @ model.C.T @ precision, precision
         return self._filters[key]
 
 
@@ -233,14 +247,15 @@ def fresh_of(state: Any, episode_start: AnyArray | None, count: int) -> AnyArray
     return np.asarray(episode_start, dtype=bool)
 
 
-def _sensors(core: Any) -> tuple[int, Array]:
-    """Delay [control steps], and standard deviations of the readings; exact ones have small."""
+def _sensors(core: Any) -> tuple[list[int], Array]:
+    """Possible delays [control steps], and standard deviations of the readings."""
     gauges = np.asarray(core.gauge_scale)
     hardware = core.sensing.hardware if core.sensing else None
     if hardware is None:
-        return 0, np.array([*[1e-5] * core.arm.n_joint, *(1e-4 * gauges)])
+        return [0], np.array([*[1e-5] * core.arm.n_joint, *(1e-4 * gauges)])
     count = 2.0 * np.pi / hardware.encoder_counts if hardware.encoder_counts else 1e-5
     quantum = 1.0 / hardware.gauge_counts if hardware.gauge_counts else 1e-4
     deviation = np.hypot(hardware.gauge_noise, np.hypot(hardware.gauge_bias, quantum) / 3.0)
     angles = [count / np.sqrt(12.0)] * core.arm.n_joint
-    return round(0.5 * sum(hardware.delay)), np.array([*angles, *(deviation * gauges)])
+    least, most = hardware.delay
+    return list(range(least, most + 1)), np.array([*angles, *(deviation * gauges)])

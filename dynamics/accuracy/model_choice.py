@@ -7,7 +7,7 @@ shapes. The ladder lists all measured models and steps.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from dynamics.accuracy.choice import Choice, Rung, metres
@@ -41,10 +41,16 @@ STEPPING = tuple(name for name, method in INTEGRATORS.items() if method.aid != "
 STEP_RATIO = 10.0**0.1  # of a step and the smaller one that has to confirm it
 LARGEST_FALL = 0.25  # of a step to the next smaller one that is tried
 MOST_STEPS = 1e6  # per motion
+Acceptable = Callable[[Arm, str, float], bool]  # of a model, an integrator and its step [s]
 
 
 def choose_model(
-    arm: ArmSource, scene: Scene, tolerance: float, *, progress: bool | None = None
+    arm: ArmSource,
+    scene: Scene,
+    tolerance: float,
+    *,
+    acceptable: Acceptable | None = None,
+    progress: bool | None = None,
 ) -> Choice:
     """Find the cheapest model, integrator and step with a tip error of at most `tolerance` [m].
 
@@ -55,6 +61,8 @@ def choose_model(
         ratio becomes a viscosity, see `damping.viscous`.
     scene : motions on which the tip error is measured, as the largest over time and motions.
     tolerance : [m]
+    acceptable : a further condition on the model, the integrator and its step [s]; the cheapest
+        choice that meets it is taken.
     progress : True shows a line of progress on standard error; None only on a terminal.
 
     Raises
@@ -67,27 +75,30 @@ def choose_model(
     validate.instance(scene, "scene", Scene).check(arm)
     tolerance = validate.positive(tolerance, "tolerance", "m")
     with Progress(progress) as line:
-        return _choice(ModelErrors(arm, scene, tolerance, line))
+        return _choice(ModelErrors(arm, scene, tolerance, line), acceptable)
 
 
-def _choice(errors: ModelErrors) -> Choice:
+def _choice(errors: ModelErrors, acceptable: Acceptable | None) -> Choice:
     reference = errors.converge()
     ladder: list[Rung] = []
     sufficient = _cheapest_sufficient(errors, ladder)
     errors.progress.stage("steps")
-    steps = list(_steps(errors, sufficient))
+    steps = list(_steps(errors, sufficient, acceptable))
     ladder += [step.rung for step in steps]
     rival = _rival(errors, sufficient)
     if rival:
-        further = list(_steps(errors, rival, min(step.cost for step in steps)))
+        further = list(_steps(errors, rival, acceptable, min(step.cost for step in steps)))
         ladder += [_rung(errors, rival, None), *(step.rung for step in further)]
         steps += further
     step = min(steps, key=lambda step: step.cost)
     chosen, best = step.model, step.rung
     if best.cost is None:
+        least = min(k.rung.error for k in steps)
+        remedy = f"; the smallest error is {least:.3g} m. Take a larger tolerance."
+        if least <= errors.tolerance:
+            remedy = " and is acceptable. Loosen that condition, or take a smaller tolerance."
         raise RuntimeError(
-            f"No step keeps '{chosen}' within {errors.tolerance:.3g} m of the reference; the "
-            f"smallest error is {min(k.rung.error for k in steps):.3g} m. Take a larger tolerance."
+            f"No step keeps '{chosen}' within {errors.tolerance:.3g} m of the reference{remedy}"
         )
     return Choice(
         arm=chosen.arm(errors.arm),
@@ -279,15 +290,23 @@ def _rival(errors: ModelErrors, sufficient: Fidelity) -> Fidelity | None:
     return min(rivals, key=errors.operations, default=None)
 
 
-def _steps(errors: ModelErrors, fidelity: Fidelity, cheapest: float = math.inf) -> Iterator[_Step]:
+def _steps(
+    errors: ModelErrors,
+    fidelity: Fidelity,
+    acceptable: Acceptable | None,
+    cheapest: float = math.inf,
+) -> Iterator[_Step]:
     """For each integrator the largest step within the budget, unless it exceeds `cheapest`."""
+    arm = fidelity.arm(errors.arm)
     for name in STEPPING:
         dt, integration = _largest_step(errors, fidelity, name, cheapest)
         fits = integration <= errors.step_budget(fidelity)
         work = _cost(errors, fidelity, name, dt)
+        refused = fits and acceptable is not None and not acceptable(arm, name, dt)
+        fits = fits and not refused
         cheapest = min(cheapest, work) if fits else cheapest
         rung = Rung(
-            description=f"{name}, dt {dt:.4g} s",
+            description=f"{name}, dt {dt:.4g} s{', not acceptable' if refused else ''}",
             error=errors.error(fidelity) + integration,
             integration=integration,
             operations=errors.rollout(fidelity).method(name).operations,

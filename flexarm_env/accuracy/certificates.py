@@ -7,7 +7,7 @@ import json
 import logging
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +23,12 @@ from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.load import load_arm
 from dynamics.simulation.case_file import PiecewiseConstant, Torque
+from flexarm_env.accuracy.episodes import RANDOM_SHARE, RANDOM_STEPS, keeps_tip
 from flexarm_env.scales import scales
 
 _log = logging.getLogger(__name__)
 
 STORE = Path(__file__).with_name("certificates.json")
-RANDOM_STEPS = 40  # control steps of random torque
-RANDOM_SHARE = 0.4  # largest random torque, over full torque
 PERIODS = 4.0  # length of the bang-bang motion, in periods of the first joint-free mode
 RIGID_PERIOD = 0.5  # [s] period for an arm without modes
 FIDELITIES = ("rigid", "auto", "reference")
@@ -191,11 +190,13 @@ def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
     arm = arm.with_listed_modes()
     described = json.dumps(arm.to_dict())
     search = hash_of_files(sources(("accuracy", "simulation")))
-    key = fingerprint("choice", search, described, repr(control_dt), repr(tolerance))
+    episodes = hash_of_files([Path(__file__).with_name("episodes.py")])
+    key = fingerprint("choice", search, episodes, described, repr(control_dt), repr(tolerance))
 
     def choose() -> str:
         try:
-            found = choose_model(arm, scene(arm, control_dt), tolerance).to_dict()
+            keeps = partial(keeps_tip, control_dt)
+            found = choose_model(arm, scene(arm, control_dt), tolerance, acceptable=keeps).to_dict()
         except (RuntimeError, ValueError) as error:
             found = {"failed": str(error), "refused": isinstance(error, ValueError)}
         return json.dumps(found, indent=2)

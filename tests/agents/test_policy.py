@@ -14,7 +14,8 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 import pytest
 from numpy.lib import format as npy
-from stable_baselines3 import A2C, TD3
+from stable_baselines3 import A2C, PPO, TD3
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
 
 from agents.policy import (
     Policy,
@@ -341,3 +342,33 @@ def test_a_randomly_damaged_policy_loads_or_is_refused(
         except PolicyError:
             refused += 1
     assert refused > 150
+
+
+def test_a_policy_with_a_memory_acts_as_its_network_on_stacked_observations(
+    tmp_path: Path,
+) -> None:
+    """Across ends of episodes, against stable-baselines3's own stacking."""
+    envs = VecFrameStack(DummyVecEnv([Toy, Toy]), 3)
+    envs.seed(0)
+    model = PPO("MlpPolicy", envs, n_steps=32, batch_size=32, seed=0)
+    save_policy(export_policy(model, {"stack": 3}), tmp_path)
+    policy = load_policy(tmp_path)
+    assert (policy.stack, policy.n_observation) == (3, 3)
+    stacked: Any = envs.reset()
+    starts, state, ends = np.ones(2, bool), None, 0
+    for _ in range(60):
+        expected, _ = model.predict(stacked, deterministic=True)
+        actions, state = policy.predict(stacked[:, -3:], state, starts)
+        np.testing.assert_allclose(actions, expected, atol=2e-6)
+        stacked, _, starts, _ = envs.step(expected)
+        ends += int(starts.sum())
+    assert ends > 2
+    single, memory = policy.predict(stacked[0, -3:])
+    assert single.shape == (2,)
+    assert policy.predict(stacked[0, -3:], memory)[1].shape == (9,)
+
+
+def test_a_stack_that_does_not_fit_is_refused(model: Any, tmp_path: Path) -> None:
+    save_policy(export_policy(model, {"stack": 2}), tmp_path)
+    with pytest.raises(PolicyError, match="must divide the 3 observations"):
+        load_policy(tmp_path)

@@ -154,7 +154,7 @@ def unmeasured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     )  # fmt: skip
     monkeypatch.setattr(certify, "timed", lambda arm, dt, steps: steps)
     errors = {step["integrator"]: step["episode_error"] for step in known["steps"]}
-    monkeypatch.setattr(certify, "largest_error", lambda arm, dt, method, count: errors[method])
+    monkeypatch.setattr(certify, "episode_error", lambda arm, dt, method, count: errors[method])
     monkeypatch.setattr(certify, "certifier_of", lambda arm, dt: Certifies())
     return store
 

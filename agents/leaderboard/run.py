@@ -21,37 +21,33 @@ from scipy import stats
 
 from agents.controllers import CONTROLLERS, controller
 from agents.files import atomic_write
+from agents.leaderboard.bound import stored
+from agents.leaderboard.shipped import shipped
+from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record, without_infinities
 from agents.policy import Controller
-from agents.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.tune import parameters_of
 from dynamics.description import validate
 from dynamics.types import AnyArray
 
 SEED, EPISODES = 10_000, 100
 RESAMPLES = 2000  # of the bootstrap
+MOST_REGRET = 4.0
 TIMED = 200  # single decisions that are timed
-COLUMNS = ("success", "score", "settling", "decision")
 Figures = dict[str, Any]
 
 
-class Timed:
-    """A controller whose decisions are timed, one environment at a time."""
-
-    def __init__(self, subject: Controller) -> None:
-        self.subject = subject
-
-    def milliseconds(self, env: Any, seed: int) -> AnyArray:
-        """(n,) [ms] of single decisions in an episode, without the first."""
-        observation, _ = env.reset(seed=[seed])
-        state, start, times = None, np.ones(1, dtype=bool), []
-        for _ in range(TIMED):
-            begin = time.perf_counter()
-            action, state = self.subject.predict(observation, state, start)
-            times.append(1e3 * (time.perf_counter() - begin))
-            observation, _, terminated, truncated, _ = env.step(action)
-            start = terminated | truncated
-        return np.array(times[1:])
+def decision_times(subject: Controller, env: Any, seed: int) -> AnyArray:
+    """(n,) [ms] of single decisions, without the first, in episodes of one environment."""
+    observation, _ = env.reset(seed=[seed])
+    state, start, times = None, np.ones(1, dtype=bool), []
+    for _ in range(TIMED):
+        begin = time.perf_counter()
+        action, state = subject.predict(observation, state, start)
+        times.append(1e3 * (time.perf_counter() - begin))
+        observation, _, terminated, truncated, _ = env.step(np.asarray(action, np.float32))
+        start = terminated | truncated
+    return np.array(times[1:])
 
 
 def interquartile_mean(x: AnyArray, axis: int = -1) -> Any:
@@ -69,15 +65,30 @@ def interval(x: AnyArray) -> list[float]:
     return [float(found.low), float(found.high)]
 
 
-def figures(metrics: Mapping[str, AnyArray], milliseconds: AnyArray, control_dt: float) -> Figures:
-    """What the leaderboard says of one controller on one task and track."""
+def regrets(settling: AnyArray, shortest: AnyArray) -> AnyArray:
+    """Settling time over the shortest that is known, minus 1, at most MOST_REGRET."""
+    return np.minimum(settling / shortest - 1.0, MOST_REGRET)
+
+
+def figures(
+    metrics: Mapping[str, AnyArray],
+    milliseconds: AnyArray,
+    control_dt: float,
+    shortest: AnyArray | None,
+) -> Figures:
+    """What the leaderboard says of one controller on one task and track.
+
+    `shortest` [s] are the shortest settling times that are known, one per episode; without them
+    there is no regret.
+    """
     score = metrics["score"]
+    regret = None if shortest is None else regrets(metrics["settling_time"], shortest)
     return {
         "success_rate": float(metrics["success"].mean()),
         "score_iqm": float(interquartile_mean(score)),
         "score_ci": interval(score),
-        "regret_iqm": None,
-        "regret_ci": None,
+        "regret_iqm": None if regret is None else float(interquartile_mean(regret)),
+        "regret_ci": None if regret is None else interval(regret),
         "settling_median": float(np.median(metrics["settling_time"])),
         "tip_error_rms_median": float(np.median(metrics["tip_error_rms"])),
         "residual_vibration_median": float(np.median(metrics["residual_vibration"])),
@@ -87,30 +98,45 @@ def figures(metrics: Mapping[str, AnyArray], milliseconds: AnyArray, control_dt:
     }
 
 
-def built(name: str, env: Any, env_id: str, track: str) -> Controller:
-    """A controller of the table with its tuned parameters, or a user's class made with `env`."""
-    if name not in CONTROLLERS:
+def built(name: str, env: Any, env_id: str, track: str) -> list[Controller]:
+    """Controllers of a name, made for a design environment: one per training seed of a policy."""
+    if name in CONTROLLERS:
+        parameters = parameters_of(name, env_id, track) if CONTROLLERS[name].ranges else {}
+        return [controller(name, env, parameters)]
+    if ":" in name:
         module, _, attribute = name.partition(":")
-        made: Controller = getattr(importlib.import_module(module), attribute)(env)
-        return made
-    parameters = parameters_of(name, env_id, track) if CONTROLLERS[name].ranges else {}
-    return controller(name, env, parameters)
+        return [getattr(importlib.import_module(module), attribute)(env)]
+    return list(shipped(env_id, TRACKS[track].design)[name])
 
 
 def ranked(name: str, env_id: str, track: str, seeds: Sequence[int]) -> tuple[Figures, Any]:
-    """Figures and metrics per episode of a controller, made for the track's design conditions."""
-    known = name if name in CONTROLLERS else "pd"  # a user's class sees what joint PD sees
-    design = make_batch(env_id, 1, keywords(known, TRACKS[track].design))
-    kwargs = keywords(known, track)
+    """Figures and metrics per episode of a controller, made for the track's design conditions.
+
+    The episodes of all training seeds of a policy count.
+    """
+    design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
+    kwargs = keywords(name, track)
     envs, single = make_batch(env_id, len(seeds), kwargs), make_batch(env_id, 1, kwargs)
     try:
-        subject = built(name, design, env_id, track)
-        metrics = episode_metrics(record(subject, envs, seeds))
-        milliseconds = Timed(subject).milliseconds(single, seeds[0])
-        return figures(metrics, milliseconds, envs.unwrapped.control_dt), metrics
+        subjects = built(name, design, env_id, track)
+        each = [episode_metrics(record(subject, envs, seeds)) for subject in subjects]
+        metrics = {key: np.concatenate([found[key] for found in each]) for key in METRICS}
+        milliseconds = decision_times(subjects[0], single, seeds[0])
+        known = stored(env_id, track)
+        shortest = None
+        if all(seed in known for seed in seeds):
+            shortest = np.array([known[seed] for seed in seeds] * len(subjects))
+        return figures(metrics, milliseconds, envs.unwrapped.control_dt, shortest), metrics
     finally:
         for env in (design, envs, single):
             env.close()
+
+
+def names(wanted: Sequence[str] | None, env_id: str, track: str) -> list[str]:
+    """Controllers that act on a task and track: all, or those that are wanted."""
+    classical = [name for name in CONTROLLERS if takes_part(name, env_id, track)]
+    known = [*classical, *shipped(env_id, TRACKS[track].design)]
+    return known if wanted is None else [x for x in wanted if ":" in x or x in known]
 
 
 def rows(results: Mapping[str, Any], env_id: str, track: str) -> Iterator[tuple[str, Figures]]:
@@ -128,9 +154,9 @@ def page(results: Mapping[str, Any], about: str) -> str:
             lines = [
                 f"**{track}**: {TRACKS[track].text}",
                 "",
-                "| controller | success | score, IQM [95 %] | settling [s] | RMS [mm] | "
-                "decision, median and 99 % [ms] |",
-                "|---|---:|---:|---:|---:|---:|",
+                "| controller | success | score, IQM [95 %] | regret, IQM [95 %] | settling [s] | "
+                "RMS [mm] | decision, median and 99 % [ms] |",
+                "|---|---:|---:|---:|---:|---:|---:|",
             ]
             lines += [_row(name, x) for name, x in rows(results, env_id, track)]
             parts.append("\n".join(lines))
@@ -139,10 +165,13 @@ def page(results: Mapping[str, Any], about: str) -> str:
 
 def _row(name: str, x: Figures) -> str:
     low, high = x["score_ci"]
-    settling = x["settling_median"]
+    settling, regret = x["settling_median"], "-"
+    if x["regret_iqm"] is not None:
+        least, most = x["regret_ci"]
+        regret = f"{100.0 * x['regret_iqm']:.0f} % [{100.0 * least:.0f}, {100.0 * most:.0f}]"
     return (
         f"| {name} | {100.0 * x['success_rate']:.0f} % | {x['score_iqm']:.3f} "
-        f"[{low:.3f}, {high:.3f}] | {_number(settling, '.2f', 'never')} | "
+        f"[{low:.3f}, {high:.3f}] | {regret} | {_number(settling, '.2f', 'never')} | "
         f"{_number(1e3 * x['tip_error_rms_median'], '.3g', 'failed')} | "
         f"{x['ms_per_action']:.2g}, {x['ms_per_action_p99']:.2g} |"
     )
@@ -157,7 +186,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m agents.leaderboard", description=__doc__)
     parser.add_argument("--tasks", nargs="+", default=list(RANKED), metavar="ID")
     parser.add_argument("--tracks", nargs="+", default=list(TRACKS), metavar="TRACK")
-    parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), metavar="NAME")
+    parser.add_argument(
+        "--controllers", nargs="+", metavar="NAME",
+        help="of the table, of a shipped policy, or mymodule:MyController (default: all)",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=SEED, help="of the first test episode")
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--out", type=Path, default=Path("leaderboard"))
@@ -173,15 +205,13 @@ def main(arguments: list[str] | None = None) -> int:
     episodes: list[list[Any]] = []
     for env_id in options.tasks:
         for track in options.tracks:
-            for name in options.controllers:
-                if name in CONTROLLERS and not takes_part(name, env_id, track):
-                    continue
+            for name in names(options.controllers, env_id, track):
                 found, metrics = ranked(name, env_id, track, seeds)
                 results.setdefault(env_id, {}).setdefault(track, {})[name] = found
                 columns = zip(*(metrics[key].tolist() for key in METRICS), strict=True)
                 episodes += [
-                    [env_id, track, name, seed, *row]
-                    for seed, row in zip(seeds, columns, strict=True)
+                    [env_id, track, name, k // len(seeds), seeds[k % len(seeds)], *row]
+                    for k, row in enumerate(columns)
                 ]
                 print(f"{env_id}, {track}: {_row(name, found)}", flush=True)
         write(options.out, results, episodes, seeds)
@@ -194,9 +224,12 @@ def _check(options: argparse.Namespace) -> None:
         validate.known(env_id, "task", RANKED)
     for track in options.tracks:
         validate.known(track, "track", TRACKS)
-    for name in options.controllers:
+    shipped_names = {
+        name for env_id in RANKED for track in TRACKS for name in shipped(env_id, track)
+    }
+    for name in options.controllers or ():
         if ":" not in name:
-            validate.known(name, "controller", CONTROLLERS)
+            validate.known(name, "controller", sorted({*CONTROLLERS, *shipped_names}))
     validate.integer(options.episodes, "--episodes", 1, 100_000)
     validate.integer(options.seed, "--seed", 0, 2**31)
 
@@ -212,7 +245,7 @@ def write(
         open(path, "w", newline="", encoding="utf-8") as file,
     ):
         writer = csv.writer(file)
-        writer.writerow(["task", "track", "controller", "seed", *METRICS])
+        writer.writerow(["task", "track", "controller", "run", "seed", *METRICS])
         writer.writerows(episodes)
     about = (
         f"Test episodes {seeds[0]} to {seeds[-1]}. Score: 0 to 1, the share of the episode that is "

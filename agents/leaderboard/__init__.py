@@ -1,0 +1,1 @@
+"""The leaderboard: tasks and tracks, shipped policies, ranking."""

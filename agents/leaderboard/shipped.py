@@ -1,0 +1,34 @@
+"""Trained policies that come with the package: agents/policies/TASK/TRACK/ALGORITHM/seedN."""
+
+from functools import cache
+from pathlib import Path
+
+from agents.policy import Policy, load_policy, save_policy
+
+FOLDER = Path(__file__).parents[1] / "policies"
+
+
+def name_of(policy: Policy) -> str:
+    """Algorithm of a policy; "-stacked" if it sees more than one observation."""
+    algorithm: str = policy.about.get("algorithm", "policy")
+    return algorithm + "-stacked" * (policy.stack > 1)
+
+
+def place(env_id: str, track: str) -> Path:
+    """Folder of a task's policies for a track."""
+    return FOLDER / env_id.split("/")[1] / track
+
+
+def ship(policy: Policy, env_id: str, track: str) -> None:
+    """Store a policy among those of the package."""
+    seed = policy.about.get("seed", 0)
+    save_policy(policy, place(env_id, track) / name_of(policy) / f"seed{seed}")
+
+
+@cache
+def shipped(env_id: str, track: str) -> dict[str, list[Policy]]:
+    """Policies of a task and track: one per training seed, by name."""
+    found: dict[str, list[Policy]] = {}
+    for folder in sorted(place(env_id, track).glob("*/seed*")):
+        found.setdefault(folder.parent.name, []).append(load_policy(folder))
+    return found

@@ -1,0 +1,161 @@
+"""The leaderboard: its statistics by hand, its files, a user's own class, and the bound."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.leaderboard import bound
+from agents.leaderboard.run import figures, interquartile_mean, interval, main, regrets
+from agents.leaderboard.shipped import shipped
+from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part, track_of
+from agents.metrics import METRICS
+from agents.tune import main as tune_main
+from agents.tune import parameters_of, tune, tuned
+
+ONE = "FlexArm/OneLink-Reach-v0"
+
+
+class Still:
+    """A user's controller that does nothing."""
+
+    def __init__(self, env: Any) -> None:
+        self.n_joint = env.unwrapped.n_joint
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: Any = 1
+    ) -> Any:
+        return np.zeros((len(observation), self.n_joint)), state
+
+
+def test_interquartile_mean_and_interval_of_known_numbers() -> None:
+    x = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 100.0])
+    assert interquartile_mean(x) == pytest.approx((2.0 + 3.0 + 4.0 + 5.0) / 4.0)
+    low, high = interval(np.random.default_rng(0).normal(3.0, 1.0, 400))
+    assert low < 3.0 < high
+    assert high - low == pytest.approx(2 * 1.96 / np.sqrt(400) * 1.08, rel=0.25)
+    assert interval(np.full(5, 0.25)) == [0.25, 0.25]
+
+
+def test_regret_is_the_excess_over_the_shortest_time() -> None:
+    settling, shortest = np.array([1.0, 1.5, np.inf]), np.array([1.0, 1.0, 0.5])
+    assert regrets(settling, shortest).tolist() == [0.0, 0.5, 4.0]
+
+
+def test_figures_without_a_bound_have_no_regret() -> None:
+    metrics = {name: np.linspace(0.0, 1.0, 8) for name in METRICS}
+    found = figures(metrics, np.array([1.0, 3.0]), 0.02, None)
+    assert found["regret_iqm"] is None
+    assert found["regret_ci"] is None
+    assert found["ms_per_action"] == 2.0
+    known = figures(metrics, np.array([1.0]), 0.02, np.full(8, 0.5))
+    assert known["regret_iqm"] == pytest.approx(2.0 * 0.5 - 1.0)
+
+
+def test_a_users_class_is_ranked_beside_ours(tmp_path: Path) -> None:
+    arguments = ["--tasks", ONE, "--tracks", "state", "laboratory", "--episodes", "6"]
+    arguments += ["--controllers", f"{__name__}:Still", "pd", "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    results = json.loads((tmp_path / "leaderboard.json").read_text())
+    assert set(results[ONE]) == {"state", "laboratory"}
+    own = results[ONE]["state"][f"{__name__}:Still"]
+    assert own["success_rate"] == 0.0
+    assert results[ONE]["state"]["pd"]["success_rate"] == 1.0
+    with open(tmp_path / "leaderboard.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 2 * 6
+    assert {row["seed"] for row in rows} == {str(10_000 + k) for k in range(6)}
+    page = (tmp_path / "leaderboard.md").read_text()
+    assert page.index("| pd |") < page.index(":Still |")  # best first
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--tasks", "FlexArm/OneLink-Reech-v0"], "OneLink-Reach"),
+        (["--tracks", "lab"], "laboratory"),
+        (["--controllers", "lqq"], "lqr"),
+        (["--episodes", "0"], "--episodes"),
+        (["--seed", "-1"], "--seed"),
+    ],
+)
+def test_bad_requests_end_with_one_sentence(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_ranked_controller_was_tuned_where_it_acts() -> None:
+    for env_id in RANKED:
+        for track in ("state", "laboratory"):
+            for name, entry in tuned()[env_id][track].items():
+                assert takes_part(name, env_id, track)
+                assert parameters_of(name, env_id, track) == entry["parameters"]
+    with pytest.raises(ValueError, match=r"python -m agents\.tune"):
+        parameters_of("lqg", ONE, "state") if "lqg" not in tuned()[ONE]["state"] else parameters_of(
+            "lqr", ONE, "laboratory"
+        )
+
+
+def test_tuning_is_repeatable_and_no_worse_than_its_start(tmp_path: Path) -> None:
+    kwargs = keywords("pd", "state")
+    first, again = (tune("pd", ONE, kwargs, trials=4, episodes=4) for _ in range(2))
+    assert first == again
+    assert first["score"] >= tune("pd", ONE, kwargs, trials=1, episodes=4)["score"]
+    assert first["trials"] == 4
+    out = tmp_path / "tuned.json"
+    arguments = ["--tasks", ONE, "--tracks", "state", "--controllers", "pd", "--trials", "2"]
+    assert tune_main([*arguments, "--out", str(out)]) == 0
+    assert json.loads(out.read_text())[ONE]["state"]["pd"]["trials"] == 2
+
+
+def test_tracks_are_recognised_by_their_keywords() -> None:
+    for track in TRACKS:
+        assert track_of("ppo", ONE, keywords("ppo", track)) == track
+    assert track_of("ppo", ONE, {}) == "state"
+    assert track_of("ppo", ONE, {"torque_limit": 3.0}) is None
+
+
+def test_shipped_policies_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agents.leaderboard.shipped.FOLDER", tmp_path)
+    shipped.cache_clear()
+    assert shipped(ONE, "state") == {}
+    shipped.cache_clear()
+
+
+def test_a_bound_beats_its_starts_and_holds_in_the_environment() -> None:
+    """Replayed by hand: the tip stays in the band from the bound to the end."""
+    motion, times = bound.bounded(ONE, "laboratory", 10_003, {})
+    best = min(times)
+    assert motion.settled * 0.02 == pytest.approx(best)
+    envs = bound.make_batch(ONE, 1, bound.plant(ONE, "laboratory"))
+    envs.reset(seed=[10_003])
+    inside = []
+    for action in motion.actions:
+        _, _, terminated, _, info = envs.step(action[None].astype(np.float32))
+        assert not terminated
+        inside.append(info["tip_error"][0] < 0.02 * envs.unwrapped.reach)
+    assert all(inside[motion.settled :])
+    assert np.abs(motion.actions).max() <= 1.0
+    episode = bound.Episode(ONE, bound.plant(ONE, "laboratory"), 10_003, {})
+    subject = bound.controller("lqr", episode.batch(1)[0], parameters_of("lqr", ONE, "state"))
+    assert motion.settled < episode.follow(episode.acted(subject)[None])[0].settled
+
+
+def test_effects_are_the_slopes_of_the_environment() -> None:
+    episode = bound.Episode(ONE, bound.plant(ONE, "state"), 10_000, {})
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (episode.steps, 1))
+    motion = episode.follow(actions[None])[0]
+    slopes, _ = bound.effects(episode, motion)
+    change = 0.01 * np.random.default_rng(1).uniform(-1.0, 1.0, actions.shape)
+    moved = episode.follow((actions + change)[None])[0].errors - motion.errors
+    predicted = slopes @ change.ravel()
+    assert np.abs(moved - predicted).max() < 0.02 * np.abs(moved).max()
+    assert np.abs(slopes[3, :, 5:]).max() == 0.0  # no effect before its cause
