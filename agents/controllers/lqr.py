@@ -111,7 +111,7 @@ class LQR:
 
 @dataclass
 class _Belief:
-    """What LQG knows between two steps, for each of D delays."""
+    """Knowledge of LQG between two steps, for each of D delays."""
 
     x: Array  # (D, N, 2n) estimated state when the latest reading was taken
     surprise: Array  # (D, N) sum of squared innovations over their variances

@@ -59,7 +59,7 @@ def convolved(a: Impulses, b: Impulses) -> Impulses:
 
 @dataclass
 class _Run:
-    """What a shaped controller knows of its episodes."""
+    """Knowledge of a shaped controller of its episodes."""
 
     steps: Array  # (N,) control steps since the start
     start: Array  # (N, m) [rad] first reading of the joint error

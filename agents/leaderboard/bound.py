@@ -180,7 +180,11 @@ def program(motion: Motion, slopes: Array, bends: Array, first: int, trust: floa
 
 
 def shortest(episode: Episode, motion: Motion) -> Motion:
-    """Motion that settles as early as successive programs find, from one that settles."""
+    """Motion that settles as early as successive programs find."""
+    if motion.settled > episode.held:
+        motion = improved(episode, motion, episode.held)
+    if motion.settled > episode.held:
+        return motion
     stride = max(1, motion.settled // 4)
     while stride:
         wanted = motion.settled - stride
@@ -212,8 +216,11 @@ def bounded(
     for name in STARTS:
         subject = controller(name, episode.batch(1)[0], parameters_of(name, env_id, "state"))
         first = episode.follow(episode.acted(subject)[None])[0]
-        found.append(shortest(episode, first) if first.settled < episode.held else first)
-    times = [x.settled * episode.dt if x.valid else np.inf for x in found]
+        if not first.valid:
+            first = episode.follow(np.zeros((1, *first.actions.shape)))[0]
+        found.append(shortest(episode, first))
+    settled = [x.valid and x.settled <= episode.held for x in found]
+    times = [x.settled * episode.dt if y else np.inf for x, y in zip(found, settled, strict=True)]
     return found[int(np.argmin(times))], times
 
 

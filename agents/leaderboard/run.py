@@ -76,7 +76,7 @@ def figures(
     control_dt: float,
     shortest: AnyArray | None,
 ) -> Figures:
-    """What the leaderboard says of one controller on one task and track.
+    """Figures of one controller on one task and track.
 
     `shortest` [s] are the shortest settling times that are known, one per episode; without them
     there is no regret.

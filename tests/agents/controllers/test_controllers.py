@@ -9,6 +9,7 @@ from agents.controllers import CONTROLLERS, controller
 from agents.controllers.linear_model import LinearModels
 from agents.leaderboard.tracks import keywords, takes_part
 from agents.metrics import episode_metrics, make_batch, record
+from agents.tune import parameters_of
 
 IDS = [f"FlexArm/{scene}-Reach-v0" for scene in ("OneLink", "TwoLink")]
 SIX = pytest.param("FlexArm/SixLink-Reach-v0", marks=pytest.mark.slow)
@@ -62,20 +63,36 @@ def test_a_small_motion_follows_the_linear_model(env_id: str) -> None:
     assert readings[core.arm.n_joint :] == pytest.approx(info["root_curvature"][0], rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["pd", "pd-zv", "pd-zvd", "pd-ei", "lqr"])
-def test_controllers_settle_the_one_link_arm_without_tuning(name: str) -> None:
-    envs = make_batch(IDS[0], 8, keywords(name, "state"))
-    gains = {"frequency_ratio": 0.5, "damping_ratio": 1.5, "rise": 0.3}
-    ranges = CONTROLLERS[name].ranges
-    parameters = CONTROLLERS[name].middle | {k: x for k, x in gains.items() if k in ranges}
-    metrics = episode_metrics(record(controller(name, envs, parameters), envs, range(8)))
+@pytest.mark.parametrize("name", ["pd", "pd-zv", "pd-zvd", "pd-ei", "lqr", "lqg"])
+def test_tuned_controllers_settle_the_one_link_arm(name: str) -> None:
+    envs = make_batch(IDS[0], 16, keywords(name, "state"))
+    subject = controller(name, envs, parameters_of(name, IDS[0], "state"))
+    metrics = episode_metrics(record(subject, envs, range(16)))
     assert metrics["success"].mean() == 1.0
 
 
-def test_lqg_settles_late_and_noisy_readings() -> None:
-    envs = make_batch(IDS[0], 8, keywords("lqg", "laboratory"))
-    metrics = episode_metrics(record(controller("lqg", envs), envs, range(8)))
-    assert metrics["success"].mean() >= 0.75
+def test_lqg_settles_late_and_noisy_readings_where_joint_pd_fails() -> None:
+    found = {}
+    for name in ("lqg", "pd"):
+        envs = make_batch(IDS[0], 16, keywords(name, "laboratory"))
+        subject = controller(name, envs, parameters_of(name, IDS[0], "laboratory"))
+        found[name] = episode_metrics(record(subject, envs, range(16)))["success"].mean()
+    assert found["lqg"] >= 0.9
+    assert found["pd"] <= 0.5
+
+
+def test_lqg_believes_the_true_delay() -> None:
+    for delay in (0, 1, 2):
+        hardware = {"preset": "laboratory", "delay": delay}
+        envs = make_batch(IDS[0], 8, {"hardware": hardware})
+        design = make_batch(IDS[0], 1, keywords("lqg", "laboratory"))
+        subject = controller("lqg", design, parameters_of("lqg", IDS[0], "laboratory"))
+        observation, _ = envs.reset(seed=0)
+        state: Any = None
+        for _ in range(25):
+            action, state = subject.predict(observation, state, np.zeros(8, bool))
+            observation = envs.step(action.astype(np.float32))[0]
+        assert np.mean(state.surprise.argmin(axis=0) == delay) >= 0.75
 
 
 @pytest.mark.parametrize(("name", "obs"), [("lqr", "sensors"), ("lqg", "state")])

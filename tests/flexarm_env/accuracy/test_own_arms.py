@@ -43,7 +43,7 @@ def searched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[float]:
         def to_dict(self) -> dict[str, Any]:
             return self.data
 
-    def answer(arm: Arm, scene: object, tolerance: float) -> Found:
+    def answer(arm: Arm, scene: object, tolerance: float, acceptable: object) -> Found:
         tolerances.append(tolerance)
         if arm.name == "hard":
             raise RuntimeError("No model is within that.")
