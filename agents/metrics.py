@@ -14,7 +14,7 @@ import numpy as np
 from agents.files import atomic_write
 from agents.policy import Controller
 from dynamics.types import AnyArray
-from flexarm_env import IDS, FlexArmVectorEnv
+from flexarm_env import FlexArmVectorEnv
 from flexarm_env.tasks import SETTLED_BAND
 
 HOLD = 0.25  # [s] least time in the band at the end of a settled episode
@@ -67,7 +67,7 @@ def make_batch(env_id: str, n_env: int, kwargs: Mapping[str, Any] | None = None)
     envs = gym.make_vec(env_id, num_envs=n_env, **(kwargs or {}))
     if not isinstance(envs.unwrapped, FlexArmVectorEnv):
         envs.close()
-        raise ValueError(f"{env_id} is not an environment of flexarm; known: {', '.join(IDS)}.")
+        raise ValueError(f"{env_id} is not an environment of flexarm; see flexarm_env.IDS.")
     return envs
 
 
@@ -85,7 +85,6 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
     state, start = None, running.copy()
     while running.any():
         action, state = controller.predict(observation, state, start)
-        start = ~running
         action = np.clip(np.asarray(action, np.float32), -1.0, 1.0)
         observation, _, terminated, truncated, info = envs.step(action)
         for name, rows in samples.items():
@@ -93,8 +92,9 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
             row = np.array(values, float).reshape(rows[0].shape)
             row[~running] = np.nan
             rows.append(row)
+        start = terminated | truncated
         failed |= running & terminated
-        running &= ~(terminated | truncated)
+        running &= ~start
     stacked = {name: np.stack(rows) for name, rows in samples.items()}
     time = base.control_dt * np.arange(len(stacked["action"]))
     core = base.core

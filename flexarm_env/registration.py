@@ -12,6 +12,7 @@ SCENES: dict[str, tuple[str, float, int]] = {  # preset, control_dt [s], steps p
     "TwoLink": ("two-link", 0.05, 240),
     "SixLink": ("six-link", 0.02, 150),
 }
+NAMED = 3  # ids that an error names
 AGILE: dict[str, tuple[float, ...]] = {  # [N m] torque limits of Reach, about three times the usual
     "OneLink": (3.0,),
     "TwoLink": (0.39, 0.126),
@@ -55,5 +56,7 @@ def registered(env_id: str) -> str:
     if plain in IDS:
         return plain
     near = difflib.get_close_matches(plain, IDS, n=1)
-    remedy = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(IDS)}."
+    first = ", ".join(list(IDS)[:NAMED])
+    others = f"known: {first}, and {len(IDS) - NAMED} more in flexarm_env.IDS."
+    remedy = f"did you mean {near[0]!r}?" if near else others
     raise ValueError(f"{env_id[:80]!r} is not an environment of flexarm; {remedy}")

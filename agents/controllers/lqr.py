@@ -37,32 +37,32 @@ class _Design:
         """Design for an environment; `lead` is over its move time."""
         base = env.unwrapped
         limit = np.asarray(base.torque_limit, dtype=np.float64)
-        return cls(LinearModels(env), limit, base.reach, effort, lead * base.core.move_time)
+        return cls(LinearModels.of(env), limit, base.reach, effort, lead * base.core.move_time)
 
     def gain(self, model: LinearModel) -> Array:
-        """(m, 2n) K of tau = -K x."""
+        """(m, 2r) K of tau = -K x."""
         key = id(model)
         if key not in self.known:
             self.known[key] = self._solved(model)
         return self.known[key]
 
     def _solved(self, model: LinearModel) -> Array:
-        n = len(model.M)
-        band = SETTLED_BAND * self.reach
-        place = model.tip.T @ model.tip / band**2
-        place[self.models.joints, self.models.joints] += (JOINTS / SETTLED_BAND) ** 2
-        Q = np.zeros((2 * n, 2 * n))
-        Q[:n, :n], Q[n:, n:] = place, self.lead**2 * place
+        r = len(model.modes)
+        place = model.tip.T @ model.tip / (SETTLED_BAND * self.reach) ** 2
+        joints = model.shapes[self.models.joints]
+        place += (JOINTS / SETTLED_BAND) ** 2 * joints.T @ joints
+        Q = np.zeros((2 * r, 2 * r))
+        Q[:r, :r], Q[r:, r:] = place, self.lead**2 * place
         R = np.diag(self.effort / self.limit**2)
-        P = solve_discrete_are(model.A, model.B, Q, R)
+        P = riccati(model.A, model.B, Q, R)
         return np.asarray(np.linalg.solve(R + model.B.T @ P @ model.B, model.B.T @ P @ model.A))
 
 
 class LQR:
     """State feedback; needs obs="state".
 
-    A moving target is followed with the torque, the joint angles and the bending of a steady
-    acceleration at the target's own.
+    The model is that at the target of the episode's start. A moving target is followed with the
+    torque, the joint angles and the bending of a steady acceleration at the target's own.
     """
 
     def __init__(self, env: Any, *, effort: float, lead: float, clip: float) -> None:
@@ -79,41 +79,38 @@ class LQR:
         episode_start: AnyArray | None = None,
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
-        """Actions; the state is the last rate of the target."""
+        """Actions; the state is the target's posture at the start, and its last rate."""
         x = np.atleast_2d(observation)
-        posture = posture_of(self.read, x)
         rate = target_rate(self.read, x)
-        fresh = fresh_of(state, episode_start, len(x))
-        before = np.where(fresh[:, None], rate, rate if state is None else state)
+        fresh = fresh_of(state, episode_start, len(x))[:, None]
+        posture, before = (posture_of(self.read, x), rate) if state is None else state
+        posture = np.where(fresh, posture_of(self.read, x), posture)
+        acceleration = (rate - np.where(fresh, rate, before)) / self.models.control_dt
         torque = np.empty((len(x), self.limit.size))
         for i, angles in enumerate(posture):
             model = self.models.at(angles)
-            offset, forward = followed(
-                model, self.models, (rate[i] - before[i]) / self.models.control_dt
-            )
-            error = self._error(x[i], rate[i], offset)
-            torque[i] = forward - self.design.gain(model) @ error
+            offset, forward = followed(model, self.models, acceleration[i])
+            error = model.modes @ self._error(x[i], rate[i], offset)
+            torque[i] = forward - self.design.gain(model) @ error.ravel()
         action = np.clip(torque / self.limit, -1.0, 1.0)
-        return action.reshape(*np.shape(observation)[:-1], -1), rate
+        return action.reshape(*np.shape(observation)[:-1], -1), (posture, rate)
 
     def _error(self, x: AnyArray, rate: Array, offset: Array) -> Array:
-        """(2n,) state from the target's, joint errors clipped."""
-        n, joints, modal = self.models.model.n, self.models.joints, self.models.modal
-        error = np.zeros(2 * n)
-        error[joints] = self.read(x, "joint_error")
-        error[modal] = self.read(x, "modal_amplitude")
-        error[[n + i for i in joints]] = self.read(x, "joint_rate") - rate
-        error[[n + i for i in modal]] = self.read(x, "modal_rate")
-        error[:n] -= offset
-        error[joints] = np.clip(error[joints], -self.clip, self.clip)
-        return error
+        """(2, n, 1) coordinates and rates from the target's, joint errors clipped."""
+        joints, modal = self.models.joints, self.models.modal
+        place, speed = np.zeros((2, self.models.model.n))
+        place[joints], place[modal] = self.read(x, "joint_error"), self.read(x, "modal_amplitude")
+        speed[joints], speed[modal] = self.read(x, "joint_rate") - rate, self.read(x, "modal_rate")
+        place -= offset
+        place[joints] = np.clip(place[joints], -self.clip, self.clip)
+        return np.array([place, speed])[..., None]
 
 
 @dataclass
 class _Belief:
     """Knowledge of LQG between two steps, for each of D delays."""
 
-    x: Array  # (D, N, 2n) estimated state when the latest reading was taken
+    x: list[Array]  # N times (D, 2r): estimated state when the latest reading was taken
     surprise: Array  # (D, N) sum of squared innovations over their variances
     torque: Array  # (N, latest + 1, m) [N m] past torques, oldest first
     posture: Array  # (N, m) [rad] target
@@ -154,24 +151,30 @@ class LQG:
         torque = np.empty((len(x), self.limit.size))
         for i, posture in enumerate(belief.posture):
             model = self.models.at(posture)
-            now = self._present(model, belief, i, readings[i])
-            now[self.models.joints] = np.clip(now[self.models.joints], -self.clip, self.clip)
+            now = self._clipped(model, self._present(model, belief, i, readings[i]))
             torque[i] = np.clip(-self.design.gain(model) @ now, -self.limit, self.limit)
         belief.torque = np.concatenate([belief.torque[:, 1:], torque[:, None]], axis=1)
         action = torque / self.limit
         return action.reshape(*np.shape(observation)[:-1], -1), belief
 
+    def _clipped(self, model: LinearModel, x: Array) -> Array:
+        """(2r,) state with joint errors clipped."""
+        r, joints = len(model.modes), self.models.joints
+        place = model.shapes @ x[:r]
+        place[joints] = np.clip(place[joints], -self.clip, self.clip)
+        return np.concatenate([model.modes @ place, x[r:]])
+
     def _present(self, model: LinearModel, belief: _Belief, i: int, reading: Array) -> Array:
-        """(2n,) present state of environment i, after its filters took a reading."""
+        """(2r,) present state of environment i, after its filters took a reading."""
         gain, precision = self._filter(model)
         past = belief.torque[i]
         for k, delay in enumerate(self.delays):
-            x = model.A @ belief.x[k, i] + model.B @ past[-1 - delay]
+            x = model.A @ belief.x[i][k] + model.B @ past[-1 - delay]
             innovation = reading - model.C @ x
-            belief.x[k, i] = x + gain @ innovation
+            belief.x[i][k] = x + gain @ innovation
             belief.surprise[k, i] += innovation @ precision @ innovation
         best = int(np.argmin(belief.surprise[:, i]))
-        now: Array = belief.x[best, i]
+        now: Array = belief.x[i][best]
         for torque in past[len(past) - self.delays[best] :]:
             now = model.A @ now + model.B @ torque
         return now.copy()
@@ -181,31 +184,42 @@ class LQG:
     ) -> _Belief:
         """The belief, begun anew where an episode starts: the arm rests at its first reading."""
         if belief is None:
-            count, size, m = len(self.delays), 2 * self.models.model.n, self.limit.size
+            count, m = len(self.delays), self.limit.size
             belief = _Belief(
-                x=np.zeros((count, len(x), size)),
+                x=[np.zeros((count, 0))] * len(x),
                 surprise=np.zeros((count, len(x))),
                 torque=np.zeros((len(x), self.delays[-1] + 1, m)),
                 posture=np.zeros((len(x), m)),
             )
-        belief.x[:, fresh] = 0.0
-        for k, joint in enumerate(self.models.joints):
-            belief.x[:, fresh, joint] = error[fresh, k]
         belief.surprise[:, fresh], belief.torque[fresh] = 0.0, 0.0
         belief.posture[fresh] = posture_of(self.read, x)[fresh]
+        for i in np.flatnonzero(fresh):
+            model = self.models.at(belief.posture[i])
+            place = np.zeros(self.models.model.n)
+            place[self.models.joints] = error[i]
+            start = np.concatenate([model.modes @ place, np.zeros(len(model.modes))])
+            belief.x[i] = np.tile(start, (len(self.delays), 1))
         return belief
 
     def _filter(self, model: LinearModel) -> tuple[Array, Array]:
-        """(2n, m + g) steady Kalman gain of a reading, and the precision of the innovations."""
+        """(2r, m + g) steady Kalman gain of a reading, and the precision of the innovations."""
         key = id(model)
         if key not in self._filters:
             W = model.B @ np.diag((self.disturbance * self.limit) ** 2) @ model.B.T
             W += 1e-12 * np.trace(W) / len(W) * np.eye(len(W))
             V = np.diag(self.noise**2)
-            P = solve_discrete_are(model.A.T, model.C.T, W, V)
-            precision = np.linalg.inv(model.C @ P @ model.C.T + V)
+            P = riccati(model.A.T, model.C.T, W, V)
+            precision: Array = np.asarray(np.linalg.inv(model.C @ P @ model.C.T + V), np.float64)
             self._filters[key] = P @ model.C.T @ precision, precision
         return self._filters[key]
+
+
+def riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
+    """Solution of the discrete Riccati equation; a LinAlgError where the weights allow none."""
+    try:
+        return np.asarray(solve_discrete_are(A, B, Q, R), dtype=np.float64)
+    except ValueError as error:
+        raise np.linalg.LinAlgError(str(error)) from None
 
 
 def posture_of(read: Reading, x: AnyArray) -> Array:
@@ -235,8 +249,8 @@ def followed(model: LinearModel, models: LinearModels, acceleration: Array) -> t
     if modal and acceleration.any():
         load = -model.M[np.ix_(modal, joints)] @ acceleration
         offset[modal] = np.linalg.solve(model.K[np.ix_(modal, modal)], load)
-        gap = model.tip[:, modal] @ offset[modal]
-        offset[joints] = -np.linalg.lstsq(model.tip[:, joints], gap, rcond=1e-6)[0]
+        gap = model.tip_of[:, modal] @ offset[modal]
+        offset[joints] = -np.linalg.lstsq(model.tip_of[:, joints], gap, rcond=1e-6)[0]
     return offset, model.M[np.ix_(joints, joints)] @ acceleration
 
 

@@ -82,7 +82,7 @@ class ShapedPD:
         core = env.unwrapped.core
         self.read, self.shaper, self.modes = Reading.of(env), shaper, modes
         self.pd = joint_pd(env, frequency_ratio, damping_ratio)
-        self.models, self.rise = LinearModels(env), rise * core.move_time
+        self.models, self.rise = LinearModels.of(env), rise * core.move_time
         self._known: dict[int, Impulses] = {}
 
     def predict(
@@ -140,10 +140,8 @@ class ShapedPD:
 
 def oscillations(model: LinearModel, pd: Any, models: LinearModels) -> list[tuple[float, float]]:
     """Frequencies [rad/s], damping ratios of the loop closed by joint PD; slowest decay first."""
-    n, m = len(model.M), len(models.joints)
-    gain = np.zeros((m, 2 * n))
-    gain[range(m), models.joints] = pd.stiffness
-    gain[range(m), [n + i for i in models.joints]] = pd.damping
+    joints = model.shapes[models.joints]
+    gain = np.hstack([pd.stiffness[:, None] * joints, pd.damping[:, None] * joints])
     poles = np.log(np.linalg.eigvals(model.A - model.B @ gain).astype(complex)) / models.control_dt
     found = sorted(((-p.real, abs(p)) for p in poles if p.imag > SLOWEST), key=lambda x: x[0])
     return [(w, decay / w) for decay, w in found if 0.0 <= decay / w < DAMPED]

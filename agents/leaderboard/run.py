@@ -2,8 +2,9 @@
 
 Every controller meets the same test episodes, whose seeds no tuning and no training uses. Results
 are leaderboard.json, {task: {track: {controller: figures}}}, leaderboard.csv with one row per
-episode, and leaderboard.md. A user's own class takes part by `--controllers mymodule:MyController`;
-it is called with the environment, and must have `predict` as a trained policy has.
+episode, leaderboard.md and leaderboard.png. A user's own class takes part by `--controllers
+mymodule:MyController`; it is called with the environment, and must have `predict` as a trained
+policy has.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from scipy import stats
 from agents.controllers import CONTROLLERS, controller
 from agents.files import atomic_write
 from agents.leaderboard.bound import stored
+from agents.leaderboard.charts import draw
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record, without_infinities
@@ -147,7 +149,7 @@ def rows(results: Mapping[str, Any], env_id: str, track: str) -> Iterator[tuple[
 
 def page(results: Mapping[str, Any], about: str) -> str:
     """Markdown page of the results."""
-    parts = ["# Leaderboard", about]
+    parts = ["# Leaderboard", about, "![Scores](leaderboard.png)"]
     for env_id, tracks in results.items():
         parts.append(f"## {env_id}")
         for track in tracks:
@@ -237,7 +239,7 @@ def _check(options: argparse.Namespace) -> None:
 def write(
     folder: Path, results: Mapping[str, Any], episodes: list[list[Any]], seeds: Sequence[int]
 ) -> None:
-    """Write the three files; each replaces its former version as a whole."""
+    """Write the files; each replaces its former version as a whole."""
     with atomic_write(folder / "leaderboard.json") as path:
         path.write_text(json.dumps(without_infinities(results), indent=1) + "\n", encoding="utf-8")
     with (
@@ -254,6 +256,7 @@ def write(
     )
     with atomic_write(folder / "leaderboard.md") as path:
         path.write_text(page(results, about), encoding="utf-8")
+    draw(results, folder / "leaderboard.png")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What is ranked: the tasks, and the conditions ("tracks") under which controllers meet them."""
+"""Tasks of the leaderboard, and conditions ("tracks") under which controllers meet them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

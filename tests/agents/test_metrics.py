@@ -94,7 +94,8 @@ def test_an_episode_that_ends_early_has_infinite_metrics() -> None:
     error = np.where(TIME < 2.0, 0.001, np.nan)
     m = episode_metrics(recording(error, failed=True))
     assert m["success"][0] == 0.0
-    assert all(m[name][0] == math.inf for name in METRICS if name != "success")
+    assert m["score"][0] == 0.0
+    assert all(m[name][0] == math.inf for name in METRICS if name not in ("success", "score"))
 
 
 def test_an_episode_that_never_settles_is_not_a_success() -> None:

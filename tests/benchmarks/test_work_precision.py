@@ -108,7 +108,7 @@ def test_the_default_is_that_of_the_environment(family: str) -> None:
     assert step.dt(setting) == pytest.approx(core.control_dt / core.substeps)
     assert np.array_equal(setting.motion.torque(0.0), core.torque_limit)
     charted = work_precision.models_of(setting)[0] != "default"  # as one of the levels
-    assert charted == (family != "SixLink")  # whose last link has fewer modes than the others
+    assert charted == (family == "OneLink")  # the others' last links have fewer modes
 
 
 def test_the_error_of_a_rigid_link_is_the_known_one(scene: dict[str, Any]) -> None:
