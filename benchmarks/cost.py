@@ -35,7 +35,7 @@ from dynamics.description.validate import IDENTITY
 from dynamics.tracing.operation_counts import operations
 from flexarm_env.accuracy.timing import cpu_seconds
 
-DEFAULT_ARMS = ("slim", "two-link", "six-link")
+DEFAULT_ARMS = ("slim", "deluca-siciliano", "six-link")
 EVALUATIONS = 4  # of the accelerations per Runge-Kutta step
 SUBSTEPS = 5
 REPEATED = 50  # evaluations per timed call

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from agents.leaderboard import bound
-from agents.leaderboard.run import figures, interquartile_mean, interval, main, regrets
+from agents.leaderboard.run import figures, interquartile_mean, interval, main, ranked, regrets
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part, track_of
 from agents.metrics import METRICS
 from agents.tune import main as tune_main
 from agents.tune import parameters_of, tune, tuned
+from tests.paths import ROOT
 
 ONE = "FlexArm/OneLink-Reach-v0"
 
@@ -157,3 +158,15 @@ def test_effects_are_the_slopes_of_the_environment() -> None:
     predicted = slopes @ change.ravel()
     assert np.abs(moved - predicted).max() < 0.02 * np.abs(moved).max()
     assert np.abs(slopes[3, :, 5:]).max() == 0.0  # no effect before its cause
+
+
+@pytest.mark.parametrize(
+    ("name", "track"), [("lqr", "state"), ("ppo", "state"), ("lqg", "laboratory")]
+)
+def test_the_stored_leaderboard_is_reproduced(name: str, track: str) -> None:
+    """If not: python -m agents.leaderboard --out docs/results"""
+    stored = json.loads((ROOT / "docs/results/leaderboard.json").read_text(encoding="utf-8"))
+    found, _ = ranked(name, ONE, track, range(10_000, 10_100))
+    entry = stored[ONE][track][name]
+    for key in ("success_rate", "score_iqm", "regret_iqm", "settling_median"):
+        assert found[key] == pytest.approx(entry[key], rel=1e-2), key
