@@ -51,4 +51,5 @@ def _panel(axis: Any, tracks: Mapping[str, Any]) -> dict[str, Any]:
                 linewidth=1.5,
             )  # fmt: skip
     axis.set_yticks(range(len(names)), names)
+    axis.set_ylim(-0.5, len(names) - 0.5)
     return shown
