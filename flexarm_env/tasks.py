@@ -11,7 +11,7 @@ import numpy as np
 
 from dynamics.description import validate
 from dynamics.types import Array
-from flexarm_env.scales import MOVE
+from flexarm_env.scales import MOVE, SLOW
 
 Range = tuple[float, float]
 SETTLED_BAND = 0.02  # [-] tip error over reach
@@ -46,6 +46,14 @@ class Task:
         return np.array([self.start, self.moves, self.share, tempo, self.shake])
 
 
+def _percent(shares: Range) -> str:
+    return f"{100.0 * shares[0]:g} to {100.0 * shares[1]:g} %"
+
+
+_NEAR, _CLOSE = (-0.5, 0.5), (-0.3, 0.3)  # [rad]
+_MOVES = (0.3, 0.8)  # [rad]
+_SHARE, _TEMPO, _SHAKE = (0.15, 0.35), (0.4, 1.2), (-0.6, 0.6)
+
 TASKS = {
     "Reach": Task(
         title="rest to rest",
@@ -53,11 +61,11 @@ TASKS = {
             "Bring the tip from rest onto a resting target, as fast as the torques allow, and "
             "leave no vibration behind."
         ),
-        start=(-0.5, 0.5),
-        moves=(0.3, 0.8),
+        start=_NEAR,
+        moves=_MOVES,
         start_text=(
-            "At rest, links straight. Joint angles: uniform within 0.5 rad of the home posture. "
-            "Target: every joint 0.3 to 0.8 rad away, either way."
+            f"At rest, links straight. Joint angles: uniform within {_NEAR[1]:g} rad of the home "
+            f"posture. Target: every joint {_MOVES[0]:g} to {_MOVES[1]:g} rad away, either way."
         ),
         reward="reach",
     ),
@@ -67,28 +75,29 @@ TASKS = {
             "Keep the tip on a target that moves along a smooth path at speeds that bend the arm; "
             "the observation holds the target half a move time and one move time ahead."
         ),
-        start=(-0.3, 0.3),
-        share=(0.15, 0.35),
-        tempo=(0.4, 1.2),
+        start=_CLOSE,
+        share=_SHARE,
+        tempo=_TEMPO,
         start_text=(
-            "At rest on the target, links straight. Joint angles: uniform within 0.3 rad of the "
-            "home posture. Path of every joint: two sines with random phases, faded in over one "
-            "move time. Angular frequency of a sine: 0.4 to 1.2 times pi / move time. Acceleration "
-            "amplitude: 15 to 35 % of the acceleration at full torque. Angle amplitude: at most "
-            f"{MOVE} rad."
+            f"At rest on the target, links straight. Joint angles: uniform within {_CLOSE[1]:g} "
+            "rad of the home posture. Path of every joint: two sines with random phases, faded in "
+            f"over one move time. Angular frequency of a sine: {_TEMPO[0]:g} to {_TEMPO[1]:g} "
+            f"times pi / move time. Acceleration amplitude: {_percent(_SHARE)} of the acceleration "
+            f"at full torque. Angle amplitude: at most {MOVE} rad."
         ),
         reward="track",
     ),
     "Damp": Task(
         title="damp a vibrating arm",
         description="The links vibrate: bring the arm to rest at its initial joint angles.",
-        start=(-0.5, 0.5),
-        shake=(-0.6, 0.6),
+        start=_NEAR,
+        shake=_SHAKE,
         start_text=(
-            "Joints at rest, links vibrating in their slow natural modes (joints locked, up to ten "
-            "times the first frequency). Amplitudes and rates: uniform within 60 % of the modes' "
-            "peaks in the bang-bang test. Joint angles: uniform within 0.5 rad "
-            "of the home posture. Target: the same joint angles, at rest."
+            "Joints at rest, links vibrating in their slow natural modes (joints locked, up to "
+            f"{SLOW:g} times the first frequency). Amplitudes and rates: uniform within "
+            f"{100.0 * _SHAKE[1]:g} % of the modes' peaks in the bang-bang test. Joint angles: "
+            f"uniform within {_NEAR[1]:g} rad of the home posture. Target: the same joint angles, "
+            "at rest."
         ),
         reward="damp",
     ),

@@ -90,6 +90,20 @@ def test_metrics_of_a_known_motion() -> None:
     assert m["saturated"] == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize(("begin", "expected"), [(2.995, 0.2), (3.505, 0.2 * math.sqrt(0.5))])
+def test_residual_vibration_is_that_of_the_last_second(begin: float, expected: float) -> None:
+    """A constant deflection from `begin` on, of an episode of 4 s."""
+    bent = np.where(begin < TIME, 0.2, 0.0)[:, None]
+    m = episode_metrics(recording(np.zeros(TIME.size), tip_deflection=bent))
+    assert m["residual_vibration"][0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("last", "settled"), [(3.745, True), (3.755, False)])
+def test_settling_holds_for_a_quarter_of_a_second(last: float, settled: bool) -> None:
+    m = episode_metrics(recording(np.where(last < TIME, 0.0, 1.0)))
+    assert bool(m["success"][0]) == settled
+
+
 def test_an_episode_that_ends_early_has_infinite_metrics() -> None:
     error = np.where(TIME < 2.0, 0.001, np.nan)
     m = episode_metrics(recording(error, failed=True))

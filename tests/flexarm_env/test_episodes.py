@@ -6,6 +6,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from scipy import stats
 
 import flexarm_env
 from dynamics import ARMS
@@ -215,3 +216,35 @@ def test_the_look_ahead_is_the_future_target() -> None:
         angles.append(base.joint_target()[0])
     for time, angle in expected.items():
         assert np.interp(time, times, angles) == pytest.approx(angle[0], abs=1e-4)  # 10 ms apart
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize(("task", "near"), [("Reach", 0.5), ("Track", 0.3), ("Damp", 0.5)])
+def test_episodes_start_uniformly_in_the_ranges_of_their_page(
+    scene: str, task: str, near: float
+) -> None:
+    envs: Any = gym.make_vec(f"FlexArm/{scene}-{task}-v0", num_envs=2000)
+    envs.reset(seed=0)
+    core = envs.unwrapped.core
+    start, _ = core.joint_state()
+    off = (start - core.scales.home) / near
+    assert stats.kstest(off[:, 0], stats.uniform(-1.0, 2.0).cdf).pvalue > 1e-4
+    assert np.abs(off).max() <= 1.0
+    move = core.joint_target() - start
+    if task == "Reach":
+        assert stats.kstest(np.abs(move[:, 0]), stats.uniform(0.3, 0.5).cdf).pvalue > 1e-4
+        assert 0.4 < np.mean(move > 0.0) < 0.6
+    else:
+        assert np.abs(move).max() < 1e-12
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_damp_vibrates_by_up_to_sixty_percent_of_the_bang_bang_peaks(scene: str) -> None:
+    envs: Any = gym.make_vec(f"FlexArm/{scene}-Damp-v0", num_envs=2000)
+    envs.reset(seed=0)
+    core = envs.unwrapped.core
+    modal = [i for i in range(core.arm.n) if i not in core.arm.joint_index]
+    for states, shapes in ((core.q, core.scales.vibration), (core.v, core.scales.vibration_rate)):
+        share = np.linalg.lstsq(np.array(shapes).T, states[:, modal].T, rcond=None)[0]
+        assert np.abs(share).max() <= 0.6 + 1e-9
+        assert stats.kstest(share[0], stats.uniform(-0.6, 1.2).cdf).pvalue > 1e-4
