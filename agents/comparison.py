@@ -31,12 +31,16 @@ def compare(
     seed: int,
     folder: Path,
     filmed: int = 2,
+    plotted: int = 3,
+    shortest: AnyArray | None = None,
     about: Mapping[str, Any] | None = None,
 ) -> dict[str, dict[str, AnyArray]]:
     """Evaluate the controllers on the episodes seed, seed + 1, ... and write the results.
 
-    Writes `evaluation.json`, `evaluation.csv`, `trajectories.png`, and `arm.gif` with the first
-    `filmed` controllers to the folder. Returns the metrics per controller and episode.
+    Writes `evaluation.json`, `evaluation.csv`, `trajectories.png` with the first `plotted`
+    controllers, and `arm.gif` with the first `filmed` to the folder. `shortest` [s] are the
+    shortest settling times that are known for these episodes; the printed table then has regrets.
+    Returns the metrics per controller and episode.
     """
     seeds = list(range(seed, seed + episodes))
     recordings: dict[str, Recording] = {}
@@ -51,9 +55,9 @@ def compare(
     header = {"env": env_id, "env_kwargs": dict(kwargs), "reach": reach} | dict(about or {})
     write_results(folder, results, seeds, header)
     title = f"{titled(env_id, kwargs)}, {episodes} episodes"
-    plot_recordings(folder / "trajectories.png", recordings, title)
+    plot_recordings(folder / "trajectories.png", dict(list(recordings.items())[:plotted]), title)
     chosen = list(controllers.items())[:filmed]
-    print_table(results)
+    print_table(results, shortest)
     films = {name: film(env_id, kwargs, controller, seed) for name, controller in chosen}
     write_gif(folder / "arm.gif", films)
     return results

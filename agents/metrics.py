@@ -19,6 +19,7 @@ from flexarm_env.tasks import SETTLED_BAND
 
 HOLD = 0.25  # [s] least time in the band at the end of a settled episode
 RESIDUAL_WINDOW = 1.0  # [s] at the end of the episode
+MOST_REGRET = 4.0  # [-]
 SATURATED = 0.999  # [-] an action of this magnitude or more is saturated
 
 METRICS = {  # name: (unit, meaning)
@@ -211,34 +212,44 @@ def write_results(
                 writer.writerow([name, seed, *(float(metrics[m][i]) for m in METRICS)])
 
 
-def print_table(results: Mapping[str, Mapping[str, AnyArray]]) -> None:
-    """Print the main metrics of every controller."""
+def regrets(settling: AnyArray, shortest: AnyArray) -> AnyArray:
+    """Settling time over the shortest that is known, minus 1, at most MOST_REGRET."""
+    return np.minimum(settling / shortest - 1.0, MOST_REGRET)
+
+
+def print_table(
+    results: Mapping[str, Mapping[str, AnyArray]], shortest: AnyArray | None = None
+) -> None:
+    """Print the main metrics of every controller, and the regret where a bound is known."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     table = Table()
-    for column in (
-        "",
-        "success",
-        "score",
-        "settling [s]",
-        "tip error [mm]",
-        "vibration [mm]",
-        "effort [N²m²s]",
-    ):
+    columns = ["", "success", "score", "settling [s]", "tip error [mm]", "vibration [mm]"]
+    columns += ["effort [N²m²s]"] + ["regret"] * (shortest is not None)
+    for column in columns:
         table.add_column(Text(column), justify="right" if column else "left")
     for name, metrics in results.items():
         s = summarise(metrics)
-        table.add_row(
-            name,
+        cells = [
             f"{100 * s['success_rate']:.0f} %",
             f"{s['score']:.3f}",
             f"{s['settling_time']:.2f}" if math.isfinite(s["settling_time"]) else "never",
             f"{1e3 * s['tip_error_final']:.2f}",
             f"{1e3 * s['residual_vibration']:.2g}",
             f"{s['effort']:.3g}",
-        )
+        ]
+        if shortest is not None:
+            regret = np.median(regrets(metrics["settling_time"], shortest))
+            cells.append(f"{100 * regret:.0f} %")
+        table.add_row(name, *cells)
     console = Console(width=None if Console().is_terminal else 100)
     console.print(table)
     console.print(CAPTION, style="dim")
+    if shortest is not None:
+        console.print(
+            f"Regret: settling time over the shortest that any torques are known to reach (median "
+            f"{np.median(shortest):.2f} s), minus one.",
+            style="dim",
+        )

@@ -13,10 +13,12 @@ import numpy as np
 
 from agents.comparison import compare
 from agents.config import LIMITS, SCHEDULES, Config, ConfigError, load_config
-from agents.controllers import joint_pd, tune_pd
+from agents.controllers import controller, joint_pd, tune_pd
 from agents.environments import REFUSALS
 from agents.figures import plot_learning_curve
 from agents.files import FolderError, folder_lock
+from agents.leaderboard.bound import shortest_times
+from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
 from agents.metrics import make_batch, write_json
 from agents.policy import Controller, PolicyError, export_policy, load_policy, save_policy
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
@@ -24,8 +26,10 @@ from agents.run_folder.checkpoints import CheckpointError, newest_intact, restor
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
 from agents.sentences import one_line
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
+from agents.tune import parameters_of
 from dynamics.description import validate
 
+BESIDE = ("pd-zv", "lqr", "lqg")  # tuned controllers that a policy is compared with
 SESSION_STRIDE = 1_000_003  # seed increment per resumed session
 DEFAULT_CONFIG = Path(__file__).resolve().parents[1] / "configs" / "one_link_reach_ppo.yaml"
 
@@ -182,12 +186,32 @@ def judge(run: RunFolder, config: Config) -> None:
     write_json(run.path / "pd_gains.json", tuned.__dict__)
     env = make_batch(env_id, 1, kwargs)
     pd = joint_pd(env, tuned.frequency_ratio, tuned.damping_ratio)
-    env.close()
     controllers: dict[str, Controller] = {"trained policy": load_policy(run.policy), "joint PD": pd}
     controllers["untrained policy"] = load_policy(run.untrained)
-    print("Evaluating ...", flush=True)
+    track = track_of(config.agent.name, env_id, kwargs)
     episodes, seed = config.evaluation.episodes, config.evaluation.seed
-    compare(controllers, env_id, kwargs, episodes=episodes, seed=seed, folder=run.path)
+    shortest = None
+    if track is not None:
+        controllers |= classical(env, env_id, track)
+        shortest = shortest_times(env_id, track, range(seed, seed + episodes))
+    env.close()
+    print("Evaluating ...", flush=True)
+    compare(
+        controllers,
+        env_id,
+        kwargs,
+        episodes=episodes,
+        seed=seed,
+        folder=run.path,
+        shortest=shortest,
+    )
+
+
+def classical(env: Any, env_id: str, track: str) -> dict[str, Controller]:
+    """Tuned controllers of BESIDE that can act on the observation that a policy has on a track."""
+    obs = TRACKS[track].obs[0]
+    fit = (x for x in BESIDE if takes_part(x, env_id, track) and keywords(x, track)["obs"] == obs)
+    return {name: controller(name, env, parameters_of(name, env_id, track)) for name in fit}
 
 
 def train(run: RunFolder, config: Config) -> None:

@@ -239,6 +239,14 @@ def stored(env_id: str, track: str) -> dict[int, float]:
         return dict(zip(data["seeds"].tolist(), data["times"].tolist(), strict=True))
 
 
+def shortest_times(env_id: str, track: str, seeds: Sequence[int]) -> Array | None:
+    """(n,) [s] shortest known settling times of episodes; None unless all are stored."""
+    known = stored(env_id, track)
+    if not all(seed in known for seed in seeds):
+        return None
+    return np.array([known[seed] for seed in seeds])
+
+
 def save(path: Path, seeds: Sequence[int], motions: Sequence[Motion], times: Array) -> None:
     """Write seeds (n,), times (n, starts) [s] and actions (n, T, m)."""
     path.parent.mkdir(exist_ok=True)

@@ -22,11 +22,11 @@ from scipy import stats
 
 from agents.controllers import CONTROLLERS, controller
 from agents.files import atomic_write
-from agents.leaderboard.bound import stored
+from agents.leaderboard.bound import shortest_times
 from agents.leaderboard.charts import draw
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
-from agents.metrics import METRICS, episode_metrics, make_batch, record, without_infinities
+from agents.metrics import METRICS, episode_metrics, make_batch, record, regrets, without_infinities
 from agents.policy import Controller
 from agents.tune import parameters_of
 from dynamics.description import validate
@@ -34,7 +34,6 @@ from dynamics.types import AnyArray
 
 SEED, EPISODES = 10_000, 100
 RESAMPLES = 2000  # of the bootstrap
-MOST_REGRET = 4.0
 TIMED = 200  # single decisions that are timed
 Figures = dict[str, Any]
 
@@ -65,11 +64,6 @@ def interval(x: AnyArray) -> list[float]:
         (x,), interquartile_mean, n_resamples=RESAMPLES, method="percentile", rng=0
     ).confidence_interval
     return [float(found.low), float(found.high)]
-
-
-def regrets(settling: AnyArray, shortest: AnyArray) -> AnyArray:
-    """Settling time over the shortest that is known, minus 1, at most MOST_REGRET."""
-    return np.minimum(settling / shortest - 1.0, MOST_REGRET)
 
 
 def figures(
@@ -124,10 +118,7 @@ def ranked(name: str, env_id: str, track: str, seeds: Sequence[int]) -> tuple[Fi
         each = [episode_metrics(record(subject, envs, seeds)) for subject in subjects]
         metrics = {key: np.concatenate([found[key] for found in each]) for key in METRICS}
         milliseconds = decision_times(subjects[0], single, seeds[0])
-        known = stored(env_id, track)
-        shortest = None
-        if all(seed in known for seed in seeds):
-            shortest = np.array([known[seed] for seed in seeds] * len(subjects))
+        shortest = shortest_times(env_id, track, list(seeds) * len(subjects))
         return figures(metrics, milliseconds, envs.unwrapped.control_dt, shortest), metrics
     finally:
         for env in (design, envs, single):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from agents.leaderboard import bound
-from agents.leaderboard.run import figures, interquartile_mean, interval, main, ranked, regrets
+from agents.leaderboard.run import figures, interquartile_mean, interval, main, ranked
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part, track_of
-from agents.metrics import METRICS
+from agents.metrics import METRICS, regrets
 from agents.tune import main as tune_main
 from agents.tune import parameters_of, tune, tuned
 from tests.paths import ROOT

@@ -39,6 +39,8 @@ def test_a_run_writes_all_its_files(run: RunFolder) -> None:
         "trained policy",
         "joint PD",
         "untrained policy",
+        "pd-zv",
+        "lqr",
     ]
 
 
