@@ -5,7 +5,7 @@ numbers of one id.
 """
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core
 from flexarm_env.env import FlexArmEnv
 from flexarm_env.hardware.sensors import PRESETS
-from flexarm_env.observations import BOUND, MODES, Part, observation_layout
+from flexarm_env.observations import BOUND, GOALS, MODES, Part, observation_layout
 from flexarm_env.page_text import COMMON, HARDWARE, INFO, KEYWORDS, PRESENT, TERMINOLOGY
 from flexarm_env.registration import IDS
 from flexarm_env.rewards import REWARDS, TERMS
@@ -33,7 +33,7 @@ from flexarm_env.tasks import TASKS
 def common_page() -> str:
     """README.md: the list of ids, and all that they have in common."""
     return COMMON.format(
-        ids=_table(("id", "arm", "task"), _ids()),
+        ids=_table(("id", "arm", "task", "keywords"), _ids()),
         terms=_table(("term", "meaning"), TERMINOLOGY),
         bound=BOUND,
         observations=_table(("name", "meaning", "unit", "scale", "present"), _observation_names()),
@@ -85,9 +85,15 @@ def page(env_id: str) -> str:
 def _ids() -> list[Sequence[str]]:
     return [
         (f"[{env_id}]({file_name(env_id)})", spec["kwargs"]["arm"],
-         TASKS[spec["kwargs"]["task"]].title)
+         TASKS[spec["kwargs"]["task"]].title, _further(spec["kwargs"]))
         for env_id, spec in IDS.items()
     ]  # fmt: skip
+
+
+def _further(keywords: Mapping[str, Any]) -> str:
+    """Keywords of an id beside those of its scene and task."""
+    usual = ("task", "arm", "control_dt")
+    return ", ".join(f"`{name}={value!r}`" for name, value in keywords.items() if name not in usual)
 
 
 def _observation_names() -> list[Sequence[str]]:
@@ -160,7 +166,7 @@ def _components(core: Core, part: Part) -> str:
     """The joints, coordinates, directions or strain gauges of the elements of a part."""
     if part.name.startswith("modal"):
         return ", ".join(core.arm.names[k] for k in part.entries)
-    if part.name == "tip_error":
+    if part.name in ("tip_error", *GOALS):
         return ", ".join("xyz"[k] for k in part.entries)
     if part.name == "root_curvature":
         return ", ".join(f"link {k // 2 + 1} {'yz'[k % 2]}" for k in part.entries)
