@@ -100,8 +100,8 @@ def load_hardware(source: object) -> Hardware | None:
 
 def refuse_exact_state(obs: object, hardware: Hardware | None) -> None:
     """Raise a ValueError for an exact observation beside imperfect hardware."""
-    if hardware and obs == "state":
+    if hardware and obs in ("state", "goal"):
         raise ValueError(
-            "obs must be 'sensors' beside hardware, got 'state': modal amplitudes and the tip "
-            "error are not measured; leave out obs."
+            f"obs must be 'sensors' beside hardware, got {obs!r}: modal amplitudes and the tip are "
+            "not measured; leave out obs."
         )

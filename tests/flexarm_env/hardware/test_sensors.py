@@ -170,6 +170,7 @@ def test_bad_hardware_is_refused(hardware: Any, words: str) -> None:
         gym.make(ID, hardware=hardware)
 
 
-def test_an_exact_state_beside_hardware_is_refused() -> None:
+@pytest.mark.parametrize("obs", ["state", "goal"])
+def test_an_exact_state_beside_hardware_is_refused(obs: str) -> None:
     with pytest.raises(ValueError, match="obs must be 'sensors'"):
-        gym.make(ID, hardware="laboratory", obs="state")
+        gym.make(ID, hardware="laboratory", obs=obs)
