@@ -13,7 +13,7 @@ from agents.config import LIMITS
 from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
 from agents.environments import REFUSALS, check_keywords
 from agents.files import FolderError, check_folder, folder_lock
-from agents.leaderboard.tracks import track_of
+from agents.leaderboard.tracks import takes_part, track_of
 from agents.metrics import make_batch
 from agents.policy import Controller, Policy, PolicyError, load_policy, load_zip
 from agents.run_folder.folder import versions
@@ -174,7 +174,7 @@ def classical(name: str, env: Any, env_id: str, kwargs: dict[str, Any]) -> Contr
     if not CONTROLLERS[name].ranges:
         return controller(name, env)
     track = track_of(name, env_id, kwargs)
-    if track is not None:
+    if track is not None and takes_part(name, env_id, track):
         return controller(name, env, parameters_of(name, env_id, track))
     if name == "pd":
         gains = tune_pd(env_id, kwargs)

@@ -19,7 +19,7 @@ from dynamics.types import AnyArray
 from flexarm_env.tasks import SETTLED_BAND
 
 HEAVIEST = 1e9  # largest weight of a term
-FAILURE = 100.0  # weight of a failure: more than a hundred steps of the best reward
+FAILURE = 100.0  # weight of a failure: a hundred steps of the best reward
 
 
 class Measured(NamedTuple):

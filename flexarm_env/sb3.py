@@ -64,7 +64,7 @@ class SB3VecEnv(VecEnv):
 
     def _stepped(self) -> Any:
         out, ended = self.core.step(self._actions)
-        reward = self.envs.rewarded(out).astype(np.float32)
+        reward = self.envs.rewarded(out)
         self._returns += reward
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -77,7 +77,7 @@ class SB3VecEnv(VecEnv):
                 infos[i]["TimeLimit.truncated"] = bool(timed_out)
             self.core.restart(rows, out)
             self._returns[rows], self._lengths[rows] = 0.0, 0
-        return self._observed(out.obs), reward, dones, infos
+        return self._observed(out.obs), reward.astype(np.float32), dones, infos
 
     def _report(self, rows: Any, out: BatchOutputs, infos: list[Any]) -> None:
         """Fill the infos of the environments whose episode ended."""

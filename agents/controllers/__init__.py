@@ -23,7 +23,6 @@ Range = tuple[float, float]
 class Kind:
     """A controller of the table: how to build it, and what may be tuned."""
 
-    text: str  # one line for tables and pages
     build: Callable[..., Controller]  # (env, **parameters)
     ranges: Mapping[str, Range] = field(default_factory=dict)  # searched on a logarithmic scale
     obs: tuple[str, ...] = ("state", "sensors")  # kinds of observation that it can use
@@ -39,23 +38,22 @@ _PD = {"frequency_ratio": (0.05, 1.5), "damping_ratio": (0.15, 3.0)}
 _SHAPED = _PD | {"rise": (0.05, 2.0)}
 _LQR = {"effort": (1e-4, 1e3), "lead": (0.003, 1.0), "clip": (0.05, 2.0)}
 CONTROLLERS: dict[str, Kind] = {
-    "pd": Kind(text="joint PD", build=joint_pd, ranges=_PD),
+    "pd": Kind(build=joint_pd, ranges=_PD),
     **{
         f"pd-{shaper.__name__}": Kind(
-            text=f"joint PD behind a {shaper.__name__.upper()} shaper",
             build=partial(ShapedPD, shaper=shaper),
             ranges=_SHAPED,
             follows=False,
         )
         for shaper in (zv, zvd, ei)
     },
-    "lqr": Kind(text="LQR with clipped joint errors", build=LQR, ranges=_LQR, obs=("state",)),
+    "lqr": Kind(build=LQR, ranges=_LQR, obs=("state",)),
     "lqg": Kind(
-        text="LQG that knows noise and delay", build=LQG, follows=False, obs=("sensors",),
+        build=LQG, follows=False, obs=("sensors",),
         ranges=_LQR | {"disturbance": (1e-5, 1.0)},
     ),
-    "zero": Kind(text="no torque", build=lambda env: Zero(n_joint=env.unwrapped.n_joint)),
-    "random": Kind(text="random torque", build=lambda env: Random(env.unwrapped.n_joint)),
+    "zero": Kind(build=lambda env: Zero(n_joint=env.unwrapped.n_joint)),
+    "random": Kind(build=lambda env: Random(env.unwrapped.n_joint)),
 }  # fmt: skip
 
 

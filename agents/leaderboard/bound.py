@@ -36,6 +36,7 @@ from flexarm_env.hardware.sensors import load_hardware
 from flexarm_env.tasks import SETTLED_BAND
 
 FOLDER = Path(__file__).parents[1] / "bounds"
+PLANTS = ("state", "laboratory")  # tracks whose plants differ in free parameters alone
 STARTS = ("lqr", "pd")  # controllers whose actions the search begins with
 NUDGE = 1e-3  # [-] change of an action for its effect
 TRUST = (0.5, 0.01)  # [-] first and last largest change of an action
@@ -225,7 +226,7 @@ def bounded(
 
 
 def file_of(env_id: str, track: str) -> Path:
-    """Stored bounds of a task with the plants of a track; tracks with equal plants share them."""
+    """File of the bounds of a task with the plants of a track."""
     return FOLDER / f"{env_id.split('/')[1]}.{track}.npz"
 
 
@@ -236,7 +237,8 @@ def stored(env_id: str, track: str) -> dict[int, float]:
     if not path.exists():
         return {}
     with np.load(path, allow_pickle=False) as data:
-        return dict(zip(data["seeds"].tolist(), data["times"].tolist(), strict=True))
+        found = zip(data["seeds"].tolist(), data["times"].tolist(), strict=True)
+        return {seed: time for seed, time in found if np.isfinite(time)}
 
 
 def shortest_times(env_id: str, track: str, seeds: Sequence[int]) -> Array | None:
@@ -269,7 +271,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         for env_id in options.tasks:
             validate.known(env_id, "task", ranked)
-        validate.known(options.track, "track", TRACKS)
+        validate.known(options.track, "track", PLANTS)
+        validate.integer(options.seed, "--seed", 0, 2**31)
+        validate.integer(options.episodes, "--episodes", 1, 100_000)
     except ValueError as error:
         print(f"agents.leaderboard.bound: {error}", file=sys.stderr)
         return 2

@@ -13,7 +13,7 @@ import importlib
 import json
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -100,9 +100,18 @@ def built(name: str, env: Any, env_id: str, track: str) -> list[Controller]:
         parameters = parameters_of(name, env_id, track) if CONTROLLERS[name].ranges else {}
         return [controller(name, env, parameters)]
     if ":" in name:
-        module, _, attribute = name.partition(":")
-        return [getattr(importlib.import_module(module), attribute)(env)]
+        return [users_class(name)(env)]
     return list(shipped(env_id, TRACKS[track].design)[name])
+
+
+def users_class(name: str) -> Callable[[Any], Controller]:
+    """The class that a user names on the command line as mymodule:MyController."""
+    module, _, attribute = name.partition(":")
+    try:
+        found: Callable[[Any], Controller] = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"--controllers {name} cannot be imported: {error}.") from None
+    return found
 
 
 def ranked(name: str, env_id: str, track: str, seeds: Sequence[int]) -> tuple[Figures, Any]:
@@ -221,7 +230,9 @@ def _check(options: argparse.Namespace) -> None:
         name for env_id in RANKED for track in TRACKS for name in shipped(env_id, track)
     }
     for name in options.controllers or ():
-        if ":" not in name:
+        if ":" in name:
+            users_class(name)
+        else:
             validate.known(name, "controller", sorted({*CONTROLLERS, *shipped_names}))
     validate.integer(options.episodes, "--episodes", 1, 100_000)
     validate.integer(options.seed, "--seed", 0, 2**31)

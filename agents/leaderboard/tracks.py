@@ -45,19 +45,23 @@ TRACKS = {
 
 def keywords(name: str, track: str) -> dict[str, Any]:
     """Keywords of the environment in which a controller acts on a track."""
-    if name not in CONTROLLERS:  # a policy, or a user's class
-        return {**TRACKS[track].kwargs, "obs": TRACKS[track].obs[0]}
-    kinds = CONTROLLERS[name].obs
-    obs = next(kind for kind in TRACKS[track].obs if kind in kinds)
-    return {**TRACKS[track].kwargs, "obs": obs}
+    return {**TRACKS[track].kwargs, "obs": _observed(name, track)}
 
 
 def takes_part(name: str, env_id: str, track: str) -> bool:
     """True if a controller can act on a task and a track."""
-    kind = CONTROLLERS[name]
     moving = TASKS[IDS[env_id]["kwargs"]["task"]].moving
-    seen = any(obs in kind.obs for obs in TRACKS[track].obs)
-    return seen and (kind.follows or not moving)
+    return _observed(name, track) is not None and (CONTROLLERS[name].follows or not moving)
+
+
+def _observed(name: str, track: str) -> str | None:
+    """Kind of observation that a controller takes on a track; None if it can use none of them.
+
+    A policy, or a user's class, takes the preferred one.
+    """
+    kinds = TRACKS[track].obs
+    usable = CONTROLLERS[name].obs if name in CONTROLLERS else kinds
+    return next((kind for kind in kinds if kind in usable), None)
 
 
 def track_of(name: str, env_id: str, kwargs: Mapping[str, Any]) -> str | None:

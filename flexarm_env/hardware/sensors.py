@@ -40,6 +40,14 @@ class Hardware:
         for name in ("gauge_noise", "gauge_bias"):
             value = validate.nonnegative(getattr(self, name), f"hardware.{name}", "-")
             object.__setattr__(self, name, value)
+        for name in ("payload", "stiffness"):
+            if getattr(self, name) is not None:
+                low, high = validate.numbers(getattr(self, name), f"hardware.{name}", 2)
+                if not 0.0 <= low <= high:
+                    raise ValueError(
+                        f"hardware.{name} must be (low, high) with 0 <= low <= high, got "
+                        f"{validate.shown(getattr(self, name))}."
+                    )
         object.__setattr__(self, "delay", self._checked_delay())
 
     def _checked_delay(self) -> tuple[int, int]:
@@ -60,8 +68,7 @@ class Hardware:
         if self.payload is not None:
             last = arm.links[-1]
             mass = last.rho_A * last.length + last.tip_mass
-            shares = validate.numbers(self.payload, "hardware.payload", 2)
-            result["payload_mass"] = tuple(mass * share for share in shares)
+            result["payload_mass"] = tuple(mass * share for share in self.payload)
         if self.stiffness is not None:
             result["stiffness"] = self.stiffness
         return result

@@ -79,6 +79,8 @@ def test_a_users_class_is_ranked_beside_ours(tmp_path: Path) -> None:
         (["--tasks", "FlexArm/OneLink-Reech-v0"], "OneLink-Reach"),
         (["--tracks", "lab"], "laboratory"),
         (["--controllers", "lqq"], "lqr"),
+        (["--controllers", "nomodule:X"], "cannot be imported"),
+        (["--controllers", "math:X"], "cannot be imported"),
         (["--episodes", "0"], "--episodes"),
         (["--seed", "-1"], "--seed"),
     ],

@@ -161,8 +161,9 @@ def test_a_dict_changes_numbers_of_a_preset() -> None:
         ({"delay": (2, 1)}, r"hardware.delay\[1\]"),
         ({"delay": 9}, "hardware.delay"),
         ({"delay": (0, 1, 2)}, "hardware.delay"),
-        ({"payload": (-1.0, 1.0)}, "payload"),
-        ({"stiffness": 3}, "stiffness"),
+        ({"payload": (-1.0, 1.0)}, "hardware.payload"),
+        ({"stiffness": (1.1, 0.9)}, "hardware.stiffness"),
+        ({"stiffness": 3}, "hardware.stiffness"),
     ],
 )
 def test_bad_hardware_is_refused(hardware: Any, words: str) -> None:
