@@ -19,6 +19,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from agents.comparison import titled
 from agents.config import Config, load_config
 from agents.controllers import joint_pd, tune_pd
 from agents.figures import film, plot_learning_curve, plot_recordings, write_gif
@@ -132,7 +133,7 @@ def page(data: Mapping[str, Any]) -> str:
 
 Made by `{data["command"]}`.
 
-{data["env"]}, {data["episodes"]} episodes from seed {data["evaluation_seed"]} on, the same
+{titled(data["env"], data["config"]["env"]["kwargs"])}, {data["episodes"]} episodes from seed {data["evaluation_seed"]} on, the same
 tasks for everybody; medians, an episode that never settles counting as infinite. Joint PD has the
 best gains of a grid of {data["pd"]["pairs"]} pairs (frequency ratio
 {data["pd"]["frequency_ratio"]:.3g}, damping ratio {data["pd"]["damping_ratio"]:.3g}), chosen on
@@ -254,7 +255,7 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
     plot_learning_curve(out / f"{config.name}.png", curves)
     shown = {f"policy, seed {seeds[0]}": recordings[f"seed {seeds[0]}"]}
     shown |= {name: recordings[name] for name in ("joint PD", "untrained policy")}
-    title = f"{env_id}, {episodes} episodes"
+    title = f"{titled(env_id, kwargs)}, {episodes} episodes"
     plot_recordings(out / f"{config.name}_trajectories.png", shown, title)
     if gif:
         pair: dict[str, Controller] = {"trained policy": policies[0], "joint PD": pd}
