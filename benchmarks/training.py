@@ -129,11 +129,12 @@ def page(data: Mapping[str, Any]) -> str:
     }
     shares = ", ".join(f"{name} {v[0]:.2g} to {v[-1]:.2g}" for name, v in ranges.items())
     rule = FOLLOWING_RULE if data["task"] == "Track" else SETTLING_RULE
+    title = titled(data["env"], data["config"]["env"]["kwargs"])
     return f"""# {data["name"]}
 
 Made by `{data["command"]}`.
 
-{titled(data["env"], data["config"]["env"]["kwargs"])}, {data["episodes"]} episodes from seed {data["evaluation_seed"]} on, the same
+{title}, {data["episodes"]} episodes from seed {data["evaluation_seed"]} on, the same
 tasks for everybody; medians, an episode that never settles counting as infinite. Joint PD has the
 best gains of a grid of {data["pd"]["pairs"]} pairs (frequency ratio
 {data["pd"]["frequency_ratio"]:.3g}, damping ratio {data["pd"]["damping_ratio"]:.3g}), chosen on
