@@ -64,8 +64,9 @@ class SB3VecEnv(VecEnv):
 
     def _stepped(self) -> Any:
         out, ended = self.core.step(self._actions)
-        reward = self.envs.rewarded(out)
-        self._returns += reward
+        rewarded = self.envs.rewarded(out)
+        self._returns += rewarded
+        reward = rewarded.astype(np.float32)  # a copy: a restart writes over the outputs
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         dones = out.terminated | out.truncated
@@ -77,7 +78,7 @@ class SB3VecEnv(VecEnv):
                 infos[i]["TimeLimit.truncated"] = bool(timed_out)
             self.core.restart(rows, out)
             self._returns[rows], self._lengths[rows] = 0.0, 0
-        return self._observed(out.obs), reward.astype(np.float32), dones, infos
+        return self._observed(out.obs), reward, dones, infos
 
     def _report(self, rows: Any, out: BatchOutputs, infos: list[Any]) -> None:
         """Fill the infos of the environments whose episode ended."""
