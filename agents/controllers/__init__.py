@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from agents.controllers.lqr import LQG, LQR
+from agents.controllers.mpc import MPC, KalmanMPC
 from agents.controllers.pd import JointPD, joint_pd, tune_pd
 from agents.controllers.shaped import ShapedPD, ei, zv, zvd
 from agents.controllers.simple import Random, Zero
@@ -37,6 +38,8 @@ class Kind:
 _PD = {"frequency_ratio": (0.05, 1.5), "damping_ratio": (0.15, 3.0)}
 _SHAPED = _PD | {"rise": (0.05, 2.0)}
 _LQR = {"effort": (1e-4, 1e3), "lead": (0.003, 1.0), "clip": (0.05, 2.0)}
+_MPC = {"effort": (1e-4, 1e3), "lead": (0.003, 1.0), "horizon": (0.3, 1.5), "margin": (0.5, 1.0)}
+_FILTER = {"disturbance": (1e-5, 1.0)}
 CONTROLLERS: dict[str, Kind] = {
     "pd": Kind(build=joint_pd, ranges=_PD),
     **{
@@ -49,9 +52,11 @@ CONTROLLERS: dict[str, Kind] = {
     },
     "lqr": Kind(build=LQR, ranges=_LQR, obs=("state",)),
     "lqg": Kind(
-        build=LQG, follows=False, obs=("sensors",),
-        ranges=_LQR | {"disturbance": (1e-5, 1.0)},
+        build=LQG, obs=("sensors",),
+        ranges=_LQR | _FILTER,
     ),
+    "mpc": Kind(build=MPC, follows=False, ranges=_MPC, obs=("state",)),
+    "mpc-kalman": Kind(build=KalmanMPC, follows=False, ranges=_MPC | _FILTER, obs=("sensors",)),
     "zero": Kind(build=lambda env: Zero(n_joint=env.unwrapped.n_joint)),
     "random": Kind(build=lambda env: Random(env.unwrapped.n_joint)),
 }  # fmt: skip

@@ -1,9 +1,10 @@
 """Discrete linear models of an arm about rest at target postures, for model-based controllers.
 
-The arm is that of the environment with the middle of every drawn range; it rests with straight
-links, so it must not bear gravity. With the matrices of M a + C v + K q = B tau
-(`dynamics.formulations.linearized`) and the natural modes of M and K with free joints, slow ones
-alone, q - target = S z. With x = (z, dz/dt) and inputs held over a control step,
+The arm is that of the environment with one payload and one stiffness out of those that it draws; it
+rests with straight links, so it must not bear gravity. With the matrices of
+M a + C v + K q = B tau (`dynamics.formulations.linearized`) and the natural modes of M and K with
+free joints, slow ones alone, q - target = S z. With x = (z, dz/dt) and inputs held over a control
+step,
 
     x[k + 1] = A x[k] + B tau[k],   y = C x: joint angles, then curvatures of the strain gauges.
 
@@ -11,25 +12,29 @@ A mode that turns by more than FASTEST within a control step cannot be controlle
 is left out. The joint angles are among the modes: with straight links they cost no energy.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh, expm
 
-from dynamics import Arm, Model, Stepper, compile_arm
-from dynamics.formulations.linearized import linear_arm
+from dynamics import Arm, Model, Payload, Stepper, compile_arm
+from dynamics.formulations.linearized import damping, stiffness
 from dynamics.types import Array
 from flexarm_env.observations import curvature_columns
 
 ROUND = 4  # decimals [rad] within which postures share a model
 FASTEST = 3.0  # [rad] per control step; beyond pi, samples take a mode for a slower one
+LEVELS = 3  # of a drawn payload and of a drawn stiffness: lowest, middle, highest
+
+Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class LinearModel:
-    """Model at one posture: n coordinates, r modes, m joints, g gauges."""
+    """Model of one plant at one posture: n coordinates, r modes, m joints, g gauges."""
 
     A: Array  # (2r, 2r)
     B: Array  # (2r, m)
@@ -37,71 +42,117 @@ class LinearModel:
     tip: Array  # (3, r) [m] tip displacement per mode
     shapes: Array  # (n, r) S
     modes: Array  # (r, n) of a displacement: S' M
-    M: Array  # (n, n)
     K: Array  # (n, n)
     tip_of: Array  # (3, n) [m] tip displacement per coordinate
+    readings: Array  # (m + g, n) y per coordinate
+    bend: Array  # (2 links, r) [-] deflection along y and z over a link's length, per mode
+
+
+@dataclass(frozen=True)
+class Plant:
+    """An arm with one payload and one stiffness: M a + C v + K q = B tau."""
+
+    model: Model
+    K: Array  # (n, n)
+    C: Array  # (n, n)
 
 
 class LinearModels:
-    """Linear models of an arm, computed once per posture.
+    """Linear models of an arm's plants, computed once per posture.
 
     Attributes
     ----------
+    plants : the drawn payloads and stiffnesses at LEVELS values each; `middle` is the index of the
+        middle one.
     joints, modal : indices of the joints' and the modes' coordinates.
     """
 
-    def __init__(self, arm: Arm, control_dt: float) -> None:
-        self.model: Model = compile_arm(arm)
-        if any(self.model.arm.gravity):
+    def __init__(self, arm: Arm, control_dt: float, drawn: tuple[tuple[str, Range], ...]) -> None:
+        if any(arm.gravity):
             raise ValueError(
-                "Linear controllers take an arm without gravity, got "
-                f"gravity={self.model.arm.gravity}; use pd."
+                f"Linear controllers take an arm without gravity, got gravity={arm.gravity}; "
+                "use pd."
             )
+        self.plants = _plants(arm, dict(drawn))
+        self.middle = len(self.plants) // 2
+        self.model = self.plants[self.middle].model
         self.control_dt = control_dt
         self.joints = list(self.model.arm.joint_index)
         self.modal = [i for i in range(self.model.n) if i not in self.joints]
-        self._gauges = list(curvature_columns(self.model.arm))
+        self._gauges = list(curvature_columns(arm))
         self._known: dict[tuple[float, ...], LinearModel] = {}
 
     @staticmethod
     def of(env: Any) -> "LinearModels":
         """Models of an environment's arm; environments with equal arms share them."""
         core = env.unwrapped.core
-        return _shared(_middle(core.arm, core.randomize), core.control_dt)
+        return _shared(core.arm, core.control_dt, tuple(sorted(core.randomize.items())))
 
-    def at(self, posture: Array) -> LinearModel:
-        """Model at joint angles (m,) [rad]; without gravity the first does not matter."""
-        key = tuple(np.round(posture[1:], ROUND).tolist())
+    def at(self, posture: Array, plant: int | None = None) -> LinearModel:
+        """Model at joint angles (m,) [rad], of the middle plant if none is named.
+
+        Without gravity the first angle does not matter.
+        """
+        plant = self.middle if plant is None else plant
+        key = (plant, *np.round(posture[1:], ROUND).tolist())
         if key not in self._known:
-            self._known[key] = self._linear_model(np.array([0.0, *key]))
+            self._known[key] = self._linear_model(np.array([0.0, *key[1:]]), self.plants[plant])
         return self._known[key]
 
-    def _linear_model(self, posture: Array) -> LinearModel:
-        model, n, m = self.model, self.model.n, self.model.n_joint
+    def _linear_model(self, posture: Array, plant: Plant) -> LinearModel:
+        model, n, m = plant.model, self.model.n, self.model.n_joint
         q = np.zeros(n)
         q[self.joints] = posture
-        linear = linear_arm(model.chain, q)
-        rest = model.accelerations(q, np.zeros(n), np.zeros(m))
-        inputs = np.column_stack(
-            [model.accelerations(q, np.zeros(n), tau) - rest for tau in np.eye(m)]
-        )
-        squares, shapes = eigh(linear.K, linear.M)
-        slow = squares < (FASTEST / self.control_dt) ** 2
-        squares, shapes = squares[slow], shapes[:, slow]
-        modes, r = shapes.T @ linear.M, len(squares)
-        flow = np.zeros((2 * r + m, 2 * r + m))
-        flow[:r, r : 2 * r] = np.eye(r)
-        flow[r : 2 * r, :r] = -shapes.T @ linear.K @ shapes
-        flow[r : 2 * r, r : 2 * r] = -shapes.T @ linear.C @ shapes
-        flow[r : 2 * r, 2 * r :] = modes @ inputs
+        M, kept = model.mass_matrix(q), self._kept(q)
+        shapes = eigh(plant.K, M)[1][:, :kept]
+        modes = shapes.T @ M
+        inputs = np.linalg.solve(M, self._forces)
+        flow = np.zeros((2 * kept + m, 2 * kept + m))
+        flow[:kept, kept : 2 * kept] = np.eye(kept)
+        flow[kept : 2 * kept, :kept] = -shapes.T @ plant.K @ shapes
+        flow[kept : 2 * kept, kept : 2 * kept] = -shapes.T @ plant.C @ shapes
+        flow[kept : 2 * kept, 2 * kept :] = modes @ inputs
         step = expm(flow * self.control_dt)
         tip, curvature = self._measured(q)
-        readings = np.concatenate([np.eye(n)[self.joints], curvature]) @ shapes
+        readings = np.concatenate([np.eye(n)[self.joints], curvature])
+        seen = readings @ shapes
         return LinearModel(
-            A=step[: 2 * r, : 2 * r], B=step[: 2 * r, 2 * r :],
-            C=np.hstack([readings, np.zeros_like(readings)]), tip=tip @ shapes, shapes=shapes,
-            modes=modes, M=linear.M, K=linear.K, tip_of=tip,
+            A=step[: 2 * kept, : 2 * kept], B=step[: 2 * kept, 2 * kept :],
+            C=np.hstack([seen, np.zeros_like(seen)]), tip=tip @ shapes, shapes=shapes,
+            modes=modes, K=plant.K, tip_of=tip, readings=readings, bend=self._bends @ shapes,
         )  # fmt: skip
+
+    def _kept(self, q: Array) -> int:
+        """Number of modes that are slow enough for the control step; that of the middle plant."""
+        squares = eigh(self.plants[self.middle].K, self.model.mass_matrix(q), eigvals_only=True)
+        return int(np.sum(squares < (FASTEST / self.control_dt) ** 2))
+
+    @cached_property
+    def _forces(self) -> Array:
+        """(n, m) generalized forces of joint torques; parallel drives load more than one joint."""
+        model, rest = self.model, np.zeros(self.model.n)
+        still = model.accelerations(rest, rest, np.zeros(model.n_joint))
+        columns = [model.accelerations(rest, rest, tau) - still for tau in np.eye(model.n_joint)]
+        return model.mass_matrix(rest) @ np.column_stack(columns)
+
+    @cached_property
+    def _bends(self) -> Array:
+        """(2 links, n) deflections of the links' tips along y and z over their lengths."""
+        model, rows = self.model, []
+        for link, place in zip(model.arm.links, model.bodies, strict=True):
+            bodies = model.chain.links[place]
+            rest = np.cumsum([body.length for body in bodies[::-1]])[::-1]
+            row = np.zeros((3, model.n))
+            for i in self.modal:
+                parts = model.chain.split(np.eye(model.n)[i].tolist())[place]
+                for body, beyond, (_, delta) in zip(bodies, rest, parts, strict=True):
+                    for amplitude, phi, theta in zip(
+                        delta, body.tip_phi, body.tip_theta, strict=False
+                    ):
+                        turned = np.cross(theta, [beyond - body.length, 0.0, 0.0])
+                        row[:, i] += amplitude * (np.array(phi) + turned)
+            rows.append(row[1:] / (link.length or 1.0))
+        return np.vstack(rows)
 
     def _measured(self, q: Array) -> tuple[Array, Array]:
         """(3, n) tip and (g, n) curvature per coordinate."""
@@ -119,10 +170,24 @@ class LinearModels:
 _shared = lru_cache(maxsize=8)(LinearModels)
 
 
-def _middle(arm: Arm, drawn: dict[str, tuple[float, float]]) -> Arm:
-    """The arm with the middle of the ranges that an environment draws."""
-    links = list(arm.links)
-    if "payload_mass" in drawn:
-        added = 0.5 * sum(drawn["payload_mass"])
-        links[-1] = replace(links[-1], tip_mass=links[-1].tip_mass + added)
-    return replace(arm, links=tuple(links))
+def _plants(arm: Arm, drawn: Mapping[str, Range]) -> tuple[Plant, ...]:
+    """Plants at LEVELS values of every drawn payload and stiffness."""
+    payloads = _levels(drawn.get("payload_mass", (0.0, 0.0)))
+    stiffnesses = _levels(drawn.get("stiffness", (1.0, 1.0)))
+    models = [compile_arm(_loaded(arm, payload)) for payload in payloads]
+    return tuple(
+        Plant(model, factor * stiffness(model.chain), damping(model.chain))
+        for model in models
+        for factor in stiffnesses
+    )
+
+
+def _levels(span: Range) -> list[float]:
+    low, high = span
+    return np.linspace(low, high, LEVELS).tolist() if high > low else [low]
+
+
+def _loaded(arm: Arm, payload: float) -> Arm:
+    """The arm with a mass [kg] added to its tip; the shapes of its modes stay."""
+    carried = arm.payload or Payload(mass=0.0)
+    return replace(arm, payload=replace(carried, mass=carried.mass + payload))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from agents.controllers.linear_model import LinearModel, LinearModels
-from agents.controllers.lqr import fresh_of, posture_of
+from agents.controllers.observers import fresh_of, posture_of
 from agents.controllers.pd import joint_pd
 from agents.controllers.reading import Reading
 from dynamics.types import AnyArray, Array

@@ -1,0 +1,139 @@
+"""Linear model predictive control: LQR's cost under limits of torque and of bending.
+
+Every control step solves a quadratic program over a horizon, behind which LQR's cost-to-go counts:
+deviations of the torques from the reference's are held for BLOCKS of control steps, and no link may
+bend beyond a share of its limit, which yields at a price where that cannot be kept (soft rows; see
+Maciejowski, Predictive Control with Constraints, 2002, section 3.4). The solver is OSQP.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import block_diag
+
+from agents.controllers.linear_model import LinearModel
+from agents.controllers.lqr import Cost, ModelBased
+from agents.controllers.observers import Estimate, ExactState, KalmanFilters
+from agents.controllers.riccati import riccati
+from dynamics.types import Array
+
+BLOCKS = (1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4)  # control steps that share a torque; the last repeats
+PRICE = 1e7  # of bending beyond the share, over that of a tip error as wide as the settled band
+ACCURACY, ITERATIONS = 1e-4, 500  # of the solver, whose last iterate counts in any case
+
+
+@dataclass
+class _Program:
+    """Program of one plant at one posture; the unknowns are V torques and a slack."""
+
+    solver: Any
+    linear: Array  # (V, 2r) linear cost per state
+    bends: Array  # (b, 2r) deflections at the ends of the blocks per state, over their limit
+
+
+class Planner:
+    """Law of `ModelBased`: the first torque of the best sequence."""
+
+    def __init__(self, env: Any, cost: Cost, *, horizon: float, margin: float) -> None:
+        core = env.unwrapped.core
+        self.cost, self.margin = cost, margin
+        self.deflection_limit = core.arguments["deflection_limit"]
+        self.steps = max(2, round(horizon * core.move_time / core.control_dt))
+        self._programs: dict[int, _Program] = {}
+
+    def __call__(self, estimate: Estimate) -> Array:
+        """(m,) [N m] torque."""
+        program, limit = self._program(estimate.model), self.cost.limit
+        bent, count = program.bends @ estimate.x, len(program.linear) // limit.size
+        free = np.full(bent.size, -np.inf)
+        least, most = (np.tile(x - estimate.forward / limit, count) for x in (-1.0, 1.0))
+        program.solver.update(
+            q=np.append(program.linear @ estimate.x, 0.0),
+            l=np.concatenate([np.minimum(least, 0.0), [0.0], free, free]),
+            u=np.concatenate(
+                [np.maximum(most, 0.0), [np.inf], self.margin - bent, self.margin + bent]
+            ),
+        )
+        first = program.solver.solve(raise_error=False).x[: limit.size]
+        return estimate.forward + limit * np.nan_to_num(np.asarray(first, dtype=np.float64))
+
+    def _program(self, model: LinearModel) -> _Program:
+        key = id(model)
+        if key not in self._programs:
+            self._programs[key] = self._made(model)
+        return self._programs[key]
+
+    def _made(self, model: LinearModel) -> _Program:
+        m, limit = self.cost.limit.size, self.cost.limit
+        (Q, R), B = self.cost.of(model), model.B * limit
+        P = riccati(model.A, model.B, Q, R)
+        D = model.bend[np.any(model.bend, axis=1)] / self.deflection_limit
+        blocks = _blocks(self.steps)
+        size, states = m * (blocks[-1] + 1), len(model.A)
+        by_torque, by_state = np.zeros((states, size)), np.eye(states)
+        H, F, rows, bends = np.zeros((size, size)), np.zeros((size, states)), [], []
+        for k, block in enumerate(blocks):
+            at = slice(m * block, m * (block + 1))
+            H[at, at] += R * np.outer(limit, limit)
+            by_torque, by_state = model.A @ by_torque, model.A @ by_state
+            by_torque[:, at] += B
+            weight = P if k == len(blocks) - 1 else Q
+            H += by_torque.T @ weight @ by_torque
+            F += by_torque.T @ weight @ by_state
+            if block not in blocks[k + 1 :]:
+                rows.append(D @ by_torque[: D.shape[1]])
+                bends.append(D @ by_state[: D.shape[1]])
+        scale = 1.0 / np.abs(np.diag(H)).max()
+        solver = _solver(scale * H, np.vstack(rows), np.sqrt(PRICE * scale))
+        return _Program(solver, scale * F, np.vstack(bends))
+
+
+def _solver(H: Array, rows: Array, price: float) -> Any:
+    """Solver of torques within [-1, 1], and a slack in units of which bending costs `price`."""
+    import osqp
+
+    size, count = len(H), len(rows)
+    slack = np.full((count, 1), -1.0 / price)
+    bounds = np.vstack([np.eye(size + 1), np.hstack([rows, slack]), np.hstack([-rows, slack])])
+    solver = osqp.OSQP()
+    solver.setup(
+        P=sparse.csc_matrix(np.triu(block_diag(H, 1.0))), q=np.zeros(size + 1),
+        A=sparse.csc_matrix(bounds),
+        l=np.concatenate([np.full(size, -1.0), [0.0], np.full(2 * count, -np.inf)]),
+        u=np.concatenate([np.full(size, 1.0), [np.inf], np.full(2 * count, 1.0)]),
+        verbose=False, eps_abs=ACCURACY, eps_rel=ACCURACY, max_iter=ITERATIONS,
+    )  # fmt: skip
+    return solver
+
+
+def _blocks(steps: int) -> list[int]:
+    """Index of the block of every control step of the horizon."""
+    found: list[int] = []
+    for k, length in enumerate((*BLOCKS, *[BLOCKS[-1]] * steps)):
+        found += [k] * length
+    return found[:steps]
+
+
+class MPC(ModelBased):
+    """Predictive control on exact states; needs obs="state"."""
+
+    def __init__(
+        self, env: Any, *, effort: float, lead: float, horizon: float, margin: float
+    ) -> None:
+        observer = ExactState(env, "mpc")
+        cost = Cost(env, observer.models, effort=effort, lead=lead)
+        super().__init__(env, observer, Planner(env, cost, horizon=horizon, margin=margin))
+
+
+class KalmanMPC(ModelBased):
+    """Predictive control on the Kalman filters of LQG; needs obs="sensors"."""
+
+    def __init__(
+        self, env: Any, *, effort: float, lead: float, horizon: float, margin: float,
+        disturbance: float,
+    ) -> None:  # fmt: skip
+        observer = KalmanFilters(env, "mpc-kalman", disturbance)
+        cost = Cost(env, observer.models, effort=effort, lead=lead)
+        super().__init__(env, observer, Planner(env, cost, horizon=horizon, margin=margin))
