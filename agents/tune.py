@@ -47,7 +47,7 @@ def tune(
 
     def judged(trial: Any) -> float:
         drawn = {
-            key: trial.suggest_float(key, low, high, log=True)
+            key: trial.suggest_float(key, low, high, log=low > 0.0)
             for key, (low, high) in ranges.items()
         }
         try:

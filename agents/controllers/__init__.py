@@ -13,6 +13,7 @@ from agents.controllers.mpc import MPC, KalmanMPC
 from agents.controllers.pd import JointPD, joint_pd, tune_pd
 from agents.controllers.shaped import ShapedPD, ei, zv, zvd
 from agents.controllers.simple import Random, Zero
+from agents.controllers.strain import PID, PositivePosition, StrainFeedback
 from agents.policy import Controller
 
 __all__ = ["CONTROLLERS", "JointPD", "Kind", "controller", "joint_pd", "tune_pd"]
@@ -25,14 +26,18 @@ class Kind:
     """A controller of the table: how to build it, and what may be tuned."""
 
     build: Callable[..., Controller]  # (env, **parameters)
-    ranges: Mapping[str, Range] = field(default_factory=dict)  # searched on a logarithmic scale
+    # searched on a logarithmic scale where both ends are positive
+    ranges: Mapping[str, Range] = field(default_factory=dict)
     obs: tuple[str, ...] = ("state", "sensors")  # kinds of observation that it can use
     follows: bool = True  # it can follow a moving target
 
     @property
     def middle(self) -> dict[str, float]:
         """Parameters in the middle of the ranges."""
-        return {name: (low * high) ** 0.5 for name, (low, high) in self.ranges.items()}
+        return {
+            name: (low * high) ** 0.5 if low > 0.0 else 0.5 * (low + high)
+            for name, (low, high) in self.ranges.items()
+        }
 
 
 _PD = {"frequency_ratio": (0.05, 1.5), "damping_ratio": (0.15, 3.0)}
@@ -42,6 +47,16 @@ _MPC = {"effort": (1e-4, 1e3), "lead": (0.003, 1.0), "horizon": (0.3, 1.5), "mar
 _FILTER = {"disturbance": (1e-5, 1.0)}
 CONTROLLERS: dict[str, Kind] = {
     "pd": Kind(build=joint_pd, ranges=_PD),
+    "pid": Kind(build=PID, ranges=_PD | {"reset": (0.1, 100.0)}),
+    "strain": Kind(
+        build=StrainFeedback, obs=("sensors",), ranges=_PD | {"yielding": (-2.0, 2.0)},
+    ),
+    "ppf": Kind(
+        build=PositivePosition, obs=("sensors",),
+        ranges=_PD | {
+            "gain": (0.01, 10.0), "filter_ratio": (0.1, 3.0), "filter_damping": (0.1, 1.0),
+        },
+    ),
     **{
         f"pd-{shaper.__name__}": Kind(
             build=partial(ShapedPD, shaper=shaper),

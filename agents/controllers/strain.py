@@ -1,0 +1,135 @@
+"""Joint control that feeds the links' strain back, and joint PID.
+
+- PID: joint PD with the integral of the joint error, held while a torque is at its limit.
+- Strain feedback: the joint yields to the bending of its own link, at a rate proportional to the
+  curvature at the root (direct strain feedback, Luo, IEEE Trans. Automatic Control 38, 1993).
+- Positive position feedback: a second-order filter near the arm's first frequency takes the
+  bending and adds a torque (Fanson and Caughey, AIAA Journal 28, 1990).
+"""
+
+from typing import Any
+
+import numpy as np
+from scipy.linalg import expm
+
+from agents.controllers.observers import fresh_of
+from agents.controllers.pd import joint_pd
+from agents.controllers.reading import Reading
+from dynamics.types import AnyArray, Array
+from flexarm_env.observations import curvature_columns
+
+
+class PID:
+    """Joint PD, and the integral of the joint error over a reset time, in move times."""
+
+    def __init__(
+        self, env: Any, *, frequency_ratio: float, damping_ratio: float, reset: float
+    ) -> None:
+        core = env.unwrapped.core
+        self.read, self.pd = Reading.of(env), joint_pd(env, frequency_ratio, damping_ratio)
+        self.share = core.control_dt / (reset * core.move_time)
+
+    def predict(
+        self,
+        observation: AnyArray,
+        state: Array | None = None,
+        episode_start: AnyArray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[AnyArray, Array]:
+        """Actions; the state (N, m) [rad] is the integral."""
+        x = np.atleast_2d(observation)
+        error = self.read(x, "joint_error")
+        before = np.zeros_like(error) if state is None else state
+        before = np.where(fresh_of(state, episode_start, len(x))[:, None], 0.0, before)
+        gain, moved = self.pd.stiffness / self.pd.torque_limit, before + self.share * error
+        action = self.pd.predict(x)[0]
+        free = np.abs(action - gain * moved) < 1.0
+        integral = np.where(free, moved, before)
+        action = np.clip(action - gain * integral, -1.0, 1.0)
+        return action.reshape(*np.shape(observation)[:-1], -1), integral
+
+
+class StrainFeedback:
+    """Joint PD whose joints yield towards the bent links, `yielding` times as fast as PD would.
+
+    A negative share stiffens the joints against the links.
+    """
+
+    def __init__(
+        self, env: Any, *, frequency_ratio: float, damping_ratio: float, yielding: float
+    ) -> None:
+        self.chords, self.pd = Chords(env, "strain"), joint_pd(env, frequency_ratio, damping_ratio)
+        self.gain = yielding * self.pd.stiffness / self.pd.torque_limit
+
+    def predict(
+        self,
+        observation: AnyArray,
+        state: Any = None,
+        episode_start: AnyArray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[AnyArray, Any]:
+        """Actions from angles, rates and curvatures."""
+        action = self.pd.predict(observation)[0] + self.gain * self.chords(observation)
+        return np.clip(action, -1.0, 1.0), state
+
+
+class PositivePosition:
+    """Joint PD beside a filter of the bending that adds `gain` times PD's stiffness.
+
+    `filter_ratio` is the filter's frequency over the first one with locked joints.
+    """
+
+    def __init__(
+        self,
+        env: Any,
+        *,
+        frequency_ratio: float,
+        damping_ratio: float,
+        gain: float,
+        filter_ratio: float,
+        filter_damping: float,
+    ) -> None:
+        core = env.unwrapped.core
+        self.chords, self.pd = Chords(env, "ppf"), joint_pd(env, frequency_ratio, damping_ratio)
+        self.gain = gain * self.pd.stiffness / self.pd.torque_limit
+        w = filter_ratio * (core.scales.locked or (1.0 / core.move_time,))[0]
+        flow = np.array([[0.0, 1.0, 0.0], [-(w**2), -2.0 * filter_damping * w, w**2], 3 * [0.0]])
+        self.step = expm(flow * core.control_dt)[:2]
+
+    def predict(
+        self,
+        observation: AnyArray,
+        state: Array | None = None,
+        episode_start: AnyArray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[AnyArray, Array]:
+        """Actions; the state (2, N, m) holds the filters' places and rates."""
+        x = np.atleast_2d(observation)
+        chord = self.chords(x)
+        before = np.zeros((2, *chord.shape)) if state is None else state
+        before = np.where(fresh_of(state, episode_start, len(x))[:, None], 0.0, before)
+        after = np.tensordot(self.step, np.stack([*before, chord]), axes=1)
+        action = np.clip(self.pd.predict(x)[0] + self.gain * after[0], -1.0, 1.0)
+        return action.reshape(*np.shape(observation)[:-1], -1), after
+
+
+class Chords:
+    """Angles between the roots of the bent links and their chords, one per joint, from gauges.
+
+    A tip force that bends a link of length l to the curvature k at its root turns its chord by
+    k l / 3. A joint turns its own link along y.
+    """
+
+    def __init__(self, env: Any, name: str) -> None:
+        core = env.unwrapped.core
+        self.read = Reading.of(env)
+        self.read.require(name, "joint_error", "root_curvature")
+        columns = curvature_columns(core.arm)
+        self.turn = np.zeros((len(columns), core.arm.n_joint))
+        for row, column in enumerate(columns):
+            if column % 2 == 0:
+                self.turn[row, column // 2] = core.arm.links[column // 2].length / 3.0
+
+    def __call__(self, observation: AnyArray) -> Array:
+        """(..., m) [rad]."""
+        return np.asarray(self.read(observation, "root_curvature") @ self.turn)
