@@ -179,7 +179,8 @@ def _follow(model: Any, motion: Motion) -> dict[str, Any]:
     if path.base_quaternion is None:
         return result
     turned = path.q.copy()
-    turned[:, 3:6] = 0.0  # from the attitude that stands beside
+    if model.arm.base.spatial:
+        turned[:, 3:6] = 0.0  # from the attitude that stands beside
     momenta = [model.momentum(q, v) for q, v in states]
     return result | {
         "q": turned.tolist(),

@@ -61,7 +61,8 @@ class Model:
     run link by link: q_i [rad], then the link's modal amplitudes [m]. The six coordinates of a
     free base come first: position [m] and rotation vector [rad] from the world. Their rates are
     the velocity in the world and the angular velocity in the base's own frame; their forces are
-    a force in the world and a moment in the base's own frame.
+    a force in the world and a moment in the base's own frame. Of a planar base these are three:
+    position [m] and angle [rad], with their derivatives as rates.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class Model:
         self.chain, self.bodies = self.traced.chain, self.traced.bodies
         self.lanes = LANES_OF[dtype]  # environments that a batch steps side by side
         self.names = list(arm.names)
-        self.n, self.n_joint = arm.n, arm.n_joint
+        self.n, self.n_joint, self.n_torque = arm.n, arm.n_joint, arm.n_torque
         self.nominal_parameters = self.traced.nominal_parameters
         self.measurements = self.traced.measurements
         self.n_measure = self.traced.n_measure
@@ -103,7 +104,7 @@ class Model:
         return np.array(self._christoffel(self._q(q), self._q(v, "v")))
 
     def accelerations(self, q: Array, v: Array, tau: Array) -> Array:
-        """Accelerations (n,) under joint torques tau (n_joint,) [N m]."""
+        """Accelerations (n,) under torques tau (n_torque,) [N m]: joints, then a driven base."""
         program = self.program(1, "rk4")
         out = np.empty((1, self.n))
         program.evaluate_states(
@@ -177,7 +178,7 @@ class Model:
         )
 
     def linearize(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
-        """A (2n, 2n) and B (2n, n_joint) of d/dt (q, v) = A (q, v) + B tau about a state.
+        """A (2n, 2n) and B (2n, n_torque) of d/dt (q, v) = A (q, v) + B tau about a state.
 
         The rotation of a free base is here the small rotation from the state's attitude, in the
         base's own frame.
@@ -185,13 +186,13 @@ class Model:
         state = self._state(q, v)
         dq, dv, dtau = (np.array(d) for d in self._jacobian(*state, self._tau(tau)))
         n, kinematic = self.n, np.zeros((self.n, self.n))
-        if self.arm.base.n:
+        if self.arm.base.spatial:
             kinematic[3:6, 3:6] = np.cross(np.eye(3), state[1][3:6]).T  # -omega~
             turn = np.eye(n)
             turn[:3, :3] = rotation_matrix(state[2])
             dq, dv, dtau = turn @ dq @ turn.T, turn @ dv @ turn.T, turn @ dtau
         A = np.block([[kinematic, np.eye(n)], [dq, dv]])
-        return A, np.vstack([np.zeros((n, self.n_joint)), dtau])
+        return A, np.vstack([np.zeros((n, self.n_torque)), dtau])
 
     def operation_count(self) -> dict[str, dict[str, int]]:
         """Operations of each kind in the expression graphs of the arm."""
@@ -259,7 +260,7 @@ class Model:
     def _state(self, q: Array, v: Array) -> tuple[Array, ...]:
         """q and v; with a free base, both in the base's own frame, and the attitude (4,)."""
         q, v = self._q(q), self._q(v, "v")
-        if not self.arm.base.n:
+        if not self.arm.base.spatial:
             return q, v
         attitude = from_rotation_vector(q[3:6].tolist())
         own = free_base.unturned(free_base.local(q.tolist(), attitude), attitude)
@@ -267,13 +268,13 @@ class Model:
         return np.array(own), np.array(rates), np.array(attitude)
 
     def _require_fixed_base(self, name: str) -> None:
-        if self.arm.base.n:
+        if self.arm.base.spatial:
             raise ValueError(
-                f"{name} needs an arm with a fixed base, got Base.type {self.arm.base.type!r}."
+                f"{name} needs an arm with a fixed or planar base, got Base.type {self.arm.base.type!r}."
             )
 
     def _q(self, x: Array, name: str = "q") -> Array:
         return validate.array(x, name, (self.n,))
 
     def _tau(self, x: Array) -> Array:
-        return validate.array(x, "tau", (self.n_joint,))
+        return validate.array(x, "tau", (self.n_torque,))

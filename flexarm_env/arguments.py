@@ -36,6 +36,38 @@ def torque_limits(given: float | Sequence[float] | None, default: tuple[float, .
     return np.array([validate.positive(limit, "torque_limit", "N m") for limit in limits])
 
 
+def check_base(arm: Arm, base_torque: float | None) -> None:
+    """Refuse a base that no environment moves, and a torque [N m] on one that does not turn."""
+    base = arm.base
+    if base.spatial:
+        raise ValueError(
+            "Base.type must be 'fixed' or 'planar' for an environment, got 'free'; step a base "
+            "that turns in space with dynamics.Stepper."
+        )
+    if base_torque is not None:
+        if not base.n:
+            raise ValueError(
+                f"base_torque ({validate.shown(base_torque)} N m) needs a base that turns, but "
+                "Base.type is 'fixed'; leave it out."
+            )
+        validate.positive(base_torque, "base_torque", "N m")
+    if base.driven:
+        raise ValueError(
+            "Base.driven must be left out for an environment, got True; base_torque drives the "
+            "base and limits its torque [N m]."
+        )
+    if any(base.v):
+        raise ValueError(
+            f"Base.velocity and Base.angular_velocity_body must be zero for an environment, got "
+            f"{validate.shown(base.v)}; set rates with reset(options={{'state': ...}})."
+        )
+    if base.n and any(arm.gravity[:2]):
+        raise ValueError(
+            f"Arm.gravity ({validate.shown(arm.gravity)} m/s^2) must be along z where a base "
+            "floats in the x-y plane: an arm that falls holds no target."
+        )
+
+
 def ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
     """Checked ranges (low, high) of free parameters by name."""
     if not isinstance(given, Mapping):

@@ -72,7 +72,7 @@ def timed(arm: ArmSource, control_dt: float, steps: list[Step]) -> list[Step]:
         core = Core(task="Reach", arm=arm, control_dt=control_dt, n_env=BATCH,
                     integrator=step["integrator"], substeps=step["substeps"])  # fmt: skip
         core.reset(np.arange(BATCH))
-        calls[k] = partial(core.step, np.zeros((BATCH, core.arm.n_joint), np.float32))
+        calls[k] = partial(core.step, np.zeros((BATCH, core.arm.n_torque), np.float32))
     seconds = cpu_seconds(calls, TIMED)
     return [{**step, "seconds": seconds[k] / BATCH} for k, step in enumerate(steps)]
 

@@ -29,7 +29,7 @@ from flexarm_env.observations import curvature_columns, curvature_scale, observa
 from flexarm_env.plant import plan
 from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.scales import DEFLECTION_LIMIT, MOVE, SLOPE_PER_DEFLECTION
-from flexarm_env.tasks import find_task
+from flexarm_env.tasks import find_task, refuse_floating
 
 UNLIMITED_RATE = 1e12  # [rad/s] limit of the joint rate where the model has none
 DIVERGED = FLAGS.index("diverged")
@@ -53,6 +53,7 @@ class Core:
     integrator, substeps : None: the fastest method and step that certify.py measured as accurate;
         for an arm that was not measured, the rule of `scales.integration`.
     torque_limit : [N m] one number or one per joint; None: see `scales.Scales`.
+    base_torque : [N m] largest torque on a floating base, the last action; None: no torque acts.
     actuator : a name in `actuators.PRESETS`, a dict, or a list with one of these per joint; None:
         the torque is the action times its limit.
     deflection_limit : [-] deflection over length above which an episode ends as invalid.
@@ -104,6 +105,7 @@ class Core:
         tolerance: float | None = None,
         actuator: Any = None,
         hardware: Any = None,
+        base_torque: float | None = None,
     ) -> None:
         self.arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
@@ -134,14 +136,16 @@ class Core:
             tolerance=tolerance,
             actuator=actuator,
             randomized=self.randomize,
+            base_torque=base_torque,
         )
+        refuse_floating(self.task, plant.arm)
         self.arm, self.scales, self.actuation = plant.arm, plant.scales, plant.actuation
         self.integrator, self.substeps = plant.integrator, plant.substeps
         self.control_dt, self.dt = plant.control_dt, plant.dt
         self.torque_limit, self.certificate = plant.torque_limit, plant.certificate
         self.uncertified = plant.uncertified
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
-        torques = tuple(self.torque_limit.tolist()) if self.actuation else ()
+        torques = tuple(self.actuation.torque_limit.tolist()) if self.actuation else ()
         if obs is None:
             obs = "sensors" if fitted else "state"
         refuse_exact_state(obs, fitted)
@@ -209,7 +213,7 @@ class Core:
         )
 
     def _vibration(self, shapes: tuple[tuple[float, ...], ...]) -> Array:
-        return np.array(shapes).reshape(len(shapes), self.arm.n - self.arm.n_joint)
+        return np.array(shapes).reshape(len(shapes), len(self.scales.modal_scale))
 
     def _allocate(self) -> None:
         """Create the state of all environments, and a workspace per thread."""
@@ -227,7 +231,7 @@ class Core:
         threads = useful_threads(self.threads, blocks, n_env * self._operations())
         self.shares = shares(n_env, lanes, threads)
         self.workspaces = [self._workspace() for _ in range(threads)]
-        self._no_actions = np.zeros((0, self.arm.n_joint), np.float32)
+        self._no_actions = np.zeros((0, self.arm.n_torque), np.float32)
         self._pool = ThreadPool(threads)
         self.lock = Lock()
 
@@ -313,6 +317,7 @@ class Core:
         placed = {} if options is None else arguments.placements(options, self.arm, rows.size)
         before = self.state[:, rows], self.streams[rows]
         episode.begin(rows, *self._start, self.state, self.streams)
+        self.q[rows, : self.arm.base.n] = self.arm.base.q
         for name, values in placed.items():
             self.state[self.signals.state.slices[name]].T[rows] = values
         if self.actuation:
@@ -356,6 +361,7 @@ class Core:
         """(3,) [m] target of the tip of environment `row`."""
         q = np.zeros(self.arm.n)
         q[list(self.arm.joint_index)] = self.joint_target()[row]
+        q[: self.arm.base.n] = self.state[self.signals.state.slices["anchor"], row]
         return self.model.tip(q)
 
     def elapsed(self, row: int) -> int:

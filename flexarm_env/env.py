@@ -66,9 +66,9 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
         self.core = Core(single=True, **arguments)
         self.metadata = {**self.metadata, "render_fps": frames_per_second(self.core)}
         self.observation_space = observation_space(self.core.layout)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_joint,), np.float32)
-        self._action = np.zeros((1, self.core.arm.n_joint), np.float32)
-        self._several = self.core.arm.n_joint > 1
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_torque,), np.float32)
+        self._action = np.zeros((1, self.core.arm.n_torque), np.float32)
+        self._several = self.core.arm.n_torque > 1
         self._observed, self._goal = self.core.layout.observed, bool(self.core.layout.goal)
         self._seeded = False
 

@@ -95,9 +95,13 @@ def curvature_columns(arm: Arm) -> tuple[int, ...]:
 
 
 def is_planar(arm: Arm) -> bool:
-    """True if the arm moves only in the plane normal to its first joint's axis."""
-    parallel = all(link.joint.rotation[2][2] == 1.0 for link in arm.links[1:])
-    flat = all(link.joint.offset[2] == 0.0 for link in arm.links[1:])
+    """True if the arm moves only in the plane normal to its first joint's axis.
+
+    On a floating base that is also the plane in which the base moves.
+    """
+    turned = arm.links if arm.base.n else arm.links[1:]  # against what carries them
+    parallel = all(link.joint.rotation[2][2] == 1.0 for link in turned)
+    flat = all(link.joint.offset[2] == 0.0 for link in turned)
     bending = all(mode.direction == "y" for link in arm.links for mode in link.modes)
     return parallel and flat and bending
 
@@ -115,14 +119,16 @@ def observation_layout(
     if kind == "goal":
         return _goal_layout(arm, task, scales, rate, torques)
     joints, columns = range(arm.n_joint), curvature_columns(arm)
-    modal = [i for i in range(arm.n) if i not in arm.joint_index]
+    modal, actions = _modal(arm), range(arm.n_torque)
     axes = [k for k in range(3) if (k or arm.n_joint > 1) and (k != 2 or not is_planar(arm))]
-    turned = joints if any(arm.gravity) else joints[1:]  # the first matters only under gravity
+    # the first joint's angle matters only under gravity, or where it turns the base
+    turned = joints if any(arm.gravity) or arm.base.n else joints[1:]
     every = [
         _part("joint_error", "joint angle minus target joint angle", "rad", joints, MOVE),
         _part("joint_sin", "sine of the joint angle", "-", turned, 1.0, 1.0),
         _part("joint_cos", "cosine of the joint angle", "-", turned, 1.0, 1.0),
         _part("joint_rate", "joint rate", "rad/s", joints, rate),
+        *_base(arm, rate),
     ]
     if kind == "state":
         every += [
@@ -142,7 +148,7 @@ def observation_layout(
         ]
     sensed = joints if torques else ()
     every.append(_part("joint_torque", "torque at the joint", "N m", sensed, torques))
-    every.append(_part("last_action", "action of the last step", "-", joints, 1.0, 1.0))
+    every.append(_part("last_action", "action of the last step", "-", actions, 1.0, 1.0))
     return Layout(tuple(part for part in every if part.entries))
 
 
@@ -152,19 +158,37 @@ def _goal_layout(
     if task.moving:
         raise ValueError(f"obs must be 'state' or 'sensors' where the target moves ({task.title}).")
     joints, axes = range(arm.n_joint), range(2 if is_planar(arm) else 3)
-    modal = [i for i in range(arm.n) if i not in arm.joint_index]
+    modal, actions = _modal(arm), range(arm.n_torque)
     every = (
         _part("joint_sin", "sine of the joint angle", "-", joints, 1.0, 1.0),
         _part("joint_cos", "cosine of the joint angle", "-", joints, 1.0, 1.0),
         _part("joint_rate", "joint rate", "rad/s", joints, rate),
+        *_base(arm, rate),
         _part("modal_amplitude", "modal amplitude", "m", modal, scales.modal_scale),
         _part("modal_rate", "modal rate", "m/s", modal, scales.modal_rate),
         _part("joint_torque", "torque at the joint", "N m", joints if torques else (), torques),
-        _part("last_action", "action of the last step", "-", joints, 1.0, 1.0),
+        _part("last_action", "action of the last step", "-", actions, 1.0, 1.0),
         _part("achieved_goal", "position of the tip", "m", axes, arm.reach),
         _part("desired_goal", "position of the target", "m", axes, arm.reach),
     )
     return Layout(tuple(part for part in every if part.entries))
+
+
+def _modal(arm: Arm) -> list[int]:
+    """Coordinates that are neither joints nor of a floating base."""
+    return [i for i in range(arm.base.n, arm.n) if i not in arm.joint_index]
+
+
+def _base(arm: Arm, rate: float) -> tuple[Part, ...]:
+    """Pose and rates of a floating base, in the world."""
+    plane, angle = range(2 if arm.base.n else 0), range(1 if arm.base.n else 0)
+    return (
+        _part("base_position", "position of the base", "m", plane, MOVE * arm.reach),
+        _part("base_sin", "sine of the base's angle", "-", angle, 1.0, 1.0),
+        _part("base_cos", "cosine of the base's angle", "-", angle, 1.0, 1.0),
+        _part("base_velocity", "velocity of the base", "m/s", plane, rate * arm.reach),
+        _part("base_rate", "angular rate of the base", "rad/s", angle, rate),
+    )
 
 
 def _part(

@@ -26,7 +26,7 @@ class Plant:
     arm: Arm  # the model that is stepped
     scales: Scales  # of this model
     actuation: Actuation | None  # None: ideal torque sources
-    torque_limit: Array  # (n_joint,) [N m] torque at action 1
+    torque_limit: Array  # (n_torque,) [N m] torque at action 1
     full_acceleration: float  # [rad/s^2] smallest of the joints' at full torque
     control_dt: float  # [s]
     integrator: str
@@ -61,6 +61,7 @@ def plan(
     tolerance: float | None,
     actuator: Any,
     randomized: Collection[str],
+    base_torque: float | None = None,
 ) -> Plant:
     """Check the keywords of `core.Core` that concern the plant, and choose what they leave open.
 
@@ -79,11 +80,7 @@ def plan(
             "the richest choice as arm, integrator and substeps."
         )
     control_dt = arguments.within("control_dt", control_dt, *arguments.CONTROL_DT, "s")
-    if described.base.n:
-        raise ValueError(
-            f"Base.type must be 'fixed' for an environment, got {described.base.type!r}; "
-            "step a free base with dynamics.Stepper."
-        )
+    arguments.check_base(described, base_torque)
     fitted = fit(described, control_dt, fidelity, tolerance)
     if described.automatic and tolerance is None and (actuators or randomized):
         fitted = replace(fitted, integrator=None, substeps=None)  # measured without these keywords
@@ -112,8 +109,16 @@ def plan(
     uncertified = _uncertified(
         certificate is not None, bool(actuators), randomized, own.torque_limit if stronger else ()
     )
+    fitted_arm = fitted.arm
+    if base_torque is not None:
+        limit = np.append(limit, base_torque)
+        fitted_arm = replace(fitted_arm, base=replace(fitted_arm.base, driven=True))
+        uncertified = uncertified or (
+            "No certificate holds beside base_torque: errors were measured without it; measure a "
+            "scene with torques on the base, with dynamics.accuracy.certificate.certify."
+        )
     return Plant(
-        arm=fitted.arm,
+        arm=fitted_arm,
         scales=scales(fitted.arm),
         actuation=actuation,
         torque_limit=limit,

@@ -11,7 +11,10 @@ SCENES: dict[str, tuple[str, float, int]] = {  # preset, control_dt [s], steps p
     "OneLink": ("slim", 0.02, 150),
     "TwoLink": ("two-link", 0.05, 240),
     "SixLink": ("six-link", 0.02, 150),
+    "FreeFlyer": ("free-flyer", 0.05, 240),
 }
+FLOATING = ("FreeFlyer",)  # scenes whose base floats: Reach alone, see `tasks.refuse_floating`
+FIXED = tuple(scene for scene in SCENES if scene not in FLOATING)
 NAMED = 3  # ids that an error names
 AGILE: dict[str, tuple[float, ...]] = {  # [N m] torque limits of Reach, about three times the usual
     "OneLink": (3.0,),
@@ -26,12 +29,13 @@ def _spec(scene: str, task: str, **keywords: Any) -> dict[str, Any]:
 
 
 IDS: dict[str, dict[str, Any]] = (
-    {f"FlexArm/{scene}-{task}-v0": _spec(scene, task) for scene in SCENES for task in TASKS}
+    {f"FlexArm/{scene}-{task}-v0": _spec(scene, task) for scene in FIXED for task in TASKS}
     | {
         f"FlexArm/{scene}-ReachAgile-v0": _spec(scene, "Reach", torque_limit=limits)
         for scene, limits in AGILE.items()
     }
-    | {f"FlexArm/{scene}-ReachGoal-v0": _spec(scene, "Reach", obs="goal") for scene in SCENES}
+    | {f"FlexArm/{scene}-ReachGoal-v0": _spec(scene, "Reach", obs="goal") for scene in FIXED}
+    | {f"FlexArm/{scene}-Reach-v0": _spec(scene, "Reach") for scene in FLOATING}
 )
 
 

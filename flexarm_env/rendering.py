@@ -62,7 +62,7 @@ class Renderer:
         if core.elapsed(row) <= 1:
             self.clear()
         tip = core.model.tip(core.q[row])
-        rigid = core.model.tip(core.model.rigid(core.q[row]))
+        rigid = core.model.tip(_straight(core, row))
         self.trail.append(tip.copy())
         shift = tip - rigid
         sign = 1.0
@@ -128,7 +128,7 @@ class Renderer:
         goal = core.goal(row)
         if row == 0 and len(self.trail) > 1:
             self._draw_trail(pen)
-        straight = core.model.rigid(q)
+        straight = _straight(core, row)
         exaggerated = self.shapes(core, q, EXAGGERATION)
         self._draw_arm(pen, self.shapes(core, straight, 0.0), FAINT, 2)
         self._draw_arm(pen, exaggerated, ORANGE, 3)
@@ -256,6 +256,14 @@ class Renderer:
 
             plt.close(self._window.figure)
             self._window = None
+
+
+def _straight(core: Core, row: int) -> Array:
+    """(n,) coordinates of environment `row` with straight links."""
+    q, base = core.q[row], core.arm.base.n
+    straight = core.model.rigid(q)
+    straight[:base] = q[:base]
+    return straight
 
 
 def _rotation(theta: Array) -> Array:

@@ -2,7 +2,8 @@
 
 All follow from the model linearized at rest, links straight: M a + C v + K q = B tau. The torque
 limits come from a bang-bang test: every joint takes its full torque for half a period of the first
-joint-free mode, the opposite torque for the other half, then none.
+joint-free mode, the opposite torque for the other half, then none. A floating base has neither
+forces nor springs, so it is eliminated: M is that of joints and modes at zero momentum.
 """
 
 import math
@@ -41,20 +42,22 @@ _SAMPLES = 200  # per period of the first joint-free mode
 class Scales:
     """Scales of an arm.
 
-    Natural frequencies are "locked" with the joints locked, "free" with the joints free.
+    Natural frequencies are "locked" with the joints locked, "free" with the joints free. n_modal
+    coordinates are neither joints nor of a base.
     """
 
     home: tuple[float, ...]  # (n_joint,) [rad] a posture away from the stretched one
     torque_limit: tuple[float, ...]  # (n_joint,) [N m] torque that keeps the bang-bang test valid
-    inertia: tuple[float, ...]  # (n_joint,) [kg m^2] about each joint, all else locked
+    # (n_joint,) [kg m^2] about each joint, all else locked but a floating base
+    inertia: tuple[float, ...]
     locked: tuple[float, ...]  # [rad/s] natural frequencies
     free: tuple[float, ...]  # [rad/s] natural frequencies, rigid motions left out
     fastest: float  # [rad/s] highest frequency, or fastest decay [1/s] by damping and friction
-    modal_scale: tuple[float, ...]  # (n - n_joint,) [m] peak in the bang-bang test; 1 if unmoved
-    modal_rate: tuple[float, ...]  # (n - n_joint,) [m/s] peak rate in the test; 1 if unmoved
+    modal_scale: tuple[float, ...]  # (n_modal,) [m] peak in the bang-bang test; 1 if unmoved
+    modal_rate: tuple[float, ...]  # (n_modal,) [m/s] peak rate in the test; 1 if unmoved
     # modal amplitudes [m] and rates [m/s] at the peaks of the slow natural modes with locked joints
-    vibration: tuple[tuple[float, ...], ...]  # (r, n - n_joint)
-    vibration_rate: tuple[tuple[float, ...], ...]  # (r, n - n_joint)
+    vibration: tuple[tuple[float, ...], ...]  # (r, n_modal)
+    vibration_rate: tuple[tuple[float, ...], ...]  # (r, n_modal)
 
 
 def home_posture(n_joint: int) -> tuple[float, ...]:
@@ -76,15 +79,16 @@ def scales(arm: Arm) -> Scales:
 
 
 def _derived(arm: Arm) -> Scales:
-    model = Model(arm)
-    joints = list(arm.joint_index)
-    modal = [i for i in range(arm.n) if i not in joints]
+    model, base = Model(arm), arm.base.n
     home = home_posture(arm.n_joint)
     q = np.zeros(arm.n)
-    q[joints] = home
-    M = np.array(mass_matrix(model.chain, q.tolist()), dtype=np.float64)
-    K = model.stiffness
-    C = damping(model.chain) + friction(model.chain)
+    q[list(arm.joint_index)] = home
+    joints = [i - base for i in arm.joint_index]
+    n = arm.n - base
+    modal = [i for i in range(n) if i not in joints]
+    M = _without_base(np.array(mass_matrix(model.chain, q.tolist()), dtype=np.float64), base)
+    K = model.stiffness[base:, base:]
+    C = (damping(model.chain) + friction(model.chain))[base:, base:]
     decay = float(np.linalg.eigvals(np.linalg.solve(M, C)).real.max())
     inertia = np.diag(M)[joints]
     locked = _frequencies(M[np.ix_(modal, modal)], K[np.ix_(modal, modal)])
@@ -104,10 +108,19 @@ def _derived(arm: Arm) -> Scales:
         free=tuple(free.tolist()),
         fastest=max((decay, *locked.tolist(), *free.tolist())),
         modal_scale=tuple(scale[modal].tolist()),
-        modal_rate=tuple(scale[[arm.n + i for i in modal]].tolist()),
+        modal_rate=tuple(scale[[n + i for i in modal]].tolist()),
         vibration=tuple(map(tuple, vibration[0].tolist())),
         vibration_rate=tuple(map(tuple, vibration[1].tolist())),
     )
+
+
+def _without_base(M: Array, base: int) -> Array:
+    """Mass matrix of joints and modes where the first `base` coordinates move without a force."""
+    if not base:
+        return M
+    coupling = M[:base, base:]
+    result: Array = M[base:, base:] - coupling.T @ np.linalg.solve(M[:base, :base], coupling)
+    return result
 
 
 def two_digits(x: float) -> float:
@@ -156,8 +169,10 @@ def _bang_bang(
     acceleration times `inertia`. One period of bang-bang at `first` [rad/s], the first joint-free
     frequency, excites that mode most. All joints move at once and their peaks add up.
     """
-    n, m = arm.n, arm.n_joint
+    base, m = arm.base.n, arm.n_joint
+    n = arm.n - base
     C, B, strains = _damping_inputs_strains(arm)
+    C, B, strains = C[base:, base:], B[base:], strains[:, :, base:]
     dt = 2.0 * math.pi / first / _SAMPLES
     inverse = np.linalg.inv(M)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ C]])
@@ -167,7 +182,7 @@ def _bang_bang(
     peak_strain, peak = np.zeros((2 * m, m)), np.zeros((2 * n, m))
     swing = np.zeros((2, len(shapes), m))
     amplitudes = shapes @ M
-    amplitudes[:, list(arm.joint_index)] = 0.0  # of the modes with locked joints
+    amplitudes[:, [i - base for i in arm.joint_index]] = 0.0  # of the modes with locked joints
     for k in range(2 * _SAMPLES):
         sign = 1.0 if k < _SAMPLES // 2 else -1.0 if k < _SAMPLES else 0.0
         x = step[: 2 * n, : 2 * n] @ x + sign * step[: 2 * n, 2 * n :]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.description import validate
+from dynamics.description.arm import Arm
 from dynamics.types import Array
 from flexarm_env.scales import MOVE, SLOW
 
@@ -102,6 +103,16 @@ TASKS = {
         reward="damp",
     ),
 }
+
+
+def refuse_floating(task: Task, arm: Arm) -> None:
+    """Refuse a task that needs a fixed base: its start or target moves."""
+    if arm.base.n and (task.moving or task.shake[1] > 0.0):
+        raise ValueError(
+            f"Base.type must be 'fixed' where the arm is to {task.title}, got "
+            f"{arm.base.type!r}: joint angles alone do not place the tip of an arm that floats. "
+            "Take task='Reach'."
+        )
 
 
 def find_task(name: str) -> Task:

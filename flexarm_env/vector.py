@@ -65,11 +65,11 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
             "autoreset_mode": mode,
         }
         self.single_observation_space = observation_space(self.core.layout)
-        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_joint,), np.float32)
+        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_torque,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._observed = self.core.layout.observed
-        self._shape = (self.num_envs, self.core.arm.n_joint)
+        self._shape = (self.num_envs, self.core.arm.n_torque)
         self._all = np.arange(self.num_envs)
         self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
         self._seeded = False

@@ -153,7 +153,7 @@ class Rollout:
         x = np.zeros(method.start.size1_in(0))
         q, v = self._start(motion)
         x[: q.size], x[q.size : 2 * q.size] = q, v
-        if self.arm.base.n:
+        if self.arm.base.spatial:
             x[-4:] = self.arm.base.quaternion
             for six in (x[:SIZE], x[q.size : q.size + SIZE]):  # into the base's own frame
                 six[:3] = local(six[:3].tolist(), self.arm.base.quaternion)
@@ -233,20 +233,20 @@ class Rollout:
 
     def _torque(self, motion: JointMotion, times: list[float]) -> Array:
         if motion.torque is None:
-            return np.zeros((self.model.n_joint, len(times)))
+            return np.zeros((self.model.n_torque, len(times)))
         return np.array([motion.torque(t) for t in times], dtype=np.float64).T
 
     def _positions(self, states: list[Array]) -> Array:
         """(n, N) coordinates of states, or (n + 4, N) with the attitude of a free base."""
         rows, n = np.array(states), self.model.n
-        return np.hstack([rows[:, :n], rows[:, -4:]]).T if self.arm.base.n else rows[:, :n].T
+        return np.hstack([rows[:, :n], rows[:, -4:]]).T if self.arm.base.spatial else rows[:, :n].T
 
     @cached_property
     def _tip(self) -> Any:
         import casadi as ca
 
         n = self.model.n
-        x = ca.SX.sym("x", n + 4 * (self.arm.base.n > 0))
+        x = ca.SX.sym("x", n + 4 * self.arm.base.spatial)
         q, attitude = ca.vertsplit(x)[:n], ca.vertsplit(x)[n:]
         frames = outward(self.model.chain, q, [0.0] * n)
         tip = world(poses(frames)[-1].tip, attitude)
@@ -313,9 +313,9 @@ def _trace(model: Model, integrator: str) -> TracedMethod:
     keep = SCRATCH + method.kept(n)
     graph = graphs.accelerations(model.traced, method.implicit)
     x = ca.SX.sym("x", keep)  # the part of the workspace that steps keep
-    tau, h = ca.SX.sym("tau", model.n_joint), ca.SX.sym("h")
+    tau, h = ca.SX.sym("tau", model.n_torque), ca.SX.sym("h")
 
-    attitude = ca.vertsplit(ca.SX.sym("attitude", 4)) if model.arm.base.n else []
+    attitude = ca.vertsplit(ca.SX.sym("attitude", 4)) if model.arm.base.spatial else []
 
     def parameters() -> Any:
         gravity = local(model.arm.gravity, attitude) if model.traced.n_gravity else ()

@@ -77,15 +77,15 @@ class Scene:
         object.__setattr__(self, "name", validate.text(self.name, "Scene.name"))
 
     def check(self, arm: Arm) -> None:
-        """Refuse an arm with another number of joints."""
+        """Refuse an arm with another number of joints or torques."""
         for k, motion in enumerate(self.motions):
-            shapes = {"joint_angles": (len(motion.joint_angles),)}
+            shapes = {"joint_angles": ((len(motion.joint_angles),), arm.n_joint)}
             if motion.torque is not None:
-                shapes["torque"] = np.shape(motion.torque(0.0))
-            for name, shape in shapes.items():
-                if shape != (arm.n_joint,):
+                shapes["torque"] = (np.shape(motion.torque(0.0)), arm.n_torque)
+            for name, (shape, count) in shapes.items():
+                if shape != (count,):
                     raise ValueError(
-                        f"Scene.motions[{k}].{name} must have shape ({arm.n_joint},), one number "
+                        f"Scene.motions[{k}].{name} must have shape ({count},), one number "
                         f"per joint of the arm, got {shape}."
                     )
 

@@ -17,7 +17,11 @@ from dynamics.types import Matrix3, Vector3
 ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # accepted name -> stored name
 MOST_LINKS = 1000
 MOST_COORDINATES = 1000  # an arm of this size compiles in minutes
-BASE_NAMES = ("base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz")
+BASE_NAMES = {  # coordinates of a base by its type
+    "fixed": (),
+    "planar": ("base_px", "base_py", "base_rz"),
+    "free": ("base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz"),
+}
 
 SECOND_ORDER = "second-order"
 
@@ -44,11 +48,14 @@ class Payload:
 class Base:
     """Base of the first joint: fixed to the ground, or a free-flying rigid body.
 
-    The first joint's offset and rotation, and the base's centre of mass and inertia, are given in
-    the base's frame. The description of a free base includes its initial state.
+    A "planar" base floats in the x-y plane of the world and turns about z, as on an air table; a
+    "free" one moves and turns in space. The first joint's offset and rotation, and the base's
+    centre of mass and inertia, are given in the base's frame. The description of a base that moves
+    includes its initial state.
     """
 
-    type: str = "fixed"  # | "free"
+    type: str = "fixed"  # | "planar" | "free"
+    driven: bool = False  # an external torque turns a planar base: the arm's last torque
     mass: float = 0.0  # [kg]
     com: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of mass
     inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the centre of mass
@@ -58,8 +65,9 @@ class Base:
     angular_velocity_body: Vector3 = (0.0, 0.0, 0.0)  # [rad/s] in the base's frame
 
     def __post_init__(self) -> None:
-        kind = validate.choice(self.type, "Base.type", ("fixed", "free"))
+        kind = validate.choice(self.type, "Base.type", BASE_NAMES)
         values: dict[str, object] = {
+            "driven": validate.boolean(self.driven, "Base.driven"),
             "mass": validate.nonnegative(self.mass, "Base.mass", "kg"),
             "com": validate.vector(self.com, "Base.com", "m"),
             "inertia": validate.inertia(self.inertia, "Base.inertia"),
@@ -74,6 +82,15 @@ class Base:
         if kind == "free":
             validate.positive(self.mass, "Base.mass", "kg")
             validate.solid(self.inertia, "Base.inertia")
+            if self.driven:
+                raise ValueError(
+                    'Base.driven (True) needs Base.type "planar", got "free"; leave it out.'
+                )
+            return
+        if kind == "planar":
+            validate.positive(self.mass, "Base.mass", "kg")
+            validate.positive(self.inertia[2][2], "Base.inertia[2][2]", "kg m^2")
+            self._check_plane()
             return
         for entry in fields(self):
             value = getattr(self, entry.name)
@@ -83,20 +100,51 @@ class Base:
                     "leave it out."
                 )
 
+    def _check_plane(self) -> None:
+        """Refuse a start of a planar base outside the x-y plane."""
+        outside = {
+            "position": self.position[2:],
+            "quaternion": self.quaternion[1:3],
+            "velocity": self.velocity[2:],
+            "angular_velocity_body": self.angular_velocity_body[:2],
+        }
+        for name, entries in outside.items():
+            if any(entries):
+                raise ValueError(
+                    f"Base.{name} ({getattr(self, name)!r}) must lie in the x-y plane, in which a "
+                    'planar base moves; set the other entries to 0, or type to "free".'
+                )
+
     @property
     def n(self) -> int:
         """Number of coordinates: position and attitude."""
-        return len(BASE_NAMES) if self.type == "free" else 0
+        return len(self.names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(n,) names of the coordinates."""
+        return BASE_NAMES[self.type]
+
+    @property
+    def spatial(self) -> bool:
+        """True if the base turns in space, so that its attitude is a quaternion."""
+        return self.type == "free"
 
     @property
     def q(self) -> tuple[float, ...]:
         """(n,) [m], [rad] initial position and rotation vector."""
-        return (*self.position, *to_rotation_vector(self.quaternion))[: self.n]
+        return self._own((*self.position, *to_rotation_vector(self.quaternion)))
 
     @property
     def v(self) -> tuple[float, ...]:
         """(n,) [m/s], [rad/s] initial velocity in the world, angular velocity in base's frame."""
-        return (*self.velocity, *self.angular_velocity_body)[: self.n]
+        return self._own((*self.velocity, *self.angular_velocity_body))
+
+    def _own(self, six: tuple[float, ...]) -> tuple[float, ...]:
+        """The entries of six numbers, as of a free base, that are this base's coordinates."""
+        return tuple(
+            x for name, x in zip(BASE_NAMES["free"], six, strict=True) if name in self.names
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,12 +217,17 @@ class Arm:
         return len(self.links)
 
     @property
+    def n_torque(self) -> int:
+        """Number of torques: those of the joints, then that of a driven base."""
+        return self.n_joint + self.base.driven
+
+    @property
     def names(self) -> tuple[str, ...]:
-        """Coordinate names: six of a free base, then per link "q1", "d1_1", "d1_2", ..., "q2", ...
+        """Coordinate names: those of the base, then per link "q1", "d1_1", "d1_2", ..., "q2", ...
 
         In an elastic joint q is the rotor; the spring deflection follows it: "q1", "s1", "d1_1".
         """
-        names = list(BASE_NAMES[: self.base.n])
+        names = list(self.base.names)
         for i, link in enumerate(self.links, 1):
             names.append(f"q{i}")
             if link.joint.elastic:

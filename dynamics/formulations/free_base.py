@@ -12,13 +12,18 @@ accelerations, and epsilon stays far from the singularity of a rotation vector. 
 the six coordinates are the position in the world and the rotation vector from the world; their
 rates are the velocity in the world and the angular velocity in the base's own frame.
 
-`attitude` is the unit quaternion (4,) of the reference frame; an empty attitude means a fixed base,
-for which all conversions return their input.
+`attitude` is the unit quaternion (4,) of the reference frame; an empty attitude means a base that
+does not turn in space, for which all conversions return their input.
+
+A planar base is simpler. The first body has two "modes", unit displacements along x and y of the
+world, and the second a joint about z. Its three coordinates have rates that are derivatives.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from dynamics.description import validate
 from dynamics.description.arm import Base
@@ -29,24 +34,30 @@ from dynamics.formulations.algebra import (
     Vector,
     add,
     combine,
+    cos,
     cross,
     dot,
     matmul,
     matvec,
+    minus,
     mscale,
     msub,
     mul,
+    plus,
     scale,
+    sin,
     skew,
     sqrt,
     sub,
     tmatvec,
 )
+from dynamics.formulations.gibbs_appell import mass_matrix
 from dynamics.formulations.kinematics import Chain, outward, poses, series, tip_rotation
 from dynamics.formulations.link_constants import LinkConstants
 from dynamics.types import Vector3
 
 SIZE = 6  # coordinates of a free base
+NODES = 6  # of the quadrature in `carried`: error below 1e-9 rad for moves of a radian
 Scalars = Sequence[Scalar]
 
 _O: Vector3 = (0.0, 0.0, 0.0)
@@ -57,13 +68,22 @@ _BODY = LinkConstants(
     tip_mass=0.0, tip_inertia=validate.ZEROS, rotation=validate.IDENTITY, offset=_O,
     rotor_inertia=0.0, viscous=0.0, coulomb=0.0, coulomb_speed=1.0,
 )  # fmt: skip
-_NONE = (0.0,) * SIZE
-_MOTION = replace(
-    _BODY, epsilon=(_O,) * SIZE, s=(_NONE,) * SIZE, c_jk=((_O,) * SIZE,) * SIZE, c=(_O,) * SIZE,
-    C=(validate.ZEROS,) * SIZE, D=((validate.ZEROS,) * SIZE,) * SIZE,
-    tip_phi=(*validate.IDENTITY, _O, _O, _O), tip_theta=(_O, _O, _O, *validate.IDENTITY),
-    root_slope=_NONE, K=(_NONE,) * SIZE, damping=(_NONE,) * SIZE,
-)  # fmt: skip
+
+
+def _motion(tip_phi: tuple[Vector3, ...], tip_theta: tuple[Vector3, ...]) -> LinkConstants:
+    """The body in front of the base, whose modes displace and turn its tip."""
+    size = len(tip_phi)
+    none = (0.0,) * size
+    return replace(
+        _BODY, epsilon=(_O,) * size, s=(none,) * size, c_jk=((_O,) * size,) * size,
+        c=(_O,) * size, C=(validate.ZEROS,) * size, D=((validate.ZEROS,) * size,) * size,
+        tip_phi=tip_phi, tip_theta=tip_theta, root_slope=none, K=(none,) * size,
+        damping=(none,) * size,
+    )  # fmt: skip
+
+
+_MOTION = _motion((*validate.IDENTITY, _O, _O, _O), (_O, _O, _O, *validate.IDENTITY))
+_IN_PLANE = _motion(validate.IDENTITY[:2], (_O, _O))
 
 
 def bodies(base: Base) -> tuple[LinkConstants, ...]:
@@ -73,7 +93,10 @@ def bodies(base: Base) -> tuple[LinkConstants, ...]:
     com = skew(base.com)
     moment: Any = scale(base.mass, base.com)
     about_origin: Any = msub(base.inertia, mscale(base.mass, matmul(com, com)))
-    return _MOTION, replace(_BODY, mass=base.mass, first_moment=moment, C0=about_origin)
+    body = replace(_BODY, mass=base.mass, first_moment=moment, C0=about_origin)
+    if base.spatial:
+        return _MOTION, body
+    return _IN_PLANE, replace(body, welded=False, driven=base.driven)
 
 
 def turned(chain: Chain, attitude: Scalars) -> Chain:
@@ -148,6 +171,45 @@ def own_accelerations(six: Scalars, rates: Scalars, accelerations: Scalars) -> l
     E, turning, bias = tip_rotation(_MOTION, six, rates, "exp")
     omega_dot = add(combine(accelerations, turning), bias)
     return [*accelerations[:3], *tmatvec(E, omega_dot)]
+
+
+def carried(
+    chain: Chain, joints: Sequence[int], q: Scalars, target: Scalars
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Position [m] and angle [rad] of a planar base after the joints moved at zero momentum.
+
+    Links are rigid, and the joints go from q to `target` (n_joint,) on a straight line. From
+    M_bb v_b + M_bj v_j = 0 the base's angular rate depends on the joints alone, so that Gauss and
+    Legendre's quadrature gives the angle; the centre of mass rests. `joints` are the indices of the
+    joints in q (n,).
+    """
+    moves = [minus(x, q[i]) for x, i in zip(target, joints, strict=True)]
+
+    def at(share: float) -> tuple[Scalars, Scalar]:
+        """Centre of mass (2,) [m] in the base's frame, and the base's angle per unit of share."""
+        x: list[Scalar] = [0.0] * len(q)
+        for i, move in zip(joints, moves, strict=True):
+            x[i] = plus(q[i], mul(share, move))
+        M = mass_matrix(chain, x)
+        heavy = 1.0 / M[0][0]
+        centre = (mul(M[1][2], heavy), minus(0.0, mul(M[0][2], heavy)))
+        across = [plus(mul(centre[0], M[1][i]), mul(-1.0, mul(centre[1], M[0][i]))) for i in joints]
+        moving = dot([minus(M[2][i], y) for i, y in zip(joints, across, strict=True)], moves)
+        inertia = minus(M[2][2], mul(M[0][0], dot(centre, centre)))
+        return centre, minus(0.0, mul(moving, 1.0 / inertia))
+
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    angle: Scalar = q[2]
+    for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
+        angle = plus(angle, mul(0.5 * weight, at(0.5 + 0.5 * node)[1]))
+
+    def turned_by(angle: Scalar, x: Scalars) -> tuple[Scalar, Scalar]:
+        c, s = cos(angle), sin(angle)
+        return minus(mul(c, x[0]), mul(s, x[1])), plus(mul(s, x[0]), mul(c, x[1]))
+
+    before, after = turned_by(q[2], at(0.0)[0]), turned_by(angle, at(1.0)[0])
+    px, py = (plus(q[k], minus(before[k], after[k])) for k in range(2))
+    return px, py, angle
 
 
 def momentum(chain: Chain, q: Scalars, v: Scalars) -> tuple[Vector, Vector]:

@@ -148,8 +148,8 @@ def _state(entry: object, name: str, arm: Arm, own: bool) -> State:
         entry = {key: entry[key] for key in keys if key in entry}
     values = _required(entry, name, ("q", "qd"), keys)
     q, qd = _coordinates(values, name, arm)
-    tau = values.get("tau", [0.0] * arm.n_joint)
-    return State(q=q, qd=qd, tau=validate.numbers(tau, f"{name}.tau", arm.n_joint, "N m"))
+    tau = values.get("tau", [0.0] * arm.n_torque)
+    return State(q=q, qd=qd, tau=validate.numbers(tau, f"{name}.tau", arm.n_torque, "N m"))
 
 
 def _motion(data: Mapping[str, object], arm: Arm) -> Motion | None:
@@ -173,9 +173,9 @@ def _motion(data: Mapping[str, object], arm: Arm) -> Motion | None:
 
 def _torque(data: object, arm: Arm) -> Torque:
     entries = validate.sequence(data, "torque")
-    if len(entries) != arm.n_joint:
+    if len(entries) != arm.n_torque:
         raise ValueError(
-            f"torque must have one entry per joint ({arm.n_joint}, null for none), "
+            f"torque must have one entry per joint and driven base ({arm.n_torque}, null for none), "
             f"got {len(entries)}."
         )
     return Torque(signals=tuple(_signal(e, f"torque[{k}]") for k, e in enumerate(entries)))
@@ -212,13 +212,14 @@ def _signal(data: object, name: str) -> PiecewiseConstant | Sine | None:
 
 
 def _state_keys(arm: Arm) -> tuple[str, ...]:
-    return ("q", "qd", "base_quaternion") if arm.base.n else ("q", "qd")
+    return ("q", "qd", "base_quaternion") if arm.base.spatial else ("q", "qd")
 
 
 def _coordinates(values: Mapping[str, object], name: str, arm: Arm) -> tuple[Numbers, Numbers]:
-    q = _completed(values["q"], arm.base.position + (0.0,) * 3, f"{name}.q", arm)
+    unturned = arm.base.position + (0.0,) * 3 if arm.base.spatial else arm.base.q
+    q = _completed(values["q"], unturned, f"{name}.q", arm)
     qd = _completed(values["qd"], arm.base.v, f"{name}.qd", arm)
-    if not arm.base.n:
+    if not arm.base.spatial:
         return q, qd
     attitude = arm.base.quaternion
     if "base_quaternion" in values:

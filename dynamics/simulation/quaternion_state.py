@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from dynamics.description.arm import Base
 from dynamics.description.rotations import from_rotation_vector, product, to_rotation_vector
 from dynamics.types import Array
 
@@ -22,6 +23,14 @@ def with_rotation_vector(x: Array) -> Array:
     """(n,) inverse of `with_quaternion`, for a quaternion of any length."""
     unit = x[3:7] / np.linalg.norm(x[3:7])
     return np.concatenate([x[:3], to_rotation_vector(unit.tolist()), x[7:]])
+
+
+def in_space(q: Array, base: Base) -> Array:
+    """(N, 6 or more) coordinates that begin with position and rotation vector of the base."""
+    if base.type == "planar":  # x, y, angle
+        none = np.zeros((len(q), 3))
+        return np.hstack([q[:, :2], none, q[:, 2:]])
+    return q
 
 
 def rates(x: Array, v: Array) -> Array:

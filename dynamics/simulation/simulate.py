@@ -50,9 +50,9 @@ def simulate(
     Parameters
     ----------
     model : the compiled arm.
-    q, v : (n,) initial state. The six coordinates of a free base may be left out; it then starts
+    q, v : (n,) initial state. The coordinates of a free base may be left out; it then starts
         in the state that `Base` describes.
-    torque : (n_joint,) [N m] constant torques, a function of time, or None. A function may list
+    torque : (n_torque,) [N m] constant torques, a function of time, or None. A function may list
         the times of its jumps in an attribute `breakpoints`.
     times : (N,) [s] increasing output times.
     integrator : one of SciPy's methods with error control, "dop853" (explicit), "radau" or "bdf"
@@ -100,8 +100,9 @@ def simulate(
     positions = states[:, : model.n]
     measured = np.empty((grid.size, model.n_measure))
     Stepper(model, 1, dt=1.0, substeps=1).measure(positions.copy(), rates.copy(), measured)
-    place = positions[:, :3].copy() if base.n else None
-    attitude = quaternion_state.quaternions(positions, base.quaternion) if base.n else None
+    poses = quaternion_state.in_space(positions, base)
+    place = poses[:, :3].copy() if base.n else None
+    attitude = quaternion_state.quaternions(poses, base.quaternion) if base.n else None
     tip = measured[:, model.measurements["tip"]].copy()
     trajectory = Trajectory(grid, positions, rates, tip, place, attitude, integrator)
     for sentence in limits(model, trajectory):
@@ -121,8 +122,8 @@ def _signal(
 ) -> tuple[Signal | Array, list[float]]:
     """Torque as a function or a constant, and the times [s] of its jumps."""
     if torque is None:
-        return np.zeros(model.n_joint), []
-    numbers = partial(validate.array, shape=(model.n_joint,))
+        return np.zeros(model.n_torque), []
+    numbers = partial(validate.array, shape=(model.n_torque,))
     if not callable(torque):
         return numbers(torque, "torque"), []
 
@@ -151,7 +152,7 @@ class _ErrorControlled:
         rtol: float,
     ) -> None:
         self.model, self.signal, self.times, self.rtol = model, signal, times, rtol
-        q = quaternion_state.with_quaternion(start[0]) if model.arm.base.n else start[0]
+        q = quaternion_state.with_quaternion(start[0]) if model.arm.base.spatial else start[0]
         self.start = np.concatenate([q, start[1]])
         between = sorted(t for t in jumps if times[0] < t < times[-1])
         self.knots = [float(times[0]), *between, float(times[-1])]
@@ -167,7 +168,7 @@ class _ErrorControlled:
     def solver(self, name: str, x: Array, begin: float, end: float) -> OdeSolver:
         """SciPy's solver from state x at `begin` to the next jump at `end`."""
         n, parameters = self.model.n, self.model.nominal_parameters[None]
-        free = self.model.arm.base.n > 0
+        free = self.model.arm.base.spatial
 
         def derivative(t: float, x: Array) -> Array:
             tau = self._torque(t, begin, end)[None]
@@ -188,7 +189,7 @@ class _ErrorControlled:
     def solve(self, name: str) -> Array:
         """(N, 2 n) states at the output times, from the solver's dense output."""
         rows, n = self._rows(name), self.model.n
-        if not self.model.arm.base.n:
+        if not self.model.arm.base.spatial:
             return rows
         positions = [quaternion_state.with_rotation_vector(x) for x in rows[:, :-n]]
         return np.hstack([positions, rows[:, -n:]])

@@ -39,7 +39,7 @@ class Stepper:
     Attributes
     ----------
     q, v : (n_env, n) coordinates and their rates; [rad], [m].
-    torque : (n_env, n_joint) [N m].
+    torque : (n_env, n_torque) [N m].
     parameters : (n_env, n_parameter) the model's free parameters, nominal at first.
     status : (n_env,) 0, or the substep at which the environment became non-finite. Such an
         environment keeps its state and measurements of before the call.
@@ -64,7 +64,7 @@ class Stepper:
         threads = validate.integer(threads, "threads", 1, MOST_THREADS)
         self.model, self.integrator = model, integrator
         self._q, self._v = np.zeros((self.n_env, model.n)), np.zeros((self.n_env, model.n))
-        self._torque = np.zeros((self.n_env, model.n_joint))
+        self._torque = np.zeros((self.n_env, model.n_torque))
         self._parameters = np.tile(model.nominal_parameters, (self.n_env, 1))
         self._status = np.zeros(self.n_env, dtype=np.int64)
         self._measured = np.zeros((self.n_env, model.n_measure))

@@ -17,6 +17,7 @@ from dynamics.formulations.algebra import Scalar, add, combine, matvec
 from dynamics.formulations.articulated_body import Implicit
 from dynamics.formulations.free_base import (
     SIZE,
+    carried,
     local,
     matrix_in_world,
     momentum,
@@ -48,8 +49,9 @@ def _state(traced: TracedArm) -> _State:
 
     inputs = [ca.SX.sym("q", traced.n), ca.SX.sym("v", traced.n)]
     q, v = (ca.vertsplit(x) for x in inputs)
-    inputs += [ca.SX.sym("attitude", 4)] if traced.arm.base.n else []
-    attitude = ca.vertsplit(inputs[2]) if traced.arm.base.n else []
+    spatial = traced.arm.base.spatial
+    inputs += [ca.SX.sym("attitude", 4)] if spatial else []
+    attitude = ca.vertsplit(inputs[2]) if spatial else []
     return _State(inputs, attitude, turned(traced.chain, attitude), unturned(q, attitude), v)
 
 
@@ -110,6 +112,26 @@ def measure(traced: TracedArm) -> Any:
     return ca.Function("measure", s.inputs, [ca.cse(ca.vertcat(*values))])
 
 
+def planar_momentum(traced: TracedArm, q: Any, v: Any, parameters: Any) -> Any:
+    """(3,) momentum [N s] along x and y, and about the world's origin along z [N m s]."""
+    import casadi as ca
+
+    chain = with_parameters(traced, parameters)
+    linear, angular = momentum(chain, ca.vertsplit(q), ca.vertsplit(v))
+    return ca.vertcat(linear[0], linear[1], angular[2])
+
+
+def carried_base(traced: TracedArm) -> Any:
+    """CasADi Function (q, target, parameters) -> pose of a planar base, see `carried`."""
+    import casadi as ca
+
+    sizes = {"q": traced.n, "target": traced.n_joint, "p": len(traced.free_parameters)}
+    symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
+    q, target = (ca.vertsplit(x) for x in symbols[:2])
+    pose = carried(with_parameters(traced, symbols[2]), traced.arm.joint_index, q, target)
+    return ca.Function("place", symbols, [ca.cse(ca.vertcat(*pose))])
+
+
 def jacobians(traced: TracedArm) -> Any:
     """CasADi Function (q, v, attitude, tau) -> derivatives of the accelerations by q, v and tau.
 
@@ -120,11 +142,12 @@ def jacobians(traced: TracedArm) -> Any:
 
     s = _state(traced)
     q, v = s.inputs[:2]
-    tau = ca.SX.sym("tau", traced.n_joint)
+    tau = ca.SX.sym("tau", traced.n_torque)
     x, rates = ca.vertsplit(q), list(s.rates)
     if s.attitude:
         rates[:SIZE] = own_rates(x[:SIZE], rates[:SIZE])
-    a = traced.formed.accelerations(s.chain, x, rates, ca.vertsplit(tau))
+    torques = traced.along_chain(ca.vertsplit(tau))
+    a = traced.formed.accelerations(s.chain, x, rates, torques)
     if s.attitude:
         a[:SIZE] = own_accelerations(x[:SIZE], rates[:SIZE], a[:SIZE])
     result = ca.vertcat(*a)
@@ -159,13 +182,14 @@ def _accelerations(traced: TracedArm, implicit: bool) -> Any:
     import casadi as ca
 
     parameters = len(traced.free_parameters) + traced.n_gravity
-    sizes = {"q": traced.n, "v": traced.n, "tau": traced.n_joint, "p": parameters,
+    sizes = {"q": traced.n, "v": traced.n, "tau": traced.n_torque, "p": parameters,
              "implicit": 3 * traced.n if implicit else 0}  # fmt: skip
     symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
     q, v, tau, _, x = (ca.vertsplit(symbol) for symbol in symbols)
     n = traced.n
     weights = Implicit(x[:n], x[n : 2 * n], x[2 * n :]) if implicit else None
-    a = traced.formed.accelerations(_with_parameters(traced, symbols[3]), q, v, tau, weights)
+    chain = with_parameters(traced, symbols[3])
+    a = traced.formed.accelerations(chain, q, v, traced.along_chain(tau), weights)
     return ca.Function("accelerations", symbols, [ca.cse(ca.vertcat(*a))])
 
 
@@ -180,7 +204,8 @@ def check_rest(traced: TracedArm) -> None:
         )
 
 
-def _with_parameters(traced: TracedArm, p: Any) -> Chain:
+def with_parameters(traced: TracedArm, p: Any) -> Chain:
+    """The chain with the values p of its free parameters, and of gravity where that turns."""
     links = list(traced.chain.links)
     for k, name in enumerate(traced.free_parameters):
         links = FREE_PARAMETERS[name].apply(links, p[k])

@@ -1,9 +1,10 @@
 """An arm prepared for tracing: its chain of bodies, and the parameters that stay inputs."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,15 @@ class TracedArm:
         """Number of joints."""
         return self.arm.n_joint
 
+    @property
+    def n_torque(self) -> int:
+        """Number of torques."""
+        return self.arm.n_torque
+
+    def along_chain(self, tau: Sequence[Any]) -> list[Any]:
+        """(n_torque,) torques in the order of the chain: that of a driven base comes first."""
+        return [*tau[self.n_joint :], *tau[: self.n_joint]]
+
     @cached_property
     def formed(self) -> Formulation:
         """The formulation; refuses an arm with features that it does not support."""
@@ -54,7 +64,7 @@ class TracedArm:
         """All bodies from the base to the tip, with gravity."""
         base = free_base.bodies(self.arm.base)
         bodies = (*base, *(body for link in self._links for body in link))
-        return Chain(bodies, self.arm.gravity, self.arm.rotation, bool(base))
+        return Chain(bodies, self.arm.gravity, self.arm.rotation, self.arm.base.spatial)
 
     @cached_property
     def bodies(self) -> tuple[slice, ...]:
@@ -69,7 +79,7 @@ class TracedArm:
     @property
     def n_gravity(self) -> int:
         """Number of gravity inputs: three with gravity on a free base, whose frame turns."""
-        return 3 if self.arm.base.n and any(self.arm.gravity) else 0
+        return 3 if self.arm.base.spatial and any(self.arm.gravity) else 0
 
     @cached_property
     def nominal_parameters(self) -> NDArray[np.float64]:

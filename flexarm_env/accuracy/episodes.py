@@ -62,7 +62,7 @@ def keeps_tip(control_dt: float, arm: Arm, integrator: str, dt: float) -> bool:
 def _starts(arm: Arm, found: Scales, rng: Any) -> tuple[Array, Array]:
     """(2 EPISODES, n) coordinates and rates: half at rest, half with vibrating links."""
     joints = list(arm.joint_index)
-    modal = [i for i in range(arm.n) if i not in joints]
+    modal = [i for i in range(arm.base.n, arm.n) if i not in joints]
     q, v = np.zeros((2, 2 * EPISODES, arm.n))
     low, high = TASKS["Damp"].start
     q[:, joints] = found.home + rng.uniform(low, high, (2 * EPISODES, arm.n_joint))

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from dynamics.types import AnyArray
 from flexarm_env.compiled.rows import Rows
-from flexarm_env.compiled.signals import NUMBERS
 from flexarm_env.compiled.termination import FLAGS
 from flexarm_env.rewards import TERMS
 
-WIDE = ("root_curvature", "torque", "command")  # vector-valued info entries, where present
+# vector-valued info entries, where present
+WIDE = ("root_curvature", "torque", "command", "linear_momentum")
 SETTLED = 2  # first row of the flags that info holds
 SPARE = 3  # sets of arrays in rotation: the caller's, the one being filled, and a spare one
 
@@ -78,7 +78,9 @@ class BatchOutputs(Outputs):
         named = {name: names.slices[name] for name in WIDE if name in names.slices}
         terms = names.slices["reward_terms"]
         self._terms = dict(zip(TERMS, values[terms], strict=True))
-        self._named: dict[str, Any] = dict(zip(NUMBERS, values[1 : terms.start], strict=True))
+        self._named: dict[str, Any] = dict(
+            zip(scalars(names), values[1 : terms.start], strict=True)
+        )
         self._named |= {name: self.info[at, :n_env].T for name, at in named.items()}
         self._named |= dict(zip(FLAGS[SETTLED:], marks[SETTLED:], strict=True))
         present = np.ones(n_env, np.bool_)
@@ -110,12 +112,18 @@ def _describer(names: Rows, wide: Mapping[str, AnyArray]) -> Callable[..., dict[
         return ", ".join(f"{name!r}: {listed}[{k}]" for k, name in enumerate(names, first))
 
     text = ", ".join([
-        entries(NUMBERS, "values", names.slices[NUMBERS[0]].start),
+        entries(scalars(names), "values", 1),
         *(f"{name!r}: {name}.copy()" for name in wide),
         entries(FLAGS[SETTLED:], "marks", SETTLED),
         f"'reward_terms': {{{entries(TERMS, 'values', names.slices['reward_terms'].start)}}}",
     ])  # fmt: skip
     return eval(f"lambda values, marks: {{{text}}}", dict(wide))
+
+
+def scalars(names: Rows) -> list[str]:
+    """Info entries of one number each: those between the reward and its terms."""
+    listed = list(names.sizes)
+    return listed[1 : listed.index("reward_terms")]
 
 
 def masks(names: Iterable[str], present: NDArray[np.bool_]) -> dict[str, NDArray[np.bool_]]:

@@ -20,7 +20,7 @@ from flexarm_env.compiled.actuation import DRIVEN, Actuation
 from flexarm_env.compiled.episode import WAVES
 from flexarm_env.compiled.rows import Rows
 from flexarm_env.compiled.sensing import NOISY, Sensing
-from flexarm_env.compiled.step_entry import ENTRIES, EXACT, IDEAL
+from flexarm_env.compiled.step_entry import ENTRIES, EXACT, FLOATING, IDEAL
 from flexarm_env.compiled.termination import FLAGS, flags, lost
 from flexarm_env.observations import Layout, curvature_columns
 from flexarm_env.rewards import TERMS, Measured
@@ -56,27 +56,30 @@ class Signals:
         actuation: Actuation | None = None,
         sensing: Sensing | None = None,
     ) -> None:
-        n, m = model.n, model.n_joint
+        n, m, u = model.n, model.n_joint, model.n_torque
         self.model, self.moving, self.layout, self.actuation = model, moving, layout, actuation
         self.sensing = sensing
         self.gauges = curvature_columns(model.arm)
         waves = WAVES * m * moving
         self.memory = {
-            "action": m, "elapsed": 1, "target": m,
+            "action": u, "elapsed": 1, "target": m,
             "actuator": actuation.states if actuation else 0,
             **(sensing.memory if sensing else {"angles": 0}),
             "centre": m, "amplitude": waves, "frequency": waves, "phase": waves,
+            "anchor": model.arm.base.n,
         }  # fmt: skip
         self.drawn = sensing.drawn if sensing else {}
         free = len(model.free_parameters)
         self.state = Rows({"q": n, "v": n, **self.memory, "free": free, **self.drawn})
+        numbers = (*NUMBERS, "angular_momentum") if model.arm.base.n else NUMBERS
         self.info = Rows({
-            "reward": 1, **dict.fromkeys(NUMBERS, 1), "reward_terms": len(TERMS),
-            "root_curvature": len(self.gauges), "torque": m,
+            "reward": 1, **dict.fromkeys(numbers, 1), "reward_terms": len(TERMS),
+            "root_curvature": len(self.gauges), "torque": u,
             **({"command": m} if actuation else {}),
+            **({"linear_momentum": 2} if model.arm.base.n else {}),
         })  # fmt: skip
         self.constants = Rows({
-            "torque_limit": m, "control_dt": 1, "max_steps": 1, "deflection_limit": 1,
+            "torque_limit": u, "control_dt": 1, "max_steps": 1, "deflection_limit": 1,
             "slope_limit": 1, "rate_limit": 1, "per_rate": 1, "move_time": 1,
             "weights": len(TERMS), "factors": layout.size,
             **({"command_limit": m, "actuators": actuation.n_constant} if actuation else {}),
@@ -86,36 +89,38 @@ class Signals:
     @property
     def addition(self) -> Addition:
         """Functions and entry point that the generated module has besides the accelerations."""
-        m = self.model.n_joint
+        m, u = self.model.n_joint, self.model.n_torque
         sizes = {name.upper(): size for name, size in self.memory.items()}
-        sizes |= {"GIVEN": m, "BEFORE": m, "LOST": 1, "CONSTANTS": self.constants.total}
+        sizes |= {"GIVEN": u, "BEFORE": u, "LOST": 1, "CONSTANTS": self.constants.total}
         sizes |= {"DRAWN": sum(self.drawn.values()), "NOISE": self.noise}
         sizes |= {"TARGET_NOW": m, "READINGS_NOW": self.readings}
         sizes |= {"FLAGS": len(FLAGS), "INFO": self.info.total}
         sizes |= {"OBSERVATION": self.layout.size, "RATE_BEFORE": m if self.actuation else 0}
         counts = {
-            "N_STATE": 2 * self.model.n, "N_JOINT": m, "N_MEMORY": sum(self.memory.values()),
+            "N_STATE": 2 * self.model.n, "N_JOINT": m, "N_ACTION": u, "N_MEMORY": sum(self.memory.values()),
             "N_FREE": len(self.model.free_parameters), "N_FLAG": len(FLAGS),
             "N_INFO": self.info.total, "N_OBSERVATION": self.layout.size,
             "N_ACTUATOR": self.memory["actuator"], "N_READING": self.readings,
-            "N_KEPT": 2 * m + 1 + self.memory["actuator"] + self.readings,
+            "N_KEPT": u + 1 + m + self.memory["actuator"] + self.readings,
             "N_DRAWN": sum(self.drawn.values()), "N_NOISE": self.noise,
             "FIRST_TARGET": self.state.slices["target"].start,
             "FIRST_ACTUATOR": self.state.slices["actuator"].start,
             "FIRST_READING": self.state.slices["actuator"].stop,
         }  # fmt: skip
+        if self.model.arm.base.n:
+            counts |= {"N_ANCHOR": 3, "FIRST_ANCHOR": self.state.slices["anchor"].start}
         lines = [f"{name} = np.uint64({count})" for name, count in counts.items()]
         parts = [(part.name, part.entries, part.bound) for part in self.layout.parts]
 
         def functions(at: Mapping[str, int]) -> list[Function]:
             inputs = [at[x] for x in ("Q", "V", "ACTION", "BEFORE", "LOST", "CONSTANTS")]
-            inputs += [at["DRAWN"], at["NOISE"]]
+            inputs += [at["DRAWN"], at["NOISE"], at["PARAMETERS"]]
             state = [at[name] + k for name in ("Q", "V") for k in range(self.model.n)]
             rows = [self.info.slices[name].start for name in ("reward", *NUMBERS)]
             numbers = [at["INFO"] + row for row in rows]
             check = lost(state, numbers, at["LOST"], self.model.dtype)
             report = traced("report", self.graph, inputs, at["TARGET_NOW"])
-            return [self._command(at), check, report, *self._driving(at)]
+            return [self._command(at), check, report, *self._driving(at), *self._placing(at)]
 
         actuation, sensing = (x and x.key for x in (self.actuation, self.sensing))
         return Addition(
@@ -123,7 +128,11 @@ class Signals:
             sizes=sizes,
             functions=functions,
             entries="\n".join([*lines, ENTRIES]),
-            marks=(DRIVEN if self.actuation else IDEAL) | (NOISY if self.sensing else EXACT),
+            marks=(
+                (DRIVEN if self.actuation else IDEAL)
+                | (NOISY if self.sensing else EXACT)
+                | (FLOATING if self.model.arm.base.n else dict.fromkeys(FLOATING, []))
+            ),
         )
 
     @property
@@ -144,12 +153,19 @@ class Signals:
             at, at["CONSTANTS"] + self.constants.slices["actuators"].start
         )
 
+    def _placing(self, at: Mapping[str, int]) -> list[Function]:
+        """`place(w)` of an arm on a floating base: the base's pose with the tip on the target."""
+        if not self.model.arm.base.n:
+            return []
+        inputs = [at[name] for name in ("Q", "CENTRE", "PARAMETERS")]
+        return [traced("place", graphs.carried_base(self.model.traced), inputs, at["ANCHOR"])]
+
     def _command(self, at: Mapping[str, int]) -> Function:
         """`command(w)`: clip the given actions, set the torques, count the step."""
         import casadi as ca
 
-        m, limit = self.model.n_joint, self.constants.slices["torque_limit"].start
-        given, before, torque_limit = (ca.SX.sym(x, m) for x in ("given", "before", "torque_limit"))
+        u, limit = self.model.n_torque, self.constants.slices["torque_limit"].start
+        given, before, torque_limit = (ca.SX.sym(x, u) for x in ("given", "before", "torque_limit"))
         elapsed = ca.SX.sym("elapsed")
         action = ca.fmin(ca.fmax(given, -1.0), 1.0)
         outputs = {
@@ -167,14 +183,15 @@ class Signals:
     def graph(self) -> Any:
         """CasADi Function of the state and the constants: all that a step reports.
 
-        (q, v, memory, before, lost, constants, drawn, noise) -> target, readings, flags, info, obs.
+        (q, v, memory, before, lost, constants, drawn, noise, parameters) -> target, readings, flags, info, obs.
         """
         import casadi as ca
 
         model, total = self.model, sum(self.memory.values())
-        sizes = {"q": model.n, "v": model.n, "memory": total, "before": model.n_joint, "lost": 1,
+        sizes = {"q": model.n, "v": model.n, "memory": total, "before": model.n_torque, "lost": 1,
                  "constants": self.constants.total, "drawn": sum(self.drawn.values()),
-                 "noise": self.noise}  # fmt: skip
+                 "noise": self.noise,
+                 "parameters": len(model.free_parameters) if model.arm.base.n else 0}  # fmt: skip
         symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
         s = dict(symbols)
         s |= {k: symbols["memory"][rows] for k, rows in Rows(self.memory).slices.items()}
@@ -211,11 +228,13 @@ class Signals:
         values = graphs.measure(self.model.traced)(q, v)
         return {name: values[rows] for name, rows in self.model.measurements.items()}
 
-    def _straight(self, joints: Any) -> Any:
-        """Coordinates of the straight-link arm."""
+    def _straight(self, joints: Any, base: Any = None) -> Any:
+        """Coordinates of the straight-link arm; those of the base are zero if not given."""
         import casadi as ca
 
         x = ca.SX(self.model.n, 1)
+        if base is not None:
+            x[: base.numel()] = base
         for k, i in enumerate(self.model.arm.joint_index):
             x[i] = joints[k]
         return x
@@ -225,7 +244,8 @@ class Signals:
         import casadi as ca
 
         arm, here = self.model.arm, self._measured(s["q"], s["v"])
-        goal = self._measured(self._straight(s["target"]), self._straight(s["target_rate"]))
+        on_target = self._straight(s["target"], s["anchor"])
+        goal = self._measured(on_target, self._straight(s["target_rate"]))
         gap = goal["tip"] - here["tip"]
         error, speed = _length(gap), _length(goal["tip_velocity"] - here["tip_velocity"])
         bent = _length(here["tip"] - here["rigid_tip"])
@@ -240,8 +260,8 @@ class Signals:
             speed=speed * s["per_rate"] / arm.reach,
             vibration=bent / (0.1 * arm.reach),
             rate=ca.sumsqr(rates) / arm.n_joint,
-            effort=ca.sumsqr(s["action"]) / arm.n_joint,
-            change=ca.sumsqr(s["action"] - s["before"]) / arm.n_joint,
+            effort=ca.sumsqr(s["action"]) / arm.n_torque,
+            change=ca.sumsqr(s["action"] - s["before"]) / arm.n_torque,
             failed=ends["terminated"],
         )
         terms = ca.vertcat(*(term(measured) for term in TERMS.values()))
@@ -250,15 +270,27 @@ class Signals:
             "tip_error": error, "tip_speed": speed, "deflection": deflection,
             "tip_deflection": bent,
             "reward_terms": terms, "root_curvature": here["curvature"][list(self.gauges)],
-            **self._torques(s), "gap": gap, "curvature": here["curvature"],
+            **self._torques(s), **self._momentum(s), "gap": gap, "curvature": here["curvature"],
             "tip": here["tip"], "goal": goal["tip"],
         }  # fmt: skip
 
     def _torques(self, s: Symbols) -> dict[str, Any]:
-        """Joint torques [N m], and the command if there are actuators."""
+        """Torques [N m] of the joints and a driven base, and the actuators' command, if any."""
+        import casadi as ca
+
+        ideal = s["action"] * s["torque_limit"]
         if self.actuation is None:
-            return {"torque": s["action"] * s["torque_limit"]}
-        return {"torque": self.actuation.torque(s), "command": s["action"] * s["command_limit"]}
+            return {"torque": ideal}
+        m = self.model.n_joint
+        torque = ca.vertcat(self.actuation.torque(s), ideal[m:])
+        return {"torque": torque, "command": s["action"][:m] * s["command_limit"]}
+
+    def _momentum(self, s: Symbols) -> dict[str, Any]:
+        """Momentum of an arm on a floating base."""
+        if not self.model.arm.base.n:
+            return {}
+        p = graphs.planar_momentum(self.model.traced, s["q"], s["v"], s["parameters"])
+        return {"linear_momentum": p[:2], "angular_momentum": p[2]}
 
     def _sensed(self, s: Symbols, values: Symbols) -> tuple[Symbols, Any]:
         """Joint angles, joint rates and curvatures as sensors give them, and readings to keep."""
@@ -291,7 +323,7 @@ class Signals:
             "joint_rate": measured["rate"],
             "modal_amplitude": s["q"],
             "modal_rate": s["v"],
-            "tip_error": self._in_first_link(values["gap"], joints[0]),
+            "tip_error": self._in_first_link(self._in_base(s, values["gap"]), joints[0]),
             "root_curvature": measured["curvature"],
             "last_action": s["action"],
             "achieved_goal": values["tip"],
@@ -299,13 +331,26 @@ class Signals:
             "joint_torque": values["torque"],
             "target_rate": s["target_rate"],
         }
+        if self.model.arm.base.n:
+            signals["base_position"], signals["base_velocity"] = s["q"][:2], s["v"][:2]
+            signals["base_sin"], signals["base_cos"] = ca.sin(s["q"][2]), ca.cos(s["q"][2])
+            signals["base_rate"] = s["v"][2]
         for name, share in (("target_near", 0.5), ("target_far", 1.0)):
             ahead, _ = self._reference(s, s["time"] + share * s["move_time"])
             signals[name] = ahead - s["target"]
         return signals
 
+    def _in_base(self, s: Symbols, vector: Any) -> Any:
+        """Components of a world vector along the axes of the base."""
+        import casadi as ca
+
+        if not self.model.arm.base.n:
+            return vector
+        (x, y, z), c, d = ca.vertsplit(vector), ca.cos(s["q"][2]), ca.sin(s["q"][2])
+        return ca.vertcat(c * x + d * y, c * y - d * x, z)
+
     def _in_first_link(self, vector: Any, angle: Any) -> Any:
-        """Components of a world vector along the axes of the undeformed first link."""
+        """Components of a vector in the base along the axes of the undeformed first link."""
         import casadi as ca
 
         x, y, z = ca.vertsplit(ca.mtimes(ca.DM(self.model.arm.links[0].joint.rotation).T, vector))

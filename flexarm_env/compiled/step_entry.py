@@ -4,7 +4,7 @@ The template is text because it becomes part of a generated module, whose functi
 arm's `accelerations(w)`, the task's `command(w)`, `check(w)` and `report(w)`, and the parts of the
 integrator. Lines that begin with # are marks and are replaced: #steps, #start and #step by the
 integrator, #advance by `IDEAL` or `actuation.DRIVEN`, #sensors and #noise by `EXACT` or
-`sensing.NOISY`. `python -m dynamics source ARM --env ID`
+`sensing.NOISY`, #parameters, #place and #placed by `FLOATING` or nothing. `python -m dynamics source ARM --env ID`
 prints the module.
 
 `control_step` is the only entry point because `report` takes long to compile. It steps the
@@ -35,9 +35,11 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
                     w[ACTION + k * LANES + b] = state[N_STATE + k, i]
                 for k in range(N_DRAWN):
                     w[DRAWN + k * LANES + b] = state[N_STATE + N_MEMORY + N_FREE + k, i]
-                for j in range(N_JOINT):
+                for j in range(N_ACTION):
                     w[BEFORE + j * LANES + b] = w[ACTION + j * LANES + b]
                 w[LOST + b] = 0.0
+                #parameters
+            #place
             #noise
             report(w)
             check(w)
@@ -48,6 +50,7 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
                     state[FIRST_TARGET + j, i] = w[TARGET_NOW + j * LANES + b]
                 for k in range(N_READING):
                     state[FIRST_READING + k, i] = w[READINGS_NOW + k * LANES + b]
+                #placed
                 for k in range(N_FLAG):
                     flags[k, i] = w[FLAGS + k * LANES + b] != 0.0
                 for k in range(N_INFO):
@@ -60,7 +63,7 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
     start, stop = first_chunk(rows, thread)
     while start < stop:
         for i in range(start, stop):
-            for j in range(N_JOINT):
+            for j in range(N_ACTION):
                 ended -= actions[i, j] - actions[i, j] != 0.0
         if ended < 0:
             return ended
@@ -117,5 +120,17 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
 
 # marks for an arm with ideal torque sources
 IDEAL = {"#advance": ["#start", "for _ in range(substeps):", "    #step"]}
+# marks for an arm on a floating base: `place` sets the base's pose with the tip on the target
+FLOATING = {
+    "#parameters": [
+        "for k in range(N_FREE):",
+        "    w[PARAMETERS + k * LANES + b] = state[N_STATE + N_MEMORY + k, i]",
+    ],
+    "#place": ["place(w)"],
+    "#placed": [
+        "for k in range(N_ANCHOR):",
+        "    state[FIRST_ANCHOR + k, i] = w[ANCHOR + k * LANES + b]",
+    ],
+}
 # marks for an arm with exact sensors
 EXACT: dict[str, list[str]] = {"#sensors": [], "#noise": []}

@@ -48,7 +48,7 @@ def program(
 def generate(arm: TracedArm, dtype: str, lanes: int, integrator: str, added: Addition) -> str:
     """Text of the module of `program`."""
     method = INTEGRATORS[integrator]
-    if arm.arm.base.n and method.kept(arm.n):
+    if arm.arm.base.spatial and method.kept(arm.n):
         others = [name for name, other in INTEGRATORS.items() if not other.kept(arm.n)]
         raise ValueError(
             f"integrator {integrator!r} remembers earlier steps, but a free base has new "
@@ -56,8 +56,8 @@ def generate(arm: TracedArm, dtype: str, lanes: int, integrator: str, added: Add
         )
     graphs.check_rest(arm)
     sizes = {
-        **({"ATTITUDE": 4} if arm.arm.base.n else {}),
-        "Q": arm.n, "V": arm.n, "TAU": arm.n_joint,
+        **({"ATTITUDE": 4} if arm.arm.base.spatial else {}),
+        "Q": arm.n, "V": arm.n, "TAU": arm.n_torque,
         "PARAMETERS": len(arm.free_parameters) + arm.n_gravity,
         "IMPLICIT": 3 * arm.n * method.implicit, "ACC": arm.n, "H": 1,
         "SCRATCH": method.scratch(arm.n),
@@ -70,7 +70,7 @@ def generate(arm: TracedArm, dtype: str, lanes: int, integrator: str, added: Add
     own = traced("accelerations", graph, inputs, at["ACC"])
     further = added.functions(at)
     stepped = method_text(integrator, arm, at, inputs)
-    free_base = FREE_BASE if arm.arm.base.n else dict.fromkeys(FREE_BASE, ())
+    free_base = FREE_BASE if arm.arm.base.spatial else dict.fromkeys(FREE_BASE, ())
     marks = {
         "#evaluate": ["accelerations(w)"], **STEPS, **stepped.marks, **free_base, **added.marks,
     }  # fmt: skip
@@ -105,7 +105,7 @@ def stepping(arm: TracedArm) -> Addition:
 
 def _renewal(arm: TracedArm, at: Mapping[str, int]) -> list[Function]:
     """The function that follows every step with a free base."""
-    if not arm.arm.base.n:
+    if not arm.arm.base.spatial:
         return []
     places = {**at, "GRAVITY": at["PARAMETERS"] + len(arm.free_parameters)}
     graph, sizes = graphs.renewal(arm.arm.gravity)
