@@ -270,7 +270,8 @@ class Model:
     def _require_fixed_base(self, name: str) -> None:
         if self.arm.base.spatial:
             raise ValueError(
-                f"{name} needs an arm with a fixed or planar base, got Base.type {self.arm.base.type!r}."
+                f"{name} needs an arm with a fixed or planar base, got Base.type "
+                f"{self.arm.base.type!r}."
             )
 
     def _q(self, x: Array, name: str = "q") -> Array:

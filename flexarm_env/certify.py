@@ -6,7 +6,8 @@ at full torque for one period of the first joint-free mode, then coasting; and r
 constant over each control step. For every method in METHODS this finds the fewest substeps that
 keep the error of model and step together within TIP_ERROR of the reach, or within SLACK times the
 model's own error where that is larger. A method that errs by more than EPISODE_ERROR in an episode
-of Reach or Damp, by the step alone, is left out. Of the others it takes that with the least CPU
+of Reach or Damp, by the step alone, is left out, and on a floating base one that loses more than
+MOMENTUM_ERROR of its momentum. Of the others it takes that with the least CPU
 time, allowing a tenth more time for a tenth of the error. Run nothing else on the machine
 meanwhile.
 """
@@ -27,7 +28,12 @@ from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
 from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import STORE, Fitted, fit, scene
-from flexarm_env.accuracy.episodes import EPISODE_ERROR, episode_error
+from flexarm_env.accuracy.episodes import (
+    EPISODE_ERROR,
+    MOMENTUM_ERROR,
+    episode_error,
+    momentum_error,
+)
 from flexarm_env.accuracy.table import accuracy
 from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.core import Core
@@ -131,8 +137,9 @@ def entry(source: str, control_dt: float | None) -> Entry:
         found.append(fewest_steps(certifier, dt, method))
     enough = []
     for step in filter(None, found):
-        error = episode_error(arm, dt, step["integrator"], step["substeps"])
-        if error <= EPISODE_ERROR:
+        of = arm, dt, step["integrator"], step["substeps"]
+        error = episode_error(*of)
+        if error <= EPISODE_ERROR and momentum_error(*of) <= MOMENTUM_ERROR:
             enough.append(step | {"episode_error": error})
     if not enough:
         raise ValueError(

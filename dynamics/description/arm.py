@@ -96,8 +96,8 @@ class Base:
             value = getattr(self, entry.name)
             if entry.name != "type" and value != entry.default:
                 raise ValueError(
-                    f'Base.{entry.name} ({value!r}) needs a free base; set type to "free", or '
-                    "leave it out."
+                    f"Base.{entry.name} ({value!r}) needs a free base; set type to "
+                    f'"{"planar" if entry.name == "driven" else "free"}", or leave it out.'
                 )
 
     def _check_plane(self) -> None:
@@ -142,9 +142,8 @@ class Base:
 
     def _own(self, six: tuple[float, ...]) -> tuple[float, ...]:
         """The entries of six numbers, as of a free base, that are this base's coordinates."""
-        return tuple(
-            x for name, x in zip(BASE_NAMES["free"], six, strict=True) if name in self.names
-        )
+        every = dict(zip(BASE_NAMES["free"], six, strict=True))
+        return tuple(every[name] for name in self.names)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -175,8 +175,8 @@ def _torque(data: object, arm: Arm) -> Torque:
     entries = validate.sequence(data, "torque")
     if len(entries) != arm.n_torque:
         raise ValueError(
-            f"torque must have one entry per joint and driven base ({arm.n_torque}, null for none), "
-            f"got {len(entries)}."
+            f"torque must have one entry per joint, and one of a driven base ({arm.n_torque}, null "
+            f"for none), got {len(entries)}."
         )
     return Torque(signals=tuple(_signal(e, f"torque[{k}]") for k, e in enumerate(entries)))
 

@@ -1,7 +1,8 @@
-"""Error of a step alone over episodes of random torques, from rest and with vibrating links.
+"""Errors of a step alone over episodes of random torques, from rest and with vibrating links.
 
 Certificates start at rest, where fast modes are quiet. A method may keep the tip there and lose it
-where they ring, as after the start of Damp.
+where they ring, as after the start of Damp. Another may keep the tip of an arm on a floating base
+and lose its momentum.
 """
 
 from typing import Any
@@ -20,6 +21,7 @@ RANDOM_STEPS = 40  # control steps of random torque
 RANDOM_SHARE = 0.4  # largest random torque, over full torque
 FINER = 4  # times the Runge-Kutta steps of an arm: the reference
 EPISODE_ERROR = 1e-2  # [of the reach] above which a method is left out
+MOMENTUM_ERROR = 1e-3  # [of the base's own momentum] above which it is, on a floating base
 
 
 def episode_error(source: ArmSource, control_dt: float, integrator: str, substeps: int) -> float:
@@ -54,9 +56,37 @@ def episode_error(source: ArmSource, control_dt: float, integrator: str, substep
 
 
 def keeps_tip(control_dt: float, arm: Arm, integrator: str, dt: float) -> bool:
-    """True if whole steps of at most dt [s] per control step keep the tip in all episodes."""
+    """True if whole steps of at most dt [s] per control step keep tip and momentum in episodes."""
     substeps = max(1, round(np.ceil(control_dt / dt - 1e-9)))
+    if momentum_error(arm, control_dt, integrator, substeps) > MOMENTUM_ERROR:
+        return False
     return episode_error(arm, control_dt, integrator, substeps) <= EPISODE_ERROR
+
+
+def momentum_error(source: ArmSource, control_dt: float, integrator: str, substeps: int) -> float:
+    """Largest drift of the momentum over an episode of Reach, from rest, on a floating base.
+
+    It is relative to the largest momentum of the base alone, linear [N s] or about its own axis
+    [N m s], and zero for a fixed base. Infinite if an episode diverges.
+    """
+    arm = load_arm(source)
+    if not arm.base.n:
+        return 0.0
+    model, limit = compile_arm(arm), np.array(scales(arm).torque_limit)
+    q, v = (x[:EPISODES] for x in _starts(arm, scales(arm), np.random.default_rng(0)))
+    run = Stepper(model, len(q), dt=control_dt / substeps, substeps=substeps, integrator=integrator)
+    run.q[:], run.v[:] = q, v
+    rng, drift, largest = np.random.default_rng(1), np.zeros(2), np.zeros(2)
+    for _ in range(RANDOM_STEPS):
+        run.torque[:] = limit * rng.uniform(-RANDOM_SHARE, RANDOM_SHARE, (len(q), limit.size))
+        run.advance()
+        if np.any(run.status != 0):
+            return float("inf")
+        for q_now, v_now in zip(run.q, run.v, strict=True):
+            own = arm.base.mass * v_now[:2], arm.base.inertia[2][2] * v_now[2:3]
+            for sizes, parts in ((drift, model.momentum(q_now, v_now)), (largest, own)):
+                sizes[:] = np.maximum(sizes, [np.linalg.norm(part) for part in parts])
+    return float((drift / largest).max())
 
 
 def _starts(arm: Arm, found: Scales, rng: Any) -> tuple[Array, Array]:

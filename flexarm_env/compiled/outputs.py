@@ -78,9 +78,8 @@ class BatchOutputs(Outputs):
         named = {name: names.slices[name] for name in WIDE if name in names.slices}
         terms = names.slices["reward_terms"]
         self._terms = dict(zip(TERMS, values[terms], strict=True))
-        self._named: dict[str, Any] = dict(
-            zip(scalars(names), values[1 : terms.start], strict=True)
-        )
+        numbers = zip(scalars(names), values[1 : terms.start], strict=True)
+        self._named: dict[str, Any] = dict(numbers)
         self._named |= {name: self.info[at, :n_env].T for name, at in named.items()}
         self._named |= dict(zip(FLAGS[SETTLED:], marks[SETTLED:], strict=True))
         present = np.ones(n_env, np.bool_)

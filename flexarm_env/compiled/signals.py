@@ -97,7 +97,8 @@ class Signals:
         sizes |= {"FLAGS": len(FLAGS), "INFO": self.info.total}
         sizes |= {"OBSERVATION": self.layout.size, "RATE_BEFORE": m if self.actuation else 0}
         counts = {
-            "N_STATE": 2 * self.model.n, "N_JOINT": m, "N_ACTION": u, "N_MEMORY": sum(self.memory.values()),
+            "N_STATE": 2 * self.model.n, "N_JOINT": m, "N_ACTION": u,
+            "N_MEMORY": sum(self.memory.values()),
             "N_FREE": len(self.model.free_parameters), "N_FLAG": len(FLAGS),
             "N_INFO": self.info.total, "N_OBSERVATION": self.layout.size,
             "N_ACTUATOR": self.memory["actuator"], "N_READING": self.readings,
@@ -131,7 +132,7 @@ class Signals:
             marks=(
                 (DRIVEN if self.actuation else IDEAL)
                 | (NOISY if self.sensing else EXACT)
-                | (FLOATING if self.model.arm.base.n else dict.fromkeys(FLOATING, []))
+                | (FLOATING if self.model.arm.base.n else dict.fromkeys(FLOATING, ()))
             ),
         )
 
@@ -183,7 +184,8 @@ class Signals:
     def graph(self) -> Any:
         """CasADi Function of the state and the constants: all that a step reports.
 
-        (q, v, memory, before, lost, constants, drawn, noise, parameters) -> target, readings, flags, info, obs.
+        (q, v, memory, before, lost, constants, drawn, noise, parameters) -> target, readings,
+        flags, info, obs.
         """
         import casadi as ca
 

@@ -4,8 +4,8 @@ The template is text because it becomes part of a generated module, whose functi
 arm's `accelerations(w)`, the task's `command(w)`, `check(w)` and `report(w)`, and the parts of the
 integrator. Lines that begin with # are marks and are replaced: #steps, #start and #step by the
 integrator, #advance by `IDEAL` or `actuation.DRIVEN`, #sensors and #noise by `EXACT` or
-`sensing.NOISY`, #parameters, #place and #placed by `FLOATING` or nothing. `python -m dynamics source ARM --env ID`
-prints the module.
+`sensing.NOISY`, #parameters, #place and #placed by `FLOATING` or nothing.
+`python -m dynamics source ARM --env ID` prints the module.
 
 `control_step` is the only entry point because `report` takes long to compile. It steps the
 environments of its chunks and returns the number of ended episodes. A negative number means that

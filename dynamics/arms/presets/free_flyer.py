@@ -1,10 +1,10 @@
 """Two flexible links on a satellite that floats in a plane, as on an air table; synthetic.
 
-The satellite is a solid cube of 1 m and 40 kg. The stretched arm has almost one and a half
-times its inertia, so that the satellite turns visibly when the arm moves. The links are aluminium strips of
-1 m that bend in the plane of the motion, with a motor at the elbow and a gripper at the tip. Strain
-wave gears of 160 turn the rotors of frameless motors, without which the elbow would have no inertia
-on the side of the first link (see two_link.py).
+The satellite is a solid cube of 1 m and 40 kg. The stretched arm has almost one and a half times
+its inertia, so that the satellite turns visibly when the arm moves. The links are aluminium strips
+of 1 m that bend in the plane of the motion, with a motor at the elbow and a gripper at the tip.
+Strain wave gears of 160 turn the rotors of frameless motors, without which the elbow would have no
+inertia on the side of the first link (see two_link.py).
 
 Bending foreshortens both links. Link 1 has both shapes of a beam without mass, link 2 that under a
 tip force: `choose_model` takes them for a tip error of 1e-3 of the reach at full torque.
