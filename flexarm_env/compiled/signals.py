@@ -20,7 +20,7 @@ from flexarm_env.compiled.actuation import DRIVEN, Actuation
 from flexarm_env.compiled.episode import WAVES
 from flexarm_env.compiled.rows import Rows
 from flexarm_env.compiled.sensing import NOISY, Sensing
-from flexarm_env.compiled.step_entry import ENTRIES, EXACT, FLOATING, IDEAL
+from flexarm_env.compiled.step_entry import ENTRIES, EXACT, FLOATING, IDEAL, STANDING
 from flexarm_env.compiled.termination import FLAGS, flags, lost
 from flexarm_env.observations import Layout, curvature_columns
 from flexarm_env.rewards import TERMS, Measured
@@ -132,7 +132,7 @@ class Signals:
             marks=(
                 (DRIVEN if self.actuation else IDEAL)
                 | (NOISY if self.sensing else EXACT)
-                | (FLOATING if self.model.arm.base.n else dict.fromkeys(FLOATING, ()))
+                | (FLOATING if self.model.arm.base.n else STANDING)
             ),
         )
 

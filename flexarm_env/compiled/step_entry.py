@@ -4,7 +4,7 @@ The template is text because it becomes part of a generated module, whose functi
 arm's `accelerations(w)`, the task's `command(w)`, `check(w)` and `report(w)`, and the parts of the
 integrator. Lines that begin with # are marks and are replaced: #steps, #start and #step by the
 integrator, #advance by `IDEAL` or `actuation.DRIVEN`, #sensors and #noise by `EXACT` or
-`sensing.NOISY`, #parameters, #place and #placed by `FLOATING` or nothing.
+`sensing.NOISY`, #parameters, #place and #placed by `FLOATING` or `STANDING`.
 `python -m dynamics source ARM --env ID` prints the module.
 
 `control_step` is the only entry point because `report` takes long to compile. It steps the
@@ -132,5 +132,7 @@ FLOATING = {
         "    state[FIRST_ANCHOR + k, i] = w[ANCHOR + k * LANES + b]",
     ],
 }
+# marks for an arm on a fixed base
+STANDING: dict[str, list[str]] = {mark: [] for mark in FLOATING}
 # marks for an arm with exact sensors
 EXACT: dict[str, list[str]] = {"#sensors": [], "#noise": []}
