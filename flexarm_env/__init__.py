@@ -1,7 +1,8 @@
 """Gymnasium environments for robot arms with flexible links.
 
-Importing this package registers FlexArm/{OneLink,TwoLink,SixLink}-{Reach,Track,Damp}-v0 and the
-variants in `IDS`; `gym.make("flexarm_env:FlexArm/OneLink-Reach-v0")` does both at once.
+Importing this package registers FlexArm/{OneLink,TwoLink,SixLink}-{Reach,Track,Damp}-v0,
+FlexArm/FreeFlyer-Reach-v0 and the variants in `IDS`;
+`gym.make("flexarm_env:FlexArm/OneLink-Reach-v0")` does both at once.
 """
 
 from typing import Any

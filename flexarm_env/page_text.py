@@ -36,7 +36,8 @@ or rewards: a change gets a new version. All ids are at v0, the first.
 ## Actions
 
 `Box(-1, 1, (n_joint,), float32)`: torque of each joint over its torque limit, clipped to [-1, 1]
-and constant over a control step. Numbers that are not finite are refused.
+and constant over a control step. With `base_torque` the last action is that torque. Numbers that
+are not finite are refused.
 
 ## Observations
 
@@ -63,6 +64,21 @@ columns are the presets of `reward=`; a dict sets other weights.
 `reset(seed=..., options=...)` draws the start of the task, except where `options` sets `state`, a
 dict of `q` and `v` (one number per coordinate; zeros if left out), or `target`, joint angles. In a
 batch, options may have one row per environment.
+
+## Floating base
+
+The base of an arm with `base: {{"type": "planar"}}` floats in the plane of the motion and turns.
+Neither force nor torque acts on it, unless `base_torque` gives a limit: then a torque from outside
+turns it, as that of thrusters, or of a reaction wheel whose momentum is not counted. The task is
+Reach, and the target is a point that rests in the world. It is the tip of the straight-link arm
+after the joints went from their start to the target joint angles, all at the same share of the way,
+with rigid links and zero momentum. The arm can therefore reach it without `base_torque`. Other
+paths of the joints turn the base by other angles, and other postures hold the tip there too.
+`joint_error` and `joint_target()` are about one such posture; `tip_error`, rewards and `settled`
+are about the point alone. If `options` sets rates, the target is still that of zero momentum.
+
+Momentum in `info` is that of all bodies without the spin of motor rotors. Without `base_torque` it
+is constant but for the error of the integration.
 
 ## Termination and truncation
 
@@ -109,17 +125,22 @@ It has the least CPU time, where a tenth more time is accepted for a tenth of th
 per control step of one environment in a batch of {batch}, on the machine that measured. The step's
 error differs between starts: the table also has the largest of {episodes} episodes each of Reach,
 from rest, and of Damp, with links that vibrate, all as long as the certificate's random torques and
-by the step alone. Methods above {episode_error:g} of the reach there are left out.
+by the step alone. Methods above {episode_error:g} of the reach there are left out, and on a
+floating base those that change its momentum by more than {momentum_error:g} of the base's own.
 `python -m flexarm_env.certify` measures all of this again.
 """
 
 TERMINOLOGY = (
     (
         "coordinates q",
-        "joint angles `q1`, ... [rad]; modal amplitudes `d1_1`, ... [m] of link 1, ...",
+        "joint angles `q1`, ... [rad]; modal amplitudes `d1_1`, ... [m] of link 1, ...; before "
+        "them `base_px`, `base_py` [m], `base_rz` [rad] of a floating base",
     ),
     ("straight-link arm", "the arm at its joint angles with all modal amplitudes zero"),
-    ("target", "tip of the straight-link arm at the target joint angles"),
+    (
+        "target",
+        "tip of the straight-link arm at the target joint angles; on a floating base see below",
+    ),
     ("reach", "length of the stretched arm"),
     ("locked, free frequencies", "natural frequencies with the joints locked or free"),
     (
@@ -142,9 +163,14 @@ TERMINOLOGY = (
 
 PRESENT = {  # observation: (scale, where it is present); its meaning comes from the layout
     "joint_error": ("angle scale", "always"),
-    "joint_sin": ("1", "joint 2 and later; joint 1 only under gravity"),
+    "joint_sin": ("1", "joint 2 and later; joint 1 only under gravity or on a floating base"),
     "joint_cos": ("1", "as `joint_sin`"),
     "joint_rate": ("rate scale", "always"),
+    "base_position": (f"{MOVE:g} reach", "on a floating base"),
+    "base_sin": ("1", "on a floating base"),
+    "base_cos": ("1", "on a floating base"),
+    "base_velocity": ("speed scale", "on a floating base"),
+    "base_rate": ("rate scale", "on a floating base"),
     "modal_amplitude": ("modal scale", '`obs="state"`'),
     "modal_rate": ("modal scale", '`obs="state"`'),
     "tip_error": (f"{MOVE:g} reach", '`obs="state"`; directions in which it can differ from zero'),
@@ -165,8 +191,14 @@ INFO = (
     ("deflection", "-", "largest deflection of a link over its length"),
     ("tip_deflection", "m", "distance from the tip to the tip of the straight-link arm"),
     ("root_curvature", "1/m", "at the root of each link, per bending direction"),
-    ("torque", "N m", "at the joints, at the end of the step"),
+    ("torque", "N m", "at the joints, at the end of the step; last that of `base_torque`"),
     ("command", "V or N m", "command of the action, with `actuator` only"),
+    ("linear_momentum", "N s", "of all bodies along x and y of the world, on a floating base only"),
+    (
+        "angular_momentum",
+        "N m s",
+        "of all bodies about the world's origin along z, on a floating base only",
+    ),
     ("reward_terms", "-", "dict of all reward terms"),
     ("settled", "-", "whether the tip error is in the settled band"),
     ("invalid", "-", "whether a link bends beyond its limit, see above"),
@@ -193,6 +225,8 @@ KEYWORDS = (
      "that was not measured, by rule the fewest evaluations for an error of 1e-3 of the reach"),
     ("substeps", "None", "integration steps per control step; None: chosen with the integrator"),
     ("torque_limit", "None", "[N m] one number or one per joint; None: as defined above"),
+    ("base_torque", "None",
+     "[N m] largest torque on a floating base, the last action; None: no torque acts on it"),
     ("actuator", "None", "[actuators](../actuators.md) between action and torque; None: ideal"),
     ("hardware", '"ideal"', 'sensors and spread of the plant: "ideal", "laboratory" or a dict'),
     ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),

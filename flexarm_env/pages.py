@@ -5,6 +5,7 @@ numbers of one id.
 """
 
 import argparse
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 
 from dynamics.load import load_arm
 from flexarm_env.accuracy.certificates import kept
-from flexarm_env.accuracy.episodes import EPISODE_ERROR, EPISODES
+from flexarm_env.accuracy.episodes import EPISODE_ERROR, EPISODES, MOMENTUM_ERROR
 from flexarm_env.accuracy.table import CERTIFICATE, accuracy
 from flexarm_env.accuracy.table import markdown as _table
 from flexarm_env.certify import BATCH, TIP_ERROR
@@ -48,6 +49,7 @@ def common_page() -> str:
         tip_error=TIP_ERROR,
         episodes=EPISODES,
         episode_error=EPISODE_ERROR,
+        momentum_error=MOMENTUM_ERROR,
         batch=BATCH,
     )
 
@@ -67,7 +69,7 @@ def page(env_id: str) -> str:
         f"{core.arm.name}: {core.task.title}. {core.task.description}\n\n{core.arm.description}",
         "[Environments](README.md) defines the terms, actions, info, episode ends and keywords.",
         _facts(core, IDS[env_id]["max_episode_steps"]),
-        f"**Start.** {core.task.start_text}",
+        f"**Start.** {core.task.start_text}{_floating(core)}",
         f"**Reward.** {reward}",
         *(
             f'## Observations with `obs="{kind}"`\n\n' + _elements(env_id, kind)
@@ -97,14 +99,14 @@ def _further(keywords: Mapping[str, Any]) -> str:
 
 
 def _observation_names() -> list[Sequence[str]]:
-    """Every name that an observation can have, from the layouts of an arm with all of them."""
-    arm = load_arm("six-link")
+    """Every name that an observation can have, from the layouts of arms with all of them."""
     parts: dict[str, Part] = {}
-    for kind in MODES:
+    for arm in map(load_arm, ("six-link", "free-flyer")):
         torques = (1.0,) * arm.n_joint
-        task = TASKS["Reach" if kind == "goal" else "Track"]
-        layout = observation_layout(arm, task, kind, scales(arm), 1.0, torques)
-        parts |= {part.name: part for part in layout.parts}
+        for kind in MODES:
+            task = TASKS["Reach" if kind == "goal" else "Track"]
+            layout = observation_layout(arm, task, kind, scales(arm), 1.0, torques)
+            parts = {part.name: part for part in layout.parts} | parts
     return [
         (f"`{name}`", parts[name].meaning, parts[name].unit, scale, present)
         for name, (scale, present) in PRESENT.items()
@@ -170,8 +172,22 @@ def _components(core: Core, part: Part) -> str:
         return ", ".join("xyz"[k] for k in part.entries)
     if part.name == "root_curvature":
         return ", ".join(f"link {k // 2 + 1} {'yz'[k % 2]}" for k in part.entries)
+    if part.name in ("base_position", "base_velocity"):
+        return ", ".join("xy"[k] for k in part.entries)
+    if part.name.startswith("base"):
+        return "base"
     first, last = part.entries[0] + 1, part.entries[-1] + 1
     return f"joint {first}" if first == last else f"joints {first} to {last}"
+
+
+def _floating(core: Core) -> str:
+    """Further sentences on the start and the target of an arm whose base floats."""
+    if not core.arm.base.n:
+        return ""
+    return (
+        " Base: at the pose of the description. The target rests in the world: the tip after this "
+        "motion of the joints at zero momentum, see [Floating base](README.md#floating-base)."
+    )
 
 
 def _counted(count: int, noun: str) -> str:
@@ -202,7 +218,8 @@ def _numbers(values: Any) -> str:
 
 def file_name(env_id: str) -> str:
     """File name of an id's page, such as one-link-reach-v0.md."""
-    return env_id.split("/")[1].replace("Link", "-Link").lower() + ".md"
+    scene, rest = env_id.split("/")[1].split("-", 1)
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", scene).lower() + f"-{rest.lower()}.md"
 
 
 def main() -> None:

@@ -1,6 +1,7 @@
 """Pictures of the arm, drawn without a display: bent, with exaggerated bending, and straight.
 
-The view of a planar arm is from above, that of a spatial arm is oblique.
+The view of a planar arm is from above, that of a spatial arm is oblique. A floating base is drawn
+as a square of its mass and inertia.
 """
 
 import math
@@ -27,6 +28,7 @@ GROUND = (250, 250, 248)
 INK = (38, 50, 56)
 FAINT = (176, 190, 197)
 GRID = (232, 236, 238)
+SOLID = (207, 216, 220)
 STEEL = (38, 70, 120)
 ORANGE = (230, 126, 34)
 GREEN = (39, 144, 96)
@@ -67,7 +69,8 @@ class Renderer:
         shift = tip - rigid
         sign = 1.0
         if self.planar:
-            sign = math.copysign(1.0, rigid[0] * shift[1] - rigid[1] * shift[0])
+            out = rigid[:2] - core.q[row, :2] if core.arm.base.n else rigid
+            sign = math.copysign(1.0, out[0] * shift[1] - out[1] * shift[0])
         self.bent.append(sign * float(np.linalg.norm(shift)))
         del self.trail[:-TRAIL]
 
@@ -80,9 +83,9 @@ class Renderer:
         turns relative to the base frame of the joint before.
         """
         lines: list[Array] = []
-        R, end, E = np.eye(3), np.zeros(3), np.eye(3)
+        R, end, E = *_base_pose(core, q), np.eye(3)
         base = R  # orientation of the base frame of the joint before
-        at = 0
+        at = core.arm.base.n
         for link, constants in zip(core.arm.links, self.constants, strict=True):
             end = end + R @ E @ np.array(link.joint.offset)
             joints = 1 + link.joint.elastic  # the rotor, and the twist of its spring
@@ -130,6 +133,7 @@ class Renderer:
             self._draw_trail(pen)
         straight = _straight(core, row)
         exaggerated = self.shapes(core, q, EXAGGERATION)
+        self._draw_base(pen, core, q)
         self._draw_arm(pen, self.shapes(core, straight, 0.0), FAINT, 2)
         self._draw_arm(pen, exaggerated, ORANGE, 3)
         self._draw_arm(pen, self.shapes(core, q, 1.0), STEEL, 7, body=True)
@@ -150,6 +154,16 @@ class Renderer:
         for axis in np.eye(3)[: 2 if self.planar else 3]:
             ends = np.array([-axis if axis[2] == 0.0 else 0.0 * axis, axis]) * reach
             pen.line(self.pixels(ends), fill=GRID, width=FINE)
+
+    def _draw_base(self, pen: ImageDraw.ImageDraw, core: Core, q: Array) -> None:
+        """A floating base: the square that has its mass and its inertia."""
+        base = core.arm.base
+        if not base.n:
+            return
+        R, place = _base_pose(core, q)
+        half = 0.5 * math.sqrt(6.0 * base.inertia[2][2] / base.mass)  # [m]
+        corners = half * np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) + base.com
+        pen.polygon(self.pixels(place + corners @ R.T), fill=SOLID, outline=FAINT, width=2 * FINE)
 
     def _draw_arm(
         self,
@@ -256,6 +270,13 @@ class Renderer:
 
             plt.close(self._window.figure)
             self._window = None
+
+
+def _base_pose(core: Core, q: Array) -> tuple[Array, Array]:
+    """Orientation (3, 3) and position (3,) [m] of the base in the world at coordinates q (n,)."""
+    if not core.arm.base.n:
+        return np.eye(3), np.zeros(3)
+    return _rotation(np.array([0.0, 0.0, q[2]])), np.array([*q[:2], 0.0])
 
 
 def _straight(core: Core, row: int) -> Array:

@@ -80,7 +80,7 @@ def test_an_environment_gives_its_stored_results(env_id: str) -> None:
     stored = json.loads(STORE.read_text(encoding="utf-8"))
     found, numbers = pinned(env_id), stored["numbers"][env_id]
     assert found.keys() == numbers.keys()
-    digests = stored["digests"].get(processor(), {env_id: {}})[env_id]
+    digests = stored["digests"].get(processor(), {}).get(env_id, {})  # others lack a new id
     for kind, entry in found.items():
         assert entry["digest"] == digests.get(kind, entry["digest"]), kind
         assert close(kind, entry["numbers"], numbers[kind]), kind
@@ -95,11 +95,12 @@ def pin() -> None:
         for name in ("numbers", "digest")
     )
     agree = all(
-        close(kind, x, stored["numbers"].get(env_id, {}).get(kind, [np.nan]))
+        close(kind, x, stored["numbers"][env_id].get(kind, [np.nan]))
         for env_id, kinds in numbers.items()
+        if env_id in stored["numbers"]  # a new id leaves the others as they are
         for kind, x in kinds.items()
     )
-    kept = stored if agree else {"numbers": numbers, "digests": {}}
+    kept = {"numbers": numbers, "digests": stored["digests"] if agree else {}}
     kept["digests"][processor()] = digests
     STORE.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
 
