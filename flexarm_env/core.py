@@ -1,5 +1,6 @@
 """N environments of an arm and a task: the common part of `env`, `vector` and `sb3`."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from threading import Lock
@@ -200,6 +201,7 @@ class Core:
             self.task.ranges(self.move_time),
             np.array(self.scales.home),
             np.array(self.arm.joint_index, dtype=np.uint64),
+            self._poses(),
             self._vibration(self.scales.vibration),
             self._vibration(self.scales.vibration_rate),
             np.array([MOVE, self.rate_scale**2 / MOVE]),
@@ -211,6 +213,12 @@ class Core:
             ),
             np.array([first[name] for name in names], dtype=np.uint64),
         )
+
+    def _poses(self) -> Array:
+        """(n_base, 2) ranges of a floating base's pose: the described place, any angle."""
+        base = self.arm.base
+        turn = np.array([math.pi * (name == "base_rz") for name in base.names])
+        return np.stack([base.q - turn, base.q + turn], axis=1).reshape(-1, 2)
 
     def _vibration(self, shapes: tuple[tuple[float, ...], ...]) -> Array:
         return np.array(shapes).reshape(len(shapes), len(self.scales.modal_scale))
@@ -317,7 +325,6 @@ class Core:
         placed = {} if options is None else arguments.placements(options, self.arm, rows.size)
         before = self.state[:, rows], self.streams[rows]
         episode.begin(rows, *self._start, self.state, self.streams)
-        self.q[rows, : self.arm.base.n] = self.arm.base.q
         for name, values in placed.items():
             self.state[self.signals.state.slices[name]].T[rows] = values
         if self.actuation:

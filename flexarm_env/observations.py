@@ -17,6 +17,8 @@ BOUND = 10.0  # [-] scaled elements are clipped to [-BOUND, BOUND]
 MODES = ("state", "sensors", "goal")
 GOALS = ("achieved_goal", "desired_goal")  # the last parts of a goal-conditioned observation
 TIP_ERROR = "target minus tip, along the axes of the undeformed first link"
+BASE_POSITION = "position of the base in the world, from the described one"
+TARGET = "target, from a floating base and along its axes"
 CURVATURE = "curvature at the root of a link, as a strain gauge measures it"
 
 
@@ -128,7 +130,7 @@ def observation_layout(
         _part("joint_sin", "sine of the joint angle", "-", turned, 1.0, 1.0),
         _part("joint_cos", "cosine of the joint angle", "-", turned, 1.0, 1.0),
         _part("joint_rate", "joint rate", "rad/s", joints, rate),
-        *_base(arm, rate),
+        *_base(arm, scales, rate),
     ]
     if kind == "state":
         every += [
@@ -139,6 +141,8 @@ def observation_layout(
     else:
         scale = curvature_scale(arm, columns)
         every.append(_part("root_curvature", CURVATURE, "1/m", columns, scale))
+        plane = range(2 if arm.base.n else 0)  # joint angles alone do not place the tip
+        every.append(_part("target_position", TARGET, "m", plane, arm.reach))
     if task.moving:
         ahead = "target joint angle {} move time ahead, minus the present one"
         every += [
@@ -163,7 +167,7 @@ def _goal_layout(
         _part("joint_sin", "sine of the joint angle", "-", joints, 1.0, 1.0),
         _part("joint_cos", "cosine of the joint angle", "-", joints, 1.0, 1.0),
         _part("joint_rate", "joint rate", "rad/s", joints, rate),
-        *_base(arm, rate),
+        *_base(arm, scales, rate),
         _part("modal_amplitude", "modal amplitude", "m", modal, scales.modal_scale),
         _part("modal_rate", "modal rate", "m/s", modal, scales.modal_rate),
         _part("joint_torque", "torque at the joint", "N m", joints if torques else (), torques),
@@ -179,15 +183,17 @@ def _modal(arm: Arm) -> list[int]:
     return [i for i in range(arm.base.n, arm.n) if i not in arm.joint_index]
 
 
-def _base(arm: Arm, rate: float) -> tuple[Part, ...]:
+def _base(arm: Arm, scales: Scales, rate: float) -> tuple[Part, ...]:
     """Pose and rates of a floating base, in the world."""
-    plane, angle = range(2 if arm.base.n else 0), range(1 if arm.base.n else 0)
+    if not scales.base:
+        return ()
+    (travel, turn), plane, angle = scales.base, range(2), range(1)
     return (
-        _part("base_position", "position of the base", "m", plane, MOVE * arm.reach),
+        _part("base_position", BASE_POSITION, "m", plane, 0.1 * arm.reach),
         _part("base_sin", "sine of the base's angle", "-", angle, 1.0, 1.0),
         _part("base_cos", "cosine of the base's angle", "-", angle, 1.0, 1.0),
-        _part("base_velocity", "velocity of the base", "m/s", plane, rate * arm.reach),
-        _part("base_rate", "angular rate of the base", "rad/s", angle, rate),
+        _part("base_velocity", "velocity of the base", "m/s", plane, rate * travel),
+        _part("base_rate", "angular rate of the base", "rad/s", angle, rate * turn),
     )
 
 

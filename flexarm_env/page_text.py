@@ -158,6 +158,11 @@ TERMINOLOGY = (
     ("move time", "duration of this move [s]"),
     ("speed scale", "reach times rate scale [m/s]"),
     ("modal scales", "peaks of modal amplitudes [m] and modal rates [m/s] in the bang-bang test"),
+    (
+        "base travel, base turn",
+        "travel [m] and turn [rad] of a floating base per radian that the joints move from the "
+        "home posture at zero momentum, summed over the joints",
+    ),
     ("settled", f"tip error below {SETTLED_BAND:.0%} of the reach"),
 )
 
@@ -166,15 +171,16 @@ PRESENT = {  # observation: (scale, where it is present); its meaning comes from
     "joint_sin": ("1", "joint 2 and later; joint 1 only under gravity or on a floating base"),
     "joint_cos": ("1", "as `joint_sin`"),
     "joint_rate": ("rate scale", "always"),
-    "base_position": (f"{MOVE:g} reach", "on a floating base"),
+    "base_position": ("0.1 reach", "on a floating base"),
     "base_sin": ("1", "on a floating base"),
     "base_cos": ("1", "on a floating base"),
-    "base_velocity": ("speed scale", "on a floating base"),
-    "base_rate": ("rate scale", "on a floating base"),
+    "base_velocity": ("base travel times rate scale", "on a floating base"),
+    "base_rate": ("base turn times rate scale", "on a floating base"),
     "modal_amplitude": ("modal scale", '`obs="state"`'),
     "modal_rate": ("modal scale", '`obs="state"`'),
     "tip_error": (f"{MOVE:g} reach", '`obs="state"`; directions in which it can differ from zero'),
     "root_curvature": ("that of a tip force at 10 % deflection", '`obs="sensors"`'),
+    "target_position": ("reach", '`obs="sensors"` on a floating base'),
     "target_rate": ("rate scale", "task Track"),
     "target_near": ("angle scale", "task Track"),
     "target_far": ("angle scale", "task Track"),

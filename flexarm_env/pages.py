@@ -172,7 +172,7 @@ def _components(core: Core, part: Part) -> str:
         return ", ".join("xyz"[k] for k in part.entries)
     if part.name == "root_curvature":
         return ", ".join(f"link {k // 2 + 1} {'yz'[k % 2]}" for k in part.entries)
-    if part.name in ("base_position", "base_velocity"):
+    if part.name in ("base_position", "base_velocity", "target_position"):
         return ", ".join("xy"[k] for k in part.entries)
     if part.name.startswith("base"):
         return "base"
@@ -185,8 +185,8 @@ def _floating(core: Core) -> str:
     if not core.arm.base.n:
         return ""
     return (
-        " Base: at the pose of the description. The target rests in the world: the tip after this "
-        "motion of the joints at zero momentum, see [Floating base](README.md#floating-base)."
+        " Base: at the described place, at any angle. The target rests in the world: the tip after "
+        "this motion of the joints at zero momentum, see [Floating base](README.md#floating-base)."
     )
 
 

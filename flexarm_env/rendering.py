@@ -47,6 +47,7 @@ class Renderer:
         height = SIZE[1] - STRIP_HEIGHT - 34  # [px] above the legend and the strip
         self.scale = height / (1.9 * arm.reach)  # [px/m]
         base = 0.24 if self.planar else 0.36  # [-] of the width: home postures point to the right
+        base = 0.5 if arm.base.n else base  # but not from a base at any angle
         self.centre = np.array([base * SIZE[0], (0.5 if self.planar else 0.62) * height + 4])
         self.trail: list[Array] = []
         self.bent: list[float] = []  # [m] elastic tip displacement, signed where planar

@@ -58,6 +58,8 @@ class Scales:
     # modal amplitudes [m] and rates [m/s] at the peaks of the slow natural modes with locked joints
     vibration: tuple[tuple[float, ...], ...]  # (r, n_modal)
     vibration_rate: tuple[tuple[float, ...], ...]  # (r, n_modal)
+    # () or (2,) [m], [rad] travel and turn of a floating base per radian of all joints' motion
+    base: tuple[float, ...]
 
 
 def home_posture(n_joint: int) -> tuple[float, ...]:
@@ -86,7 +88,8 @@ def _derived(arm: Arm) -> Scales:
     joints = [i - base for i in arm.joint_index]
     n = arm.n - base
     modal = [i for i in range(n) if i not in joints]
-    M = _without_base(np.array(mass_matrix(model.chain, q.tolist()), dtype=np.float64), base)
+    whole = np.array(mass_matrix(model.chain, q.tolist()), dtype=np.float64)
+    M = _without_base(whole, base)
     K = model.stiffness[base:, base:]
     C = (damping(model.chain) + friction(model.chain))[base:, base:]
     decay = float(np.linalg.eigvals(np.linalg.solve(M, C)).real.max())
@@ -111,6 +114,7 @@ def _derived(arm: Arm) -> Scales:
         modal_rate=tuple(scale[[n + i for i in modal]].tolist()),
         vibration=tuple(map(tuple, vibration[0].tolist())),
         vibration_rate=tuple(map(tuple, vibration[1].tolist())),
+        base=_recoil(whole, base, list(arm.joint_index)),
     )
 
 
@@ -121,6 +125,15 @@ def _without_base(M: Array, base: int) -> Array:
     coupling = M[:base, base:]
     result: Array = M[base:, base:] - coupling.T @ np.linalg.solve(M[:base, :base], coupling)
     return result
+
+
+def _recoil(M: Array, base: int, joints: list[int]) -> tuple[float, ...]:
+    """() or (2,) [m], [rad] travel and turn of the base per radian of all joints' motion."""
+    if not base:
+        return ()
+    per_joint = np.linalg.solve(M[:base, :base], M[:base, joints])
+    travel, turn = np.linalg.norm(per_joint[:2], axis=0), np.abs(per_joint[2])
+    return float(travel.sum()), float(turn.sum())
 
 
 def two_digits(x: float) -> float:

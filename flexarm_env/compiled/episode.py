@@ -48,7 +48,7 @@ def either_sign(streams, i, ranges, name):  # type: ignore[no-untyped-def]
 
 @fast
 def begin(  # type: ignore[no-untyped-def]
-    rows, ranges, home, joints, amplitude, rate, most, free, at, state, streams,
+    rows, ranges, home, joints, base, amplitude, rate, most, free, at, state, streams,
 ):  # fmt: skip
     """Draw a new episode for the environments `rows`: state, reference, zero action.
 
@@ -56,14 +56,17 @@ def begin(  # type: ignore[no-untyped-def]
     the natural modes vibrate with `ranges[SHAKE]`. Ranges with an upper end of zero are not drawn.
 
     `amplitude` and `rate` are the vibrations of `Scales`, a row per natural mode. `most` holds the
-    largest angle [rad] and acceleration [rad/s^2] of a path, `free` the ranges of the arm's free
-    parameters, `at` the first rows of the state in the order Q, V, CENTRE, ...
+    largest angle [rad] and acceleration [rad/s^2] of a path, `base` the ranges of the pose of a
+    floating base, `free` those of the arm's free parameters, `at` the first rows of the state in
+    the order Q, V, CENTRE, ...
     """
     n_joint = U(joints.shape[0])
     for r in range(U(rows.shape[0])):
         i = U(rows[r])
         for k in range(at[FREE]):
             state[k, i] = 0.0
+        for k in range(U(base.shape[0])):
+            state[at[Q] + k, i] = draw(streams, i, base, k)
         for j in range(n_joint):
             centre = home[j] + draw(streams, i, ranges, START)
             state[at[Q] + joints[j], i] = centre

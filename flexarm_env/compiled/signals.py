@@ -334,9 +334,12 @@ class Signals:
             "target_rate": s["target_rate"],
         }
         if self.model.arm.base.n:
-            signals["base_position"], signals["base_velocity"] = s["q"][:2], s["v"][:2]
+            start = ca.DM(self.model.arm.base.position[:2])
+            signals["base_position"], signals["base_velocity"] = s["q"][:2] - start, s["v"][:2]
             signals["base_sin"], signals["base_cos"] = ca.sin(s["q"][2]), ca.cos(s["q"][2])
             signals["base_rate"] = s["v"][2]
+            seen = values["goal"] - ca.vertcat(s["q"][:2], 0.0)
+            signals["target_position"] = self._in_base(s, seen)
         for name, share in (("target_near", 0.5), ("target_far", 1.0)):
             ahead, _ = self._reference(s, s["time"] + share * s["move_time"])
             signals[name] = ahead - s["target"]

@@ -152,7 +152,7 @@ def test_any_arm_can_be_given(tmp_path: Any) -> None:
         ({"deflection_limit": -0.1}, r"deflection_limit must be between 1e-06 and 1, got -0\.1"),
         ({"render_mode": "ascii"}, r"render_mode must be one of"),
         ({"arm": "slimmer"}, r"Unknown arm 'slimmer'"),
-        ({"arm": FLYING}, r"Base\.type must be 'fixed' for an environment, got 'free'"),
+        ({"arm": FLYING}, r"Base\.type must be 'fixed' or 'planar' for an environment, got 'free'"),
         ({"task": "Juggle"}, r"Unknown task 'Juggle'"),
         ({"n_env": 2}, r"n_env is for a batch"),
     ],

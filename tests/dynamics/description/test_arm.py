@@ -232,6 +232,16 @@ REFUSED_ARMS = {
     "'speed' in base; nearest known": {"base": {**FREE, "speed": 1.0}},
     "Base.mass .2.0. needs a free base": {"base": {"mass": 2.0}},
     "Arm.payload .* needs a link": {"base": FREE, "links": [], "payload": {"mass": 1.0}},
+    'Base.driven .True. needs a free base; set type to "planar"': {"base": {"driven": True}},
+    "Base.driven .True. needs Base.type .planar., got .free.": {"base": {**FREE, "driven": True}},
+    r"Base.driven must be true or false, got 1": {"base": {**FREE, "type": "planar", "driven": 1}},
+    r"Base.inertia\[2\]\[2\] must be positive, got 0.0": {"base": {"type": "planar", "mass": 2.0}},
+    r"Base.position .* must lie in the x-y plane": {
+        "base": {**FREE, "type": "planar", "position": [0.0, 0.0, 1.0]}
+    },
+    r"Base.quaternion .* must lie in the x-y plane": {
+        "base": {**FREE, "type": "planar", "quaternion": [0.0, 1.0, 0.0, 0.0]}
+    },
     "Base.type must be one of .*got 'sea'": {"base": {"type": "sea"}},
     "units must be .SI., got 'mm'": {"units": "mm"},
     "name must be text, got 3": {"name": 3},
@@ -265,6 +275,16 @@ def test_a_free_base_survives_the_round_trip() -> None:
     )  # fmt: skip
     assert (arm.n, arm.n_joint, arm.joint_index) == (8, 1, (6,))
     assert pickle.loads(pickle.dumps(arm)) == arm
+
+
+def test_a_planar_base_survives_the_round_trip() -> None:
+    base = {**FREE, "type": "planar", "driven": True, "position": [1.0, 2.0, 0.0]}
+    arm = load_arm({**described(), "base": base | {"euler": [0.5, 0.0, 0.0]}})
+
+    assert load_arm(json.loads(json.dumps(arm.to_dict()))) == arm
+    assert arm.names[:4] == ("base_px", "base_py", "base_rz", "q1")
+    assert (arm.n, arm.n_joint, arm.n_torque, arm.joint_index) == (5, 1, 2, (3,))
+    assert arm.base.q == pytest.approx((1.0, 2.0, 0.5), rel=1e-15)
 
 
 def test_euler_angles_stand_for_a_quaternion() -> None:
