@@ -35,7 +35,7 @@ def info_of(infos: dict[str, Any], row: int) -> dict[str, Any]:
 
 
 def random_episode(steps: int = 240, **keywords: Any) -> tuple[Array, Array, Array]:
-    """Momenta (steps, 3), torques (steps, n_torque), and the size of the base's own momenta (3,)."""
+    """Momenta (steps, 3), torques (steps, n_torque), size of the base's own momenta (3,)."""
     env = gym.make(ENV_ID, **keywords)
     base: Any = env.unwrapped
     rng, momenta, torques, own = np.random.default_rng(1), [], [], np.zeros(3)

@@ -1,4 +1,4 @@
-"""Choices for a free base, parallel drives, sliding joints and axial modes hold what they claim.
+"""Choices for bases that move, parallel drives, sliding joints and axial modes hold what they claim.
 
 Each claim is compared with another discretisation, compiled, under DOP853.
 """
@@ -32,6 +32,7 @@ BASE = Base(
 )  # fmt: skip
 CASES = {  # arm, torques, tolerance [m]
     "free base": (Arm(links=(BEAM,), base=BASE), (0.6,), 2e-3),
+    "planar base": (Arm(links=(BEAM,), base=replace(BASE, type="planar")), (0.6,), 2e-3),
     "parallel drive": (Arm(links=(STUB, PARALLEL)), (2.0, 0.5), 3e-3),
     "sliding joint": (Arm(links=(SLIDER, BEAM)), (8.0, 0.5), 2e-3),
     "axial mode": (Arm(links=(SOFT,), gravity=(-9.81, 0.0, 0.0)), (0.5,), 1e-3),

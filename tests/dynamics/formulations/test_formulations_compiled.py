@@ -142,9 +142,9 @@ def test_a_free_parameter_reaches_every_formulation(name: str) -> None:
 
 @pytest.mark.parametrize("name", FORMULATIONS)
 def test_every_preset_has_the_same_mass_matrix_or_a_refusal(name: str) -> None:
-    """Only gibbs_appell supports prismatic joints, joint springs and parallel drives."""
+    """Only gibbs_appell supports prismatic joints, joint springs, parallel drives, other bases."""
     refused = {preset for preset, arm in ARMS.items() if table.why_not(arm, name)}
-    others = {"stanford", "srms-like", "ralf-like"}
+    others = {"stanford", "srms-like", "ralf-like", "free-flyer"}
     assert refused == (set() if name == "gibbs_appell" else others)
     for preset in sorted(set(ARMS) - refused):
         chain, q = compiled(ARMS[preset]).chain, floats(random_state(ARMS[preset])[0])
@@ -154,7 +154,7 @@ def test_every_preset_has_the_same_mass_matrix_or_a_refusal(name: str) -> None:
         )
         assert_allclose(M, expected, rtol=0.0, atol=1e-12 * np.abs(M).max())
     for preset in refused:
-        with pytest.raises(ValueError, match=r"does not support Joint\.\w+, got"):
+        with pytest.raises(ValueError, match=r"does not support (Joint|Base)\.\w+, got"):
             compile_arm(preset, formulation=name)
 
 
