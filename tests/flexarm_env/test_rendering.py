@@ -42,7 +42,7 @@ def test_the_drawn_tip_is_the_measured_tip(arm: str) -> None:
     renderer = Renderer(core)
     rng = np.random.default_rng(0)
     q = rng.uniform(-1.0, 1.0, core.arm.n)
-    modal = [i for i in range(core.arm.n) if i not in core.arm.joint_index]
+    modal = [i for i in range(core.arm.base.n, core.arm.n) if i not in core.arm.joint_index]
     q[modal] *= 0.2 * np.array(core.scales.modal_scale)
     drawn = renderer.shapes(core, q, 1.0)[-1][-1]
     np.testing.assert_allclose(drawn, core.model.tip(q), atol=1e-12)

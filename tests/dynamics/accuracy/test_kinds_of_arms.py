@@ -1,4 +1,4 @@
-"""Choices for bases that move, parallel drives, sliding joints and axial modes hold what they claim.
+"""Choices for moving bases, parallel drives, sliding joints and axial modes hold what they claim.
 
 Each claim is compared with another discretisation, compiled, under DOP853.
 """
