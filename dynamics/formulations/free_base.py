@@ -1,4 +1,4 @@
-"""Free base: six coordinates, position and attitude, at the root of the recursion.
+"""Free and planar bases: coordinates of position and attitude at the root of the recursion.
 
 The recursion treats the base as two bodies in front of the first link. The first has neither mass
 nor extent, but six "modes": unit displacements and unit rotations of its tip, with amplitudes x (3)
@@ -193,7 +193,7 @@ def carried(
         M = mass_matrix(chain, x)
         heavy = 1.0 / M[0][0]
         centre = (mul(M[1][2], heavy), minus(0.0, mul(M[0][2], heavy)))
-        across = [plus(mul(centre[0], M[1][i]), mul(-1.0, mul(centre[1], M[0][i]))) for i in joints]
+        across = [minus(mul(centre[0], M[1][i]), mul(centre[1], M[0][i])) for i in joints]
         moving = dot([minus(M[2][i], y) for i, y in zip(joints, across, strict=True)], moves)
         inertia = minus(M[2][2], mul(M[0][0], dot(centre, centre)))
         return centre, minus(0.0, mul(moving, 1.0 / inertia))

@@ -48,7 +48,7 @@ class Chain:
     links: tuple[LinkConstants, ...]
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2]
     rotation: str = "exp"  # of a bent end: exp(theta~); "linear": 1 + theta~
-    free_base: bool = False  # the first two bodies are a free base: see free_base.py
+    free_base: bool = False  # the first body turns the base in space: see free_base.py
 
     def split(self, x: Sequence[Scalar]) -> list[tuple[Scalar, Sequence[Scalar]]]:
         """Split coordinates into (joint, modes) per body; a welded body's joint is 0.0."""

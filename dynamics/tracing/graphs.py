@@ -38,7 +38,7 @@ class _State(NamedTuple):
     """Symbols of a state, and the recursion's arguments made of them."""
 
     inputs: list[Any]  # q, v and the attitude of a free base
-    attitude: Sequence[Scalar]  # (4,), empty for a fixed base
+    attitude: Sequence[Scalar]  # (4,), empty for a base that does not turn in space
     chain: Chain  # with gravity in the frame of a free base
     x: list[Scalar]  # (n,) q, with zero rotation of a free base
     rates: list[Scalar]  # (n,)
