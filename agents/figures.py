@@ -16,7 +16,11 @@ from agents.policy import Controller
 from dynamics.types import AnyArray
 from flexarm_env.tasks import SETTLED_BAND
 
-COLOURS = ("#0072b2", "#d55e00", "#7f7f7f", "#009e73", "#cc79a7")  # colour-blind safe
+COLOURS = (  # colour-blind safe
+    "#0072b2", "#d55e00", "#7f7f7f", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000",
+)  # fmt: skip
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p")
+DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (4, 1, 1, 1, 1, 1)))
 GIF_SECONDS_PER_FRAME = 0.04
 GIF_HEIGHT = 300  # [px] height of the arm's picture
 STRIP_HEIGHT = 130  # [px] height of each strip below it
@@ -33,6 +37,17 @@ def save_figure(figure: Figure, path: Path) -> None:
     """Write the figure in the format of the path's suffix."""
     with atomic_write(path) as temporary:
         figure.savefig(temporary)
+
+
+def look(k: int) -> dict[str, Any]:
+    """Colour, marker and dashes of the k-th of several lines."""
+    return {
+        "color": COLOURS[k % len(COLOURS)],
+        "marker": MARKERS[k % len(MARKERS)],
+        "linestyle": DASHES[k % len(DASHES)],
+        "linewidth": 1.4,
+        "markersize": 5,
+    }
 
 
 def tidy(axes: Any) -> None:

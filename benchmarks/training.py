@@ -1,10 +1,11 @@
 """Train an experiment with several seeds and compare every run with the best joint PD.
 
     python -m benchmarks.training --config configs/one_link_reach_ppo.yaml --seeds 0 1 2 3 4
+    python -m benchmarks.training --charts
 
 Writes docs/results/NAME.json, NAME.md and NAME.png (learning curves), with --gif also NAME.gif (the
-first seed and joint PD), and experiments.md, an overview of all stored experiments. The tables in
-the documentation are made here.
+first seed and joint PD), and experiments.md with experiments.png, an overview of all stored
+experiments, which `--charts` makes again. The tables in the documentation are made here.
 """
 
 import json
@@ -18,11 +19,22 @@ from statistics import median
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
+from matplotlib.figure import Figure
 
 from agents.comparison import titled
 from agents.config import Config, load_config
 from agents.controllers import joint_pd, tune_pd
-from agents.figures import film, plot_learning_curve, plot_recordings, write_gif
+from agents.figures import (
+    COLOURS,
+    film,
+    new_figure,
+    plot_learning_curve,
+    plot_recordings,
+    save_figure,
+    tidy,
+    write_gif,
+)
 from agents.leaderboard.shipped import ship
 from agents.leaderboard.tracks import track_of
 from agents.metrics import (
@@ -38,6 +50,7 @@ from agents.policy import Controller, load_policy
 from agents.run_folder.folder import RunFolder, versions
 from agents.training import learn
 from benchmarks.output import RESULTS, argument_parser, command, table
+from dynamics.types import AnyArray
 
 # A policy wins if its medians are at most these shares of joint PD's; the rules state it in words.
 SETTLING = {"settling_time": 1.0 / 3.0, "residual_vibration": 1.0 / 10.0}
@@ -49,6 +62,7 @@ FOLLOWING_RULE = """\
 "Wins" means: follows with at most a third of joint PD's RMS tip error and no lower success rate;
 that joint PD acts at the policy's control rate."""
 SMALLEST = 0.001  # smaller values are printed as "< 0.001"
+CURVES_BESIDE = 4  # learning curves in a row of the overview
 FASTER = 4  # joint PD is also shown at this multiple of the control rate, without a verdict
 COLUMNS = {  # metric: (header, factor, format)
     "success_rate": ("success [%]", 100.0, ".0f"),
@@ -156,13 +170,54 @@ def number(value: float | None) -> float:
     return math.inf if value is None or math.isnan(value) else float(value)
 
 
-def overview(out: Path) -> str:
-    """Markdown page with all experiments whose JSON files are in the folder."""
+def stored(out: Path) -> list[dict[str, Any]]:
+    """Experiments whose JSON files are in the folder."""
+    found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("*.json"))]
+    return [data for data in found if "references" in data and "runs" in data]
+
+
+def summarise_experiments(out: Path) -> None:
+    """Write experiments.md and experiments.png from all experiments of the folder."""
+    experiments = stored(out)
+    (out / "experiments.md").write_text(overview(experiments), encoding="utf-8")
+    save_figure(learning_curves(experiments), out / "experiments.png")
+
+
+def band(curves: Mapping[str, Mapping[str, Any]]) -> tuple[AnyArray, AnyArray]:
+    """(k,) steps, and (3, k) least, median and largest return over the training seeds."""
+    known = [[(x, y) for x, y in zip(c["steps"], c["return"], strict=True) if y is not None]
+             for c in curves.values()]  # fmt: skip
+    lines = [np.array(points).T for points in known]
+    steps = lines[0][0]
+    returns = [np.interp(steps, *line) for line in lines]
+    return steps, np.quantile(returns, (0.0, 0.5, 1.0), axis=0)
+
+
+def learning_curves(experiments: Sequence[Mapping[str, Any]]) -> Figure:
+    """Median return over the training seeds, and the range of all seeds, by experiment."""
+    columns = min(CURVES_BESIDE, len(experiments))
+    rows = math.ceil(len(experiments) / columns)
+    figure = new_figure(3.4 * columns, 2.4 * rows, dpi=110)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis, data in zip(axes, experiments, strict=False):
+        steps, (low, middle, high) = band(data["curves"])
+        axis.plot(steps / 1e6, middle, color=COLOURS[0], linewidth=1.4)
+        axis.fill_between(steps / 1e6, low, high, color=COLOURS[0], alpha=0.25, linewidth=0.0)
+        count = len(data["runs"])
+        axis.set_title(f"{data['name']}, {count} seed{'s' * (count > 1)}", fontsize=9)
+        axis.set_xlim(left=0.0)
+        tidy(axis)
+    for axis in axes[len(experiments) :]:
+        axis.set_axis_off()
+    figure.supxlabel("environment steps [millions]")
+    figure.supylabel("episode return: median and range of the training seeds")
+    return figure
+
+
+def overview(experiments: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown page with all experiments."""
     rows = []
-    for path in sorted(out.glob("*.json")):
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if "references" not in data or "runs" not in data:
-            continue
+    for data in experiments:
         seeds = [run["summary"] for run in data["runs"]]
         own = f"{len(seeds)} seeds" if len(seeds) > 1 else "1 seed"
         summaries = {own: median_of(seeds), **data["references"]}
@@ -180,6 +235,8 @@ each name. Joint PD has the best gains of a grid and acts at the policy's contro
 hub that rate limits it, not the control law, so it is also shown at {FASTER} times the rate.
 
 {table(header, rows, "llr")}
+
+![Learning curves](experiments.png)
 """
 
 
@@ -262,14 +319,16 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
         pair: dict[str, Controller] = {"trained policy": policies[0], "joint PD": pd}
         films = {name: film(env_id, kwargs, c, first) for name, c in pair.items()}
         write_gif(out / f"{config.name}.gif", films)
-    (out / "experiments.md").write_text(overview(out), encoding="utf-8")
+    summarise_experiments(out)
     print(text)
 
 
 def main() -> None:
     """Command line."""
     parser = argument_parser("training", __doc__)
-    parser.add_argument("--config", type=Path, required=True, help="experiment file")
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument("--config", type=Path, help="experiment file")
+    task.add_argument("--charts", action="store_true", help="only the overview of stored results")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
     parser.add_argument("--out", type=Path, default=RESULTS)
@@ -277,6 +336,9 @@ def main() -> None:
     parser.add_argument("--ship", action="store_true", help="keep the policies in agents/policies")
     parser.add_argument("--gif", action="store_true", help="film the first seed and joint PD")
     a = parser.parse_args()
+    if a.charts:
+        summarise_experiments(a.out)
+        return
     config = load_config(a.config)
     if a.steps is not None:
         config = replace(config, total_steps=a.steps)

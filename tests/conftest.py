@@ -13,6 +13,8 @@ from dynamics.backends.numba_llvm import program
 from tests.paths import ROOT
 
 QUICK = {
+    "agents/leaderboard/test_output.py",
+    "agents/leaderboard/test_statistics.py",
     "agents/run_folder/test_log.py",
     "agents/test_config.py",
     "agents/test_metrics.py",

@@ -1,55 +1,247 @@
-"""Picture of a leaderboard: scores of all controllers, one panel per task."""
+"""Pictures of a leaderboard, each with a panel per task.
+
+Controllers differ in marker and dashes as well as in colour; where colours stand for tracks, the
+place or the marker tells controllers apart.
+"""
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
-from agents.figures import COLOURS, new_figure, save_figure, tidy
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-LOOKS = {  # colour, marker and place of a track
+from agents.figures import COLOURS, look, new_figure, tidy
+from agents.leaderboard.statistics import Entry, profile
+from dynamics.types import AnyArray
+from flexarm_env import IDS, TASKS
+
+Results = Mapping[str, Mapping[str, Mapping[str, Entry]]]  # by task, track and controller
+
+TRACK_LOOKS = {  # colour, marker and place
     "state": (COLOURS[0], "o", 0.22),
     "laboratory": (COLOURS[1], "s", 0.0),
     "transfer": (COLOURS[3], "^", -0.22),
 }
 COLUMNS = 4
 IDLE = ("zero", "random")  # not drawn
+BEST = 5  # lines in a panel
+LEVELS = np.linspace(0.0, 1.0, 51)  # [-] scores of a profile
 
 
-def draw(results: Mapping[str, Any], path: Path) -> None:
-    """Draw the interquartile means of the score with their intervals."""
-    columns = min(COLUMNS, len(results))
-    rows = math.ceil(len(results) / columns)
+def pictures(results: Results) -> dict[str, Callable[[], Figure]]:
+    """Functions that draw the pictures of these results, by file name."""
+    tracks = dict.fromkeys(track for found in results.values() for track in found)
+    found: dict[str, Callable[[], Figure]] = {"leaderboard.png": partial(scores, results)}
+    for track in tracks:
+        found[f"leaderboard_profiles_{track}.png"] = partial(profiles, results, track)
+    if bounded(results):
+        found["leaderboard_regret.png"] = partial(regrets, results)
+    if resting(results):
+        found["leaderboard_settling.png"] = partial(settling, results)
+    for track in tracks:
+        found[f"leaderboard_spectra_{track}.png"] = partial(spectra, results, track)
+    return found
+
+
+def scores(results: Results) -> Figure:
+    """Interquartile means of the score with their intervals, by track."""
+    figure, axes = panels([title(env_id) for env_id in results])
+    for axis, tracks in zip(axes, results.values(), strict=True):
+        every = dict.fromkeys(name for found in tracks.values() for name in found)
+        names = [name for name in every if name not in IDLE][::-1]
+        for track, found in tracks.items():
+            color, marker, off = TRACK_LOOKS[track]
+            for name in [name for name in names if name in found]:
+                x, (low, high) = (found[name].figures[key] for key in ("score_iqm", "score_ci"))
+                axis.errorbar(
+                    x, names.index(name) + off, xerr=beside(x, low, high), color=color,
+                    marker=marker, markersize=6, linewidth=1.5,
+                )  # fmt: skip
+        axis.set_yticks(range(len(names)), names)
+        axis.set(xlim=(-0.02, 1.0), ylim=(-0.5, len(names) - 0.5))
+    legend(figure, track_handles(results))
+    figure.supxlabel("score: mean of the middle half of the test episodes, 95 % interval")
+    return figure
+
+
+def profiles(results: Results, track: str) -> Figure:
+    """Shares of episodes above every score, with 95 % bands, of a track's best controllers."""
+    shown = {env_id: tracks[track] for env_id, tracks in results.items() if track in tracks}
+    figure, axes = panels([title(env_id) for env_id in shown])
+    looks = looks_of(results)
+    for axis, found in zip(axes, shown.values(), strict=True):
+        for k, name in enumerate(best(found)):
+            share, low, high = profile(found[name].metrics["score"], LEVELS)
+            axis.plot(LEVELS, share, markevery=(2 * k, 10), label=name, **looks[name])
+            colour = looks[name]["color"]
+            axis.fill_between(LEVELS, low, high, color=colour, alpha=0.15, linewidth=0.0)
+        axis.set(xlim=(0.0, 1.0), ylim=(-0.02, 1.02))
+    legend(figure, handles_of(axes))
+    figure.supxlabel(f"score, {track}; 95 % bands")
+    figure.supylabel("share of episodes above")
+    return figure
+
+
+def regrets(results: Results) -> Figure:
+    """Interquartile means of the regret with their intervals, where a bound is known."""
+    shown = bounded(results)
+    figure, axes = panels([f"{title(env_id)}, {track}" for env_id, track in shown])
+    for axis, (env_id, track) in zip(axes, shown, strict=True):
+        found = results[env_id][track]
+        regret = {
+            name: (entry.figures["regret_iqm"], *entry.figures["regret_ci"])
+            for name, entry in found.items()
+            if name not in IDLE
+        }
+        names = sorted(regret, key=regret.__getitem__, reverse=True)
+        for k, name in enumerate(names):
+            x, low, high = (100.0 * value for value in regret[name])
+            colour = TRACK_LOOKS[track][0]
+            axis.barh(k, x, xerr=beside(x, low, high), color=colour, alpha=0.75, capsize=3)
+            axis.annotate(f" {x:.0f}", (high, k), va="center", fontsize=8)
+        axis.set_yticks(range(len(names)), names)
+        axis.set_xlim(0.0, 450.0)
+    figure.supxlabel("regret [%]: settling time over the shortest known, minus one; 95 % interval")
+    return figure
+
+
+def settling(results: Results) -> Figure:
+    """Settling time against residual vibration, medians with quartiles, of all that settle."""
+    shown = resting(results)
+    figure, axes = panels([title(env_id) for env_id in shown])
+    looks = looks_of(results)
+    drawn: dict[str, Any] = {}
+    for axis, env_id in zip(axes, shown, strict=True):
+        longest = IDS[env_id]["max_episode_steps"] * IDS[env_id]["kwargs"]["control_dt"]
+        for track, found in results[env_id].items():
+            for name in [x for x in looks if x in found and settles(found[x])]:
+                x, left, right = _middle(found[name], "settling")
+                y, low, high = _middle(found[name], "residual_vibration", 1e3)
+                marker = drawn[name] = looks[name]["marker"]
+                axis.errorbar(
+                    x, y, xerr=beside(x, left, min(right, longest)), yerr=beside(y, low, high),
+                    color=TRACK_LOOKS[track][0], marker=marker, markersize=6, linewidth=1.0,
+                )  # fmt: skip
+        axis.set(yscale="log", xlim=(0.0, longest))
+    markers = {
+        name: Line2D([], [], color="black", marker=marker, linestyle="")
+        for name, marker in drawn.items()
+    }
+    legend(figure, track_handles(results) | markers)
+    figure.supxlabel("settling time [s]: median and quartiles")
+    figure.supylabel("residual vibration [mm]")
+    return figure
+
+
+def spectra(results: Results, track: str) -> Figure:
+    """Spectra of the curvature at the links' roots after reaching the target, of a track's best.
+
+    Only of controllers that reach it in half of the episodes or more.
+    """
+    shown = {env_id: tracks[track] for env_id, tracks in results.items() if track in tracks}
+    figure, axes = panels([title(env_id) for env_id in shown])
+    looks = looks_of(results)
+    for axis, found in zip(axes, shown.values(), strict=True):
+        for k, name in enumerate(best(found)):
+            frequency, density, share = found[name].spectrum
+            axis.set_xlim(0.0, frequency[-1])
+            if share >= 0.5:
+                every = (4 * k, len(frequency) // 6)
+                axis.plot(frequency, np.sqrt(density), markevery=every, label=name, **looks[name])
+        axis.set_yscale("log")
+    legend(figure, handles_of(axes))
+    figure.supxlabel(f"frequency [Hz], {track}; from where the tip first reached the target")
+    figure.supylabel("curvature [1/m/√Hz]")
+    return figure
+
+
+def settles(entry: Entry) -> bool:
+    """True if three quarters of the episodes end without a failure, and half of them settled."""
+    known = [entry.figures["settling_median"], *entry.figures["residual_vibration_quartiles"]]
+    return bool(np.isfinite(known).all())
+
+
+def bounded(results: Results) -> list[tuple[str, str]]:
+    """Tasks and tracks whose controllers have a regret."""
+    return [
+        (env_id, track)
+        for env_id, tracks in results.items()
+        for track, found in tracks.items()
+        if any(entry.figures["regret_iqm"] is not None for entry in found.values())
+    ]
+
+
+def resting(results: Results) -> list[str]:
+    """Tasks with a resting target."""
+    return [env_id for env_id in results if not TASKS[IDS[env_id]["kwargs"]["task"]].moving]
+
+
+def best(found: Mapping[str, Entry]) -> list[str]:
+    """Controllers with the highest scores, best first."""
+    names = [name for name in found if name not in IDLE]
+    return sorted(names, key=lambda name: -found[name].figures["score_iqm"])[:BEST]
+
+
+def title(env_id: str) -> str:
+    """Short name of a task."""
+    return env_id.removeprefix("FlexArm/")
+
+
+def panels(titles: list[str]) -> tuple[Figure, list[Any]]:
+    """A figure with a panel per title."""
+    columns = min(COLUMNS, len(titles))
+    rows = math.ceil(len(titles) / columns)
     figure = new_figure(4.2 * columns, 3.2 * rows, dpi=110)
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
-    shown: dict[str, Any] = {}
-    for axis, (env_id, tracks) in zip(axes, results.items(), strict=False):
-        shown |= _panel(axis, tracks)
-        axis.set(xlim=(-0.02, 1.0), title=env_id.removeprefix("FlexArm/"))
+    for axis, text in zip(axes, titles, strict=False):
+        axis.set_title(text)
         tidy(axis)
-    for axis in axes[len(results) :]:
+    for axis in axes[len(titles) :]:
         axis.set_axis_off()
+    return figure, axes[: len(titles)]
+
+
+def looks_of(results: Results) -> dict[str, dict[str, Any]]:
+    """Colour, marker and dashes of every controller, equal in all pictures."""
+    every = (name for tracks in results.values() for found in tracks.values() for name in found)
+    names = [name for name in dict.fromkeys(every) if name not in IDLE]
+    return {name: look(k) for k, name in enumerate(names)}
+
+
+def beside(x: float, low: float, high: float) -> AnyArray:
+    """(2, 1) lengths of an error bar."""
+    return np.array([[max(x - low, 0.0)], [max(high - x, 0.0)]])
+
+
+def track_handles(results: Results) -> dict[str, Any]:
+    """Handles for a legend of tracks."""
+    tracks = dict.fromkeys(track for found in results.values() for track in found)
+    looks = ((track, *TRACK_LOOKS[track][:2]) for track in tracks)
+    return {
+        track: Line2D([], [], color=color, marker=marker, linewidth=1.5)
+        for track, color, marker in looks
+    }
+
+
+def handles_of(axes: Iterable[Any]) -> dict[str, Any]:
+    """Handles of all labelled lines, for one legend."""
+    lines = (line for axis in axes for line in axis.get_legend_handles_labels()[0])
+    return {line.get_label(): line for line in lines}
+
+
+def legend(figure: Figure, handles: Mapping[str, Any]) -> None:
+    """One legend above all panels."""
+    columns = max(1, round(2.5 * figure.get_figwidth() / 4.2))
     figure.legend(
-        list(shown.values()), list(shown), loc="outside upper center", ncols=3, frameon=False
-    )
-    figure.supxlabel("score: mean of the middle half of the test episodes, 95 % interval")
-    save_figure(figure, path)
+        list(handles.values()), list(handles), loc="outside upper center", ncols=columns,
+        frameon=False,
+    )  # fmt: skip
 
 
-def _panel(axis: Any, tracks: Mapping[str, Any]) -> dict[str, Any]:
-    """Draw one task; return the tracks' handles for the legend."""
-    every = dict.fromkeys(name for found in tracks.values() for name in found)
-    names = [name for name in every if name not in IDLE][::-1]
-    shown = {}
-    for track, found in tracks.items():
-        color, marker, off = LOOKS[track]
-        for name in [name for name in names if name in found]:
-            x, (low, high) = found[name]["score_iqm"], found[name]["score_ci"]
-            error = [[max(x - low, 0.0)], [max(high - x, 0.0)]]
-            shown[track] = axis.errorbar(
-                x, names.index(name) + off, xerr=error, color=color, marker=marker, markersize=6,
-                linewidth=1.5,
-            )  # fmt: skip
-    axis.set_yticks(range(len(names)), names)
-    axis.set_ylim(-0.5, len(names) - 0.5)
-    return shown
+def _middle(entry: Entry, name: str, factor: float = 1.0) -> list[float]:
+    """Median and quartiles of a metric."""
+    values = [entry.figures[f"{name}_median"], *entry.figures[f"{name}_quartiles"]]
+    return [factor * value for value in values]

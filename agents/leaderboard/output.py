@@ -1,0 +1,123 @@
+"""Files of a leaderboard: leaderboard.json, leaderboard.csv and leaderboard.md."""
+
+import csv
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.files import atomic_write
+from agents.leaderboard.charts import IDLE, Results, pictures
+from agents.leaderboard.statistics import Entry, Figures, improvements
+from agents.leaderboard.tracks import TRACKS
+from agents.metrics import METRICS, without_infinities
+
+Tables = Mapping[str, Mapping[str, Mapping[str, Figures]]]  # by task, track and controller
+
+
+def write(folder: Path, results: Results, seeds: Sequence[int]) -> None:
+    """Write the files; each replaces its former version as a whole."""
+    tables = {
+        env_id: {track: compared(found) for track, found in tracks.items()}
+        for env_id, tracks in results.items()
+    }
+    with atomic_write(folder / "leaderboard.json") as path:
+        path.write_text(json.dumps(without_infinities(tables), indent=1) + "\n", encoding="utf-8")
+    with (
+        atomic_write(folder / "leaderboard.csv") as path,
+        open(path, "w", newline="", encoding="utf-8") as file,
+    ):
+        writer = csv.writer(file)
+        writer.writerow(["task", "track", "controller", "run", "seed", *METRICS])
+        writer.writerows(episodes(results, seeds))
+    with atomic_write(folder / "leaderboard.md") as path:
+        path.write_text(page(tables, list(pictures(results)), seeds), encoding="utf-8")
+
+
+def compared(found: Mapping[str, Entry]) -> dict[str, Figures]:
+    """Figures of the controllers of a task and track, with what each is probably better than."""
+    better = improvements({name: entry.metrics["score"] for name, entry in found.items()})
+    return {name: {**entry.figures, "improvement": better[name]} for name, entry in found.items()}
+
+
+def episodes(results: Results, seeds: Sequence[int]) -> Iterator[list[Any]]:
+    """Rows of the table of all episodes."""
+    for env_id, tracks in results.items():
+        for track, found in tracks.items():
+            for name, entry in found.items():
+                for (run, k), _ in np.ndenumerate(entry.metrics["score"]):
+                    values = [float(entry.metrics[key][run, k]) for key in METRICS]
+                    yield [env_id, track, name, run, seeds[k], *values]
+
+
+def page(tables: Tables, files: Sequence[str], seeds: Sequence[int]) -> str:
+    """Markdown page of the results, with the pictures of these files."""
+    about = (
+        f"Test episodes {seeds[0]} to {seeds[-1]}. Score: 0 to 1, the share of the episode that is "
+        "left after settling; for Track 1 / (1 + RMS / band). IQM: mean of the middle half, "
+        "with a 95 % bootstrap interval over episodes. Decisions: one environment at a time."
+    )
+    parts = ["# Leaderboard", about, *(f"![{name.split('.')[0]}]({name})" for name in files)]
+    parts += ["## Best and runner-up", leaders(tables)]
+    for env_id, tracks in tables.items():
+        parts.append(f"## {env_id}")
+        for track, found in tracks.items():
+            lines = [
+                f"**{track}**: {TRACKS[track].text}",
+                "",
+                "| controller | success | score, IQM [95 %] | regret, IQM [95 %] | settling [s] | "
+                "RMS [mm] | decision, median and 99 % [ms] | of [ms] |",
+                "|---|---:|---:|---:|---:|---:|---:|---:|",
+            ]
+            lines += [row(name, found[name]) for name in order(found)]
+            parts.append("\n".join(lines))
+    return "\n\n".join(parts) + "\n"
+
+
+def leaders(tables: Tables) -> str:
+    """Table of the two best controllers of every task and track, and how sure that is."""
+    lines = [
+        "Probability that the best scores above the runner-up in an episode; ties count half "
+        "[95 %].",
+        "",
+        "| task | track | best | runner-up | probability |",
+        "|---|---|---|---|---:|",
+    ]
+    for env_id, tracks in tables.items():
+        for track, found in tracks.items():
+            names = [name for name in order(found) if name not in IDLE]
+            for first, second in pairwise(names[:2]):
+                x = found[first]["improvement"][second]
+                low, high = x["ci"]
+                lines.append(
+                    f"| {env_id.removeprefix('FlexArm/')} | {track} | {first} | {second} | "
+                    f"{100.0 * x['p']:.0f} % [{100.0 * low:.0f}, {100.0 * high:.0f}] |"
+                )
+    return "\n".join(lines)
+
+
+def order(found: Mapping[str, Figures]) -> list[str]:
+    """Controllers, best first."""
+    return sorted(found, key=lambda name: -found[name]["score_iqm"])
+
+
+def row(name: str, x: Figures) -> str:
+    """Row of a controller in the table of a task and track."""
+    low, high = x["score_ci"]
+    settling, regret = x["settling_median"], "-"
+    if x["regret_iqm"] is not None:
+        least, most = x["regret_ci"]
+        regret = f"{100.0 * x['regret_iqm']:.0f} % [{100.0 * least:.0f}, {100.0 * most:.0f}]"
+    return (
+        f"| {name} | {100.0 * x['success_rate']:.0f} % | {x['score_iqm']:.3f} "
+        f"[{low:.3f}, {high:.3f}] | {regret} | {_number(settling, '.2f', 'never')} | "
+        f"{_number(1e3 * x['tip_error_rms_median'], '.3g', 'failed')} | "
+        f"{x['ms_per_action']:.2g}, {x['ms_per_action_p99']:.2g} | {x['ms_control_step']:g} |"
+    )
+
+
+def _number(x: float, style: str, otherwise: str) -> str:
+    return f"{x:{style}}" if np.isfinite(x) else otherwise

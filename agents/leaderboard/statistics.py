@@ -1,0 +1,156 @@
+"""Statistics of episodes: interquartile mean, probability of improvement, profile, spectrum.
+
+The first three are those of Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the
+Statistical Precipice". Values are (runs, episodes): a row per training seed of a policy, one row
+for any other controller. The test episodes are the same in every row and for every controller.
+
+Intervals are 95 % percentile bootstrap intervals. A resample draws whole episodes, the same in all
+rows: every training seed keeps its share, and comparisons stay within an episode.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import signal, stats
+
+from agents.metrics import Recording, regrets
+from dynamics.types import AnyArray
+from flexarm_env.tasks import SETTLED_BAND
+
+RESAMPLES = 2000  # of the bootstrap
+SEGMENT = 1 / 3  # of an episode: length of a segment of a spectrum
+PADDING = 4  # transform over segment
+Figures = dict[str, Any]
+
+
+class Spectrum(NamedTuple):
+    """Power spectral density of the curvature at the links' roots."""
+
+    frequency: AnyArray  # (f,) [Hz]
+    density: AnyArray  # (f,) [1/m^2/Hz] median over episodes
+    share: float  # [-] of episodes that are long enough after reaching the target
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A controller on a task and track."""
+
+    figures: Figures  # of leaderboard.json
+    metrics: Mapping[str, AnyArray]  # (runs, episodes) each of METRICS
+    spectrum: Spectrum
+
+
+def figures(
+    metrics: Mapping[str, AnyArray],
+    milliseconds: AnyArray,
+    control_dt: float,
+    shortest: AnyArray | None,
+) -> Figures:
+    """Figures of one controller from metrics (runs, episodes) and the times of its decisions.
+
+    `shortest` (episodes,) [s] are the shortest settling times that are known; without them there
+    is no regret.
+    """
+    score = metrics["score"]
+    regret = None if shortest is None else regrets(metrics["settling_time"], shortest)
+    return {
+        "success_rate": float(metrics["success"].mean()),
+        "score_iqm": interquartile_mean(score),
+        "score_ci": interval(score),
+        "regret_iqm": None if regret is None else interquartile_mean(regret),
+        "regret_ci": None if regret is None else interval(regret),
+        "settling_median": float(np.median(metrics["settling_time"])),
+        "settling_quartiles": quartiles(metrics["settling_time"]),
+        "tip_error_rms_median": float(np.median(metrics["tip_error_rms"])),
+        "residual_vibration_median": float(np.median(metrics["residual_vibration"])),
+        "residual_vibration_quartiles": quartiles(metrics["residual_vibration"]),
+        "ms_per_action": float(np.median(milliseconds)),
+        "ms_per_action_p99": float(np.percentile(milliseconds, 99.0)),
+        "ms_control_step": 1e3 * control_dt,
+    }
+
+
+def interquartile_mean(values: AnyArray) -> float:
+    """Mean of the middle half of values (runs, episodes)."""
+    return float(stats.trim_mean(values, 0.25, axis=None))
+
+
+def interval(values: AnyArray) -> list[float]:
+    """[low, high] of the interquartile mean of values (runs, episodes)."""
+
+    def statistic(*rows: AnyArray, axis: int) -> Any:
+        return stats.trim_mean(np.concatenate(rows, axis=axis), 0.25, axis=axis)
+
+    return [float(x) for x in _bootstrap(values, statistic)]
+
+
+def wins(values: AnyArray, others: AnyArray) -> AnyArray:
+    """(episodes,) share of pairs of runs in which values exceed the others; ties count half.
+
+    `values` are (runs, episodes), `others` (other runs, episodes).
+    """
+    return (0.5 + 0.5 * np.sign(values[:, None] - others)).mean(axis=(0, 1))
+
+
+def improvements(scores: Mapping[str, AnyArray]) -> dict[str, dict[str, Any]]:
+    """Probabilities that a controller scores above another in an episode, with their intervals.
+
+    From scores (runs, episodes) by controller: {controller: {other: {"p": p, "ci": [low, high]}}}.
+    """
+    found: dict[str, dict[str, Any]] = {name: {} for name in scores}
+    for name, own in scores.items():
+        for other in [x for x in scores if x != name]:
+            share = wins(own, scores[other])
+            low, high = _bootstrap(share[None], np.mean)
+            ci = [float(low), float(high)]
+            found[name][other] = {"p": float(share.mean()), "ci": ci}
+    return found
+
+
+def profile(scores: AnyArray, levels: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """Shares of episodes that score above each level, and their lower and upper bounds.
+
+    From scores (runs, episodes) and levels (k,): three arrays (k,).
+    """
+    above = (scores > levels[:, None, None]).mean(axis=1)  # (k, episodes)
+    low, high = _bootstrap(above[None], np.mean)
+    return above.mean(axis=1), low, high
+
+
+def quartiles(values: AnyArray) -> list[float]:
+    """[lower, upper] quartile of values of which some may be infinite: two of the values."""
+    return [float(x) for x in np.quantile(values, (0.25, 0.75), method="inverted_cdf")]
+
+
+def spectrum(recordings: Sequence[Recording]) -> Spectrum:
+    """Spectrum of the curvature from where the tip first reached the target to the end.
+
+    By Welch's method per episode, summed over the links' roots. Episodes that fail, or of which
+    less than a segment is left, are not in it.
+    """
+    r = recordings[0]
+    size = round(SEGMENT * r.duration / (r.time[1] - r.time[0]))
+    rate = 1.0 / (r.time[1] - r.time[0])
+    found = []
+    for r in recordings:
+        reached = r.tip_error < SETTLED_BAND * r.reach
+        first = np.where(reached.any(axis=0), reached.argmax(axis=0), len(r.time))
+        for k in np.flatnonzero(~r.failed & (first + size <= len(r.time))):
+            frequency, density = signal.welch(
+                r.root_curvature[first[k] :, k], rate, nperseg=size, nfft=PADDING * size, axis=0
+            )
+            found.append(density.sum(axis=1))
+    frequency = np.fft.rfftfreq(PADDING * size, 1.0 / rate)
+    density = np.median(found, axis=0) if found else np.full(frequency.size, np.nan)
+    return Spectrum(frequency, density, len(found) / sum(r.failed.size for r in recordings))
+
+
+def _bootstrap(values: AnyArray, statistic: Callable[..., Any]) -> tuple[AnyArray, AnyArray]:
+    """Bounds of a statistic of rows (..., episodes), which it is given one by one."""
+    found = stats.bootstrap(
+        tuple(values), statistic, n_resamples=RESAMPLES, paired=True, vectorized=True, axis=-1,
+        method="percentile", rng=0,
+    ).confidence_interval  # fmt: skip
+    return found.low, found.high

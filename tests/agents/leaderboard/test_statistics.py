@@ -1,0 +1,174 @@
+"""Statistics of episodes whose values are known by hand, or by a second path."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from agents.leaderboard.statistics import (
+    figures,
+    improvements,
+    interquartile_mean,
+    interval,
+    profile,
+    quartiles,
+    spectrum,
+    wins,
+)
+from agents.metrics import METRICS, Recording
+from dynamics.types import AnyArray
+
+DT, STEPS = 0.02, 150
+TIME = DT * np.arange(STEPS + 1)
+
+
+def recording(curvature: AnyArray, reached: float, failed: bool = False) -> Recording:
+    """One episode of 3 s with root curvatures (T, n), whose tip is on the target from a time on."""
+    flat = np.zeros((TIME.size, 1))
+    return Recording(
+        time=TIME,
+        tip_error=np.where(reached - 1e-9 > TIME, 1.0, 0.0)[:, None],
+        tip_deflection=flat,
+        root_curvature=curvature[:, None],
+        torque=flat[:, None],
+        action=flat[:, None],
+        failed=np.array([failed]),
+        reach=1.0,
+        duration=DT * STEPS,
+        moving=False,
+    )
+
+
+def test_interquartile_mean_is_that_of_all_runs_together() -> None:
+    values = np.array([[0.0, 1.0, 2.0, 3.0], [4.0, 5.0, 6.0, 100.0]])
+    assert interquartile_mean(values) == pytest.approx((2.0 + 3.0 + 4.0 + 5.0) / 4.0)
+
+
+def test_interval_has_the_width_of_the_normal_distribution() -> None:
+    """The interquartile mean of n normal values has the standard error 1.08 sigma / sqrt n."""
+    low, high = interval(np.random.default_rng(0).normal(3.0, 1.0, (1, 400)))
+    assert low < 3.0 < high
+    assert high - low == pytest.approx(2 * 1.96 * 1.08 / math.sqrt(400), rel=0.25)
+    assert interval(np.full((2, 5), 0.25)) == [0.25, 0.25]
+
+
+def test_runs_on_equal_episodes_are_drawn_together() -> None:
+    """A policy's second run that repeats the first adds no certainty."""
+    run = np.random.default_rng(0).normal(size=(1, 48))
+    assert interval(np.repeat(run, 2, axis=0)) == pytest.approx(interval(run))
+
+
+def test_every_run_keeps_its_share_of_a_resample() -> None:
+    """Runs that differ between themselves, but not between episodes, leave nothing open."""
+    values = np.repeat([[0.0], [0.2], [0.7], [0.9]], 10, axis=1)
+    assert interval(values) == pytest.approx([0.45, 0.45])
+
+
+def test_wins_are_counted_within_episodes_and_over_all_pairs_of_runs() -> None:
+    values = np.array([[1.0, 2.0, 9.0], [3.0, 2.0, 0.0]])
+    others = np.array([[2.0, 2.0, 1.0], [0.0, 1.0, 1.0]])
+    assert wins(values, others).tolist() == [3 / 4, (0.5 + 0.5 + 1 + 1) / 4, 2 / 4]
+
+
+def test_improvement_is_the_share_of_wins_with_a_binomial_interval() -> None:
+    """With one run each, the mean of a resample is binomial."""
+    own, other = np.where(np.arange(200) < 140, 1.0, 0.0)[None], np.full((1, 200), 0.5)
+    found = improvements({"a": own, "b": other})
+    assert found["a"]["b"]["p"] == pytest.approx(0.7)
+    assert found["b"]["a"]["p"] == pytest.approx(0.3)
+    exact = stats.binom(200, 0.7).ppf([0.025, 0.975]) / 200
+    assert found["a"]["b"]["ci"] == pytest.approx(exact, abs=0.0051)
+    assert found["b"]["a"]["ci"] == pytest.approx(1.0 - exact[::-1], abs=0.0051)
+    assert set(found["a"]) == {"b"}
+
+
+def test_profile_is_the_share_of_episodes_above_each_level() -> None:
+    scores = np.array([[0.0, 0.2, 0.4, 0.6], [0.2, 0.2, 0.2, 1.0]])
+    share, low, high = profile(scores, np.array([-0.1, 0.0, 0.2, 0.5, 1.0]))
+    assert share.tolist() == [1.0, 7 / 8, 3 / 8, 2 / 8, 0.0]
+    assert (low <= share).all()
+    assert (share <= high).all()
+    assert low[[0, -1]].tolist() == high[[0, -1]].tolist() == [1.0, 0.0]
+
+
+def test_band_of_a_profile_is_binomial() -> None:
+    scores = np.linspace(0.0, 1.0, 100, endpoint=False)[None]
+    _, low, high = profile(scores, np.array([0.295]))
+    exact = stats.binom(100, 0.7).ppf([0.025, 0.975]) / 100
+    assert [low[0], high[0]] == pytest.approx(exact, abs=0.0101)
+
+
+def test_quartiles_are_values_and_may_be_infinite() -> None:
+    assert quartiles(np.array([4.0, 1.0, 3.0, 2.0])) == [1.0, 3.0]
+    assert quartiles(np.array([[1.0, 2.0], [np.inf, np.inf]])) == [1.0, np.inf]
+
+
+def test_spectrum_holds_the_power_of_a_vibration_at_its_frequency() -> None:
+    """A sine of amplitude a has the power a^2 / 2; links' roots add up."""
+    sine = 0.3 * np.sin(2.0 * np.pi * 8.0 * TIME)
+    still = np.zeros_like(sine)
+    frequency, density, share = spectrum([recording(np.column_stack([sine, still]), 0.0)])
+    assert share == 1.0
+    assert frequency[0] == 0.0
+    assert frequency[-1] == pytest.approx(25.0)
+    assert frequency[density.argmax()] == pytest.approx(8.0, abs=frequency[1])
+    assert density.sum() * frequency[1] == pytest.approx(0.3**2 / 2.0, rel=1e-3)
+    twice = spectrum([recording(np.column_stack([sine, sine]), 0.0)]).density
+    np.testing.assert_allclose(twice, 2.0 * density, rtol=1e-12, atol=1e-15)
+
+
+def test_spectrum_begins_where_the_target_was_reached() -> None:
+    quiet_later = np.where(TIME < 1.5, np.sin(2.0 * np.pi * 8.0 * TIME), 0.0)[:, None]
+    assert spectrum([recording(quiet_later, 1.5)]).density.max() < 1e-20
+    assert spectrum([recording(quiet_later, 1.0)]).density.max() > 1e-3
+
+
+def test_spectrum_is_that_of_the_episodes_that_reach_the_target_in_time() -> None:
+    """The median of three; the others fail, arrive too late for a segment of 1 s, or never."""
+    sine = np.sin(2.0 * np.pi * 8.0 * TIME)[:, None]
+    left_out = [recording(9.0 * sine, 0.0, failed=True)]
+    left_out += [recording(9.0 * sine, 2.04), recording(9.0 * sine, 9.0)]
+    kept = [recording(a * sine, 2.02) for a in (1.0, 2.0, 5.0)]
+    found, middle = spectrum([*left_out, *kept]), spectrum([kept[1]])
+    assert found.share == 0.5
+    np.testing.assert_allclose(found.density, middle.density)
+    nothing = spectrum(left_out)
+    assert nothing.share == 0.0
+    assert nothing.frequency.tolist() == found.frequency.tolist()
+    assert np.isnan(nothing.density).all()
+
+
+def test_figures_of_known_metrics() -> None:
+    metrics = {name: np.linspace(0.0, 0.7, 8).reshape(2, 4) for name in METRICS}
+    metrics["success"] = np.array([[1.0, 1.0, 0.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
+    metrics["settling_time"] = np.array([[1.0, 1.2, np.inf, 1.4], [1.0, 1.6, 1.5, 1.3]])
+    metrics["tip_error_rms"] = 2.0 * metrics["score"]
+    metrics["residual_vibration"] = 3.0 * metrics["score"]
+    found = figures(metrics, np.array([1.0, 3.0, 2.0]), 0.02, np.array([1.0, 1.0, 1.0, 0.5]))
+    regret = [0.0, 0.2, 4.0, 1.8, 0.0, 0.6, 0.5, 1.6]
+    middle = sorted(regret)[2:-2]
+    intervals = {"score_ci": "score_iqm", "regret_ci": "regret_iqm"}
+    for key, centre in intervals.items():
+        low, high = found.pop(key)
+        assert low < found[centre] < high
+    assert found == {
+        "success_rate": 7 / 8,
+        "score_iqm": pytest.approx(0.35),
+        "regret_iqm": pytest.approx(sum(middle) / 4),
+        "settling_median": pytest.approx(1.35),
+        "settling_quartiles": [1.0, 1.5],
+        "tip_error_rms_median": pytest.approx(0.7),
+        "residual_vibration_median": pytest.approx(1.05),
+        "residual_vibration_quartiles": pytest.approx([0.3, 1.5]),
+        "ms_per_action": 2.0,
+        "ms_per_action_p99": pytest.approx(2.98),
+        "ms_control_step": pytest.approx(20.0),
+    }
+
+
+def test_figures_without_a_bound_have_no_regret() -> None:
+    metrics = {name: np.linspace(0.0, 1.0, 8)[None] for name in METRICS}
+    found = figures(metrics, np.array([1.0, 3.0]), 0.02, None)
+    assert found["regret_iqm"] is None
+    assert found["regret_ci"] is None
