@@ -11,7 +11,7 @@ import numpy as np
 
 from agents.files import atomic_write
 from agents.leaderboard.charts import IDLE, Results, pictures
-from agents.leaderboard.statistics import Entry, Figures, improvements
+from agents.leaderboard.statistics import Figures
 from agents.leaderboard.tracks import TRACKS
 from agents.metrics import METRICS, without_infinities
 
@@ -21,7 +21,10 @@ Tables = Mapping[str, Mapping[str, Mapping[str, Figures]]]  # by task, track and
 def write(folder: Path, results: Results, seeds: Sequence[int]) -> None:
     """Write the files; each replaces its former version as a whole."""
     tables = {
-        env_id: {track: compared(found) for track, found in tracks.items()}
+        env_id: {
+            track: {name: entry.figures for name, entry in found.items()}
+            for track, found in tracks.items()
+        }
         for env_id, tracks in results.items()
     }
     with atomic_write(folder / "leaderboard.json") as path:
@@ -35,12 +38,6 @@ def write(folder: Path, results: Results, seeds: Sequence[int]) -> None:
         writer.writerows(episodes(results, seeds))
     with atomic_write(folder / "leaderboard.md") as path:
         path.write_text(page(tables, list(pictures(results)), seeds), encoding="utf-8")
-
-
-def compared(found: Mapping[str, Entry]) -> dict[str, Figures]:
-    """Figures of the controllers of a task and track, with what each is probably better than."""
-    better = improvements({name: entry.metrics["score"] for name, entry in found.items()})
-    return {name: {**entry.figures, "improvement": better[name]} for name, entry in found.items()}
 
 
 def episodes(results: Results, seeds: Sequence[int]) -> Iterator[list[Any]]:

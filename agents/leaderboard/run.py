@@ -23,7 +23,7 @@ from agents.leaderboard.bound import shortest_times
 from agents.leaderboard.charts import pictures
 from agents.leaderboard.output import row, write
 from agents.leaderboard.shipped import shipped
-from agents.leaderboard.statistics import Entry, figures, spectrum
+from agents.leaderboard.statistics import Entry, compared, figures, spectrum
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
@@ -120,10 +120,12 @@ def main(arguments: list[str] | None = None) -> int:
     results: dict[str, dict[str, dict[str, Entry]]] = {}
     for env_id in options.tasks:
         for track in options.tracks:
+            found = {}
             for name in names(options.controllers, env_id, track):
-                entry = ranked(name, env_id, track, seeds)
-                results.setdefault(env_id, {}).setdefault(track, {})[name] = entry
-                print(f"{env_id}, {track}: {row(name, entry.figures)}", flush=True)
+                found[name] = ranked(name, env_id, track, seeds)
+                print(f"{env_id}, {track}: {row(name, found[name].figures)}", flush=True)
+            if found:
+                results.setdefault(env_id, {})[track] = compared(found)
         write(options.out, results, seeds)
     for file, draw in pictures(results).items():
         save_figure(draw(), options.out / file)

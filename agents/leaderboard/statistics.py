@@ -9,7 +9,8 @@ rows: every training seed keeps its share, and comparisons stay within an episod
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,13 +101,21 @@ def improvements(scores: Mapping[str, AnyArray]) -> dict[str, dict[str, Any]]:
     From scores (runs, episodes) by controller: {controller: {other: {"p": p, "ci": [low, high]}}}.
     """
     found: dict[str, dict[str, Any]] = {name: {} for name in scores}
-    for name, own in scores.items():
-        for other in [x for x in scores if x != name]:
-            share = wins(own, scores[other])
-            low, high = _bootstrap(share[None], np.mean)
-            ci = [float(low), float(high)]
-            found[name][other] = {"p": float(share.mean()), "ci": ci}
+    for one, other in combinations(scores, 2):
+        share = wins(scores[one], scores[other])
+        p, (low, high) = float(share.mean()), map(float, _bootstrap(share[None], np.mean))
+        found[one][other] = {"p": p, "ci": [low, high]}
+        found[other][one] = {"p": 1.0 - p, "ci": [1.0 - high, 1.0 - low]}
     return found
+
+
+def compared(found: Mapping[str, Entry]) -> dict[str, Entry]:
+    """Entries of a task and track, with the improvements over each other among their figures."""
+    better = improvements({name: entry.metrics["score"] for name, entry in found.items()})
+    return {
+        name: replace(entry, figures=entry.figures | {"improvement": better[name]})
+        for name, entry in found.items()
+    }
 
 
 def profile(scores: AnyArray, levels: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:

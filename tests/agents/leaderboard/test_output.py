@@ -10,7 +10,7 @@ import pytest
 
 from agents.leaderboard import charts
 from agents.leaderboard.output import leaders, write
-from agents.leaderboard.statistics import Entry, Spectrum, figures
+from agents.leaderboard.statistics import Entry, Spectrum, compared, figures
 from agents.metrics import METRICS
 
 REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
@@ -32,17 +32,21 @@ def entry(score: Any, share: float = 1.0, bounded: bool = False) -> Entry:
 def results() -> charts.Results:
     return {
         REACH: {
-            "state": {
-                "pd": entry([[0.2, 0.4, 0.3, 0.9]], bounded=True),
-                "ppo": entry([[0.8, 0.4, 0.6, 0.1], [0.8, 0.5, 0.6, 0.7]], bounded=True),
-                "zero": entry([[0.0, 0.0, 0.0, 0.0]], share=0.0, bounded=True),
-            },
-            "laboratory": {
-                "pd": entry([[0.0, 0.0, 0.0, 0.3]], share=0.25),
-                "lqg": entry([[0.5, 0.6, 0.7, 0.8]]),
-            },
+            "state": compared(
+                {
+                    "pd": entry([[0.2, 0.4, 0.3, 0.9]], bounded=True),
+                    "ppo": entry([[0.8, 0.4, 0.6, 0.1], [0.8, 0.5, 0.6, 0.7]], bounded=True),
+                    "zero": entry([[0.0, 0.0, 0.0, 0.0]], share=0.0, bounded=True),
+                }
+            ),
+            "laboratory": compared(
+                {
+                    "pd": entry([[0.0, 0.0, 0.0, 0.3]], share=0.25),
+                    "lqg": entry([[0.5, 0.6, 0.7, 0.8]]),
+                }
+            ),
         },
-        TRACK: {"state": {"pd": entry([[0.5, 0.5, 0.5, 0.5]])}},
+        TRACK: {"state": compared({"pd": entry([[0.5, 0.5, 0.5, 0.5]])})},
     }
 
 
