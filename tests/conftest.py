@@ -13,6 +13,7 @@ from dynamics.backends.numba_llvm import program
 from tests.paths import ROOT
 
 QUICK = {
+    "agents/leaderboard/test_bound.py",
     "agents/leaderboard/test_output.py",
     "agents/leaderboard/test_statistics.py",
     "agents/run_folder/test_log.py",
@@ -33,6 +34,8 @@ QUICK = {
     "dynamics/simulation/test_case_file.py",
     "dynamics/simulation/test_large_deflection.py",
     "dynamics/tracing/test_recorded_steps.py",
+    "flexarm_env/test_reward_terms.py",
+    "flexarm_env/test_tasks.py",
     "test_layers.py",
 }
 

@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,13 @@ from agents.metrics import (
     METRICS,
     Recording,
     episode_metrics,
+    make_batch,
+    print_table,
+    record,
+    regrets,
     settling_time,
     summarise,
+    without_infinities,
     write_results,
 )
 
@@ -141,3 +147,181 @@ def test_written_json_is_strict(tmp_path: Path) -> None:
     assert "null" in data["note"]
     header, row = (tmp_path / "evaluation.csv").read_text().splitlines()
     assert dict(zip(header.split(","), row.split(","), strict=True))["settling_time"] == "inf"
+
+
+class Batch:
+    """Two episodes by hand: one ends by failure at step 2, the other by the clock at step 3.
+
+    The tip error counts steps, and everything else follows the action.
+    """
+
+    num_envs = 2
+    n_joint, control_dt, reach = 2, 0.1, 1.5
+    core = SimpleNamespace(task=SimpleNamespace(moving=False), max_steps=3)
+
+    def __init__(self) -> None:
+        self.unwrapped, self.actions, self.seeds = self, [], None
+
+    def info(self, action: Any) -> dict[str, Any]:
+        return {
+            "tip_error": np.full(2, float(len(self.actions))),
+            "tip_deflection": 10.0 * action[:, 0],
+            "root_curvature": 100.0 * action[:, 1],
+            "torque": -action,
+        }
+
+    def reset(self, seed: list[int]) -> Any:
+        self.seeds = seed
+        return np.zeros((2, 1)), self.info(np.zeros((2, 2)))
+
+    def step(self, action: Any) -> Any:
+        self.actions.append(action)
+        k = len(self.actions)
+        ended = np.array([k == 2, False]), np.array([False, k == 3])
+        return np.full((2, 1), k), np.zeros(2), *ended, self.info(action)
+
+
+class Ramp:
+    """Actions 0.5, 1.0, 1.5 and their negatives; it keeps what it was given."""
+
+    def __init__(self) -> None:
+        self.given: list[Any] = []
+
+    def predict(self, observation: Any, state: Any, start: Any) -> Any:
+        self.given.append((observation[0, 0], state, start.tolist()))
+        size = 0.5 * len(self.given)
+        return [[size, -size]] * 2, len(self.given)
+
+
+def test_recordings_hold_what_the_environments_say() -> None:
+    envs, controller = Batch(), Ramp()
+    r = record(controller, envs, (4, 5))
+    assert envs.seeds == [4, 5]
+    assert controller.given == [
+        (0.0, None, [True, True]), (1.0, 1, [False, False]), (2.0, 2, [True, False])
+    ]  # fmt: skip
+    assert all(action.dtype == np.float32 for action in envs.actions)
+    nan = np.nan
+    np.testing.assert_array_equal(r.time, 0.1 * np.arange(4))
+    np.testing.assert_array_equal(r.tip_error.T, [[0, 1, 2, nan], [0, 1, 2, 3]])
+    np.testing.assert_array_equal(r.action[:, 1], [[0, 0], [0.5, -0.5], [1, -1], [1, -1]])
+    np.testing.assert_array_equal(r.action[3, 0], [nan, nan])
+    np.testing.assert_array_equal(r.torque[:, 1], -r.action[:, 1])
+    np.testing.assert_array_equal(r.tip_deflection[:, 1], 10.0 * r.action[:, 1, 0])
+    np.testing.assert_array_equal(r.root_curvature[:, 1], 100.0 * r.action[:, 1, 1:])
+    assert r.failed.tolist() == [True, False]
+    assert (r.reach, r.duration, r.moving) == (1.5, pytest.approx(0.3), False)
+
+
+def test_metrics_of_episodes_side_by_side_are_those_of_each() -> None:
+    """Two joints and two gauges; the second episode is shorter, and settles."""
+    rng = np.random.default_rng(0)
+    n = TIME.size
+    error, bent = rng.uniform(0.0, 0.5, (n, 2)), rng.normal(size=(n, 2))
+    curved, torque, action = rng.normal(size=(3, n, 2, 2))
+    torque[0] = action[0] = 0.0
+    error[300:, 1] = 0.001
+    for x in (error, bent, curved, torque, action):
+        x[350:, 1] = np.nan
+    given = {"failed": np.array([False, False]), "reach": 1.0, "duration": 4.0, "moving": False}
+    m = episode_metrics(
+        Recording(time=TIME, tip_error=error, tip_deflection=bent, root_curvature=curved,
+                  torque=torque, action=action, **given)  # type: ignore[arg-type]
+    )  # fmt: skip
+    for k, end in ((0, n), (1, 350)):
+        last = slice(end - 100, end)
+        a = action[1:end, k]
+        expected = {
+            "success": float(k),
+            "score": 0.25 * k,
+            "settling_time": [math.inf, 3.0][k],
+            "tip_error_final": error[end - 1, k],
+            "tip_error_rms": math.sqrt(np.mean(error[:end, k] ** 2)),
+            "tip_error_max": error[:end, k].max(),
+            "residual_vibration": math.sqrt(np.mean(bent[last, k] ** 2)),
+            "peak_root_curvature": np.abs(curved[:end, k]).max(),
+            "effort": 0.01 * np.sum(torque[1:end, k] ** 2),
+            "command_variation": np.abs(a[1:] - a[:-1]).sum(),
+            "saturated": np.mean([max(abs(x[0]), abs(x[1])) >= 0.999 for x in a]),
+        }
+        found = {name: values[k] for name, values in m.items()}
+        assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_saturation_begins_at_999_thousandths_of_the_limit() -> None:
+    action = np.array([0.0, 0.999, 0.9989, -0.999, 0.0])[:, None, None]
+    zero = np.zeros((5, 1, 1))
+    r = Recording(
+        time=TIME[:5], tip_error=zero[:, 0], tip_deflection=zero[:, 0], root_curvature=zero,
+        torque=zero, action=action, failed=np.array([False]), reach=1.0, duration=0.04,
+        moving=False,
+    )  # fmt: skip
+    assert episode_metrics(r)["saturated"][0] == 0.5
+
+
+def test_an_error_at_the_edge_of_the_band_is_outside() -> None:
+    assert settling_time(TIME, np.full_like(TIME, 0.02), 0.02) == math.inf
+    assert settling_time(TIME, np.full_like(TIME, 0.02), 0.0201) == 0.0
+    later = TIME + 1.0
+    assert settling_time(later, np.zeros_like(TIME), 0.02) == 1.0
+    gone = np.where(TIME < 2.0, 0.0, np.nan)
+    assert settling_time(TIME, gone, 0.02) == 0.0
+
+
+def test_regrets_are_at_most_four() -> None:
+    found = regrets(np.array([1.0, 3.0, 5.0, 5.1, math.inf]), np.ones(5))
+    assert found.tolist() == [0.0, 2.0, 4.0, 4.0, 4.0]
+
+
+def test_trees_without_infinities_are_plain_and_whole() -> None:
+    tree = {
+        1: [math.inf, 2.0, "inf"],
+        "a": (np.float64(1.5), np.float32(np.nan), np.int64(3), None, True),
+        "b": np.array([[1.0, -np.inf]]),
+    }
+    found = without_infinities(tree)
+    assert found == {
+        "1": [None, 2.0, "inf"], "a": [1.5, None, 3, None, True], "b": [[1.0, None]],
+    }  # fmt: skip
+    assert [type(x) for x in found["a"]] == [float, type(None), int, type(None), bool]
+
+
+def test_environments_of_others_are_refused() -> None:
+    with pytest.raises(ValueError, match="CartPole-v1 is not an environment of flexarm"):
+        make_batch("CartPole-v1", 2)
+
+
+def test_result_files_hold_every_episode_of_every_controller(tmp_path: Path) -> None:
+    pair = {
+        name: {key: np.array([x, x + 1.0]) for key in METRICS}
+        for name, x in (("a", 1.0), ("b", 5.0))
+    }
+    write_results(tmp_path, pair, range(7, 9), {"env": "toy"})
+    data = json.loads((tmp_path / "evaluation.json").read_text())
+    assert (data["env"], data["seeds"], list(data["controllers"])) == ("toy", [7, 8], ["a", "b"])
+    assert data["controllers"]["b"]["summary"]["score"] == 5.5
+    lines = (tmp_path / "evaluation.csv").read_text().splitlines()
+    assert lines[0].split(",") == ["controller", "seed", *METRICS]
+    assert [line.split(",")[:3] for line in lines[1:]] == [
+        ["a", "7", "1.0"], ["a", "8", "2.0"], ["b", "7", "5.0"], ["b", "8", "6.0"],
+    ]  # fmt: skip
+
+
+def test_the_table_is_in_the_units_of_its_header(capsys: pytest.CaptureFixture[str]) -> None:
+    metrics = {key: np.full(4, 0.00125) for key in METRICS}
+    metrics |= {"success": np.array([1.0, 1.0, 1.0, 0.0]), "score": np.full(4, 0.5)}
+    metrics |= {"settling_time": np.array([1.0, 2.0, 3.0, math.inf]), "effort": np.full(4, 12.34)}
+    lost = metrics | {"settling_time": np.full(4, math.inf)}
+    shortest = np.array([1.0, 1.0, 2.0, 2.0])
+    print_table({"pd": metrics, "lost": lost})
+    plain = capsys.readouterr().out
+    rows = {line.split()[1]: line for line in plain.splitlines() if "│" in line}
+    cells = [cell.strip() for cell in rows["pd"].strip("│").split("│")]
+    assert cells == ["pd", "75 %", "0.500", "2.50", "1.25", "1.2", "12.3"]
+    assert "never" in rows["lost"]
+    assert "regret" not in plain.lower()
+    print_table({"pd": metrics}, shortest)
+    bounded = capsys.readouterr().out
+    (row,) = [line for line in bounded.splitlines() if "│ pd" in line]
+    assert row.split("│")[-2].strip() == "75 %"  # of 0, 1, 0.5, 4
+    assert "median 1.50 s" in " ".join(bounded.split())
