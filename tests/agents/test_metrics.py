@@ -214,16 +214,18 @@ def test_recordings_hold_what_the_environments_say() -> None:
 
 
 def test_metrics_of_episodes_side_by_side_are_those_of_each() -> None:
-    """Two joints and two gauges; the second episode is shorter, and settles."""
+    """Two joints and two gauges; the second episode is shorter, and settles.
+
+    Torques and actions count from the first step on.
+    """
     rng = np.random.default_rng(0)
     n = TIME.size
-    error, bent = rng.uniform(0.0, 0.5, (n, 2)), rng.normal(size=(n, 2))
+    error, bent = rng.uniform(0.1, 0.5, (n, 2)), rng.normal(size=(n, 2))
     curved, torque, action = rng.normal(size=(3, n, 2, 2))
-    torque[0] = action[0] = 0.0
-    error[300:, 1] = 0.001
+    error[300:, 1] = 0.039  # in the band of 2 % of 2 m
     for x in (error, bent, curved, torque, action):
         x[350:, 1] = np.nan
-    given = {"failed": np.array([False, False]), "reach": 1.0, "duration": 4.0, "moving": False}
+    given = {"failed": np.array([False, False]), "reach": 2.0, "duration": 4.0, "moving": False}
     m = episode_metrics(
         Recording(time=TIME, tip_error=error, tip_deflection=bent, root_curvature=curved,
                   torque=torque, action=action, **given)  # type: ignore[arg-type]
@@ -249,7 +251,7 @@ def test_metrics_of_episodes_side_by_side_are_those_of_each() -> None:
 
 
 def test_saturation_begins_at_999_thousandths_of_the_limit() -> None:
-    action = np.array([0.0, 0.999, 0.9989, -0.999, 0.0])[:, None, None]
+    action = np.array([1.0, 0.999, 0.9989, -0.999, 0.0])[:, None, None]
     zero = np.zeros((5, 1, 1))
     r = Recording(
         time=TIME[:5], tip_error=zero[:, 0], tip_deflection=zero[:, 0], root_curvature=zero,
@@ -311,14 +313,19 @@ def test_the_table_is_in_the_units_of_its_header(capsys: pytest.CaptureFixture[s
     metrics = {key: np.full(4, 0.00125) for key in METRICS}
     metrics |= {"success": np.array([1.0, 1.0, 1.0, 0.0]), "score": np.full(4, 0.5)}
     metrics |= {"settling_time": np.array([1.0, 2.0, 3.0, math.inf]), "effort": np.full(4, 12.34)}
+    metrics |= {"residual_vibration": np.full(4, 0.0012505)}
     lost = metrics | {"settling_time": np.full(4, math.inf)}
+    lost |= {"residual_vibration": np.full(4, 0.0012495)}
     shortest = np.array([1.0, 1.0, 2.0, 2.0])
     print_table({"pd": metrics, "lost": lost})
     plain = capsys.readouterr().out
     rows = {line.split()[1]: line for line in plain.splitlines() if "│" in line}
     cells = [cell.strip() for cell in rows["pd"].strip("│").split("│")]
-    assert cells == ["pd", "75 %", "0.500", "2.50", "1.25", "1.2", "12.3"]
+    assert cells == ["pd", "75 %", "0.500", "2.50", "1.25", "1.3", "12.3"]
+    assert rows["pd"].startswith("│ pd   │    75 % │")
     assert "never" in rows["lost"]
+    assert rows["lost"].split("│")[6].strip() == "1.2"
+    assert all(f" {name} " in plain for name in ("success", "score", "settling [s]"))
     assert "regret" not in plain.lower()
     print_table({"pd": metrics}, shortest)
     bounded = capsys.readouterr().out

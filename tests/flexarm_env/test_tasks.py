@@ -50,7 +50,7 @@ def test_tasks_have_their_ranges() -> None:
     ("name", "words"),
     [
         ("Reach", ["within 0.5 rad", "joint 0.3 to 0.8 rad away"]),
-        ("Track", ["within 0.3 rad", "0.4 to 1.2 times pi", "15 to 35 % of the acceleration"]),
+        ("Track", ["within 0.3 rad", "0.4 to 1.2 times pi", ": 15 to 35 % of the acceleration"]),
         ("Damp", ["within 60 % of", "within 0.5 rad", "up to 10 times the first frequency"]),
     ],
 )

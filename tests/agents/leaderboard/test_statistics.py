@@ -1,6 +1,7 @@
 """Statistics of episodes whose values are known by hand, or by a second path."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -124,6 +125,13 @@ def test_spectrum_begins_where_the_target_was_reached() -> None:
     assert spectrum([recording(quiet_later, 1.0)]).density.max() > 1e-3
 
 
+def test_spectrum_does_not_depend_on_the_start_of_the_clock() -> None:
+    sine = recording(np.sin(2.0 * np.pi * 8.0 * TIME)[:, None], 0.5)
+    found, later = spectrum([sine]), spectrum([replace(sine, time=TIME + 0.005)])
+    np.testing.assert_allclose(later.frequency, found.frequency, rtol=1e-12)
+    np.testing.assert_allclose(later.density, found.density, rtol=1e-9, atol=1e-15)
+
+
 def test_spectrum_is_that_of_the_episodes_that_reach_the_target_in_time() -> None:
     """The median of three; the others fail, arrive too late for a segment of 1 s, or never."""
     sine = np.sin(2.0 * np.pi * 8.0 * TIME)[:, None]
@@ -133,6 +141,8 @@ def test_spectrum_is_that_of_the_episodes_that_reach_the_target_in_time() -> Non
     found, middle = spectrum([*left_out, *kept]), spectrum([kept[1]])
     assert found.share == 0.5
     np.testing.assert_allclose(found.density, middle.density)
+    edge = recording(sine, 0.0)
+    left_out.append(replace(edge, tip_error=np.full_like(edge.tip_error, 0.02)))
     nothing = spectrum(left_out)
     assert nothing.share == 0.0
     assert nothing.frequency.tolist() == found.frequency.tolist()

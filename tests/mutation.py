@@ -1,0 +1,185 @@
+"""`python -m tests.mutation`: does a test fail when the judge is wrong?
+
+Cosmic Ray changes one operator, number or decorator of a module at a time and runs that module's
+quick tests, which have to fail. Everything happens in a copy of the sources. Writes
+docs/results/mutation.md. One run takes about half an hour on one core.
+
+    pip install cosmic-ray
+    python -m tests.mutation [--modules FILE ...] [--out FILE] [--work FOLDER]
+
+A second run with the same `--work` goes on where the first was stopped.
+"""
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from tests.paths import ROOT
+
+COPIED = ("agents", "benchmarks", "dynamics", "flexarm_env", "tests", "pyproject.toml")
+TIMEOUT = 60.0  # [s] of the tests of a mutant; a loop without an end is found by it
+PYTEST = "-m pytest -x -q -p no:cacheprovider -p no:hypothesispytest --noconftest"
+LEFT_OUT = [  # operators that no program would survive: bits of floats, unions of types, identity
+    r"core/ReplaceBinaryOperator_BitOr_",
+    r"core/ReplaceBinaryOperator_BitAnd_(?!BitOr)",
+    r"core/ReplaceBinaryOperator_(?!BitAnd)\w+_(Bit\w+|.Shift|FloorDiv|Mod|Pow)",
+    r"core/ReplaceComparisonOperator_(?!Is)\w+_Is",
+    r"core/ReplaceUnaryOperator_(USub|Invert)_",
+]
+
+
+@dataclass(frozen=True)
+class Judge:
+    """A module that judges: its tests, and the functions that are not mutated."""
+
+    tests: tuple[str, ...]
+    without: tuple[str | None, ...] = ()  # None: code outside functions
+    equal: dict[str, str] | None = None  # mutated line that behaves as the original: why
+
+
+JUDGES = {
+    "flexarm_env/rewards.py": Judge(("tests/flexarm_env/test_reward_terms.py",)),
+    "flexarm_env/tasks.py": Judge(("tests/flexarm_env/test_tasks.py",)),
+    "agents/metrics.py": Judge(("tests/agents/test_metrics.py",)),
+    "agents/leaderboard/statistics.py": Judge(("tests/agents/leaderboard/test_statistics.py",)),
+    "agents/leaderboard/bound.py": Judge(
+        ("tests/agents/leaderboard/test_bound.py",),
+        without=("bounded", "main", None),  # they need the compiled step; efforts of the search
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A changed line of a module, and whether a test noticed."""
+
+    line: int
+    before: str
+    after: str
+    killed: bool
+
+
+def run(module: str, folder: Path) -> list[Mutant]:
+    """Mutants of a module, all tried; the folder keeps the session."""
+    judge, name = JUDGES[module], module.replace("/", ".")
+    config, session = folder / f"{name}.toml", folder / f"{name}.sqlite"
+    copy = folder / f"{name}.copy"
+    config.write_text(
+        f"""[cosmic-ray]
+module-path = "{module}"
+timeout = {TIMEOUT}
+excluded-modules = []
+test-command = "{sys.executable} {PYTEST} {" ".join(judge.tests)}"
+[cosmic-ray.distributor]
+name = "local"
+[cosmic-ray.filters.operators-filter]
+exclude-operators = {json.dumps(LEFT_OUT)}
+"""
+    )
+    if not session.exists():
+        copy.mkdir()
+        for part in COPIED:
+            source = ROOT / part
+            (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / part)
+        tool(copy, "cosmic-ray", "baseline", str(config))
+        tool(copy, "cosmic-ray", "init", str(config), str(session))
+        tool(copy, "cr-filter-operators", str(session), str(config))
+        skip(session, judge.without)
+    tool(copy, "cosmic-ray", "exec", str(config), str(session))
+    return sorted(mutants(session), key=lambda mutant: mutant.line)
+
+
+def tool(copy: Path, name: str, *arguments: str) -> None:
+    """Run a command of Cosmic Ray in the copy."""
+    subprocess.run([str(Path(sys.executable).with_name(name)), *arguments], cwd=copy, check=True)
+
+
+def database(session: Path) -> Any:
+    """Cosmic Ray's session."""
+    from cosmic_ray.work_db import WorkDB
+
+    return closing(WorkDB(session, WorkDB.Mode.open))
+
+
+def skip(session: Path, without: tuple[str | None, ...]) -> None:
+    """Skip the mutants of functions."""
+    from cosmic_ray.work_item import WorkerOutcome, WorkResult
+
+    with database(session) as db:
+        for item in list(db.pending_work_items):
+            if item.mutations[0].definition_name in without:
+                db.set_result(item.job_id, WorkResult(worker_outcome=WorkerOutcome.SKIPPED))
+
+
+def mutants(session: Path) -> Iterator[Mutant]:
+    """Mutants of a session that were tried."""
+    with database(session) as db:
+        tried = {job: result for job, result in db.results if result.test_outcome is not None}
+        for item in [item for item in db.work_items if item.job_id in tried]:
+            result = tried[item.job_id]
+            before, after = (
+                " ".join(
+                    line[1:].strip()
+                    for line in result.diff.splitlines()
+                    if line.startswith(sign) and not line.startswith(3 * sign)
+                )
+                for sign in "-+"
+            )
+            yield Mutant(item.mutations[0].start_pos[0], before, after, result.is_killed)
+
+
+def page(found: dict[str, list[Mutant]]) -> str:
+    """Markdown page: the share that is killed, and every survivor."""
+    rows, lines, total, dead = [], [], 0, 0
+    for module, all_mutants in found.items():
+        equal = JUDGES[module].equal or {}
+        same = [m for m in all_mutants if not m.killed and m.after in equal]
+        alive = [m for m in all_mutants if not m.killed and m.after not in equal]
+        count, killed = len(all_mutants) - len(same), len(all_mutants) - len(same) - len(alive)
+        total, dead = total + count, dead + killed
+        share = f"{100.0 * killed / count:.1f} %"
+        rows.append(f"| `{module}` | {count} | {killed} | {share} | {len(alive)} | {len(same)} |")
+        lines += [f"- `{module}`, {m.line}: `{m.before}` to `{m.after}`" for m in alive]
+        lines += [f"- `{module}`, {m.line}: `{m.after}`: {equal[m.after]}" for m in same]
+    table = "\n".join(rows)
+    return f"""# Mutants of the judge
+
+Made by `python -m tests.mutation` with Cosmic Ray {version("cosmic-ray")}: one operator, number or
+decorator changed at a time; killed by the module's quick tests. Mutants that behave as the original
+do not count; their reasons are below.
+
+| module | mutants | killed | share | survivors | behave as the original |
+|---|---:|---:|---:|---:|---:|
+{table}
+| all | {total} | {dead} | {100.0 * dead / total:.1f} % | {total - dead} | |
+
+{chr(10).join(lines)}
+"""
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutation")
+    parser.add_argument("--modules", nargs="+", choices=list(JUDGES), default=list(JUDGES))
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "mutation.md")
+    parser.add_argument("--work", type=Path, help="folder that keeps the sessions")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = (options.work or Path(temporary)).resolve()
+        folder.mkdir(parents=True, exist_ok=True)
+        found = {module: run(module, folder) for module in options.modules}
+    options.out.write_text(page(found), encoding="utf-8")
+    print(page(found))
+
+
+if __name__ == "__main__":
+    main()
