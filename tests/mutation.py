@@ -18,7 +18,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,7 @@ LEFT_OUT = [  # operators that no program would survive: bits of floats, unions 
     r"core/ReplaceComparisonOperator_(?!Is)\w+_Is",
     r"core/ReplaceUnaryOperator_(USub|Invert)_",
 ]
+_ROUNDED = "no time lies 1e-9 s from a sample"
 
 
 @dataclass(frozen=True)
@@ -43,14 +44,35 @@ class Judge:
 
     tests: tuple[str, ...]
     without: tuple[str | None, ...] = ()  # None: code outside functions
-    equal: dict[str, str] | None = None  # mutated line that behaves as the original: why
+    equal: dict[str, str] = field(
+        default_factory=dict
+    )  # mutated line that behaves as the original: why
 
 
 JUDGES = {
     "flexarm_env/rewards.py": Judge(("tests/flexarm_env/test_reward_terms.py",)),
-    "flexarm_env/tasks.py": Judge(("tests/flexarm_env/test_tasks.py",)),
-    "agents/metrics.py": Judge(("tests/agents/test_metrics.py",)),
-    "agents/leaderboard/statistics.py": Judge(("tests/agents/leaderboard/test_statistics.py",)),
+    "flexarm_env/tasks.py": Judge(
+        ("tests/flexarm_env/test_tasks.py",),
+        equal={"return self.tempo[1] != 0.0": "no frequency is negative"},
+    ),
+    "agents/metrics.py": Judge(
+        ("tests/agents/test_metrics.py",),
+        equal={
+            'samples["root_curvature"] = [np.array(info["root_curvature"], float)'
+            ".reshape(n_env, - 2)]": "NumPy takes any negative length as the open one",
+            'values = action if name <= "action" else info[name]': "no other name is before it",
+            "row = np.array(values, float).reshape(rows[ -1].shape)": "all rows have one shape",
+            "at_end = time[:, None] >= time[last] - RESIDUAL_WINDOW + 1e-9": _ROUNDED,
+            "if first == error.size or time[-1] - time[first] <= HOLD - 1e-9:": _ROUNDED,
+            'return np.clip(1.0 - values["settling_time"] / recording.duration, 0.0, 2.0)': "no settling time is negative",
+            "if outside.size <= 0:": "no size is negative",
+            "text = json.dumps(without_infinities(data), indent=2, allow_nan=True)": "there is none left",
+        },
+    ),
+    "agents/leaderboard/statistics.py": Judge(
+        ("tests/agents/leaderboard/test_statistics.py",),
+        equal={"r = recordings[ -1]": "all recordings have one clock"},
+    ),
     "agents/leaderboard/bound.py": Judge(
         ("tests/agents/leaderboard/test_bound.py",),
         without=("bounded", "main", None),  # they need the compiled step; efforts of the search
@@ -141,7 +163,7 @@ def page(found: dict[str, list[Mutant]]) -> str:
     """Markdown page: the share that is killed, and every survivor."""
     rows, lines, total, dead = [], [], 0, 0
     for module, all_mutants in found.items():
-        equal = JUDGES[module].equal or {}
+        equal = JUDGES[module].equal
         same = [m for m in all_mutants if not m.killed and m.after in equal]
         alive = [m for m in all_mutants if not m.killed and m.after not in equal]
         count, killed = len(all_mutants) - len(same), len(all_mutants) - len(same) - len(alive)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -59,11 +60,11 @@ def test_score_is_the_share_of_the_episode_after_settling(settled: float, score:
     assert episode_metrics(r)["score"] == pytest.approx([score])
 
 
-@pytest.mark.parametrize(("rms", "score"), [(0.0, 1.0), (0.02, 0.5), (0.06, 0.25)])
+@pytest.mark.parametrize(("rms", "score"), [(0.0, 1.0), (0.04, 0.5), (0.12, 0.25)])
 def test_score_of_a_moving_target_is_the_closeness_of_the_rms_error(
     rms: float, score: float
 ) -> None:
-    r = recording(np.full(TIME.size, rms), moving=True)
+    r = recording(np.full(TIME.size, rms), moving=True, reach=2.0)
     assert episode_metrics(r)["score"] == pytest.approx([score])
 
 
@@ -166,7 +167,7 @@ class Batch:
         return {
             "tip_error": np.full(2, float(len(self.actions))),
             "tip_deflection": 10.0 * action[:, 0],
-            "root_curvature": 100.0 * action[:, 1],
+            "root_curvature": 100.0 * action,
             "torque": -action,
         }
 
@@ -208,7 +209,7 @@ def test_recordings_hold_what_the_environments_say() -> None:
     np.testing.assert_array_equal(r.action[3, 0], [nan, nan])
     np.testing.assert_array_equal(r.torque[:, 1], -r.action[:, 1])
     np.testing.assert_array_equal(r.tip_deflection[:, 1], 10.0 * r.action[:, 1, 0])
-    np.testing.assert_array_equal(r.root_curvature[:, 1], 100.0 * r.action[:, 1, 1:])
+    np.testing.assert_array_equal(r.root_curvature[:, 1], 100.0 * r.action[:, 1])
     assert r.failed.tolist() == [True, False]
     assert (r.reach, r.duration, r.moving) == (1.5, pytest.approx(0.3), False)
 
@@ -261,6 +262,19 @@ def test_saturation_begins_at_999_thousandths_of_the_limit() -> None:
     assert episode_metrics(r)["saturated"][0] == 0.5
 
 
+def test_effort_does_not_depend_on_the_start_of_the_clock() -> None:
+    r = recording(np.zeros(TIME.size), torque=np.ones((TIME.size, 1, 1)))
+    assert episode_metrics(replace(r, time=TIME + 0.5))["effort"] == pytest.approx([4.0])
+
+
+def test_recordings_are_fixed_and_their_columns_named() -> None:
+    r = recording(np.zeros(TIME.size))
+    with pytest.raises(FrozenInstanceError):
+        r.reach = 2.0  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        Recording(*vars(r).values())  # type: ignore[misc]
+
+
 def test_an_error_at_the_edge_of_the_band_is_outside() -> None:
     assert settling_time(TIME, np.full_like(TIME, 0.02), 0.02) == math.inf
     assert settling_time(TIME, np.full_like(TIME, 0.02), 0.0201) == 0.0
@@ -299,7 +313,9 @@ def test_result_files_hold_every_episode_of_every_controller(tmp_path: Path) -> 
         for name, x in (("a", 1.0), ("b", 5.0))
     }
     write_results(tmp_path, pair, range(7, 9), {"env": "toy"})
-    data = json.loads((tmp_path / "evaluation.json").read_text())
+    text = (tmp_path / "evaluation.json").read_text()
+    assert text.startswith('{\n  "note": ')
+    data = json.loads(text)
     assert (data["env"], data["seeds"], list(data["controllers"])) == ("toy", [7, 8], ["a", "b"])
     assert data["controllers"]["b"]["summary"]["score"] == 5.5
     lines = (tmp_path / "evaluation.csv").read_text().splitlines()
@@ -313,7 +329,7 @@ def test_the_table_is_in_the_units_of_its_header(capsys: pytest.CaptureFixture[s
     metrics = {key: np.full(4, 0.00125) for key in METRICS}
     metrics |= {"success": np.array([1.0, 1.0, 1.0, 0.0]), "score": np.full(4, 0.5)}
     metrics |= {"settling_time": np.array([1.0, 2.0, 3.0, math.inf]), "effort": np.full(4, 12.34)}
-    metrics |= {"residual_vibration": np.full(4, 0.0012505)}
+    metrics |= {"residual_vibration": np.full(4, 0.0012505), "tip_error_final": np.full(4, 0.1)}
     lost = metrics | {"settling_time": np.full(4, math.inf)}
     lost |= {"residual_vibration": np.full(4, 0.0012495)}
     shortest = np.array([1.0, 1.0, 2.0, 2.0])
@@ -321,7 +337,7 @@ def test_the_table_is_in_the_units_of_its_header(capsys: pytest.CaptureFixture[s
     plain = capsys.readouterr().out
     rows = {line.split()[1]: line for line in plain.splitlines() if "│" in line}
     cells = [cell.strip() for cell in rows["pd"].strip("│").split("│")]
-    assert cells == ["pd", "75 %", "0.500", "2.50", "1.25", "1.3", "12.3"]
+    assert cells == ["pd", "75 %", "0.500", "2.50", "100.00", "1.3", "12.3"]
     assert rows["pd"].startswith("│ pd   │    75 % │")
     assert "never" in rows["lost"]
     assert rows["lost"].split("│")[6].strip() == "1.2"

@@ -1,13 +1,16 @@
 """Statistics of episodes whose values are known by hand, or by a second path."""
 
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from agents.leaderboard.statistics import (
+    Entry,
+    Spectrum,
+    compared,
     figures,
     improvements,
     interquartile_mean,
@@ -111,6 +114,7 @@ def test_spectrum_holds_the_power_of_a_vibration_at_its_frequency() -> None:
     still = np.zeros_like(sine)
     frequency, density, share = spectrum([recording(np.column_stack([sine, still]), 0.0)])
     assert share == 1.0
+    assert frequency[1] == pytest.approx(0.25)  # a quarter of what a segment of 1 s resolves
     assert frequency[0] == 0.0
     assert frequency[-1] == pytest.approx(25.0)
     assert frequency[density.argmax()] == pytest.approx(8.0, abs=frequency[1])
@@ -123,6 +127,13 @@ def test_spectrum_begins_where_the_target_was_reached() -> None:
     quiet_later = np.where(TIME < 1.5, np.sin(2.0 * np.pi * 8.0 * TIME), 0.0)[:, None]
     assert spectrum([recording(quiet_later, 1.5)]).density.max() < 1e-20
     assert spectrum([recording(quiet_later, 1.0)]).density.max() > 1e-3
+
+
+def test_the_target_is_as_wide_as_two_percent_of_the_reach() -> None:
+    sine = recording(np.sin(2.0 * np.pi * 8.0 * TIME)[:, None], 0.0)
+    near = np.full_like(sine.tip_error, 0.039)
+    assert spectrum([replace(sine, tip_error=near, reach=2.0)]).share == 1.0
+    assert spectrum([replace(sine, tip_error=near)]).share == 0.0
 
 
 def test_spectrum_does_not_depend_on_the_start_of_the_clock() -> None:
@@ -175,6 +186,20 @@ def test_figures_of_known_metrics() -> None:
         "ms_per_action_p99": pytest.approx(2.98),
         "ms_control_step": pytest.approx(20.0),
     }
+
+
+def test_entries_are_compared_by_their_scores() -> None:
+    scores = {"a": np.array([[0.5, 0.5]]), "b": np.array([[0.25, 0.75]])}
+    nothing = Spectrum(np.zeros(1), np.zeros(1), 0.0)
+    entries = {name: Entry({"x": 1}, {"score": s}, nothing) for name, s in scores.items()}
+    found = compared(entries)
+    assert {name: entry.figures for name, entry in found.items()} == {
+        name: {"x": 1, "improvement": better} for name, better in improvements(scores).items()
+    }
+    assert found["a"].spectrum is nothing
+    assert found["b"].metrics["score"] is scores["b"]
+    with pytest.raises(FrozenInstanceError):
+        found["a"].figures = {}  # type: ignore[misc]
 
 
 def test_figures_without_a_bound_have_no_regret() -> None:
