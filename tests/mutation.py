@@ -35,6 +35,8 @@ LEFT_OUT = [  # operators that no program would survive: bits of floats, unions 
     r"core/ReplaceComparisonOperator_(?!Is)\w+_Is",
     r"core/ReplaceUnaryOperator_(USub|Invert)_",
 ]
+_SIGN = "sizes, times and frequencies are not negative"
+_FINITE = "no infinity is left"
 _ROUNDED = "no time lies 1e-9 s from a sample"
 
 
@@ -53,7 +55,7 @@ JUDGES = {
     "flexarm_env/rewards.py": Judge(("tests/flexarm_env/test_reward_terms.py",)),
     "flexarm_env/tasks.py": Judge(
         ("tests/flexarm_env/test_tasks.py",),
-        equal={"return self.tempo[1] != 0.0": "no frequency is negative"},
+        equal={"return self.tempo[1] != 0.0": _SIGN},
     ),
     "agents/metrics.py": Judge(
         ("tests/agents/test_metrics.py",),
@@ -63,10 +65,11 @@ JUDGES = {
             'values = action if name <= "action" else info[name]': "no other name is before it",
             "row = np.array(values, float).reshape(rows[ -1].shape)": "all rows have one shape",
             "at_end = time[:, None] >= time[last] - RESIDUAL_WINDOW + 1e-9": _ROUNDED,
+            "if first >= error.size or time[-1] - time[first] < HOLD - 1e-9:": "none is larger",
             "if first == error.size or time[-1] - time[first] <= HOLD - 1e-9:": _ROUNDED,
-            'return np.clip(1.0 - values["settling_time"] / recording.duration, 0.0, 2.0)': "no settling time is negative",
-            "if outside.size <= 0:": "no size is negative",
-            "text = json.dumps(without_infinities(data), indent=2, allow_nan=True)": "there is none left",
+            'return np.clip(1.0 - values["settling_time"] / recording.duration, 0.0, 2.0)': _SIGN,
+            "if outside.size <= 0:": _SIGN,
+            "text = json.dumps(without_infinities(data), indent=2, allow_nan=True)": _FINITE,
         },
     ),
     "agents/leaderboard/statistics.py": Judge(

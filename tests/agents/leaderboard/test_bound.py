@@ -1,5 +1,6 @@
 """The search for the shortest settling time, on a cart whose optimum a linear program gives."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -76,6 +77,14 @@ def test_a_settled_motion_is_only_ever_improved() -> None:
     best = bound.shortest(cart, resting(cart))
     assert bound.shortest(cart, best).settled == best.settled
     assert bound.improved(cart, best, best.settled) is best
+    assert bound.improved(cart, best, best.settled + 1) is best
+
+
+def test_a_motion_that_never_leaves_the_band_is_given_back() -> None:
+    """Nothing is tried, as there is no earlier step."""
+    still = motion([[0.5]])
+    still = replace(still, settled=0)
+    assert bound.shortest(SimpleNamespace(held=1), still) is still  # type: ignore[arg-type]
 
 
 def test_a_hopeless_episode_is_given_back() -> None:
@@ -87,6 +96,30 @@ def test_a_hopeless_episode_is_given_back() -> None:
             return bound.Motion(force, near.errors - 99.0 / BAND, near.deflection, STEPS, True)
 
     assert bound.shortest(Far(), resting(Far())).settled == STEPS
+
+
+@pytest.mark.parametrize(("step", "programs"), [(1e-4, 8), (0.0, 3)])
+def test_a_search_ends_after_eight_programs_or_when_the_trust_is_spent(
+    step: float, programs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Trust 0.5, 0.125, 0.031 without success; 0.0078 is below the last."""
+    asked = []
+
+    def program(motion: bound.Motion, *given: Any) -> Array:
+        asked.append(given[-1])
+        return np.full_like(motion.actions, step)
+
+    monkeypatch.setattr(bound, "program", program)
+    found = bound.improved(Cart(), resting(Cart()), 30)
+    assert len(asked) == programs
+    assert asked == [0.5] * 8 if step else asked == pytest.approx([0.5, 0.125, 0.03125])
+    assert found.actions[0, 0] == pytest.approx(step * programs)
+
+
+def test_a_search_without_a_program_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bound, "program", lambda *given: None)
+    start = resting(Cart())
+    assert bound.improved(Cart(), start, 30) is start
 
 
 def test_effects_are_the_response_to_every_action() -> None:

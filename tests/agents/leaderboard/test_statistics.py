@@ -69,6 +69,14 @@ def test_every_run_keeps_its_share_of_a_resample() -> None:
     assert interval(values) == pytest.approx([0.45, 0.45])
 
 
+def test_intervals_are_repeatable() -> None:
+    """By a second path: 2000 draws of whole episodes from the stream of seed 0."""
+    values = np.random.default_rng(5).normal(size=(2, 12))
+    drawn = values[:, np.random.default_rng(0).integers(0, 12, (2000, 12))]
+    middle = [interquartile_mean(drawn[:, k]) for k in range(2000)]
+    assert interval(values) == pytest.approx(np.percentile(middle, [2.5, 97.5]), rel=1e-12)
+
+
 def test_wins_are_counted_within_episodes_and_over_all_pairs_of_runs() -> None:
     values = np.array([[1.0, 2.0, 9.0], [3.0, 2.0, 0.0]])
     others = np.array([[2.0, 2.0, 1.0], [0.0, 1.0, 1.0]])
