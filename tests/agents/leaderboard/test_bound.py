@@ -26,7 +26,7 @@ class Cart:
 
     steps, held, dt = STEPS, STEPS - 2, DT
 
-    def __init__(self, bend: float = 0.5) -> None:
+    def __init__(self, bend: Any = 0.5) -> None:
         self.bend = bend
 
     def follow(self, actions: Array) -> list[bound.Motion]:
@@ -80,6 +80,32 @@ def test_a_settled_motion_is_only_ever_improved() -> None:
     assert bound.improved(cart, best, best.settled + 1) is best
 
 
+@pytest.mark.parametrize(
+    ("settled", "best", "asked"),
+    [
+        (8, 8, [6, 7]),  # a quarter earlier, then a step
+        (8, 3, [6, 4, 2, 3, 2]),
+        (1, 0, [0]),
+        (5, 2, [4, 3, 2, 1]),
+        (39, 39, [38]),  # not held to the end
+        (38, 38, [29, 34, 36, 37]),
+    ],
+)
+def test_the_search_takes_ever_smaller_strides(
+    settled: int, best: int, asked: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = []
+
+    def improved(episode: Any, motion: bound.Motion, first: int) -> bound.Motion:
+        tried.append(first)
+        return replace(motion, settled=first) if first >= best else motion
+
+    monkeypatch.setattr(bound, "improved", improved)
+    start = replace(motion([[0.5]]), settled=settled)
+    assert bound.shortest(Cart(), start).settled == best  # type: ignore[arg-type]
+    assert tried == asked
+
+
 def test_a_motion_that_never_leaves_the_band_is_given_back() -> None:
     """Nothing is tried, as there is no earlier step."""
     still = motion([[0.5]])
@@ -129,6 +155,15 @@ def test_effects_are_the_response_to_every_action() -> None:
     slopes, bends = bound.effects(cart, cart.motion(forces))
     np.testing.assert_allclose(slopes[:, 0], RESPONSE / BAND, atol=1e-9)
     np.testing.assert_allclose(bends, 0.5 * np.eye(STEPS), atol=1e-9)
+
+
+def test_rows_of_effects_are_times_and_columns_actions() -> None:
+    class Lasting(Cart):
+        def motion(self, force: Array) -> bound.Motion:
+            return replace(super().motion(force), deflection=np.cumsum(force[:, 0]))
+
+    _, bends = bound.effects(Lasting(), Lasting().motion(np.zeros((STEPS, 1))))
+    np.testing.assert_allclose(bends, np.tril(np.ones((STEPS, STEPS))), atol=1e-9)
 
 
 def test_effects_are_small_steps_inwards() -> None:
@@ -274,13 +309,14 @@ def test_actions_of_a_controller_are_its_clipped_predictions(episode: bound.Epis
 
     class Subject:
         def predict(self, observation: Array, state: Any, start: Array) -> Any:
-            given.append((observation[0, 1], state, bool(start[0])))
+            given.append((observation[0, 1], state, start.tolist()))
             return np.array([[2.0 / len(given)]], np.float32), len(given)
 
     actions = episode.acted(Subject())
     assert actions.shape == (150, 1)
     assert actions[:4, 0] == pytest.approx([1.0, 1.0, 2 / 3, 1 / 2])
-    assert given[:2] == [(0.75, None, True), (0.25, 1, False)]
+    assert given[:2] == [(0.75, None, [True]), (0.25, 1, [False])]
+    assert list(episode._batches) == [1]
 
 
 def test_stored_bounds_are_read_by_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
