@@ -138,6 +138,15 @@ def test_wrappers_weigh_the_terms_of_the_step() -> None:
         assert wrapper(Stub(), {"effort": 2.0}).step(5)[1] == 2.0 * place["effort"]
 
 
+def test_wrappers_need_every_term() -> None:
+    class Short(Stub):
+        def step(self, action: Any) -> Any:
+            return action, -1.0, False, True, {"reward_terms": {"tracking": 1.0}}
+
+    with pytest.raises(ValueError, match="zip"):
+        TipTrackingReward(Short()).step(5)
+
+
 def test_wrapped_environments_can_be_made_again() -> None:
     """Their arguments stand in the spec, as Gymnasium's recorder leaves them."""
     assert TipTrackingReward(Stub(), {"effort": 2.0})._saved_kwargs == {"weights": {"effort": 2.0}}
