@@ -35,10 +35,6 @@ LEFT_OUT = [  # operators that no program would survive: bits of floats, unions 
     r"core/ReplaceComparisonOperator_(?!Is)\w+_Is",
     r"core/ReplaceUnaryOperator_(USub|Invert)_",
 ]
-_SIGN = "sizes, times and frequencies are not negative"
-_OPEN = "NumPy takes any negative length as the open one"
-_FINITE = "no infinity is left"
-_ROUNDED = "no time lies 1e-9 s from a sample"
 
 
 @dataclass(frozen=True)
@@ -56,39 +52,37 @@ JUDGES = {
     "flexarm_env/rewards.py": Judge(("tests/flexarm_env/test_reward_terms.py",)),
     "flexarm_env/tasks.py": Judge(
         ("tests/flexarm_env/test_tasks.py",),
-        equal={"return self.tempo[1] != 0.0": _SIGN},
+        equal={"tempo[1] != 0.0": "no frequency is negative"},
     ),
     "agents/metrics.py": Judge(
         ("tests/agents/test_metrics.py",),
         equal={
-            'samples["root_curvature"] = [np.array(info["root_curvature"], float)'
-            ".reshape(n_env, - 2)]": _OPEN,
-            'values = action if name <= "action" else info[name]': "no other name is before it",
-            "row = np.array(values, float).reshape(rows[ -1].shape)": "all rows have one shape",
-            "at_end = time[:, None] >= time[last] - RESIDUAL_WINDOW + 1e-9": _ROUNDED,
-            "if first >= error.size or time[-1] - time[first] < HOLD - 1e-9:": "none is larger",
-            "if first == error.size or time[-1] - time[first] <= HOLD - 1e-9:": _ROUNDED,
-            'return np.clip(1.0 - values["settling_time"] / recording.duration, 0.0, 2.0)': _SIGN,
-            "if outside.size <= 0:": _SIGN,
-            "text = json.dumps(without_infinities(data), indent=2, allow_nan=True)": _FINITE,
+            "reshape(n_env, - 2)": "NumPy takes any negative length as the open one",
+            'name <= "action"': "no other name is before it",
+            "reshape(rows[ -1].shape)": "all rows have one shape",
+            "time[:, None] >= time[last]": "no sample is 1e-9 s beside the window",
+            "recording.duration, 0.0, 2.0)": "no settling time is negative",
+            "outside.size <= 0": "no size is negative",
+            "first >= error.size": "it is never larger",
+            "<= HOLD - 1e-9": "no sample is 1e-9 s beside the least time",
+            "allow_nan=True": "no infinity is left",
         },
     ),
     "agents/leaderboard/statistics.py": Judge(
         ("tests/agents/leaderboard/test_statistics.py",),
-        equal={"r = recordings[ -1]": "all recordings have one clock"},
+        equal={"recordings[ -1]": "all recordings have one clock"},
     ),
     "agents/leaderboard/bound.py": Judge(
         ("tests/agents/leaderboard/test_bound.py",),
         without=("bounded", "main", None),  # they need the compiled step; efforts of the search
         equal={
-            "if size <= 1:": _SIGN,
-            "return found.x[:-1].reshape(motion.actions.shape) if found.status <= 0 else None": _SIGN,
-            'rows = np.einsum("dk,tkx->tdx", normals, slopes[first:])'
-            ".reshape(- 2, motion.actions.size)": _OPEN,
-            "bounds = [*zip(low, high, strict=False), (0.0, None)]": "both are as long",
-            "while rounds != ROUNDS and trust > TRUST[1] and motion.settled > first:": "rounds are counted one by one",
-            "while rounds < ROUNDS and trust >= TRUST[1] and motion.settled > first:": "0.5 is never quartered to 0.01",
-            "if motion.settled != episode.held:": "a motion that settles by then is given back",
+            "size <= 1": "no size is below 1",
+            "found.status <= 0": "no status is negative",
+            "reshape(- 2, ": "NumPy takes any negative length as the open one",
+            "zip(low, high, strict=False)": "both are as long",
+            "rounds != ROUNDS": "rounds are counted one by one",
+            "trust >= TRUST[1]": "0.5 is never quartered to 0.01",
+            "motion.settled != episode.held": "a motion that settles by then is given back",
         },
     ),
 }
@@ -173,19 +167,24 @@ def mutants(session: Path) -> Iterator[Mutant]:
             yield Mutant(item.mutations[0].start_pos[0], before, after, result.is_killed)
 
 
+def harmless(mutant: Mutant, judge: Judge) -> str:
+    """Reason why a mutant behaves as the original, or an empty text."""
+    return next((why for part, why in judge.equal.items() if part in mutant.after), "")
+
+
 def page(found: dict[str, list[Mutant]]) -> str:
     """Markdown page: the share that is killed, and every survivor."""
     rows, lines, total, dead = [], [], 0, 0
     for module, all_mutants in found.items():
-        equal = JUDGES[module].equal
-        same = [m for m in all_mutants if not m.killed and m.after in equal]
-        alive = [m for m in all_mutants if not m.killed and m.after not in equal]
+        survivors = [(m, harmless(m, JUDGES[module])) for m in all_mutants if not m.killed]
+        same = [(m, reason) for m, reason in survivors if reason]
+        alive = [m for m, reason in survivors if not reason]
         count, killed = len(all_mutants) - len(same), len(all_mutants) - len(same) - len(alive)
         total, dead = total + count, dead + killed
         share = f"{100.0 * killed / count:.1f} %"
         rows.append(f"| `{module}` | {count} | {killed} | {share} | {len(alive)} | {len(same)} |")
         lines += [f"- `{module}`, {m.line}: `{m.before}` to `{m.after}`" for m in alive]
-        lines += [f"- `{module}`, {m.line}: `{m.after}`: {equal[m.after]}" for m in same]
+        lines += [f"- `{module}`, {m.line}: `{m.after}`: {reason}" for m, reason in same]
     table = "\n".join(rows)
     return f"""# Mutants of the judge
 
