@@ -146,6 +146,9 @@ def _check(options: argparse.Namespace) -> None:
             users_class(name)
         else:
             validate.known(name, "controller", sorted({*CONTROLLERS, *shipped_names}))
+    places = [(env_id, track) for env_id in options.tasks for track in options.tracks]
+    if not any(names(options.controllers, *place) for place in places):
+        raise ValueError(f"None of {options.controllers} acts on these tasks and tracks.")
     validate.integer(options.episodes, "--episodes", 2, 100_000)  # an interval needs two
     validate.integer(options.seed, "--seed", 0, 2**31)
 

@@ -64,6 +64,7 @@ def test_a_users_class_is_ranked_beside_ours(tmp_path: Path) -> None:
         (["--controllers", "lqq"], "lqr"),
         (["--controllers", "nomodule:X"], "cannot be imported"),
         (["--controllers", "math:X"], "cannot be imported"),
+        (["--tasks", ONE, "--tracks", "laboratory", "--controllers", "lqr"], "None of ['lqr']"),
         (["--episodes", "1"], "--episodes"),
         (["--seed", "-1"], "--seed"),
     ],
