@@ -106,6 +106,21 @@ def test_the_search_takes_ever_smaller_strides(
     assert tried == asked
 
 
+def test_a_search_that_finds_more_than_it_wanted_goes_on_from_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried = []
+
+    def improved(episode: Any, motion: bound.Motion, first: int) -> bound.Motion:
+        tried.append(first)
+        return replace(motion, settled=3) if first >= 3 else motion
+
+    monkeypatch.setattr(bound, "improved", improved)
+    start = replace(motion([[0.5]]), settled=8)
+    assert bound.shortest(Cart(), start).settled == 3  # type: ignore[arg-type]
+    assert tried == [6, 1, 2]
+
+
 def test_a_motion_that_never_leaves_the_band_is_given_back() -> None:
     """Nothing is tried, as there is no earlier step."""
     still = motion([[0.5]])
@@ -124,7 +139,7 @@ def test_a_hopeless_episode_is_given_back() -> None:
     assert bound.shortest(Far(), resting(Far())).settled == STEPS
 
 
-@pytest.mark.parametrize(("step", "programs"), [(1e-4, 8), (0.0, 3)])
+@pytest.mark.parametrize(("step", "programs"), [(1e-4, 8), (0.0, 3), (-1e-4, 3)])
 def test_a_search_ends_after_eight_programs_or_when_the_trust_is_spent(
     step: float, programs: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -138,8 +153,8 @@ def test_a_search_ends_after_eight_programs_or_when_the_trust_is_spent(
     monkeypatch.setattr(bound, "program", program)
     found = bound.improved(Cart(), resting(Cart()), 30)
     assert len(asked) == programs
-    assert asked == [0.5] * 8 if step else asked == pytest.approx([0.5, 0.125, 0.03125])
-    assert found.actions[0, 0] == pytest.approx(step * programs)
+    assert asked == ([0.5] * 8 if step > 0.0 else [0.5, 0.125, 0.03125])
+    assert found.actions[0, 0] == pytest.approx(max(step, 0.0) * programs)
 
 
 def test_a_search_without_a_program_ends(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -310,11 +325,11 @@ def test_actions_of_a_controller_are_its_clipped_predictions(episode: bound.Epis
     class Subject:
         def predict(self, observation: Array, state: Any, start: Array) -> Any:
             given.append((observation[0, 1], state, start.tolist()))
-            return np.array([[2.0 / len(given)]], np.float32), len(given)
+            return np.array([[[2.0, -2.0, 0.5][min(len(given), 3) - 1]]], np.float32), len(given)
 
     actions = episode.acted(Subject())
     assert actions.shape == (150, 1)
-    assert actions[:4, 0] == pytest.approx([1.0, 1.0, 2 / 3, 1 / 2])
+    assert actions[:4, 0].tolist() == [1.0, -1.0, 0.5, 0.5]
     assert given[:2] == [(0.75, None, [True]), (0.25, 1, [False])]
     assert list(episode._batches) == [1]
 
