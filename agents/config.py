@@ -9,57 +9,20 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from agents.environments import check_keywords
+from agents.learners.algorithms import (
+    DISCRETE,
+    NUMBER,
+    algorithms,
+    default,
+    policies,
+    policy_settings,
+    settings,
+)
 from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS, MOST_STACKED
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
 from flexarm_env import registered
 
-NUMBER = (int, float)
-NUMBER_OR_TEXT = (int, float, str)
-# Keys whose value may be "lin_3.0e-4", which falls linearly to zero over the run
-SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
-
-COMMON_KWARGS: dict[str, tuple[type, ...]] = {
-    "learning_rate": NUMBER_OR_TEXT,
-    "batch_size": (int,),
-    "gamma": NUMBER,
-    "ent_coef": NUMBER,
-    "stats_window_size": (int,),
-    "policy_kwargs": (dict,),
-}
-# Names and meanings are stable-baselines3's, so settings of RL Zoo can be copied.
-AGENT_KWARGS: dict[str, dict[str, tuple[type, ...]]] = {
-    "ppo": COMMON_KWARGS
-    | {
-        "n_steps": (int,),
-        "n_epochs": (int,),
-        "gae_lambda": NUMBER,
-        "clip_range": NUMBER_OR_TEXT,
-        "clip_range_vf": NUMBER_OR_TEXT,
-        "normalize_advantage": (bool,),
-        "vf_coef": NUMBER,
-        "max_grad_norm": NUMBER,
-        "target_kl": NUMBER,
-    },
-    "sac": COMMON_KWARGS
-    | {
-        "buffer_size": (int,),
-        "learning_starts": (int,),
-        "tau": NUMBER,
-        "train_freq": (int,),
-        "gradient_steps": (int,),
-        "ent_coef": NUMBER_OR_TEXT,
-        "target_update_interval": (int,),
-        "target_entropy": NUMBER_OR_TEXT,
-    },
-}
-POLICY_KWARGS: dict[str, tuple[type, ...]] = {
-    "net_arch": (list, dict),
-    "activation_fn": (str,),
-    "log_std_init": NUMBER,
-    "ortho_init": (bool,),
-    "n_critics": (int,),
-}
 # Smallest and largest value by key; NUMBERS_BETWEEN for all other keys.
 LIMITS: dict[str, tuple[float, float]] = {
     "total_steps": (1, 10**11),
@@ -83,11 +46,25 @@ LIMITS: dict[str, tuple[float, float]] = {
     "target_update_interval": (1, 10**9),
     "n_critics": (1, 10),
     "log_std_init": (-20.0, 10.0),
+    "noise_std": (0.0, 10.0),
+    "n_quantiles": (1, 1000),
+    "lstm_hidden_size": (1, LARGEST_LAYER),
+    "n_lstm_layers": (1, MOST_LAYERS - 2),
+    "policy_delay": (1, 10_000),
+    "cg_max_steps": (1, 10_000),
+    "line_search_max_iter": (1, 10_000),
+    "n_critic_updates": (1, 10_000),
+    "sub_sampling_factor": (1, 10_000),
+    "n_delta": (1, 10_000),
+    "n_top": (1, 10_000),
+    "n_eval_episodes": (1, 10_000),
 }
 NUMBERS_BETWEEN = (-1e6, 1e6)
-TEXTS = {  # texts that SAC accepts instead of a number
-    "ent_coef": re.compile(r"auto(_\d{1,6}(\.\d{1,9})?)?"),  # "auto_" and the initial value
-    "target_entropy": re.compile("auto"),
+TEXTS = {  # texts of agent keywords that are no schedules, and their description
+    # "auto_" and the initial value
+    "ent_coef": (re.compile(r"auto(_\d{1,6}(\.\d{1,9})?)?"), "a number, 'auto' or 'auto_NUMBER'"),
+    "target_entropy": (re.compile("auto"), "a number or 'auto'"),
+    "noise_type": (re.compile("normal|ornstein-uhlenbeck"), "'normal' or 'ornstein-uhlenbeck'"),
 }
 LARGEST_ROLLOUT = 2**24  # steps, summed over all environments
 FOLDER_NAME = re.compile(r"\w[\w .,()+=@-]{0,99}")
@@ -129,10 +106,10 @@ class EnvConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class AgentConfig:
-    """Algorithm of stable-baselines3 and its keywords."""
+    """Algorithm of stable-baselines3 or sb3-contrib and its keywords."""
 
     name: str
-    policy: str = "MlpPolicy"
+    policy: str | None = None  # by default the algorithm's first of a vector of observations
     kwargs: dict[str, Any] = field(default_factory=dict)
 
 
@@ -209,16 +186,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     for section in SECTIONS:
         if section:
             checked(data.get(section, {}), section)
-    agent = AgentConfig(**data["agent"])
-    if agent.name not in AGENT_KWARGS:
-        raise ConfigError(
-            f"agent.name must be one of {sorted(AGENT_KWARGS)}, got {validate.shown(agent.name)}."
-        )
-    if agent.policy != "MlpPolicy":
-        raise ConfigError(f"agent.policy must be 'MlpPolicy', got {validate.shown(agent.policy)}.")
-    check_table(agent.kwargs, AGENT_KWARGS[agent.name], "agent.kwargs")
-    check_texts(agent)
-    check_network(agent.kwargs.get("policy_kwargs", {}))
+    agent = checked_agent(AgentConfig(**data["agent"]))
     env = checked_environment(EnvConfig(**data["env"]))
     check_batch(agent, env)
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
@@ -230,6 +198,29 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
             f"{validate.shown(config.name)}."
         )
     return config
+
+
+def checked_agent(agent: AgentConfig) -> AgentConfig:
+    """The agent with its policy's name; refuses keywords that its algorithm does not have."""
+    if agent.name in DISCRETE:
+        raise ConfigError(
+            f"agent.name: {agent.name} chooses among discrete actions, but an arm takes torques; "
+            f"choose one of {list(algorithms())}."
+        )
+    if agent.name not in algorithms():
+        raise ConfigError(
+            f"agent.name must be one of {list(algorithms())}, got {validate.shown(agent.name)}."
+        )
+    known = policies(agent.name)
+    policy = known[0] if agent.policy is None else agent.policy
+    if policy not in known:
+        raise ConfigError(f"agent.policy must be one of {known}, got {validate.shown(policy)}.")
+    check_table(agent.kwargs, settings(agent.name), "agent.kwargs")
+    check_texts(agent)
+    network = agent.kwargs.get("policy_kwargs", {})
+    check_table(network, policy_settings(agent.name, policy), "agent.kwargs.policy_kwargs")
+    check_network(network)
+    return replace(agent, policy=policy)
 
 
 def checked_environment(env: EnvConfig) -> EnvConfig:
@@ -299,7 +290,7 @@ def hint(key: Any, known: Mapping[str, Any]) -> str:
     """Remedy for an unknown key: its place here, the closest known key, or all known keys."""
     if key in ZOO_NAMES:
         return f"Here it is {ZOO_NAMES[key]}."
-    if any(key in kwargs for kwargs in AGENT_KWARGS.values()) and "env" in known:
+    if "env" in known and any(key in settings(name) for name in algorithms()):
         return f"It belongs to agent.kwargs.{key}."
     close = difflib.get_close_matches(str(key), list(known), n=1)
     return f"Did you mean {close[0]!r}?" if close else f"Known: {sorted(known)}."
@@ -311,31 +302,30 @@ def dotted(section: str, key: str) -> str:
 
 
 def check_texts(agent: AgentConfig) -> None:
-    """Refuse texts in place of numbers, except schedules 'lin_NUMBER' and SAC's 'auto'."""
-    for key, pattern in TEXTS.items():
-        value = agent.kwargs.get(key)
-        if isinstance(value, str) and not pattern.fullmatch(value):
+    """Refuse texts in place of numbers, except those of TEXTS and schedules 'lin_NUMBER'."""
+    for key, value in agent.kwargs.items():
+        where = f"agent.kwargs.{key}"
+        if not isinstance(value, str):
+            continue
+        if key in TEXTS:
+            pattern, words = TEXTS[key]
+            if not pattern.fullmatch(value):
+                raise ConfigError(f"{where} must be {words}, got {validate.shown(value)}.")
+            continue
+        start = value.removeprefix("lin_")
+        try:
+            number = float(start)
+        except ValueError:
             raise ConfigError(
-                f"agent.kwargs.{key} must be a number or 'auto', for ent_coef also 'auto_NUMBER', "
-                f"got {validate.shown(value)}."
-            )
-    for key in SCHEDULES:
-        value = agent.kwargs.get(key)
-        if isinstance(value, str):
-            start = value.removeprefix("lin_")
-            where = f"agent.kwargs.{key}"
-            try:
-                number = float(start)
-            except ValueError:
-                raise ConfigError(
-                    f"{where} must be a number or 'lin_NUMBER', got {validate.shown(value)}."
-                ) from None
-            check_value(number if start != value else value, NUMBER, where)
+                f"{where} must be a number or 'lin_NUMBER', got {validate.shown(value)}."
+            ) from None
+        check_value(number if start != value else value, NUMBER, where)
+    if "noise_type" in agent.kwargs and "noise_std" not in agent.kwargs:
+        raise ConfigError("agent.kwargs.noise_type needs agent.kwargs.noise_std, such as 0.1.")
 
 
 def check_network(policy_kwargs: dict[str, Any]) -> None:
     """Refuse layer sizes and activations that a stored policy cannot have."""
-    check_table(policy_kwargs, POLICY_KWARGS, "agent.kwargs.policy_kwargs")
     activation = policy_kwargs.get("activation_fn", "tanh")
     if activation not in ACTIVATIONS:
         raise ConfigError(
@@ -347,20 +337,25 @@ def check_network(policy_kwargs: dict[str, Any]) -> None:
             raise ConfigError(
                 f"net_arch must list layer sizes such as [64, 64], got {validate.shown(sizes)}."
             )
-        if len(sizes) > MOST_LAYERS - 2 or max(sizes, default=1) > LARGEST_LAYER:
+        most = MOST_LAYERS - 2 - policy_kwargs.get("n_lstm_layers", 0)
+        if len(sizes) > most or max(sizes, default=1) > LARGEST_LAYER:
             raise ConfigError(
-                f"net_arch must have at most {MOST_LAYERS - 2} layers of at most {LARGEST_LAYER} "
+                f"net_arch must have at most {most} layers of at most {LARGEST_LAYER} "
                 f"units, got {validate.shown(sizes)}."
             )
 
 
 def check_batch(agent: AgentConfig, env: EnvConfig) -> None:
-    """Refuse a PPO rollout that is too large or not a multiple of the minibatch."""
-    if agent.name != "ppo":
+    """Refuse a rollout that is too large or not a multiple of the minibatch."""
+    if agent.name == "ars" and env.n_envs > 1:
+        raise ConfigError(
+            f"env.n_envs must be 1 for ars, which runs one episode at a time, got {env.n_envs}."
+        )
+    if "gae_lambda" not in settings(agent.name):  # only on-policy algorithms have rollouts
         return
-    rollout = agent.kwargs.get("n_steps", 2048) * env.n_envs
-    batch = agent.kwargs.get("batch_size", 64)
-    if rollout % batch:
+    rollout = agent.kwargs.get("n_steps", default(agent.name, "n_steps")) * env.n_envs
+    batch = agent.kwargs.get("batch_size", default(agent.name, "batch_size"))
+    if batch is not None and rollout % batch:
         raise ConfigError(
             f"agent.kwargs.batch_size ({batch}) must divide n_steps x n_envs ({rollout})."
         )

@@ -14,8 +14,9 @@ from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
 from agents.environments import REFUSALS, check_keywords
 from agents.files import FolderError, check_folder, folder_lock
 from agents.leaderboard.tracks import takes_part, track_of
+from agents.learners.export import load_zip
 from agents.metrics import make_batch
-from agents.policy import Controller, Policy, PolicyError, load_policy, load_zip
+from agents.policy import Controller, Policy, PolicyError, load_policy
 from agents.run_folder.folder import versions
 from agents.sentences import one_line
 from agents.signals import Interrupted, signals_to, stop_at_once

@@ -7,13 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
-from zipfile import ZipFile
 
 import numpy as np
 
 from agents.arrays import Header, read_arrays
 from agents.files import atomic_write
-from agents.sentences import one_line
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
 from dynamics.types import AnyArray
@@ -22,6 +20,8 @@ POLICY_FORMAT = "flexarm-policy-1"
 JSON_FILE, WEIGHTS_FILE = "policy.json", "weights.npz"
 KEYS = "format layer_sizes activation squashing observation_low observation_high action_low"
 KEYS += " action_high about"
+RECURRENT = "recurrent"  # number of LSTM layers; a file without the key has none
+GATES = 4  # of an LSTM: input, forget, candidate, output
 LARGEST_JSON = 2**20  # bytes
 LARGEST_LAYER = 2048  # units
 MOST_LAYERS = 10  # including observation and action
@@ -61,14 +61,17 @@ class Controller(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Policy:
-    """A multilayer perceptron from observation to action, evaluated with numpy in float32.
+    """A network from observation to action, evaluated with numpy in float32.
 
-    A policy with a memory takes its latest observations, stacked oldest first; zeros precede the
-    first one of an episode. The state that `predict` returns holds them.
+    Layers of LSTM cells (Hochreiter and Schmidhuber, Long Short-Term Memory, Neural Computation 9,
+    1997, with forget gates), if any, come first; a multilayer perceptron follows. A policy may take
+    its latest observations, stacked oldest first; zeros precede the first one of an episode. The
+    state that `predict` returns holds these observations and the cells.
     """
 
-    weights: tuple[AnyArray, ...]  # each (n_out, n_in)
-    biases: tuple[AnyArray, ...]  # each (n_out,)
+    weights: tuple[AnyArray, ...]  # each (n_out, n_in), of LSTM cells (4 n_out, n_in + n_out)
+    biases: tuple[AnyArray, ...]  # each (n_out,), of LSTM cells (4 n_out,)
+    recurrent: int = 0  # number of layers of LSTM cells
     activation: str
     squashing: str
     observation_low: AnyArray  # (n_observation,) bounds of the training observations
@@ -86,6 +89,19 @@ class Policy:
         """Size of one observation."""
         return self.observation_low.size // self.stack
 
+    @property
+    def layer_sizes(self) -> list[int]:
+        """Sizes of the input, of every layer and of the action."""
+        gates = [GATES] * self.recurrent + [1] * len(self.biases)
+        outputs = (b.size // n for b, n in zip(self.biases, gates, strict=False))
+        return [self.observation_low.size, *outputs]
+
+    @property
+    def n_state(self) -> int:
+        """Size of the state: the stacked observations, then output and content of each LSTM."""
+        stacked = self.observation_low.size if self.stack > 1 else 0
+        return stacked + 2 * sum(self.layer_sizes[1 : self.recurrent + 1])
+
     def predict(
         self,
         observation: AnyArray,
@@ -93,7 +109,7 @@ class Policy:
         episode_start: AnyArray | None = None,
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
-        """Return the mean action (..., n_action), and the state for the next call."""
+        """Return the mean action (..., n_action), and the state (..., n_state) of the next call."""
         if not deterministic:
             raise ValueError(
                 "A stored policy holds the mean action only; call predict(deterministic=True)."
@@ -104,59 +120,55 @@ class Policy:
                 f"The policy takes {self.n_observation} observations, got shape {x.shape}. "
                 f"It was trained on {validate.shown(self.about.get('env_id'))}."
             )
-        if self.stack > 1:
-            x = state = self._stacked(x, state, episode_start)
-        activation = ACTIVATIONS[self.activation]
+        if self.n_state:
+            x, state = self._remembered(x, state, episode_start)
+        activation, first = ACTIVATIONS[self.activation], self.recurrent
         with np.errstate(over="ignore", invalid="ignore"):
-            for W, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            for W, b in zip(self.weights[first:-1], self.biases[first:-1], strict=True):
                 x = activation(x @ W.T + b)
             x = SQUASHINGS[self.squashing](x @ self.weights[-1].T + self.biases[-1])
         if np.isnan(x).any():
             raise PolicyError("The policy's weights are so large that its action is not a number.")
         return x.astype(np.float32), state
 
-    def _stacked(self, x: AnyArray, before: Any, episode_start: AnyArray | None) -> AnyArray:
-        """The latest observations (..., stack * n_observation), as `VecFrameStack` orders them."""
+    def _remembered(
+        self, x: AnyArray, before: Any, episode_start: AnyArray | None
+    ) -> tuple[AnyArray, AnyArray]:
+        """Input (..., n) of the perceptron, and the state; observations as `VecFrameStack` has."""
         if before is None:
-            before = np.zeros((*x.shape[:-1], self.observation_low.size), np.float32)
+            before = np.zeros((*x.shape[:-1], self.n_state), np.float32)
         elif episode_start is not None:
             before = np.where(np.asarray(episode_start, bool)[..., None], np.float32(0.0), before)
-        return np.concatenate([before[..., self.n_observation :], x], axis=-1)
+        after: list[AnyArray] = []
+        if self.stack > 1:
+            stacked, before = np.split(before, [self.observation_low.size], axis=-1)
+            x = np.concatenate([stacked[..., self.n_observation :], x], axis=-1)
+            after.append(x)
+        for W, b in zip(self.weights[: self.recurrent], self.biases, strict=False):
+            n = b.size // GATES
+            x, cell = lstm(W, b, x, before[..., :n], before[..., n : 2 * n])
+            before = before[..., 2 * n :]
+            after += [x, cell]
+        return x, np.concatenate(after, axis=-1)
 
 
-def export_policy(model: Any, about: dict[str, Any]) -> Policy:
-    """The actor network of a stable-baselines3 PPO or SAC model."""
-    from stable_baselines3 import PPO, SAC
+def lstm(
+    W: AnyArray, b: AnyArray, x: AnyArray, h: AnyArray, c: AnyArray
+) -> tuple[AnyArray, AnyArray]:
+    """One step of LSTM cells: output h and content c (..., n), from an input and the former two.
 
-    if isinstance(model, PPO):
-        body, head = model.policy.mlp_extractor.policy_net, model.policy.action_net
-        squashing = "clip"
-    elif isinstance(model, SAC):
-        body, head = model.actor.latent_pi, model.actor.mu
-        squashing = "tanh"
-    else:
-        raise PolicyError(f"Only PPO and SAC can be exported, got {type(model).__name__}.")
-    layers, activations = [], set()
-    for layer in [*body, head]:
-        if hasattr(layer, "weight"):
-            layers.append(layer)
-        else:
-            activations.add(type(layer).__name__.lower())
-    if len(activations) > 1 or not activations <= set(ACTIVATIONS):
-        raise PolicyError(
-            f"Only networks with one activation out of {sorted(ACTIVATIONS)} can be exported, "
-            f"got {sorted(activations)}."
-        )
-    space = model.observation_space
-    return Policy(
-        weights=tuple(layer.weight.detach().cpu().numpy().copy() for layer in layers),
-        biases=tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers),
-        activation=activations.pop() if activations else "tanh",
-        squashing=squashing,
-        observation_low=space.low.copy(),
-        observation_high=space.high.copy(),
-        about={"algorithm": type(model).__name__.lower()} | about,
-    )
+    Weights W (4 n, n_in + n) and biases b (4 n,) have torch's order of gates.
+    """
+    gates = np.concatenate([x, h], axis=-1) @ W.T + b
+    i, f, g, o = np.split(gates, GATES, axis=-1)
+    c = sigmoid(f) * c + sigmoid(i) * np.tanh(g)
+    return sigmoid(o) * np.tanh(c), c
+
+
+def sigmoid(x: AnyArray) -> AnyArray:
+    """Logistic function, without overflow."""
+    y: AnyArray = 0.5 * np.tanh(0.5 * x) + 0.5
+    return y
 
 
 def save_policy(policy: Policy, folder: Path) -> None:
@@ -164,16 +176,16 @@ def save_policy(policy: Policy, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {f"W{i}": W for i, W in enumerate(policy.weights)}
     arrays |= {f"b{i}": b for i, b in enumerate(policy.biases)}
-    sizes = [policy.weights[0].shape[1], *(W.shape[0] for W in policy.weights)]
     description = {
         "format": POLICY_FORMAT,
-        "layer_sizes": sizes,
+        "layer_sizes": policy.layer_sizes,
+        **({RECURRENT: policy.recurrent} if policy.recurrent else {}),
         "activation": policy.activation,
         "squashing": policy.squashing,
         "observation_low": policy.observation_low.tolist(),
         "observation_high": policy.observation_high.tolist(),
-        "action_low": [-1.0] * sizes[-1],
-        "action_high": [1.0] * sizes[-1],
+        "action_low": [-1.0] * policy.layer_sizes[-1],
+        "action_high": [1.0] * policy.layer_sizes[-1],
         "about": policy.about,
     }
     text = json.dumps(description, indent=2, allow_nan=False)
@@ -195,7 +207,7 @@ def load_policy(folder: str | Path) -> Policy:
         raise PolicyError(f"{folder}: holds no {JSON_FILE} with {WEIGHTS_FILE}.")
     try:
         d = read_description(folder / JSON_FILE)
-        arrays = read_weights(folder / WEIGHTS_FILE, d["layer_sizes"])
+        arrays = read_weights(folder / WEIGHTS_FILE, d["layer_sizes"], d[RECURRENT])
     except OSError as error:
         raise PolicyError(f"{folder}: cannot be read ({error.strerror}).") from None
     except ValueError as error:
@@ -204,6 +216,7 @@ def load_policy(folder: str | Path) -> Policy:
     return Policy(
         weights=tuple(arrays[f"W{i}"] for i in layers),
         biases=tuple(arrays[f"b{i}"] for i in layers),
+        recurrent=d[RECURRENT],
         activation=d["activation"],
         squashing=d["squashing"],
         observation_low=np.asarray(d["observation_low"], np.float32),
@@ -216,7 +229,8 @@ def read_description(path: Path) -> dict[str, Any]:
     """Read and check every field of a `policy.json`; raises ValueError."""
     if path.stat().st_size > LARGEST_JSON:
         raise ValueError(f"{path.name} must be at most {LARGEST_JSON:_} bytes.")
-    d: dict[str, Any] = validate.mapping(read_mapping(path), path.name, KEYS.split())
+    known = [*KEYS.split(), RECURRENT]
+    d: dict[str, Any] = {RECURRENT: 0} | validate.mapping(read_mapping(path), path.name, known)
     missing = sorted(set(KEYS.split()) - set(d))
     if missing:
         raise ValueError(f"{path.name} lacks {', '.join(missing)}.")
@@ -227,6 +241,7 @@ def read_description(path: Path) -> dict[str, Any]:
     if not 2 <= len(entries) <= MOST_LAYERS:
         raise ValueError(f"layer_sizes must have 2 to {MOST_LAYERS} entries, got {len(entries)}.")
     sizes = [validate.integer(n, "each of layer_sizes", 1, LARGEST_LAYER) for n in entries]
+    validate.integer(d[RECURRENT], RECURRENT, 0, len(sizes) - 2)
     for name, size in (("observation", sizes[0]), ("action", sizes[-1])):
         low, high = (validate.numbers(d[f"{name}_{end}"], f"{name}_{end}", size) for end in ENDS)
         if not all(a <= b for a, b in zip(low, high, strict=True)):
@@ -240,11 +255,12 @@ def read_description(path: Path) -> dict[str, Any]:
     return d
 
 
-def read_weights(path: Path, sizes: list[int]) -> dict[str, AnyArray]:
-    """Read weights and biases of layers of the given sizes; raises ValueError."""
+def read_weights(path: Path, sizes: list[int], recurrent: int) -> dict[str, AnyArray]:
+    """Read weights and biases of layers of the given sizes, LSTM cells first; or ValueError."""
     shapes: dict[str, tuple[int, ...]] = {}
     for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
-        shapes |= {f"W{i}": (n_out, n_in), f"b{i}": (n_out,)}
+        rows, columns = (GATES * n_out, n_in + n_out) if i < recurrent else (n_out, n_in)
+        shapes |= {f"W{i}": (rows, columns), f"b{i}": (rows,)}
     most = 8 * sum(math.prod(shape) for shape in shapes.values()) + OVERHEAD
     if path.stat().st_size > most:
         raise ValueError(f"{path.name} must be at most {most:_} bytes for layer sizes {sizes}.")
@@ -260,37 +276,3 @@ def read_weights(path: Path, sizes: list[int]) -> dict[str, AnyArray]:
     if not all(np.isfinite(array).all() for array in arrays.values()):
         raise ValueError("the weights are not finite; the training had diverged.")
     return arrays
-
-
-def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
-    """Load the policy of a stable-baselines3 zip; requires `trust`, because it is unpickled."""
-    path = Path(path)
-    if not trust:
-        raise PolicyError(
-            f"{path}: a stable-baselines3 zip is unpickled when loaded and can run any code; "
-            "pass --trust if you trust its author."
-        )
-    from stable_baselines3 import PPO, SAC
-
-    try:
-        with ZipFile(path) as archive:
-            name = algorithm(json.loads(archive.read("data")))
-        model = {"PPO": PPO, "SAC": SAC}[name].load(path, device="cpu")
-        return export_policy(model, {"source": path.name})
-    except PolicyError as error:
-        raise PolicyError(f"{path}: {error}") from None
-    except Exception as error:  # unpickling can raise anything
-        raise PolicyError(
-            f"{path}: cannot be loaded as a stable-baselines3 zip "
-            f"({type(error).__name__}: {one_line(error)})."
-        ) from None
-
-
-def algorithm(settings: Any) -> str:
-    """Algorithm of a stable-baselines3 zip, from its JSON settings without unpickling."""
-    module = settings["policy_class"].get("__module__")
-    if module == "stable_baselines3.common.policies" and "n_epochs" in settings:
-        return "PPO"  # A2C has the same policy class but no epochs
-    if module == "stable_baselines3.sac.policies":
-        return "SAC"
-    raise PolicyError(f"Only PPO and SAC can be loaded, got a policy of {validate.shown(module)}.")

@@ -1,4 +1,4 @@
-"""Training by PPO or SAC from an experiment file: logged, resumable, evaluated at the end."""
+"""Training from an experiment file: logged, resumable, evaluated at the end."""
 
 import argparse
 import shlex
@@ -12,15 +12,17 @@ from typing import Any
 import numpy as np
 
 from agents.comparison import compare
-from agents.config import LIMITS, SCHEDULES, Config, ConfigError, load_config
+from agents.config import LIMITS, AgentConfig, Config, ConfigError, load_config
 from agents.controllers import controller, joint_pd, tune_pd
 from agents.environments import REFUSALS
 from agents.figures import plot_learning_curve
 from agents.files import FolderError, folder_lock
 from agents.leaderboard.bound import shortest_times
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
+from agents.learners.algorithms import algorithms
+from agents.learners.export import export_policy
 from agents.metrics import make_batch, write_json
-from agents.policy import Controller, PolicyError, export_policy, load_policy, save_policy
+from agents.policy import Controller, PolicyError, load_policy, save_policy
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
@@ -41,21 +43,11 @@ class TrainingError(ValueError):
 def build_model(config: Config) -> Any:
     """The stable-baselines3 model of the experiment on its batch environment."""
     import torch
-    from stable_baselines3 import PPO, SAC
     from stable_baselines3.common.vec_env import VecFrameStack
 
     from flexarm_env import SB3VecEnv
 
     torch.set_num_threads(1)  # faster for small networks, and leaves the other cores free
-    activations = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU, "elu": torch.nn.ELU}
-    kwargs = dict(config.agent.kwargs)
-    policy_kwargs = dict(kwargs.pop("policy_kwargs", {}))
-    if "activation_fn" in policy_kwargs:
-        policy_kwargs["activation_fn"] = activations[policy_kwargs["activation_fn"]]
-    for key in SCHEDULES:
-        value = kwargs.get(key)
-        if isinstance(value, str):
-            kwargs[key] = falling(float(value.removeprefix("lin_")))
     try:
         env: Any = SB3VecEnv(config.env.id, config.env.n_envs, **config.env.make_kwargs)
     except REFUSALS as error:
@@ -64,24 +56,51 @@ def build_model(config: Config) -> Any:
     if config.env.stack > 1:
         env = VecFrameStack(env, config.env.stack)
     try:
-        algorithm = {"ppo": PPO, "sac": SAC}[config.agent.name]
-        return algorithm(
+        return algorithms()[config.agent.name](
             config.agent.policy,
             env,
-            policy_kwargs=policy_kwargs,
             seed=config.seed,
             device="cpu",
-            **kwargs,
+            **learner_kwargs(config.agent, env.action_space.shape),
         )
     except REFUSALS as error:
         raise ConfigError(f"agent: {config.agent.name} refuses its keywords: {error}") from None
 
 
+def learner_kwargs(agent: AgentConfig, action_shape: tuple[int, ...]) -> dict[str, Any]:
+    """Keywords of the learner's class: texts of the file become schedules, classes and noise."""
+    import torch
+    from stable_baselines3.common import noise
+
+    activations = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU, "elu": torch.nn.ELU}
+    noises = {
+        "normal": noise.NormalActionNoise,
+        "ornstein-uhlenbeck": noise.OrnsteinUhlenbeckActionNoise,
+    }
+    kwargs = dict(agent.kwargs)
+    network = kwargs["policy_kwargs"] = dict(kwargs.pop("policy_kwargs", {}))
+    if "activation_fn" in network:
+        network["activation_fn"] = activations[network["activation_fn"]]
+    for key, value in kwargs.items():
+        if isinstance(value, str) and value.startswith("lin_"):
+            kwargs[key] = falling(float(value.removeprefix("lin_")))
+    kind, deviation = kwargs.pop("noise_type", "normal"), kwargs.pop("noise_std", None)
+    if deviation is not None:
+        zero = np.zeros(action_shape)
+        kwargs["action_noise"] = noises[kind](mean=zero, sigma=zero + deviation)
+    return kwargs
+
+
 def prepare(config: Config) -> None:
-    """Build the experiment and take one step, so that a bad one fails before files are made."""
+    """Build the experiment, store its policy in memory and take one step.
+
+    A bad experiment fails here, before files are made.
+    """
     begin = time.monotonic()
     print(f"Preparing {config.env.id} (an arm is compiled at its first use and cached) ...")
-    env = build_model(config).env
+    model = build_model(config)
+    export_policy(model, {})
+    env = model.env
     env.reset()
     env.step(np.zeros((config.env.n_envs, *env.action_space.shape), np.float32))
     env.close()

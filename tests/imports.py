@@ -51,6 +51,7 @@ ROOMS = (
     "agents.environments",
     "agents.files",
     "agents.policy",
+    "agents.learners",
     "agents.config",
     "agents.metrics",
     "agents.run_folder",

@@ -20,7 +20,8 @@ from agents.metrics import without_infinities, write_json
 from agents.run_folder.log import append_row, is_count, read_rows, repair_log
 from dynamics.description.data_file import read_mapping
 
-PACKAGES = "flexarm numpy scipy numba casadi gymnasium stable_baselines3 torch matplotlib pillow"
+PACKAGES = "flexarm numpy scipy numba casadi gymnasium stable_baselines3 sb3_contrib torch "
+PACKAGES += "matplotlib pillow"
 FINISHED = "finished_at_steps"  # key in versions.json, written last
 CURVE_COLUMNS = "session steps seconds episodes return tip_error settled failed steps_per_second"
 

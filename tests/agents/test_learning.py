@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from agents.config import Config, config_from_dict
+from agents.learners.export import export_policy
 from agents.metrics import make_batch
-from agents.policy import Policy, export_policy
+from agents.policy import Policy
 from agents.training import build_model
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"

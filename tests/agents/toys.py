@@ -1,10 +1,12 @@
 """Small learners for tests of stored policies and checkpoints."""
 
+from copy import deepcopy
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from stable_baselines3 import PPO, SAC
+
+from agents.learners.algorithms import algorithms, policies
 
 
 class Toy(gym.Env):
@@ -22,9 +24,32 @@ class Toy(gym.Env):
         return observation, -float(action @ action), False, bool(self.np_random.random() < 0.1), {}
 
 
-def build(name: str, seed: int = 0) -> Any:
-    if name == "ppo":
-        network = {"net_arch": [16, 8], "log_std_init": -0.5}
-        return PPO("MlpPolicy", Toy(), policy_kwargs=network, n_steps=32, batch_size=32, seed=seed)
-    network = {"net_arch": {"pi": [16], "qf": [16, 16]}}
-    return SAC("MlpPolicy", Toy(), policy_kwargs=network, learning_starts=10, seed=seed)
+OFF_POLICY = {"learning_starts": 10, "batch_size": 16, "buffer_size": 1000}
+NETWORK = {"net_arch": {"pi": [16], "qf": [16, 16]}}
+# Keywords per algorithm, for updates within a few steps
+KWARGS: dict[str, dict[str, Any]] = {
+    "a2c": {},
+    "ars": {"n_delta": 2, "zero_policy": False, "policy_kwargs": {"net_arch": [16, 8]}},
+    "crossq": OFF_POLICY | {"policy_kwargs": NETWORK},
+    "ddpg": OFF_POLICY | {"policy_kwargs": NETWORK},
+    "ppo": {
+        "n_steps": 32,
+        "batch_size": 32,
+        "policy_kwargs": {"net_arch": [16, 8], "log_std_init": -0.5},
+    },
+    "recurrent-ppo": {
+        "n_steps": 32,
+        "batch_size": 32,
+        "policy_kwargs": {"net_arch": [8], "lstm_hidden_size": 12, "n_lstm_layers": 2},
+    },
+    "sac": OFF_POLICY | {"policy_kwargs": NETWORK},
+    "td3": OFF_POLICY | {"policy_kwargs": NETWORK},
+    "tqc": OFF_POLICY | {"policy_kwargs": NETWORK},
+    "trpo": {"n_steps": 32, "batch_size": 32},
+}
+
+
+def build(name: str, seed: int = 0, env: Any = None, **kwargs: Any) -> Any:
+    """An untrained model of an algorithm on `Toy`, or on another environment."""
+    given = deepcopy(KWARGS[name] | kwargs)  # learners write into policy_kwargs
+    return algorithms()[name](policies(name)[0], env or Toy(), seed=seed, device="cpu", **given)

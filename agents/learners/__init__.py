@@ -1,0 +1,1 @@
+"""Learners of stable-baselines3 and sb3-contrib: their names and settings, and their actors."""

@@ -1,0 +1,107 @@
+"""Algorithms of stable-baselines3 and sb3-contrib by name, and the settings that a file may give.
+
+A name is that of the class in lower case, with a hyphen before an abbreviation: "ppo", "crossq",
+"recurrent-ppo". Settings and their types are those of the class's own signature, so names and
+meanings are stable-baselines3's, and settings of RL Zoo can be copied.
+"""
+
+import inspect
+import re
+from collections.abc import Callable
+from functools import cache
+from types import UnionType
+from typing import Any, get_args, get_origin
+
+NUMBER = (int, float)
+DISCRETE = ("dqn", "maskable-ppo", "qrdqn")  # algorithms without continuous actions
+POLICIES = ("MlpPolicy", "LinearPolicy", "MlpLstmPolicy")  # policies of one vector of observations
+# Set by the run, or objects that no file can hold
+NOT_IN_FILES = {"policy", "env", "verbose", "tensorboard_log", "seed", "device"}
+NOT_IN_FILES |= {"_init_setup_model", "optimize_memory_usage", "action_noise", "lstm_kwargs"}
+NOT_IN_FILES |= {"normalize_images"}
+NOT_IN_FILES |= {
+    f"{owner}_{what}"
+    for owner in ("replay_buffer", "rollout_buffer", "features_extractor", "optimizer")
+    for what in ("class", "kwargs")
+}
+NOT_IN_POLICIES = {
+    "observation_space",
+    "action_space",
+    "lr_schedule",
+    "normalize_images",
+    "use_sde",
+}
+NOISE = {"noise_type": (str,), "noise_std": NUMBER}  # of actions, as in RL Zoo
+
+
+def name_of(algorithm: type) -> str:
+    """Name of an algorithm's class in experiment files."""
+    return re.sub("(?<=[a-z])(?=[A-Z]{2})", "-", algorithm.__name__).lower()
+
+
+@cache
+def algorithms() -> dict[str, Any]:
+    """Classes of the algorithms with continuous actions, by name."""
+    import sb3_contrib
+    import stable_baselines3
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+    from agents.learners.ars import ARS
+
+    found = [
+        thing
+        for package in (stable_baselines3, sb3_contrib)
+        for thing in vars(package).values()
+        if isinstance(thing, type) and issubclass(thing, BaseAlgorithm)
+    ]
+    named = {name_of(algorithm): algorithm for algorithm in [*found, ARS]}
+    return {name: named[name] for name in sorted(named) if name not in DISCRETE}
+
+
+def policies(name: str) -> list[str]:
+    """Names of the policies that an algorithm has for one vector of observations."""
+    known = algorithms()[name].policy_aliases
+    return [policy for policy in POLICIES if policy in known]
+
+
+@cache
+def settings(name: str) -> dict[str, tuple[type, ...]]:
+    """Keywords of an algorithm that a file may give, with the types of their values."""
+    algorithm = algorithms()[name]
+    takes_noise = "action_noise" in inspect.signature(algorithm).parameters
+    return typed(algorithm) | (NOISE if takes_noise else {})
+
+
+@cache
+def policy_settings(name: str, policy: str) -> dict[str, tuple[type, ...]]:
+    """Keywords of an algorithm's policy that a file may give, with the types of their values."""
+    found = typed(algorithms()[name].policy_aliases[policy])
+    return {key: types for key, types in found.items() if key not in NOT_IN_POLICIES}
+
+
+def default(name: str, key: str) -> Any:
+    """Default of an algorithm's keyword; None if it has no such keyword."""
+    parameter = inspect.signature(algorithms()[name]).parameters.get(key)
+    return None if parameter is None else parameter.default
+
+
+def typed(thing: Any) -> dict[str, tuple[type, ...]]:
+    """Keywords of a class that a file can hold, with the types of their values."""
+    parameters = inspect.signature(thing).parameters.items()
+    kinds = {key: plain_types(parameter.annotation) for key, parameter in parameters}
+    return {key: types for key, types in kinds.items() if types and key not in NOT_IN_FILES}
+
+
+def plain_types(annotation: Any) -> tuple[type, ...]:
+    """Types of a keyword's value in a file; schedules and classes are named by a text."""
+    options = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
+    found: list[type] = []
+    for option in options:
+        kind = get_origin(option) or option
+        if kind is float:
+            found += NUMBER
+        elif kind in (int, bool, str, list, dict):
+            found.append(kind)
+        elif kind in (Callable, type):
+            found.append(str)
+    return tuple(dict.fromkeys(found))

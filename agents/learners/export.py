@@ -1,0 +1,161 @@
+"""Actors of trained learners as stored policies, which need neither torch nor pickle."""
+
+import json
+from pathlib import Path
+from typing import Any
+from zipfile import ZipFile
+
+import numpy as np
+
+from agents.learners.algorithms import algorithms, name_of
+from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS, Policy, PolicyError
+from agents.sentences import one_line
+from dynamics.description import validate
+from dynamics.types import AnyArray
+
+# Algorithms of zips by the module of their policy; TD3 and DDPG share theirs.
+ZIPPED = {
+    "stable_baselines3.sac.policies": "sac",
+    "stable_baselines3.td3.policies": "td3",
+    "sb3_contrib.ars.policies": "ars",
+    "sb3_contrib.common.recurrent.policies": "recurrent-ppo",
+    "sb3_contrib.crossq.policies": "crossq",
+    "sb3_contrib.tqc.policies": "tqc",
+}
+
+
+def export_policy(model: Any, about: dict[str, Any]) -> Policy:
+    """The actor of a model of stable-baselines3 or sb3-contrib.
+
+    Batch renormalisation, which is affine in a trained network, becomes part of the next layer.
+    """
+    import torch
+
+    cells, modules = actor(model)
+    squashing = "clip"
+    if isinstance(modules[-1], torch.nn.Tanh):
+        squashing, modules = "tanh", modules[:-1]
+    weights, biases = [W for W, _ in cells], [b for _, b in cells]
+    activations: set[str] = set()
+    factor, shift = np.ones(1), np.zeros(1)  # of the next layer's input
+    for module in modules:
+        kind = type(module).__name__.lower()
+        if isinstance(module, torch.nn.Linear):
+            W = array(module.weight)
+            b = np.zeros(len(W)) if module.bias is None else array(module.bias)
+            weights.append(W * factor)
+            biases.append(b + W @ np.broadcast_to(shift, W.shape[1:]))
+            factor, shift = np.ones(1), np.zeros(1)
+        elif kind == "batchrenorm1d":
+            factor = array(module.scale) / np.sqrt(array(module.ra_var) + module.eps)
+            shift = array(module.bias) - array(module.ra_mean) * factor
+        else:
+            activations.add(kind)
+    if len(activations) > 1 or not activations <= set(ACTIVATIONS):
+        raise PolicyError(
+            f"Only networks with one activation out of {sorted(ACTIVATIONS)} can be stored, got "
+            f"{sorted(activations)}."
+        )
+    space = model.observation_space
+    policy = Policy(
+        weights=tuple(W.astype(np.float32) for W in weights),
+        biases=tuple(b.astype(np.float32) for b in biases),
+        recurrent=len(cells),
+        activation=activations.pop() if activations else "tanh",
+        squashing=squashing,
+        observation_low=space.low.copy(),
+        observation_high=space.high.copy(),
+        about={"algorithm": name_of(type(model))} | about,
+    )
+    sizes = policy.layer_sizes
+    if len(sizes) > MOST_LAYERS or max(sizes) > LARGEST_LAYER:
+        raise PolicyError(
+            f"A policy can have at most {MOST_LAYERS} layers of at most {LARGEST_LAYER} units, "
+            f"observation and action included, got {sizes}."
+        )
+    return policy
+
+
+def actor(model: Any) -> tuple[list[tuple[AnyArray, AnyArray]], list[Any]]:
+    """Weights and biases of the LSTM cells, and the modules behind them up to the action.
+
+    A Tanh at the end stands for a squashed action.
+    """
+    import torch
+    from sb3_contrib.ars.policies import ARSPolicy
+    from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
+    from stable_baselines3.common.policies import ActorCriticPolicy
+    from stable_baselines3.td3.policies import TD3Policy
+
+    policy = model.policy
+    squashed = [torch.nn.Tanh()]
+    if isinstance(policy, ActorCriticPolicy):
+        recurrent = isinstance(policy, RecurrentActorCriticPolicy)
+        modules = [*policy.mlp_extractor.policy_net, policy.action_net]
+        return (
+            lstm_cells(policy.lstm_actor) if recurrent else [],
+            modules + (squashed if policy.squash_output else []),
+        )
+    if isinstance(policy, ARSPolicy):
+        return [], list(policy.action_net)
+    if isinstance(policy, TD3Policy):
+        return [], list(policy.actor.mu)
+    if name_of(type(model)) in ("sac", "tqc", "crossq"):
+        mean = policy.actor.mu
+        last = list(mean) if isinstance(mean, torch.nn.Sequential) else [mean]
+        return [], [*policy.actor.latent_pi, *last, *squashed]
+    raise PolicyError(f"The policy of {type(model).__name__} cannot be stored.")
+
+
+def lstm_cells(lstm: Any) -> list[tuple[AnyArray, AnyArray]]:
+    """Weights (4 n, n_in + n) and biases (4 n,) of every layer of torch's LSTM."""
+    if lstm.bidirectional or lstm.proj_size or not lstm.bias:
+        raise PolicyError("Only LSTM layers with biases, in one direction, can be stored.")
+    return [
+        (
+            np.hstack([array(getattr(lstm, f"weight_{x}_l{k}")) for x in ("ih", "hh")]),
+            sum((array(getattr(lstm, f"bias_{x}_l{k}")) for x in ("ih", "hh")), np.zeros(1)),
+        )
+        for k in range(lstm.num_layers)
+    ]
+
+
+def array(tensor: Any) -> AnyArray:
+    """A tensor's numbers in float64."""
+    numbers: AnyArray = tensor.detach().cpu().numpy().astype(np.float64)
+    return numbers
+
+
+def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
+    """Load the policy of a stable-baselines3 zip; requires `trust`, because it is unpickled."""
+    path = Path(path)
+    if not trust:
+        raise PolicyError(
+            f"{path}: a stable-baselines3 zip is unpickled when loaded and can run any code; "
+            "pass --trust if you trust its author."
+        )
+    try:
+        with ZipFile(path) as archive:
+            name = zipped_algorithm(json.loads(archive.read("data")))
+        model = algorithms()[name].load(path, device="cpu")
+        return export_policy(model, {"source": path.name})
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from None
+    except Exception as error:  # unpickling can raise anything
+        raise PolicyError(
+            f"{path}: cannot be loaded as a stable-baselines3 zip "
+            f"({type(error).__name__}: {one_line(error)})."
+        ) from None
+
+
+def zipped_algorithm(settings: Any) -> str:
+    """Name of the algorithm of a zip, from its JSON settings without unpickling."""
+    module = settings["policy_class"].get("__module__")
+    if module == "stable_baselines3.common.policies":
+        return "ppo" if "n_epochs" in settings else "trpo" if "cg_max_steps" in settings else "a2c"
+    if module not in ZIPPED:
+        raise PolicyError(
+            f"Only zips of {list(algorithms())} can be loaded, got a policy of "
+            f"{validate.shown(module)}."
+        )
+    return ZIPPED[module]

@@ -1,0 +1,101 @@
+"""Every algorithm's trained actor, stored without code, acts as the learner itself."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
+
+from agents.learners.algorithms import algorithms
+from agents.learners.export import export_policy, load_zip
+from agents.policy import Policy, PolicyError, load_policy, save_policy
+from tests.agents.toys import KWARGS, Toy, build
+
+ROUND_OFF = 5e-6  # float32 sums in another order, over a sequence
+
+
+def trained(name: str) -> Any:
+    """A model after a few updates, with outputs so large that some actions reach their limits."""
+    model = build(name)
+    model.learn(256)
+    actor = model.actor.mu if hasattr(model, "actor") else model.policy.action_net
+    last = [module for module in actor.modules() if isinstance(module, torch.nn.Linear)][-1]
+    last.weight.data *= 2.0 / last.weight.abs().max()
+    return model
+
+
+def differences(model: Any, policy: Policy, steps: int = 60) -> tuple[float, float]:
+    """Largest difference of actions over a batch's sequence with episode starts; largest action."""
+    rng = np.random.default_rng(0)
+    theirs, ours, starts = None, None, np.ones(3, bool)
+    gap = largest = 0.0
+    for _ in range(steps):
+        observation = rng.uniform(-5.0, 5.0, (3, 3)).astype(np.float32)
+        expected, theirs = model.predict(observation, theirs, starts, deterministic=True)
+        actions, ours = policy.predict(observation, ours, starts)
+        gap = max(gap, float(np.abs(actions - expected).max()))
+        largest = max(largest, float(np.abs(actions).max()))
+        starts = rng.random(3) < 0.1
+    return gap, largest
+
+
+@pytest.mark.parametrize("name", sorted(KWARGS))
+def test_the_stored_actor_of_every_algorithm_acts_as_the_learner(name: str, tmp_path: Path) -> None:
+    model = trained(name)
+    save_policy(export_policy(model, {}), tmp_path)
+    policy = load_policy(tmp_path)
+    gap, largest = differences(model, policy)
+    assert gap < ROUND_OFF
+    assert largest > 0.5
+    assert policy.about["algorithm"] == name
+
+
+def test_every_algorithm_of_the_libraries_is_tested() -> None:
+    assert sorted(KWARGS) == list(algorithms())
+
+
+@pytest.mark.parametrize("name", ["sac", "tqc", "ppo"])
+def test_other_networks_are_stored_or_refused(name: str) -> None:
+    """Exploration noise that depends on the state adds a clipped mean, which cannot be stored."""
+    model = build(name, use_sde=True)
+    if name == "ppo":
+        assert differences(model, export_policy(model, {}))[0] < ROUND_OFF
+    else:
+        with pytest.raises(PolicyError, match=r"one activation out of .* got \['hardtanh', 'relu'"):
+            export_policy(model, {})
+
+
+def test_a_network_with_too_many_layers_is_refused() -> None:
+    model = build("ppo", policy_kwargs={"net_arch": [4] * 9})
+    with pytest.raises(PolicyError, match="at most 10 layers of at most 2048 units"):
+        export_policy(model, {})
+
+
+def test_memory_and_stacked_observations_go_together(tmp_path: Path) -> None:
+    """Across ends of episodes, against stable-baselines3's own stacking."""
+    envs = VecFrameStack(DummyVecEnv([Toy, Toy]), 3)
+    envs.seed(0)
+    model = build("recurrent-ppo", env=envs)
+    save_policy(export_policy(model, {"stack": 3}), tmp_path)
+    policy = load_policy(tmp_path)
+    stacked: Any = envs.reset()
+    starts, theirs, ours, ends = np.ones(2, bool), None, None, 0
+    for _ in range(60):
+        expected, theirs = model.predict(stacked, theirs, starts, deterministic=True)
+        actions, ours = policy.predict(stacked[:, -3:], ours, starts)
+        np.testing.assert_allclose(actions, expected, atol=ROUND_OFF)
+        stacked, _, starts, _ = envs.step(expected)
+        ends += int(starts.sum())
+    assert ends > 2
+    single, memory = policy.predict(stacked[0, -3:])
+    assert (single.shape, memory.shape) == ((2,), (policy.n_state,))
+
+
+@pytest.mark.parametrize("name", sorted(KWARGS))
+def test_a_trusted_zip_of_every_algorithm_loads(name: str, tmp_path: Path) -> None:
+    model = build(name)
+    model.save(tmp_path / "model.zip")
+    policy = load_zip(tmp_path / "model.zip", trust=True)
+    assert differences(model, policy)[0] < ROUND_OFF
