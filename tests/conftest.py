@@ -16,6 +16,7 @@ QUICK = {
     "agents/leaderboard/test_bound.py",
     "agents/leaderboard/test_output.py",
     "agents/leaderboard/test_statistics.py",
+    "agents/learners/test_algorithms.py",
     "agents/run_folder/test_log.py",
     "agents/test_config.py",
     "agents/test_metrics.py",

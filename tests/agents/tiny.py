@@ -12,10 +12,11 @@ import yaml
 
 from agents.run_folder.checkpoints import list_checkpoints
 from agents.run_folder.folder import RunFolder
+from tests.agents import toys
 from tests.paths import ROOT
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
-KWARGS = {
+KWARGS = toys.KWARGS | {
     "ppo": {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}},
     "sac": {"batch_size": 16, "learning_starts": 64, "buffer_size": 4096},
 }

@@ -1,0 +1,49 @@
+"""A run of every algorithm: trained, resumed from its checkpoint, stored and evaluated."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from agents.evaluate import main as evaluate
+from agents.policy import load_policy
+from agents.run_folder.checkpoints import list_checkpoints
+from agents.run_folder.folder import RunFolder
+from agents.training import main as train
+from tests.agents.tiny import KWARGS, one_sentence, write_config
+
+
+@pytest.mark.parametrize("name", sorted(KWARGS))
+def test_a_run_of_every_algorithm_resumes_and_is_evaluated(
+    name: str, tmp_path: Path, unjudged: list[RunFolder], capsys: pytest.CaptureFixture[str]
+) -> None:
+    env = {"n_envs": 1 if name == "ars" else 8, "kwargs": {"max_episode_steps": 20}}
+    run = RunFolder(tmp_path / "out")
+    config = write_config(tmp_path, name, 256, **env)
+    assert train(["--config", str(config), "--out", str(run.path)]) == 0
+    steps = load_policy(run.policy).about["steps"]
+    assert list_checkpoints(run.checkpoints)[-1].name == f"step_{steps:012d}"
+    untrained, first = load_policy(run.untrained), load_policy(run.policy)
+    assert any((a != b).any() for a, b in zip(untrained.weights, first.weights, strict=True))
+
+    assert train(["--resume", str(run.path), "--steps", str(2 * steps)]) == 0
+    assert f"Resuming at {steps:,}" in capsys.readouterr().out
+    policy = load_policy(run.policy)
+    assert policy.about["steps"] >= 2 * steps
+    assert policy.about["algorithm"] == name
+    assert [row["session"] for row in run.rows()][-1] == 1
+    assert run.rows()[-1]["episodes"] > 0
+
+    out = tmp_path / "evaluated"
+    assert evaluate([str(run.path), "--episodes", "1", "--out", str(out)]) == 0
+    assert json.loads((out / "evaluation.json").read_text())["env_kwargs"] == env["kwargs"]
+
+
+def test_a_policy_that_cannot_be_stored_is_refused_before_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = write_config(tmp_path, "sac", 256)
+    config.write_text(config.read_text().replace("batch_size", "use_sde: true\n    batch_size"))
+    assert train(["--config", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert "Only networks with one activation" in one_sentence(capsys)
+    assert not (tmp_path / "out").exists()
