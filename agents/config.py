@@ -47,6 +47,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "n_critics": (1, 10),
     "log_std_init": (-20.0, 10.0),
     "noise_std": (0.0, 10.0),
+    "scale": (0.0, 2.0),
     "n_quantiles": (1, 1000),
     "lstm_hidden_size": (1, LARGEST_LAYER),
     "n_lstm_layers": (1, MOST_LAYERS - 2),
@@ -114,6 +115,14 @@ class AgentConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ResidualConfig:
+    """Controller that the policy corrects: action = clip(base's action + scale x policy's)."""
+
+    base: str  # name of a controller
+    scale: float = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
 class EvaluationConfig:
     """Final evaluation: number of episodes and their first seed (seed, seed + 1, ...)."""
 
@@ -128,6 +137,7 @@ class Config:
     name: str = "run"  # by default the name of the file
     env: EnvConfig
     agent: AgentConfig
+    residual: ResidualConfig | None = None  # None: the policy acts alone
     total_steps: int
     seed: int = 0
     checkpoint_seconds: float = 10.0  # [s] wall time between checkpoints
@@ -138,6 +148,8 @@ class Config:
         data = asdict(self)
         if data["env"]["reward"] is None:
             del data["env"]["reward"]
+        if data["residual"] is None:
+            del data["residual"]
         return data
 
 
@@ -145,18 +157,19 @@ SECTIONS: dict[str, type] = {
     "": Config,
     "env": EnvConfig,
     "agent": AgentConfig,
+    "residual": ResidualConfig,
     "evaluation": EvaluationConfig,
 }
 
 
 def accepted_types(annotation: Any) -> tuple[type, ...]:
     """Types of a field's value in a file, from its annotation; tables are dicts."""
-    if is_dataclass(annotation):
-        return (dict,)
     if annotation is float:
         return NUMBER
     options = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
-    return tuple(get_origin(t) or t for t in options if t is not NoneType)
+    return tuple(
+        dict if is_dataclass(t) else get_origin(t) or t for t in options if t is not NoneType
+    )
 
 
 SCHEMA = {  # section: field: accepted types
@@ -184,13 +197,14 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     """Return a checked `Config` from plain tables; `name` is the default name."""
     checked(data, "")
     for section in SECTIONS:
-        if section:
-            checked(data.get(section, {}), section)
+        if section and section in data:
+            checked(data[section], section)
     agent = checked_agent(AgentConfig(**data["agent"]))
     env = checked_environment(EnvConfig(**data["env"]))
     check_batch(agent, env)
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
-    rest = {k: v for k, v in data.items() if k not in SECTIONS}
+    residual = ResidualConfig(**data["residual"]) if "residual" in data else None
+    rest = {k: v for k, v in data.items() if k not in SECTIONS} | {"residual": residual}
     config = Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
     if not FOLDER_NAME.fullmatch(config.name):
         raise ConfigError(

@@ -17,6 +17,7 @@ from agents.leaderboard.tracks import takes_part, track_of
 from agents.learners.export import load_zip
 from agents.metrics import make_batch
 from agents.policy import Controller, Policy, PolicyError, load_policy
+from agents.residual.controller import acting, n_taken
 from agents.run_folder.folder import versions
 from agents.sentences import one_line
 from agents.signals import Interrupted, signals_to, stop_at_once
@@ -154,7 +155,7 @@ def make_controller(
         if policy is None:
             return subject, classical(subject, env, env_id, kwargs)
         shapes = (env.single_observation_space.shape, env.single_action_space.shape)
-        wanted = ((policy.n_observation,), policy.biases[-1].shape)
+        wanted = ((n_taken(policy),), policy.biases[-1].shape)
         if shapes != wanted:
             trained = policy.about.get("env_kwargs")
             remedy = f" Its training had --env-kwargs {validate.shown(trained)}." if trained else ""
@@ -162,7 +163,7 @@ def make_controller(
                 f"{subject}: takes {wanted[0][0]} observations and gives {wanted[1][0]} actions, "
                 f"but {env_id} has {shapes[0][0]} and {shapes[1][0]}.{remedy}"
             )
-        return Path(subject).name, policy
+        return Path(subject).name, acting(policy, env)
     finally:
         env.close()
 

@@ -23,6 +23,7 @@ from agents.learners.algorithms import algorithms
 from agents.learners.export import export_policy
 from agents.metrics import make_batch, write_json
 from agents.policy import Controller, PolicyError, load_policy, save_policy
+from agents.residual.controller import KEY, acting, base_of, description
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
@@ -53,6 +54,13 @@ def build_model(config: Config) -> Any:
     except REFUSALS as error:
         keywords = validate.shown(config.env.make_kwargs)
         raise ConfigError(f"env: {config.env.id} refuses {keywords}: {error}") from None
+    if config.residual is not None:
+        from agents.residual.environment import ResidualVecEnv
+
+        try:
+            env = ResidualVecEnv(env, base_of(residual_description(config), env.envs))
+        except REFUSALS as error:
+            raise ConfigError(str(error)) from None
     if config.env.stack > 1:
         env = VecFrameStack(env, config.env.stack)
     try:
@@ -65,6 +73,13 @@ def build_model(config: Config) -> Any:
         )
     except REFUSALS as error:
         raise ConfigError(f"agent: {config.agent.name} refuses its keywords: {error}") from None
+
+
+def residual_description(config: Config) -> dict[str, Any]:
+    """Description of the base that the experiment's policy corrects."""
+    assert config.residual is not None
+    base, scale = config.residual.base, config.residual.scale
+    return description(base, scale, config.env.id, config.env.kwargs)
 
 
 def learner_kwargs(agent: AgentConfig, action_shape: tuple[int, ...]) -> dict[str, Any]:
@@ -127,6 +142,8 @@ def learn(run: RunFolder, config: Config) -> int:
         "seed": config.seed,
         "versions": versions()["packages"],
     }
+    if config.residual is not None:
+        about[KEY] = residual_description(config)
     save_untrained(run, model, about)
     progress = restore_newest(run, config, model)
     if model.num_timesteps < config.total_steps:
@@ -205,8 +222,9 @@ def judge(run: RunFolder, config: Config) -> None:
     write_json(run.path / "pd_gains.json", tuned.__dict__)
     env = make_batch(env_id, 1, kwargs)
     pd = joint_pd(env, tuned.frequency_ratio, tuned.damping_ratio)
-    controllers: dict[str, Controller] = {"trained policy": load_policy(run.policy), "joint PD": pd}
-    controllers["untrained policy"] = load_policy(run.untrained)
+    trained, untrained = (acting(load_policy(x), env) for x in (run.policy, run.untrained))
+    controllers: dict[str, Controller] = {"trained policy": trained, "joint PD": pd}
+    controllers["untrained policy"] = untrained
     track = track_of(config.agent.name, env_id, kwargs)
     episodes, seed = config.evaluation.episodes, config.evaluation.seed
     shortest = None

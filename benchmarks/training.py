@@ -47,6 +47,7 @@ from agents.metrics import (
     write_json,
 )
 from agents.policy import Controller, load_policy
+from agents.residual.controller import acting
 from agents.run_folder.folder import RunFolder, versions
 from agents.training import learn
 from benchmarks.output import RESULTS, argument_parser, command, table
@@ -259,9 +260,9 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
     runs, curves, policies = [], {}, []
     for seed in seeds:
         run, seconds = run_seed(replace(config, seed=seed), work / f"seed{seed}")
-        policies.append(load_policy(run.policy))
+        policies.append(acting(load_policy(run.policy), envs))
         if len(policies) == 1:
-            untrained = record(load_policy(run.untrained), envs, tasks)
+            untrained = record(acting(load_policy(run.untrained), envs), envs, tasks)
             recordings["untrained policy"] = untrained
             summaries["untrained policy"] = summarise(episode_metrics(untrained))
             fast = faster_pd(env_id, kwargs, tasks)

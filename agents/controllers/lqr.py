@@ -99,7 +99,17 @@ class LQR(ModelBased):
         super().__init__(env, observer, Gain(cost, clip))
 
 
-class LQG(ModelBased):
+class OutputFeedback(ModelBased):
+    """Control on Kalman filters, which remember the torques."""
+
+    def told(self, state: Belief, action: AnyArray) -> Belief:
+        """The belief after actions (N, m) in [-1, 1] other than its own were taken."""
+        torque = np.atleast_2d(action) * self.limit
+        state.torque[:, -1] = torque[:, None] - state.forward
+        return state
+
+
+class LQG(OutputFeedback):
     """Output feedback; needs obs="sensors"."""
 
     def __init__(

@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.linalg import block_diag
 
 from agents.controllers.linear_model import LinearModel
-from agents.controllers.lqr import Cost, ModelBased
+from agents.controllers.lqr import Cost, ModelBased, OutputFeedback
 from agents.controllers.observers import Estimate, ExactState, KalmanFilters
 from agents.controllers.riccati import riccati
 from dynamics.types import Array
@@ -127,7 +127,7 @@ class MPC(ModelBased):
         super().__init__(env, observer, Planner(env, cost, horizon=horizon, margin=margin))
 
 
-class KalmanMPC(ModelBased):
+class KalmanMPC(OutputFeedback):
     """Predictive control on the Kalman filters of LQG; needs obs="sensors"."""
 
     def __init__(

@@ -27,6 +27,7 @@ from agents.leaderboard.statistics import Entry, compared, figures, spectrum
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
+from agents.residual.controller import acting
 from agents.tune import parameters_of
 from dynamics.description import validate
 from dynamics.types import AnyArray
@@ -55,7 +56,7 @@ def built(name: str, env: Any, env_id: str, track: str) -> list[Controller]:
         return [controller(name, env, parameters)]
     if ":" in name:
         return [users_class(name)(env)]
-    return list(shipped(env_id, TRACKS[track].design)[name])
+    return [acting(policy, env) for policy in shipped(env_id, TRACKS[track].design)[name]]
 
 
 def users_class(name: str) -> Callable[[Any], Controller]:

@@ -9,9 +9,12 @@ FOLDER = Path(__file__).parents[1] / "policies"
 
 
 def name_of(policy: Policy) -> str:
-    """Algorithm of a policy; "-stacked" if it sees more than one observation."""
+    """Algorithm of a policy; "-on-BASE" if it corrects one, "-stacked" if it sees more than one
+    observation."""
     algorithm: str = policy.about.get("algorithm", "policy")
-    return algorithm + "-stacked" * (policy.stack > 1)
+    base = policy.about.get("residual")
+    on_base = "" if base is None else f"-on-{base['base']}"
+    return algorithm + on_base + "-stacked" * (policy.stack > 1)
 
 
 def place(env_id: str, track: str) -> Path:

@@ -1,0 +1,1 @@
+"""Policies that correct a classical controller: its action plus theirs, scaled and clipped."""

@@ -1,0 +1,219 @@
+"""A policy on a base acts in a stored form as it did in training: the clipped sum of both."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecFrameStack
+
+from agents.config import ConfigError, config_from_dict
+from agents.controllers import CONTROLLERS, controller
+from agents.evaluate import main as evaluate
+from agents.learners.export import export_policy
+from agents.metrics import make_batch
+from agents.policy import PolicyError, load_policy, save_policy
+from agents.residual.controller import Residual, acting, base_of, description
+from agents.residual.environment import ResidualVecEnv
+from agents.run_folder.folder import RunFolder
+from agents.training import main as train
+from flexarm_env import SB3VecEnv
+from tests.agents.tiny import ENV_ID, one_sentence, write_config
+from tests.paths import ROOT
+
+# With this torque episodes fail at different times.
+LABORATORY: dict[str, Any] = {
+    "hardware": "laboratory",
+    "max_episode_steps": 25,
+    "torque_limit": 6.0,
+}
+
+
+def described(base: str, scale: float = 1.0) -> dict[str, Any]:
+    return {"base": base, "parameters": CONTROLLERS[base].middle, "scale": scale}
+
+
+class Constant:
+    """A policy of one correction."""
+
+    def __init__(self, correction: float) -> None:
+        self.correction = correction
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Any]:
+        return np.full((*observation.shape[:-1], 1), self.correction, np.float32), state
+
+
+@pytest.mark.parametrize("base", ["lqg", "pd-zv", "pd"])
+def test_a_stored_policy_on_a_base_acts_as_in_training(base: str, tmp_path: Path) -> None:
+    """Over ends of episodes, with stacked observations, in two environments with equal seeds."""
+    about = {"stack": 2, "residual": described(base)}
+    plain, inner = (SB3VecEnv(ENV_ID, 3, **LABORATORY) for _ in range(2))
+    learner = VecFrameStack(ResidualVecEnv(inner, base_of(about["residual"], inner.envs)), 2)
+    model = PPO("MlpPolicy", learner, n_steps=8, batch_size=8, seed=0)
+    model.policy.action_net.weight.data *= 200.0  # corrections that matter
+    save_policy(export_policy(model, about), tmp_path)
+    subject = acting(load_policy(tmp_path), plain.envs)
+    n = plain.observation_space.shape[0]
+    learner.seed(5)
+    plain.seed(5)
+    stacked, observation = learner.reset(), plain.reset()
+    state, starts, apart, corrections = None, np.ones(3, bool), 0, []
+    for _ in range(100):
+        np.testing.assert_allclose(stacked[:, -1 - n : -1], observation, atol=1e-5)
+        correction, _ = model.predict(stacked, deterministic=True)
+        action, state = subject.predict(observation, state, starts)
+        corrections.append(correction)
+        stacked = learner.step(correction)[0]
+        observation, _, starts, _ = plain.step(action)
+        apart += starts.any() and not starts.all()
+    assert np.std(corrections) > 0.1
+    assert apart > 3
+    plain.close()
+    learner.close()
+
+
+def test_the_last_observation_of_an_episode_has_the_base_s_action_too() -> None:
+    """Joint PD needs no memory, so its action there is known."""
+    inner = SB3VecEnv(ENV_ID, 2, **LABORATORY)
+    base = base_of(described("pd"), inner.envs)
+    learner = ResidualVecEnv(inner, base)
+    learner.reset()
+    ended = []
+    for _ in range(25):
+        _, _, dones, infos = learner.step(np.zeros((2, 1), np.float32))
+        ended += [infos[i]["terminal_observation"] for i in np.flatnonzero(dones)]
+    assert ended
+    for last in ended:
+        assert last.shape == learner.observation_space.shape
+        np.testing.assert_array_equal(base.predict(last[:-1], None, None)[0], last[-1:])
+    learner.close()
+
+
+def test_without_corrections_the_base_acts_alone() -> None:
+    envs = make_batch(ENV_ID, 2, LABORATORY)
+    alone = controller("lqg", envs, CONTROLLERS["lqg"].middle)
+    silent = Residual(base_of(described("lqg", 0.0), envs), Constant(1.0))
+    observation, _ = envs.reset(seed=0)
+    states: list[Any] = [None, None]
+    for _ in range(10):
+        own, states[0] = alone.predict(observation, states[0])
+        action, states[1] = silent.predict(observation, states[1])
+        np.testing.assert_allclose(action, own, atol=1e-7)
+        observation = envs.step(action)[0]
+    envs.close()
+
+
+def test_lqg_knows_the_actions_that_were_taken() -> None:
+    """Its innovations stay small under a correction; untold, it takes it for a disturbance."""
+    envs = make_batch(ENV_ID, 4, {"obs": "sensors"})
+    surprises = []
+    for told in (True, False):
+        base = base_of(described("lqg", 0.2), envs)
+        subject = Residual(base, Constant(1.0))
+        observation, _ = envs.reset(seed=0)
+        state: Any = None
+        for _ in range(20):
+            action, state = subject.predict(observation, state)
+            if not told:
+                base.controller.told(state[0], action - np.float32(0.2))
+            observation = envs.step(action)[0]
+        surprises.append(state[0].surprise.sum())
+    assert surprises[0] < 0.1 * surprises[1]
+    envs.close()
+
+
+def experiment(**residual: Any) -> dict[str, Any]:
+    return {
+        "env": {"id": ENV_ID, "kwargs": {"hardware": "laboratory"}},
+        "agent": {"name": "ppo"},
+        "residual": residual,
+        "total_steps": 1000,
+    }
+
+
+@pytest.mark.parametrize(
+    ("residual", "sentence"),
+    [
+        ({"scale": 0.3}, r"residual\.base is missing"),
+        ({"base": "lqg", "scale": 3.0}, r"residual\.scale must be between 0\.0 and 2\.0, got 3\.0"),
+        ({"base": "lqg", "scal": 0.3}, r"unknown key 'residual\.scal'\. Did you mean 'scale'"),
+        ({"base": 3}, r"residual\.base must be text, got 3"),
+    ],
+)
+def test_a_wrong_base_of_an_experiment_is_refused(residual: Any, sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        config_from_dict(experiment(**residual))
+
+
+@pytest.mark.parametrize(
+    ("base", "env", "sentence"),
+    [
+        ("lqq", {}, "residual.base must be one of"),
+        ("lqr", {"hardware": "laboratory"}, "residual.base: lqr was not tuned for"),
+        ("lqg", {"max_episode_steps": 9}, "residual.base: lqg was not tuned for"),
+    ],
+)
+def test_a_base_that_cannot_act_is_refused_before_the_run(
+    base: str, env: Any, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = write_config(tmp_path, "ppo", 256, kwargs=env)
+    given = yaml.safe_load(config.read_text()) | {"residual": {"base": base}}
+    config.write_text(yaml.safe_dump(given))
+    assert train(["--config", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert sentence in one_sentence(capsys)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"base": "os.system"}, "residual.base must be one of"),
+        ({"scale": "large"}, "residual.scale [-] must be a number"),
+        ({"scale": -1.0}, "residual.scale must not be negative"),
+        ({"parameters": {}}, "residual.parameters.frequency_ratio"),
+        ({"parameters": {"code": 1.0}}, "Unknown key 'code' in residual.parameters"),
+        ({"code": 1.0}, "Unknown key 'code' in residual"),
+        ({"base": "lqr", "parameters": CONTROLLERS["lqr"].middle}, "needs obs='state'"),
+    ],
+)
+def test_a_stranger_s_base_is_refused(changes: dict[str, Any], sentence: str) -> None:
+    inner = SB3VecEnv(ENV_ID, 1, **LABORATORY)
+    model = PPO("MlpPolicy", ResidualVecEnv(inner, base_of(described("pd"), inner.envs)), n_steps=8)
+    policy = export_policy(model, {"residual": described("pd") | changes})
+    with pytest.raises(PolicyError, match="The policy's base cannot act here") as caught:
+        acting(policy, inner.envs)
+    assert sentence in str(caught.value)
+    inner.close()
+
+
+def test_a_run_on_a_base_is_trained_resumed_and_evaluated_without_torch(
+    tmp_path: Path, unjudged: list[RunFolder]
+) -> None:
+    config = write_config(tmp_path, "ppo", 256, kwargs={"hardware": "laboratory"}, stack=2)
+    given = yaml.safe_load(config.read_text()) | {"residual": {"base": "lqg", "scale": 0.2}}
+    config.write_text(yaml.safe_dump(given))
+    run = RunFolder(tmp_path / "out")
+    assert train(["--config", str(config), "--out", str(run.path)]) == 0
+    assert train(["--resume", str(run.path), "--steps", "512"]) == 0
+    tuned = description("lqg", 0.2, ENV_ID, {"hardware": "laboratory"})
+    assert load_policy(run.policy).about["residual"] == tuned
+    code = (
+        "import sys; from agents.evaluate import main; "
+        f"main([{str(run.path)!r}, '--episodes', '2', '--out', {str(tmp_path / 'seen')!r}]); "
+        "assert not {'torch', 'stable_baselines3'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True)
+    found = json.loads((tmp_path / "seen" / "evaluation.json").read_text())
+    assert found["env_kwargs"] == {"hardware": "laboratory"}
+    assert evaluate([str(run.path), "--env", ENV_ID, "--out", str(tmp_path / "other")]) == 2
