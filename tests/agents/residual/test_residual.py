@@ -189,7 +189,7 @@ def test_a_base_that_cannot_act_is_refused_before_the_run(
 )
 def test_a_stranger_s_base_is_refused(changes: dict[str, Any], sentence: str) -> None:
     inner = SB3VecEnv(ENV_ID, 1, **LABORATORY)
-    model = PPO("MlpPolicy", ResidualVecEnv(inner, base_of(described("pd"), inner.envs)), n_steps=8)
+    model = PPO("MlpPolicy", ResidualVecEnv(inner, base_of(described("pd"), inner.envs)), n_steps=8, batch_size=8)
     policy = export_policy(model, {"residual": described("pd") | changes})
     with pytest.raises(PolicyError, match="The policy's base cannot act here") as caught:
         acting(policy, inner.envs)
