@@ -115,11 +115,12 @@ class AgentConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ResidualConfig:
-    """Controller that the policy corrects: action = clip(base's action + scale x policy's)."""
+class BaseConfig:
+    """Classical controller on which the policy acts, and the part that is learned."""
 
-    base: str  # name of a controller
-    scale: float = 0.3
+    controller: str
+    learned: str = "residual"  # of its actions, or the "reference" that it follows
+    scale: float = 0.3  # largest correction, of the torque limit; largest shift of the target [rad]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +138,7 @@ class Config:
     name: str = "run"  # by default the name of the file
     env: EnvConfig
     agent: AgentConfig
-    residual: ResidualConfig | None = None  # None: the policy acts alone
+    base: BaseConfig | None = None  # None: the policy acts alone
     total_steps: int
     seed: int = 0
     checkpoint_seconds: float = 10.0  # [s] wall time between checkpoints
@@ -148,8 +149,8 @@ class Config:
         data = asdict(self)
         if data["env"]["reward"] is None:
             del data["env"]["reward"]
-        if data["residual"] is None:
-            del data["residual"]
+        if data["base"] is None:
+            del data["base"]
         return data
 
 
@@ -157,7 +158,7 @@ SECTIONS: dict[str, type] = {
     "": Config,
     "env": EnvConfig,
     "agent": AgentConfig,
-    "residual": ResidualConfig,
+    "base": BaseConfig,
     "evaluation": EvaluationConfig,
 }
 
@@ -203,8 +204,8 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     env = checked_environment(EnvConfig(**data["env"]))
     check_batch(agent, env)
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
-    residual = ResidualConfig(**data["residual"]) if "residual" in data else None
-    rest = {k: v for k, v in data.items() if k not in SECTIONS} | {"residual": residual}
+    base = BaseConfig(**data["base"]) if "base" in data else None
+    rest = {k: v for k, v in data.items() if k not in SECTIONS} | {"base": base}
     config = Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
     if not FOLDER_NAME.fullmatch(config.name):
         raise ConfigError(

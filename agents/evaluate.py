@@ -13,11 +13,11 @@ from agents.config import LIMITS
 from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
 from agents.environments import REFUSALS, check_keywords
 from agents.files import FolderError, check_folder, folder_lock
+from agents.hybrid.controller import acting, n_taken
 from agents.leaderboard.tracks import takes_part, track_of
 from agents.learners.export import load_zip
 from agents.metrics import make_batch
 from agents.policy import Controller, Policy, PolicyError, load_policy
-from agents.residual.controller import acting, n_taken
 from agents.run_folder.folder import versions
 from agents.sentences import one_line
 from agents.signals import Interrupted, signals_to, stop_at_once
@@ -154,6 +154,7 @@ def make_controller(
     try:
         if policy is None:
             return subject, classical(subject, env, env_id, kwargs)
+        acting_policy = acting(policy, env)
         shapes = (env.single_observation_space.shape, env.single_action_space.shape)
         wanted = ((n_taken(policy),), policy.biases[-1].shape)
         if shapes != wanted:
@@ -163,7 +164,7 @@ def make_controller(
                 f"{subject}: takes {wanted[0][0]} observations and gives {wanted[1][0]} actions, "
                 f"but {env_id} has {shapes[0][0]} and {shapes[1][0]}.{remedy}"
             )
-        return Path(subject).name, acting(policy, env)
+        return Path(subject).name, acting_policy
     finally:
         env.close()
 

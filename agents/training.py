@@ -12,18 +12,26 @@ from typing import Any
 import numpy as np
 
 from agents.comparison import compare
-from agents.config import LIMITS, AgentConfig, Config, ConfigError, load_config
+from agents.config import (
+    LIMITS,
+    AgentConfig,
+    BaseConfig,
+    Config,
+    ConfigError,
+    EnvConfig,
+    load_config,
+)
 from agents.controllers import controller, joint_pd, tune_pd
 from agents.environments import REFUSALS
 from agents.figures import plot_learning_curve
 from agents.files import FolderError, folder_lock
+from agents.hybrid.controller import KEY, acting, base_of, description
 from agents.leaderboard.bound import shortest_times
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
 from agents.learners.algorithms import algorithms
 from agents.learners.export import export_policy
 from agents.metrics import make_batch, write_json
 from agents.policy import Controller, PolicyError, load_policy, save_policy
-from agents.residual.controller import KEY, acting, base_of, description
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
@@ -54,11 +62,11 @@ def build_model(config: Config) -> Any:
     except REFUSALS as error:
         keywords = validate.shown(config.env.make_kwargs)
         raise ConfigError(f"env: {config.env.id} refuses {keywords}: {error}") from None
-    if config.residual is not None:
-        from agents.residual.environment import ResidualVecEnv
+    if config.base is not None:
+        from agents.hybrid.environment import HybridVecEnv
 
         try:
-            env = ResidualVecEnv(env, base_of(residual_description(config), env.envs))
+            env = HybridVecEnv(env, base_of(base_description(config.base, config.env), env.envs))
         except REFUSALS as error:
             raise ConfigError(str(error)) from None
     if config.env.stack > 1:
@@ -75,11 +83,9 @@ def build_model(config: Config) -> Any:
         raise ConfigError(f"agent: {config.agent.name} refuses its keywords: {error}") from None
 
 
-def residual_description(config: Config) -> dict[str, Any]:
-    """Description of the base that the experiment's policy corrects."""
-    assert config.residual is not None
-    base, scale = config.residual.base, config.residual.scale
-    return description(base, scale, config.env.id, config.env.kwargs)
+def base_description(base: BaseConfig, env: EnvConfig) -> dict[str, Any]:
+    """Description of the controller on which the experiment's policy acts."""
+    return description(base.controller, base.learned, base.scale, env.id, env.kwargs)
 
 
 def learner_kwargs(agent: AgentConfig, action_shape: tuple[int, ...]) -> dict[str, Any]:
@@ -142,8 +148,8 @@ def learn(run: RunFolder, config: Config) -> int:
         "seed": config.seed,
         "versions": versions()["packages"],
     }
-    if config.residual is not None:
-        about[KEY] = residual_description(config)
+    if config.base is not None:
+        about[KEY] = base_description(config.base, config.env)
     save_untrained(run, model, about)
     progress = restore_newest(run, config, model)
     if model.num_timesteps < config.total_steps:

@@ -35,6 +35,7 @@ from agents.figures import (
     tidy,
     write_gif,
 )
+from agents.hybrid.controller import acting
 from agents.leaderboard.shipped import ship
 from agents.leaderboard.tracks import track_of
 from agents.metrics import (
@@ -47,7 +48,6 @@ from agents.metrics import (
     write_json,
 )
 from agents.policy import Controller, load_policy
-from agents.residual.controller import acting
 from agents.run_folder.folder import RunFolder, versions
 from agents.training import learn
 from benchmarks.output import RESULTS, argument_parser, command, table

@@ -19,6 +19,7 @@ import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
 from agents.figures import save_figure
+from agents.hybrid.controller import acting
 from agents.leaderboard.bound import shortest_times
 from agents.leaderboard.charts import pictures
 from agents.leaderboard.output import row, write
@@ -27,7 +28,6 @@ from agents.leaderboard.statistics import Entry, compared, figures, spectrum
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
-from agents.residual.controller import acting
 from agents.tune import parameters_of
 from dynamics.description import validate
 from dynamics.types import AnyArray

@@ -9,11 +9,10 @@ FOLDER = Path(__file__).parents[1] / "policies"
 
 
 def name_of(policy: Policy) -> str:
-    """Algorithm of a policy; "-on-BASE" if it corrects one, "-stacked" if it sees more than one
-    observation."""
+    """Algorithm of a policy, "-on-BASE" and "-stacked" where it has a base or a stack."""
     algorithm: str = policy.about.get("algorithm", "policy")
-    base = policy.about.get("residual")
-    on_base = "" if base is None else f"-on-{base['base']}"
+    base = policy.about.get("base")
+    on_base = "" if base is None else f"-on-{base['controller']}"
     return algorithm + on_base + "-stacked" * (policy.stack > 1)
 
 

@@ -1,4 +1,4 @@
-"""A policy on a base acts in a stored form as it did in training: the clipped sum of both."""
+"""A policy on a classical controller acts in its stored form as it did in training."""
 
 import json
 import subprocess
@@ -14,12 +14,13 @@ from stable_baselines3.common.vec_env import VecFrameStack
 
 from agents.config import ConfigError, config_from_dict
 from agents.controllers import CONTROLLERS, controller
+from agents.controllers.reading import Reading
 from agents.evaluate import main as evaluate
+from agents.hybrid.controller import Hybrid, Residual, acting, base_of, description
+from agents.hybrid.environment import HybridVecEnv
 from agents.learners.export import export_policy
 from agents.metrics import make_batch
 from agents.policy import PolicyError, load_policy, save_policy
-from agents.residual.controller import Residual, acting, base_of, description
-from agents.residual.environment import ResidualVecEnv
 from agents.run_folder.folder import RunFolder
 from agents.training import main as train
 from flexarm_env import SB3VecEnv
@@ -34,8 +35,9 @@ LABORATORY: dict[str, Any] = {
 }
 
 
-def described(base: str, scale: float = 1.0) -> dict[str, Any]:
-    return {"base": base, "parameters": CONTROLLERS[base].middle, "scale": scale}
+def described(name: str, learned: str = "residual", scale: float = 1.0) -> dict[str, Any]:
+    parameters = CONTROLLERS[name].middle
+    return {"controller": name, "learned": learned, "parameters": parameters, "scale": scale}
 
 
 class Constant:
@@ -54,12 +56,17 @@ class Constant:
         return np.full((*observation.shape[:-1], 1), self.correction, np.float32), state
 
 
-@pytest.mark.parametrize("base", ["lqg", "pd-zv", "pd"])
-def test_a_stored_policy_on_a_base_acts_as_in_training(base: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "learned"), [("lqg", "residual"), ("pd-zv", "residual"), ("pd", "reference")]
+)
+def test_a_stored_policy_on_a_base_acts_as_in_training(
+    name: str, learned: str, tmp_path: Path
+) -> None:
     """Over ends of episodes, with stacked observations, in two environments with equal seeds."""
-    about = {"stack": 2, "residual": described(base)}
+    scale = 1.0 if learned == "residual" else 50.0
+    about: dict[str, Any] = {"stack": 2, "base": described(name, learned, scale)}
     plain, inner = (SB3VecEnv(ENV_ID, 3, **LABORATORY) for _ in range(2))
-    learner = VecFrameStack(ResidualVecEnv(inner, base_of(about["residual"], inner.envs)), 2)
+    learner = VecFrameStack(HybridVecEnv(inner, base_of(about["base"], inner.envs)), 2)
     model = PPO("MlpPolicy", learner, n_steps=8, batch_size=8, seed=0)
     model.policy.action_net.weight.data *= 200.0  # corrections that matter
     save_policy(export_policy(model, about), tmp_path)
@@ -70,7 +77,8 @@ def test_a_stored_policy_on_a_base_acts_as_in_training(base: str, tmp_path: Path
     stacked, observation = learner.reset(), plain.reset()
     state, starts, apart, corrections = None, np.ones(3, bool), 0, []
     for _ in range(100):
-        np.testing.assert_allclose(stacked[:, -1 - n : -1], observation, atol=1e-5)
+        latest = stacked[:, -n:] if learned == "reference" else stacked[:, -1 - n : -1]
+        np.testing.assert_allclose(latest, observation, atol=1e-5)
         correction, _ = model.predict(stacked, deterministic=True)
         action, state = subject.predict(observation, state, starts)
         corrections.append(correction)
@@ -78,7 +86,7 @@ def test_a_stored_policy_on_a_base_acts_as_in_training(base: str, tmp_path: Path
         observation, _, starts, _ = plain.step(action)
         apart += starts.any() and not starts.all()
     assert np.std(corrections) > 0.1
-    assert apart > 3
+    assert apart > 3 or learned == "reference"
     plain.close()
     learner.close()
 
@@ -87,7 +95,7 @@ def test_the_last_observation_of_an_episode_has_the_base_s_action_too() -> None:
     """Joint PD needs no memory, so its action there is known."""
     inner = SB3VecEnv(ENV_ID, 2, **LABORATORY)
     base = base_of(described("pd"), inner.envs)
-    learner = ResidualVecEnv(inner, base)
+    learner = HybridVecEnv(inner, base)
     learner.reset()
     ended = []
     for _ in range(25):
@@ -96,14 +104,15 @@ def test_the_last_observation_of_an_episode_has_the_base_s_action_too() -> None:
     assert ended
     for last in ended:
         assert last.shape == learner.observation_space.shape
-        np.testing.assert_array_equal(base.predict(last[:-1], None, None)[0], last[-1:])
+        seen, _ = base.begin(last[:-1], None, None)
+        np.testing.assert_array_equal(seen, last)
     learner.close()
 
 
 def test_without_corrections_the_base_acts_alone() -> None:
     envs = make_batch(ENV_ID, 2, LABORATORY)
     alone = controller("lqg", envs, CONTROLLERS["lqg"].middle)
-    silent = Residual(base_of(described("lqg", 0.0), envs), Constant(1.0))
+    silent = Hybrid(base_of(described("lqg", scale=0.0), envs), Constant(1.0))
     observation, _ = envs.reset(seed=0)
     states: list[Any] = [None, None]
     for _ in range(10):
@@ -119,56 +128,86 @@ def test_lqg_knows_the_actions_that_were_taken() -> None:
     envs = make_batch(ENV_ID, 4, {"obs": "sensors"})
     surprises = []
     for told in (True, False):
-        base = base_of(described("lqg", 0.2), envs)
-        subject = Residual(base, Constant(1.0))
+        base = base_of(described("lqg", scale=0.2), envs)
+        assert isinstance(base, Residual)
+        lqg: Any = base.controller
+        subject = Hybrid(base, Constant(1.0))
         observation, _ = envs.reset(seed=0)
         state: Any = None
         for _ in range(20):
             action, state = subject.predict(observation, state)
             if not told:
-                base.controller.told(state[0], action - np.float32(0.2))
+                lqg.told(state[0], action - np.float32(0.2))
             observation = envs.step(action)[0]
         surprises.append(state[0].surprise.sum())
     assert surprises[0] < 0.1 * surprises[1]
     envs.close()
 
 
-def experiment(**residual: Any) -> dict[str, Any]:
+def test_a_controller_goes_to_the_reference_instead_of_the_target() -> None:
+    envs = make_batch(ENV_ID, 2, {"max_episode_steps": 300})
+    base = base_of(description("pd", "reference", 0.2, ENV_ID, {}), envs)
+    subject = Hybrid(base, Constant(-0.5))
+    observation, _ = envs.reset(seed=0)
+    state: Any = None
+    for _ in range(200):
+        action, state = subject.predict(observation, state)
+        observation, _, terminated, truncated, _ = envs.step(action)
+        assert not (terminated | truncated).any()
+    error = Reading.of(envs)(observation, "joint_error")
+    np.testing.assert_allclose(error, -0.1, atol=5e-3)
+    envs.close()
+
+
+def experiment(**base: Any) -> dict[str, Any]:
     return {
         "env": {"id": ENV_ID, "kwargs": {"hardware": "laboratory"}},
         "agent": {"name": "ppo"},
-        "residual": residual,
+        "base": base,
         "total_steps": 1000,
     }
 
 
 @pytest.mark.parametrize(
-    ("residual", "sentence"),
+    ("base", "sentence"),
     [
-        ({"scale": 0.3}, r"residual\.base is missing"),
-        ({"base": "lqg", "scale": 3.0}, r"residual\.scale must be between 0\.0 and 2\.0, got 3\.0"),
-        ({"base": "lqg", "scal": 0.3}, r"unknown key 'residual\.scal'\. Did you mean 'scale'"),
-        ({"base": 3}, r"residual\.base must be text, got 3"),
+        ({"scale": 0.3}, r"base\.controller is missing"),
+        (
+            {"controller": "lqg", "scale": 3.0},
+            r"base\.scale must be between 0\.0 and 2\.0, got 3\.0",
+        ),
+        ({"controller": "lqg", "scal": 0.3}, r"unknown key 'base\.scal'\. Did you mean 'scale'"),
+        ({"controller": 3}, r"base\.controller must be text, got 3"),
     ],
 )
-def test_a_wrong_base_of_an_experiment_is_refused(residual: Any, sentence: str) -> None:
+def test_a_wrong_base_of_an_experiment_is_refused(base: Any, sentence: str) -> None:
     with pytest.raises(ConfigError, match=sentence):
-        config_from_dict(experiment(**residual))
+        config_from_dict(experiment(**base))
 
 
 @pytest.mark.parametrize(
     ("base", "env", "sentence"),
     [
-        ("lqq", {}, "residual.base must be one of"),
-        ("lqr", {"hardware": "laboratory"}, "residual.base: lqr was not tuned for"),
-        ("lqg", {"max_episode_steps": 9}, "residual.base: lqg was not tuned for"),
+        ({"controller": "lqq"}, {}, "base.controller must be one of"),
+        ({"controller": "pd", "learned": "gains"}, {}, "base.learned must be one of"),
+        (
+            {"controller": "lqr"},
+            {"hardware": "laboratory"},
+            "base.controller: lqr was not tuned for",
+        ),
+        ({"controller": "pd"}, {"max_episode_steps": 9}, "base.controller: pd was not tuned for"),
+        (
+            {"controller": "lqg", "learned": "reference"},
+            {"hardware": "laboratory"},
+            "base.learned: reference moves the readings",
+        ),
     ],
 )
 def test_a_base_that_cannot_act_is_refused_before_the_run(
-    base: str, env: Any, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    base: Any, env: Any, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = write_config(tmp_path, "ppo", 256, kwargs=env)
-    given = yaml.safe_load(config.read_text()) | {"residual": {"base": base}}
+    given = yaml.safe_load(config.read_text()) | {"base": base}
     config.write_text(yaml.safe_dump(given))
     assert train(["--config", str(config), "--out", str(tmp_path / "out")]) == 2
     assert sentence in one_sentence(capsys)
@@ -178,19 +217,25 @@ def test_a_base_that_cannot_act_is_refused_before_the_run(
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"base": "os.system"}, "residual.base must be one of"),
-        ({"scale": "large"}, "residual.scale [-] must be a number"),
-        ({"scale": -1.0}, "residual.scale must not be negative"),
-        ({"parameters": {}}, "residual.parameters.frequency_ratio"),
-        ({"parameters": {"code": 1.0}}, "Unknown key 'code' in residual.parameters"),
-        ({"code": 1.0}, "Unknown key 'code' in residual"),
-        ({"base": "lqr", "parameters": CONTROLLERS["lqr"].middle}, "needs obs='state'"),
+        ({"controller": "os.system"}, "base.controller must be one of"),
+        ({"scale": "large"}, "base.scale [-] must be a number"),
+        ({"scale": -1.0}, "base.scale must not be negative"),
+        ({"parameters": {}}, "base.parameters.frequency_ratio"),
+        ({"parameters": {"code": 1.0}}, "Unknown key 'code' in base.parameters"),
+        ({"learned": None}, "base.learned must be one of"),
+        ({"code": 1.0}, "Unknown key 'code' in base"),
+        ({"controller": "lqr", "parameters": CONTROLLERS["lqr"].middle}, "needs obs='state'"),
     ],
 )
 def test_a_stranger_s_base_is_refused(changes: dict[str, Any], sentence: str) -> None:
     inner = SB3VecEnv(ENV_ID, 1, **LABORATORY)
-    model = PPO("MlpPolicy", ResidualVecEnv(inner, base_of(described("pd"), inner.envs)), n_steps=8, batch_size=8)
-    policy = export_policy(model, {"residual": described("pd") | changes})
+    model = PPO(
+        "MlpPolicy",
+        HybridVecEnv(inner, base_of(described("pd"), inner.envs)),
+        n_steps=8,
+        batch_size=8,
+    )
+    policy = export_policy(model, {"base": described("pd") | changes})
     with pytest.raises(PolicyError, match="The policy's base cannot act here") as caught:
         acting(policy, inner.envs)
     assert sentence in str(caught.value)
@@ -201,13 +246,13 @@ def test_a_run_on_a_base_is_trained_resumed_and_evaluated_without_torch(
     tmp_path: Path, unjudged: list[RunFolder]
 ) -> None:
     config = write_config(tmp_path, "ppo", 256, kwargs={"hardware": "laboratory"}, stack=2)
-    given = yaml.safe_load(config.read_text()) | {"residual": {"base": "lqg", "scale": 0.2}}
+    given = yaml.safe_load(config.read_text()) | {"base": {"controller": "lqg", "scale": 0.2}}
     config.write_text(yaml.safe_dump(given))
     run = RunFolder(tmp_path / "out")
     assert train(["--config", str(config), "--out", str(run.path)]) == 0
     assert train(["--resume", str(run.path), "--steps", "512"]) == 0
-    tuned = description("lqg", 0.2, ENV_ID, {"hardware": "laboratory"})
-    assert load_policy(run.policy).about["residual"] == tuned
+    tuned = description("lqg", "residual", 0.2, ENV_ID, {"hardware": "laboratory"})
+    assert load_policy(run.policy).about["base"] == tuned
     code = (
         "import sys; from agents.evaluate import main; "
         f"main([{str(run.path)!r}, '--episodes', '2', '--out', {str(tmp_path / 'seen')!r}]); "

@@ -1,0 +1,1 @@
+"""Policies on a classical controller: they correct its actions, or plan its reference."""

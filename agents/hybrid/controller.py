@@ -1,0 +1,181 @@
+"""A classical controller with a learned part, which a policy gives.
+
+A policy names its base and the base's parameters in its description, so that it acts as it was
+trained, whatever is tuned later.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+
+from agents.controllers import CONTROLLERS, controller
+from agents.controllers.reading import Reading
+from agents.leaderboard.tracks import takes_part, track_of
+from agents.policy import Controller, Policy, PolicyError
+from agents.tune import parameters_of
+from dynamics.description import validate
+from dynamics.types import AnyArray, Array
+
+KEY = "base"  # in experiments and in the description of a policy
+FIELDS = ("controller", "learned", "parameters", "scale")
+
+
+@runtime_checkable
+class Listener(Protocol):
+    """A controller that remembers actions, and must know which were taken."""
+
+    def told(self, state: Any, action: AnyArray) -> Any:
+        """The state after actions (N, m) in [-1, 1] other than its own."""
+        ...
+
+
+class Base(Protocol):
+    """A classical controller whose step a policy completes."""
+
+    own: ClassVar[bool]  # the policy also sees the controller's actions
+
+    def begin(
+        self, observation: AnyArray, state: Any, episode_start: AnyArray | None
+    ) -> tuple[AnyArray, Any]:
+        """The policy's observation, and the step to complete."""
+        ...
+
+    def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
+        """Actions (..., m) in [-1, 1] with the policy's (..., m), and the next state."""
+        ...
+
+
+class Residual:
+    """Sum of both actions, clipped (Johannink et al., Residual RL for robot control, ICRA 2019)."""
+
+    own: ClassVar[bool] = True
+
+    def __init__(self, controller: Controller, scale: float, env: Any) -> None:
+        self.controller, self.scale = controller, np.float32(scale)
+
+    def begin(
+        self, observation: AnyArray, state: Any, episode_start: AnyArray | None
+    ) -> tuple[AnyArray, Any]:
+        """The observation followed by the controller's actions; these and its state."""
+        own, state = self.controller.predict(observation, state, episode_start)
+        own = np.asarray(own, np.float32)
+        return np.concatenate([observation, own], axis=-1, dtype=np.float32), (own, state)
+
+    def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
+        """The sum, of which a controller with a memory of actions is told."""
+        own, state = begun
+        action = np.clip(own + self.scale * learned, -1.0, 1.0)
+        if isinstance(self.controller, Listener):
+            state = self.controller.told(state, action)
+        return action, state
+
+
+class Reference:
+    """Joint angles that the controller follows: the target's, moved by up to `scale` [rad]."""
+
+    own: ClassVar[bool] = False
+
+    def __init__(self, controller: Controller, scale: float, env: Any) -> None:
+        if isinstance(controller, Listener):
+            raise ValueError(
+                f"{KEY}.learned: reference moves the readings, of which a controller with a filter "
+                "makes a motion of the arm; choose learned: residual, or another controller."
+            )
+        self.controller = controller
+        read = Reading.of(env)
+        read.require("a reference", "joint_error")
+        self.errors = read.slices["joint_error"]
+        self.scale: Array = scale / read.scales["joint_error"]
+
+    def begin(
+        self, observation: AnyArray, state: Any, episode_start: AnyArray | None
+    ) -> tuple[AnyArray, Any]:
+        """The observation as it is."""
+        return observation, (observation, state, episode_start)
+
+    def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
+        """The controller's actions on errors from the reference."""
+        observation, state, episode_start = begun
+        moved = np.array(observation)
+        moved[..., self.errors] -= self.scale * learned
+        action, state = self.controller.predict(moved, state, episode_start)
+        return np.asarray(action, np.float32), state
+
+
+LEARNED: dict[str, type[Residual] | type[Reference]] = {
+    "residual": Residual,
+    "reference": Reference,
+}
+
+
+@dataclass(frozen=True)
+class Hybrid:
+    """A policy on its base; the state is a pair of theirs."""
+
+    base: Base
+    policy: Controller
+
+    def predict(
+        self,
+        observation: AnyArray,
+        state: Any = None,
+        episode_start: AnyArray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[AnyArray, Any]:
+        """Actions (..., m) in [-1, 1], and the next state."""
+        before, memory = (None, None) if state is None else state
+        seen, begun = self.base.begin(observation, before, episode_start)
+        learned, memory = self.policy.predict(seen, memory, episode_start, deterministic)
+        action, before = self.base.complete(begun, learned)
+        return action, (before, memory)
+
+
+def description(
+    name: str, learned: str, scale: float, env_id: str, kwargs: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Description of a base with its tuned parameters; a ValueError if it was not tuned there."""
+    validate.choice(learned, f"{KEY}.learned", LEARNED)
+    validate.choice(name, f"{KEY}.controller", CONTROLLERS)
+    parameters: dict[str, float] = {}
+    if CONTROLLERS[name].ranges:
+        track = track_of(name, env_id, kwargs)
+        if track is None or not takes_part(name, env_id, track):
+            raise ValueError(
+                f"{KEY}.controller: {name} was not tuned for {env_id} with keywords "
+                f"{validate.shown(dict(kwargs))}; choose the id as it is or with hardware: "
+                "laboratory, or another controller."
+            )
+        parameters = parameters_of(name, env_id, track)
+    return dict(zip(FIELDS, (name, learned, parameters, scale), strict=True))
+
+
+def acting(policy: Policy, env: Any) -> Controller:
+    """The policy, on its base if it has one, for an environment or a batch."""
+    if KEY not in policy.about:
+        return policy
+    try:
+        return Hybrid(base_of(policy.about[KEY], env), policy)
+    except ValueError as error:
+        raise PolicyError(f"The policy's base cannot act here: {error}") from None
+
+
+def base_of(about: Any, env: Any) -> Base:
+    """Base from its description, a table of FIELDS; raises ValueError."""
+    given: Mapping[str, Any] = validate.mapping(about, KEY, FIELDS)
+    name = validate.choice(given.get("controller"), f"{KEY}.controller", CONTROLLERS)
+    learned = validate.choice(given.get("learned"), f"{KEY}.learned", LEARNED)
+    known = list(CONTROLLERS[name].ranges)
+    values = validate.mapping(given.get("parameters"), f"{KEY}.parameters", known)
+    parameters = {
+        key: validate.positive(values.get(key), f"{KEY}.parameters.{key}", "-") for key in known
+    }
+    scale = validate.nonnegative(given.get("scale"), f"{KEY}.scale", "-")
+    return LEARNED[learned](controller(name, env, parameters), scale, env)
+
+
+def n_taken(policy: Policy) -> int:
+    """Size of the environment's observation that a policy takes, after `acting` has checked it."""
+    own = KEY in policy.about and LEARNED[policy.about[KEY]["learned"]].own
+    return policy.n_observation - (policy.biases[-1].size if own else 0)

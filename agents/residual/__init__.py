@@ -1,1 +1,0 @@
-"""Policies that correct a classical controller: its action plus theirs, scaled and clipped."""
