@@ -120,10 +120,10 @@ class Policy:
                 f"The policy takes {self.n_observation} observations, got shape {x.shape}. "
                 f"It was trained on {validate.shown(self.about.get('env_id'))}."
             )
-        if self.n_state:
-            x, state = self._remembered(x, state, episode_start)
         activation, first = ACTIVATIONS[self.activation], self.recurrent
         with np.errstate(over="ignore", invalid="ignore"):
+            if self.n_state:
+                x, state = self._remembered(x, state, episode_start)
             for W, b in zip(self.weights[first:-1], self.biases[first:-1], strict=True):
                 x = activation(x @ W.T + b)
             x = SQUASHINGS[self.squashing](x @ self.weights[-1].T + self.biases[-1])

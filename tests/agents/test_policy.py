@@ -7,6 +7,7 @@ import io
 import json
 import time
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile
@@ -319,6 +320,20 @@ def test_weights_that_overflow_raise_a_policy_error(folder: Path) -> None:
     policy = load_policy(folder)
     with pytest.raises(PolicyError, match="so large that its action is not a number"):
         policy.predict(np.ones(3))
+
+
+@pytest.mark.filterwarnings("error")
+def test_lstm_cells_saturate_where_their_gates_overflow() -> None:
+    """Silently: with open gates, content grows by one a step."""
+    policy = replace(
+        small_policy(),
+        weights=(np.full((64, 19), 3e38, np.float32), np.eye(2, 16, dtype=np.float32)),
+        biases=(np.zeros(64, np.float32), np.zeros(2, np.float32)),
+        recurrent=1,
+    )
+    action, state = policy.predict(np.full(3, 2.0))
+    np.testing.assert_allclose(action, np.tanh(1.0))
+    assert policy.predict(np.full(3, 2.0), state)[1][-1] == 2.0
 
 
 @pytest.mark.parametrize("damage", [cut, flipped, stuffed])

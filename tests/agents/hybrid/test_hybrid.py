@@ -18,6 +18,7 @@ from agents.controllers.reading import Reading
 from agents.evaluate import main as evaluate
 from agents.hybrid.controller import Hybrid, Residual, acting, base_of, description
 from agents.hybrid.environment import HybridVecEnv
+from agents.leaderboard.shipped import name_of
 from agents.learners.export import export_policy
 from agents.metrics import make_batch
 from agents.policy import PolicyError, load_policy, save_policy
@@ -253,6 +254,7 @@ def test_a_run_on_a_base_is_trained_resumed_and_evaluated_without_torch(
     assert train(["--resume", str(run.path), "--steps", "512"]) == 0
     tuned = description("lqg", "residual", 0.2, ENV_ID, {"hardware": "laboratory"})
     assert load_policy(run.policy).about["base"] == tuned
+    assert name_of(load_policy(run.policy)) == "ppo-on-lqg-stacked"
     code = (
         "import sys; from agents.evaluate import main; "
         f"main([{str(run.path)!r}, '--episodes', '2', '--out', {str(tmp_path / 'seen')!r}]); "
