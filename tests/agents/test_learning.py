@@ -109,3 +109,20 @@ def test_a_linear_schedule_falls_to_zero() -> None:
     model = build_model(experiment("ppo", learning_rate="lin_3.0e-4"))
     assert [model.lr_schedule(remaining) for remaining in (1.0, 0.5, 0.0)] == [3e-4, 1.5e-4, 0.0]
     model.env.close()
+
+
+@pytest.mark.parametrize("kind", ["normal", "ornstein-uhlenbeck"])
+def test_noise_of_actions_is_named_as_in_rl_zoo(kind: str) -> None:
+    model = build_model(experiment("td3", noise_std=0.2, noise_type=kind))
+    model.action_noise.reset()
+    drawn = np.array([model.action_noise() for _ in range(100)])
+    assert drawn.shape == (100, 1)
+    assert 0.0 < drawn.std() < 0.4
+    assert kind.partition("-")[0] in type(model.action_noise).__name__.lower()
+    model.env.close()
+
+
+def test_td3_has_no_noise_unless_it_is_given() -> None:
+    model = build_model(experiment("td3"))
+    assert model.action_noise is None
+    model.env.close()
