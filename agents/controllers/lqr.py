@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from agents.controllers.linear_model import LinearModel, LinearModels
-from agents.controllers.observers import Estimate, ExactState, KalmanFilters, fresh_of
+from agents.controllers.observers import Belief, Estimate, ExactState, KalmanFilters, fresh_of
 from agents.controllers.riccati import riccati
 from dynamics.types import AnyArray, Array
 from flexarm_env.tasks import SETTLED_BAND
