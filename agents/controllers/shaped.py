@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from agents.controllers.linear_model import LinearModel, LinearModels
-from agents.controllers.observers import fresh_of, posture_of
+from agents.controllers.observers import fresh_of
 from agents.controllers.pd import joint_pd
 from agents.controllers.reading import Reading
+from agents.controllers.reference import posture_of
 from dynamics.types import AnyArray, Array
 
 Impulses = tuple[Array, Array]  # amplitudes, which add up to 1, and times [s]

@@ -1,0 +1,114 @@
+"""References of model-based controllers: where a target goes, and how the arm goes with it.
+
+A reference has its joints at the target, links bent as a steady acceleration of the joints bends
+them, and joints turned so far that the tip stays on the target. A resting target has straight links
+as its reference.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agents.controllers.linear_model import LinearModels
+from agents.controllers.reading import Reading
+from dynamics import Model
+from dynamics.types import AnyArray, Array
+
+
+@dataclass
+class Course:
+    """Targets of N episodes since their start."""
+
+    posture: Array  # (N, m) [rad] target at the start
+    way: Array  # (N, m) [rad] target from there
+    rate: Array  # (N, m) [rad/s]
+    acceleration: Array  # (N, m) [rad/s^2] over the last control step
+    coming: Array  # (N, m) [rad/s^2] over the next one, extrapolated
+
+    @property
+    def now(self) -> Array:
+        """(N, m) [rad/s^2] present acceleration."""
+        return 0.5 * (self.acceleration + self.coming)
+
+
+def followed(
+    read: Reading, x: AnyArray, before: Course | None, fresh: AnyArray, dt: float
+) -> Course:
+    """Course of the targets after another observation; `fresh` (N,) marks new episodes."""
+    posture, rate = posture_of(read, x), target_rate(read, x)
+    if before is None:
+        still = np.zeros_like(rate)
+        return Course(posture, still, rate, still, still)
+    new = fresh[:, None]
+    way = before.way + 0.5 * dt * (before.rate + rate)
+    acceleration = np.where(new, 0.0, (rate - before.rate) / dt)
+    return Course(
+        posture=np.where(new, posture, before.posture),
+        way=np.where(new, 0.0, way),
+        rate=rate,
+        acceleration=acceleration,
+        coming=np.where(new, 0.0, 2.0 * acceleration - before.acceleration),
+    )
+
+
+class Reference:
+    """References of some of an arm's plants along the course of a target."""
+
+    def __init__(self, models: LinearModels, plants: Sequence[int]) -> None:
+        self.models, self.plants = models, plants
+        self._bends: dict[int, Array] = {}
+
+    def at(self, course: Course, i: int) -> tuple[Array, Array]:
+        """Offsets (P, n) from the straight arm on the target, torques (P, m) [N m] to come."""
+        models = self.models
+        joints, modal = models.joints, models.modal
+        offset = np.zeros((len(self.plants), models.model.n))
+        forward = np.zeros((len(self.plants), len(joints)))
+        if not (course.rate[i].any() or course.now[i].any()):
+            return offset, forward
+        inertia: dict[int, tuple[Array, Array]] = {}
+        for p, plant in enumerate(self.plants):
+            model = models.plants[plant].model
+            if id(model) not in inertia:
+                inertia[id(model)] = self._inertia(model, course, i)
+            M, bias = inertia[id(model)]
+            forward[p] = (M @ course.coming[i] + bias)[joints]
+            offset[p] = self._bend(course.posture[i], plant) @ (M @ course.now[i] + bias)[modal]
+        return offset, forward
+
+    def _inertia(self, model: Model, course: Course, i: int) -> tuple[Array, Array]:
+        """(n, m) forces of joint accelerations and (n,) of rates, of the straight arm."""
+        joints = self.models.joints
+        q, v = np.zeros((2, model.n))
+        q[joints], v[joints] = course.posture[i] + course.way[i], course.rate[i]
+        return model.mass_matrix(q)[:, joints], model.bias(q, v)
+
+    def _bend(self, posture: Array, plant: int) -> Array:
+        """(n, modal) offset by forces on the modes: links bend, joints undo it at the tip."""
+        model = self.models.at(posture, plant)
+        if id(model) not in self._bends:
+            joints, modal = self.models.joints, self.models.modal
+            bend = np.zeros((self.models.model.n, len(modal)))
+            bend[modal] = -np.linalg.inv(model.K[np.ix_(modal, modal)])
+            gap = model.tip_of[:, modal] @ bend[modal]
+            bend[joints] = -np.linalg.lstsq(model.tip_of[:, joints], gap, rcond=1e-6)[0]
+            self._bends[id(model)] = bend
+        return self._bends[id(model)]
+
+
+def posture_of(read: Reading, x: AnyArray) -> Array:
+    """(N, m) [rad] target angles; the first, which does not matter without gravity, is zero."""
+    error = read(x, "joint_error")
+    posture = np.zeros_like(error)
+    if "joint_sin" in read:
+        angle = np.arctan2(read(x, "joint_sin"), read(x, "joint_cos"))
+        posture[:, -angle.shape[1] :] = angle - error[:, -angle.shape[1] :]
+    return posture
+
+
+def target_rate(read: Reading, x: AnyArray) -> Array:
+    """(N, m) [rad/s] rate of the target."""
+    return (
+        read(x, "target_rate") if "target_rate" in read else np.zeros_like(read(x, "joint_error"))
+    )

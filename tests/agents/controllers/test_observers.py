@@ -1,0 +1,124 @@
+"""Observers against the environment's own state, and references against a motion along them."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.controllers import controller
+from agents.controllers.linear_model import LinearModels
+from agents.controllers.observers import KalmanFilters
+from agents.controllers.reading import Reading
+from agents.controllers.reference import followed
+from agents.leaderboard.tracks import keywords
+from agents.metrics import make_batch
+
+WEIGHTS = {"effort": 0.01, "lead": 0.2, "clip": 0.5, "disturbance": 0.2}
+REACH, DAMP, TRACK = (f"FlexArm/OneLink-{task}-v0" for task in ("Reach", "Damp", "Track"))
+
+
+def watched(env_id: str, track: str, steps: int, n_env: int = 16) -> tuple[Any, Any, Any, Any]:
+    """Environment, controller, its memory and last estimates after some steps."""
+    kwargs = keywords("lqg", track)
+    envs = make_batch(env_id, n_env, kwargs)
+    subject: Any = controller("lqg", envs, WEIGHTS)
+    observation, _ = envs.reset(seed=0)
+    state: Any = None
+    for _ in range(steps):
+        action, state = subject.predict(observation, state, np.zeros(n_env, bool))
+        observation = envs.step(action.astype(np.float32))[0]
+    estimates, state = subject.observer.observe(observation, state, np.zeros(n_env, bool))
+    return envs, subject, state, estimates
+
+
+@pytest.mark.parametrize("env_id", [REACH, DAMP])
+def test_filters_know_the_tip_better_than_the_late_encoder(env_id: str) -> None:
+    """Tip error of the estimates, and of straight links at the read angles, from the true state."""
+    envs, subject, _, estimates = watched(env_id, "laboratory", 15)
+    core, joints = envs.unwrapped.core, subject.observer.models.joints
+    read, found, naive = Reading.of(envs), [], []
+    for i, estimate in enumerate(estimates):
+        place = core.q[i].copy()
+        place[joints] -= envs.unwrapped.joint_target()[i]
+        model, r = estimate.model, len(estimate.model.modes)
+        tip = model.tip_of @ place
+        angle = read(core.outputs().obs[i], "joint_error")
+        found.append(np.linalg.norm(model.tip @ estimate.x[:r] - tip))
+        naive.append(np.linalg.norm(model.tip_of[:, joints] @ angle - tip))
+    assert np.median(found) < 0.3 * np.median(naive)
+
+
+def test_surprises_are_as_large_as_the_covariances_say() -> None:
+    """Squared innovations over their covariance average the number of readings (chi-square)."""
+    hardware = {"preset": "laboratory", "delay": 0, "payload": (0.25, 0.25), "stiffness": (1, 1)}
+    envs = make_batch(REACH, 64, {"hardware": hardware})
+    filters = KalmanFilters(envs, "lqg", 1e-3)
+    observation, _ = envs.reset(seed=0)
+    belief: Any = None
+    for k in range(30):
+        _, belief = filters.observe(observation, belief, np.full(64, k == 0))
+        torque = np.full((64, 1), 0.1 * (-1) ** (k // 5))
+        filters.act(belief, torque)
+        observation = envs.step((torque / filters.limit).astype(np.float32))[0]
+    bulk = filters._bank(belief.course.posture[0]).bulk[:30, 0].sum()
+    squares = (belief.surprise[:, 0] - bulk) / 30
+    assert 0.5 * 2 < squares.mean() < 1.5 * 2
+
+
+def test_the_first_reading_repeats_for_as_long_as_the_delay() -> None:
+    """Filters of a shorter delay are ruled out by readings that change too early, or too late."""
+    for delay in (0, 1, 2):
+        envs = make_batch(DAMP, 8, {"hardware": {"preset": "laboratory", "delay": delay}})
+        filters = KalmanFilters(make_batch(DAMP, 1, keywords("lqg", "laboratory")), "lqg", 0.1)
+        observation, _ = envs.reset(seed=0)
+        belief: Any = None
+        for _ in range(4):
+            _, belief = filters.observe(observation, belief, np.full(8, belief is None))
+            filters.act(belief, np.zeros((8, 1)))
+            observation = envs.step(np.zeros((8, 1), np.float32))[0]
+        best = [filters.hypotheses[k][1] for k in belief.surprise.argmin(axis=1)]
+        assert np.mean(np.array(best) == delay) >= 0.75
+
+
+def test_a_course_is_the_path_of_the_target() -> None:
+    """Integrated and extrapolated from observed rates, against the environment's own target."""
+    envs = make_batch(TRACK, 4, {"obs": "state"})
+    read, dt = Reading.of(envs), envs.unwrapped.control_dt
+    observation, _ = envs.reset(seed=3)
+    start, targets, courses = envs.unwrapped.joint_target().copy(), [], []
+    course = None
+    for k in range(80):
+        course = followed(read, observation, course, np.full(4, k == 0), dt)
+        courses.append(course)
+        targets.append(envs.unwrapped.joint_target() - start)
+        observation = envs.step(np.zeros((4, 1), np.float32))[0]
+    path = np.array(targets)
+    curved = (path[2:] - 2.0 * path[1:-1] + path[:-2]) / dt**2
+    assert np.abs(courses[-1].way - path[-1]).max() < 1e-3 * np.abs(path).max()
+    coming = np.array([c.now for c in courses[1:-1]])
+    assert np.median(np.abs(coming - curved)) < 0.005 * np.abs(curved).max()
+
+
+def test_an_arm_on_its_reference_stays_there() -> None:
+    """Weak feedback beside the reference's torque keeps the tip on the path."""
+    envs = make_batch(TRACK, 4, {"obs": "state"})
+    subject: Any = controller("lqr", envs, {"effort": 10.0, "lead": 0.1, "clip": 0.5})
+    observation, _ = envs.reset(seed=0)
+    state: Any = None
+    errors = []
+    for _ in range(100):
+        action, state = subject.predict(observation, state, np.zeros(4, bool))
+        observation, *_, info = envs.step(action.astype(np.float32))
+        errors.append(info["tip_error"])
+    assert np.sqrt(np.mean(np.square(errors))) < 2e-3 * envs.unwrapped.reach
+
+
+def test_plants_are_the_ends_and_the_middle_of_what_is_drawn() -> None:
+    envs = make_batch(REACH, 1, {"hardware": "laboratory"})
+    models = LinearModels.of(envs)
+    masses = sorted({plant.model.arm.payload.mass for plant in models.plants})
+    low, high = envs.unwrapped.core.randomize["payload_mass"]
+    assert masses == pytest.approx([low, 0.5 * (low + high), high])
+    middle = models.plants[models.middle]
+    assert middle.model.arm.payload.mass == pytest.approx(0.5 * (low + high))
+    assert len(models.plants) == 9
