@@ -68,7 +68,7 @@ def page(env_id: str) -> str:
         f"# {env_id}",
         f"{core.arm.name}: {core.task.title}. {core.task.description}\n\n{core.arm.description}",
         "[Environments](README.md) defines the terms, actions, info, episode ends and keywords.",
-        _facts(core, IDS[env_id]["max_episode_steps"]),
+        _facts(core, IDS[env_id]),
         f"**Start.** {core.task.start_text}{_floating(core)}",
         f"**Reward.** {reward}",
         *(
@@ -129,8 +129,8 @@ def _reward_terms() -> list[Sequence[str]]:
 # ---- sections of an id's page -------------------------------------------------------------------
 
 
-def _facts(core: Core, steps: int) -> str:
-    arm = core.arm
+def _facts(core: Core, spec: Mapping[str, Any]) -> str:
+    arm, steps, solved = core.arm, spec["max_episode_steps"], spec["reward_threshold"]
     locked, free = (np.array(x[:2]) / (2.0 * np.pi) for x in (core.scales.locked, core.scales.free))
     rows = [
         ("coordinates", f"{arm.n}: {', '.join(arm.names)}"),
@@ -139,6 +139,7 @@ def _facts(core: Core, steps: int) -> str:
         ("torque limits", f"{_numbers(core.torque_limit)} N m"),
         ("control step", f"{core.control_dt:g} s"),
         ("episode", f"{steps} steps, {steps * core.control_dt:g} s"),
+        ("return of a solved episode", "not set" if solved is None else f"{solved:g}"),
         ("integration", f"{core.integrator}, {_counted(core.substeps, 'step')} per control step"),
         ("first locked frequencies", f"{_numbers(locked)} Hz"),
         ("first free frequencies", f"{_numbers(free)} Hz"),

@@ -20,21 +20,34 @@ AGILE: dict[str, tuple[float, ...]] = {  # [N m] torque limits of Reach, about t
     "OneLink": (3.0,),
     "TwoLink": (0.39, 0.126),
 }
+# Return of a solved episode: a little below the mean of tuned LQR on exact states.
+THRESHOLDS: dict[str, float] = {
+    "OneLink-Reach": 110.0, "OneLink-Track": 145.0, "OneLink-Damp": 95.0,
+    "TwoLink-Reach": 175.0, "TwoLink-Track": 225.0, "TwoLink-Damp": 160.0,
+    "SixLink-Reach": 95.0, "SixLink-Track": 110.0, "SixLink-Damp": 75.0,
+    "OneLink-ReachAgile": 110.0, "TwoLink-ReachAgile": 120.0,
+}  # fmt: skip
 
 
-def _spec(scene: str, task: str, **keywords: Any) -> dict[str, Any]:
+def _spec(scene: str, task: str, variant: str = "", **keywords: Any) -> dict[str, Any]:
     arm, control_dt, steps = SCENES[scene]
-    kwargs = {"task": task, "arm": arm, "control_dt": control_dt, **keywords}
-    return {"kwargs": kwargs, "max_episode_steps": steps}
+    return {
+        "kwargs": {"task": task, "arm": arm, "control_dt": control_dt, **keywords},
+        "max_episode_steps": steps,
+        "reward_threshold": THRESHOLDS.get(f"{scene}-{task}{variant}"),
+    }
 
 
 IDS: dict[str, dict[str, Any]] = (
     {f"FlexArm/{scene}-{task}-v0": _spec(scene, task) for scene in FIXED for task in TASKS}
     | {
-        f"FlexArm/{scene}-ReachAgile-v0": _spec(scene, "Reach", torque_limit=limits)
+        f"FlexArm/{scene}-ReachAgile-v0": _spec(scene, "Reach", "Agile", torque_limit=limits)
         for scene, limits in AGILE.items()
     }
-    | {f"FlexArm/{scene}-ReachGoal-v0": _spec(scene, "Reach", obs="goal") for scene in FIXED}
+    | {
+        f"FlexArm/{scene}-ReachGoal-v0": _spec(scene, "Reach", "Goal", obs="goal")
+        for scene in FIXED
+    }
     | {f"FlexArm/{scene}-Reach-v0": _spec(scene, "Reach") for scene in FLOATING}
 )
 

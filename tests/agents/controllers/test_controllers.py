@@ -2,12 +2,13 @@
 
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS, controller
 from agents.controllers.linear_model import LEVELS, LinearModels
-from agents.leaderboard.tracks import keywords, takes_part
+from agents.leaderboard.tracks import RANKED, keywords, takes_part
 from agents.metrics import episode_metrics, make_batch, record
 from agents.tune import parameters_of
 
@@ -105,6 +106,24 @@ def test_lqg_believes_the_true_delay() -> None:
             observation = envs.step(action.astype(np.float32))[0]
         believed = [subject.observer.hypotheses[k][1] for k in state.surprise.argmin(axis=1)]
         assert np.mean(np.array(believed) == delay) >= 0.9
+
+
+@pytest.mark.parametrize(
+    "env_id", [pytest.param(x, marks=() if "OneLink" in x else pytest.mark.slow) for x in RANKED]
+)
+def test_reward_thresholds_are_a_little_below_the_mean_return_of_lqr(env_id: str) -> None:
+    envs = make_batch(env_id, 100, keywords("lqr", "state"))
+    subject = controller("lqr", envs, parameters_of("lqr", env_id, "state"))
+    observation, _ = envs.reset(seed=list(range(10_000, 10_100)))
+    running, start, returns, state = np.ones(100, bool), np.ones(100, bool), np.zeros(100), None
+    while running.any():
+        action, state = subject.predict(observation, state, start)
+        observation, reward, terminated, truncated, _ = envs.step(action.astype(np.float32))
+        returns += np.where(running, reward, 0.0)
+        start = terminated | truncated
+        running &= ~start
+    threshold = gym.spec(env_id).reward_threshold
+    assert 0.9 * returns.mean() < threshold < returns.mean()
 
 
 @pytest.mark.parametrize(("name", "obs"), [("lqr", "sensors"), ("lqg", "state")])
