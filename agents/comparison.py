@@ -6,6 +6,7 @@ from typing import Any
 
 from agents.figures import film, plot_recordings, write_gif
 from agents.metrics import (
+    Best,
     Recording,
     episode_metrics,
     make_batch,
@@ -32,14 +33,14 @@ def compare(
     folder: Path,
     filmed: int = 2,
     plotted: int = 3,
-    shortest: AnyArray | None = None,
+    best: Best | None = None,
     about: Mapping[str, Any] | None = None,
 ) -> dict[str, dict[str, AnyArray]]:
     """Evaluate the controllers on the episodes seed, seed + 1, ... and write the results.
 
     Writes `evaluation.json`, `evaluation.csv`, `trajectories.png` with the first `plotted`
-    controllers, and `arm.gif` with the first `filmed` to the folder. `shortest` [s] are the
-    shortest settling times that are known for these episodes; the printed table then has regrets.
+    controllers, and `arm.gif` with the first `filmed` to the folder. With the `best`
+    that is known of these episodes, the printed table has regrets.
     Returns the metrics per controller and episode.
     """
     seeds = list(range(seed, seed + episodes))
@@ -57,7 +58,7 @@ def compare(
     title = f"{titled(env_id, kwargs)}, {episodes} episodes"
     plot_recordings(folder / "trajectories.png", dict(list(recordings.items())[:plotted]), title)
     chosen = list(controllers.items())[:filmed]
-    print_table(results, shortest)
+    print_table(results, best)
     films = {name: film(env_id, kwargs, controller, seed) for name, controller in chosen}
     write_gif(folder / "arm.gif", films)
     return results

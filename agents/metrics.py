@@ -212,14 +212,25 @@ def write_results(
                 writer.writerow([name, seed, *(float(metrics[m][i]) for m in METRICS)])
 
 
-def regrets(settling: AnyArray, shortest: AnyArray) -> AnyArray:
-    """Settling time over the shortest that is known, minus 1, at most MOST_REGRET."""
-    return np.minimum(settling / shortest - 1.0, MOST_REGRET)
+@dataclass(frozen=True)
+class Best:
+    """Best values of a metric that any torques are known to reach, NaN where none is known."""
+
+    metric: str  # "settling_time" [s], or "tip_error_rms" [m] where the target moves
+    values: AnyArray  # (episodes,)
 
 
-def print_table(
-    results: Mapping[str, Mapping[str, AnyArray]], shortest: AnyArray | None = None
-) -> None:
+def regrets(metrics: Mapping[str, AnyArray], best: Best) -> AnyArray:
+    """A metric (..., episodes) over the best that is known, minus 1, at most MOST_REGRET.
+
+    Episodes without a best are left out, and those that are settled from the start.
+    """
+    known = best.values > 0.0
+    ratio = metrics[best.metric][..., known] / best.values[known]
+    return np.minimum(ratio - 1.0, MOST_REGRET)
+
+
+def print_table(results: Mapping[str, Mapping[str, AnyArray]], best: Best | None = None) -> None:
     """Print the main metrics of every controller, and the regret where a bound is known."""
     from rich.console import Console
     from rich.table import Table
@@ -227,7 +238,7 @@ def print_table(
 
     table = Table()
     columns = ["", "success", "score", "settling [s]", "tip error [mm]", "vibration [mm]"]
-    columns += ["effort [N²m²s]"] + ["regret"] * (shortest is not None)
+    columns += ["effort [N²m²s]"] + ["regret"] * (best is not None)
     for column in columns:
         table.add_column(Text(column), justify="right" if column else "left")
     for name, metrics in results.items():
@@ -240,16 +251,17 @@ def print_table(
             f"{1e3 * s['residual_vibration']:.2g}",
             f"{s['effort']:.3g}",
         ]
-        if shortest is not None:
-            regret = np.median(regrets(metrics["settling_time"], shortest))
+        if best is not None:
+            regret = np.median(regrets(metrics, best))
             cells.append(f"{100 * regret:.0f} %")
         table.add_row(name, *cells)
     console = Console(width=None if Console().is_terminal else 100)
     console.print(table)
     console.print(CAPTION, style="dim")
-    if shortest is not None:
+    if best is not None:
+        name, unit = best.metric.replace("_", " "), METRICS[best.metric][0]
         console.print(
-            f"Regret: settling time over the shortest that any torques are known to reach (median "
-            f"{np.median(shortest):.2f} s), minus one.",
+            f"Regret: {name} over the best that any torques are known to reach (median "
+            f"{np.nanmedian(best.values):.3g} {unit}), minus one.",
             style="dim",
         )

@@ -26,7 +26,7 @@ from agents.environments import REFUSALS
 from agents.figures import plot_learning_curve
 from agents.files import FolderError, folder_lock
 from agents.hybrid.controller import KEY, acting, base_of, description
-from agents.leaderboard.bound import shortest_times
+from agents.leaderboard.bound import best_of
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
 from agents.learners.algorithms import algorithms
 from agents.learners.export import export_policy
@@ -233,10 +233,10 @@ def judge(run: RunFolder, config: Config) -> None:
     controllers["untrained policy"] = untrained
     track = track_of(config.agent.name, env_id, kwargs)
     episodes, seed = config.evaluation.episodes, config.evaluation.seed
-    shortest = None
+    best = None
     if track is not None:
         controllers |= classical(env, env_id, track)
-        shortest = shortest_times(env_id, track, range(seed, seed + episodes))
+        best = best_of(env_id, track, range(seed, seed + episodes))
     env.close()
     print("Evaluating ...", flush=True)
     compare(
@@ -246,7 +246,7 @@ def judge(run: RunFolder, config: Config) -> None:
         episodes=episodes,
         seed=seed,
         folder=run.path,
-        shortest=shortest,
+        best=best,
     )
 
 

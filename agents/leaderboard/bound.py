@@ -1,195 +1,122 @@
-"""`python -m agents.leaderboard.bound`: the shortest settling times that any torques can reach.
+"""`python -m agents.leaderboard.bound`: the best that any torques are known to reach.
 
 For one episode, with its own payload and stiffness, this looks for the smallest step K such that
 some admissible actions keep the tip in the settled band from K to the end of the episode, and no
-link bends beyond its limit. For a given K, the actions are improved by successive linear programs:
-the effect of every single action on every later tip error comes from a batch of environments that
-differ in that action alone, and the largest error after K is minimised within a trust region. A
-solution counts only if the environment itself, stepped with it, stays in the band. K falls until no
-program helps. Every episode starts from two controllers; the better result is kept, and both are
-reported. The result is the best known, not a proof.
+link bends beyond its limit; where the target moves, for the smallest RMS tip error. The actions are
+improved successively: the effect of every single action on every later tip error comes from a batch
+of environments that differ in that action alone, and the excess over the band after K is minimised
+within a trust region by L-BFGS-B. A solution counts only if the environment itself, stepped with
+it, stays in the band. K falls until no program helps. Every episode starts from two controllers;
+the better result is kept, and both are stored. The result is the best known, not a proof.
 
     python -m agents.leaderboard.bound --tasks FlexArm/OneLink-Reach-v0 --episodes 100
+    python -m agents.leaderboard.bound --tasks FlexArm/OneLink-Reach-v0 --replay
+
+Every finished episode is stored at once; episodes that are stored are not searched again.
+`--replay` steps the stored actions through the environment and compares.
 """
 
 import argparse
+import multiprocessing
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
+from scipy.optimize import minimize
 
 from agents.controllers import controller
 from agents.files import atomic_write
-from agents.leaderboard.tracks import RANKED, TRACKS
-from agents.metrics import HOLD, make_batch
+from agents.leaderboard.motions import Episode, Motion, effects, plant
+from agents.leaderboard.tracks import RANKED
+from agents.metrics import Best
 from agents.tune import parameters_of
 from dynamics.description import validate
-from dynamics.load import load_arm
 from dynamics.types import Array
 from flexarm_env import IDS, TASKS
-from flexarm_env.hardware.sensors import load_hardware
 from flexarm_env.tasks import SETTLED_BAND
 
 FOLDER = Path(__file__).parents[1] / "bounds"
 PLANTS = ("state", "laboratory")  # tracks whose plants differ in free parameters alone
 STARTS = ("lqr", "pd")  # controllers whose actions the search begins with
-NUDGE = 1e-3  # [-] change of an action for its effect
 TRUST = (0.5, 0.01)  # [-] first and last largest change of an action
-ROUNDS = 8  # linear programs per K
-MARGIN = 0.999  # of the band and of the deflection limit, for the programs
-DIRECTIONS = 16  # of a polygon that stands for the circle of the band
+ROUNDS = 12  # programs per aim
+MARGIN = 0.97  # of the band and of the deflection limit, for the programs
+BENDING = 30.0  # weight of the excess over the deflection limit
+LITTLE = 1e-7  # weight of the squared change of the actions
+GAIN = 0.99  # of the RMS error; a smaller gain ends the search
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Actions and what they do in the environment."""
+class Aim:
+    """Stay within the band from a step on; without a band, as close as possible throughout."""
 
-    actions: Array  # (T, m)
-    errors: Array  # (T, k) [-] tip errors over the band
-    deflection: Array  # (T,) [-] over its limit
-    settled: int  # first step from which the tip stays in the band, T if none
-    valid: bool  # the episode did not end early
+    first: int = 0
+    band: float = 0.0  # over the settled band
 
+    def loss(self, motion: Motion) -> float:
+        """Largest distance after the first step, or the RMS; infinite if the episode failed."""
+        if not motion.valid:
+            return np.inf
+        return float(motion.distance[self.first :].max()) if self.band else motion.rms
 
-class Episode:
-    """One episode, which may be repeated with any actions."""
-
-    def __init__(
-        self, env_id: str, kwargs: Mapping[str, Any], seed: int, batches: dict[int, Any]
-    ) -> None:
-        self.env_id, self.kwargs, self.seed = env_id, dict(kwargs), seed
-        steps, self.dt = IDS[env_id]["max_episode_steps"], IDS[env_id]["kwargs"]["control_dt"]
-        self.steps, self.held = steps, steps - round(HOLD / self.dt)
-        self._batches = batches
-
-    def batch(self, n_env: int) -> Any:
-        """A batch whose environments all have this episode."""
-        if n_env not in self._batches:
-            self._batches[n_env] = make_batch(self.env_id, n_env, self.kwargs)
-        envs = self._batches[n_env]
-        observation, _ = envs.reset(seed=[self.seed] * n_env)
-        return envs, observation
-
-    def follow(self, actions: Array) -> list[Motion]:
-        """Motions under several sequences of actions (P, T, m)."""
-        envs, _ = self.batch(len(actions))
-        base = envs.unwrapped
-        part = base.observation_slices["tip_error"]
-        scale = base.observation_scales["tip_error"] / (SETTLED_BAND * base.reach)
-        limit = base.core.arguments["deflection_limit"]
-        errors, deflection, distance, ended = [], [], [], np.zeros(len(actions), bool)
-        for k in range(self.steps):
-            observation, _, terminated, _, info = envs.step(actions[:, k].astype(np.float32))
-            ended |= terminated
-            errors.append(observation[:, part] * scale)
-            deflection.append(info["deflection"] / limit)
-            distance.append(info["tip_error"] / (SETTLED_BAND * base.reach))
-        outside = np.array(distance) >= 1.0
-        last = np.where(outside.any(axis=0), self.steps - outside[::-1].argmax(axis=0), 0)
-        return [
-            Motion(a, e, d, int(s), not over)
-            for a, e, d, s, over in zip(
-                actions, np.array(errors).transpose(1, 0, 2), np.array(deflection).T, last, ended,
-                strict=True,
-            )
-        ]  # fmt: skip
-
-    def acted(self, subject: Any) -> Array:
-        """(T, m) actions of a controller in this episode."""
-        envs, observation = self.batch(1)
-        state, start, actions = None, np.ones(1, bool), []
-        for _ in range(self.steps):
-            action, state = subject.predict(observation, state, start)
-            actions.append(np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)[0])
-            observation, _, terminated, _, _ = envs.step(np.asarray(action, np.float32))
-            start = terminated
-        return np.array(actions)
+    def met(self, motion: Motion) -> bool:
+        """True if nothing is left to do."""
+        return bool(self.band) and motion.valid and motion.settled <= self.first
 
 
-def effects(episode: Episode, motion: Motion) -> tuple[Array, Array]:
-    """(T, k, T m) of the errors and (T, T m) of the deflection: slopes by every single action."""
-    count = motion.actions.size
-    nudged = np.tile(motion.actions, (count + 1, 1, 1)).reshape(count + 1, -1)
-    sign = np.where(nudged[0] > 0.0, -NUDGE, NUDGE)
-    nudged[np.arange(count), np.arange(count)] += sign
-    found = episode.follow(nudged.reshape(count + 1, *motion.actions.shape))
-    here = found[-1]
-    slopes = [(x.errors - here.errors) / s for x, s in zip(found, sign, strict=False)]
-    bends = [(x.deflection - here.deflection) / s for x, s in zip(found, sign, strict=False)]
-    return np.stack(slopes, axis=-1), np.stack(bends, axis=-1)
-
-
-def directions(size: int) -> Array:
-    """(d, size) unit vectors whose half-spaces stand for a ball."""
-    if size == 1:
-        return np.array([[1.0], [-1.0]])
-    angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    circle = np.column_stack([np.cos(angles), np.sin(angles)])
-    if size == 2:
-        return circle
-    raised = [np.column_stack([c * circle, np.full(len(circle), s)])
-              for c, s in ((1.0, 0.0), (0.71, 0.71), (0.71, -0.71))]  # fmt: skip
-    return np.vstack([*raised, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
-
-
-def largest(motion: Motion, first: int) -> float:
-    """Largest tip error from a step on, over the band; infinite for an episode that ended early."""
-    if not motion.valid:
-        return np.inf
-    return float(np.linalg.norm(motion.errors[first:], axis=1).max())
-
-
-def improved(episode: Episode, motion: Motion, first: int) -> Motion:
-    """Motion whose largest error from step `first` on is as small as the programs make it."""
+def improved(episode: Episode, motion: Motion, aim: Aim) -> Motion:
+    """Motion that comes as near to an aim as the programs bring it."""
     trust, rounds = TRUST[0], 0
-    while rounds < ROUNDS and trust > TRUST[1] and motion.settled > first:
-        slopes, bends = effects(episode, motion)
-        change = program(motion, slopes, bends, first, trust)
-        if change is None:
-            return motion
-        better = episode.follow((motion.actions + change)[None])[0]
-        if largest(better, first) < largest(motion, first):
-            motion = better
-        else:
-            trust *= 0.25
-        rounds += 1
+    while rounds < ROUNDS and trust > TRUST[1] and not aim.met(motion):
+        change = program(motion, *effects(episode, motion), aim, trust)
+        trial = episode.follow((motion.actions + change)[None])[0]
+        better, rounds = aim.loss(trial) < aim.loss(motion), rounds + 1
+        if better and not aim.band and aim.loss(trial) > GAIN * aim.loss(motion):
+            return trial
+        motion, trust = (trial, trust) if better else (motion, 0.25 * trust)
     return motion
 
 
-def program(motion: Motion, slopes: Array, bends: Array, first: int, trust: float) -> Array | None:
-    """(T, m) change of the actions that minimises the largest error from `first` on, linearly."""
-    normals = directions(motion.errors.shape[1])
-    rows = np.einsum("dk,tkx->tdx", normals, slopes[first:]).reshape(-1, motion.actions.size)
-    values = (motion.errors[first:] @ normals.T).ravel()
-    A = np.vstack(
-        [np.column_stack([rows, -np.ones(len(rows))]), np.column_stack([bends, 0.0 * bends[:, :1]])]
-    )
-    b = np.concatenate([-values, MARGIN - motion.deflection])
+def program(motion: Motion, slopes: Array, bends: Array, aim: Aim, trust: float) -> Array:
+    """(T, m) change of the actions that minimises the squared excess over band and limit."""
+    size, errors = motion.actions.size, motion.errors[aim.first :]
+    J = slopes[aim.first :].reshape(-1, size)
+    near = motion.deflection + trust * np.abs(bends).sum(axis=1) > MARGIN
+    G, bent = bends[near], motion.deflection[near]
+
+    def excess(x: Array) -> tuple[float, Array]:
+        y = errors + (J @ x).reshape(errors.shape)
+        length = np.linalg.norm(y, axis=1)
+        over = np.maximum(length - MARGIN * aim.band, 0.0)
+        beyond = BENDING * np.maximum(bent + G @ x - MARGIN, 0.0)
+        pull = (over / np.maximum(length, 1e-9))[:, None] * y
+        slope = J.T @ pull.ravel() + BENDING * G.T @ beyond + LITTLE * x
+        return 0.5 * float(over @ over + beyond @ beyond + LITTLE * x @ x), slope
+
     flat = motion.actions.ravel()
     low, high = np.maximum(-trust, -1.0 - flat), np.minimum(trust, 1.0 - flat)
-    bounds = [*zip(low, high, strict=True), (0.0, None)]
-    cost = np.zeros(flat.size + 1)
-    cost[-1] = 1.0
-    found = linprog(cost, A_ub=A, b_ub=b,
-                    bounds=bounds, method="highs")  # fmt: skip
-    return found.x[:-1].reshape(motion.actions.shape) if found.status == 0 else None
+    found = minimize(
+        excess, np.zeros(size), jac=True, method="L-BFGS-B", bounds=np.column_stack([low, high]),
+        options={"maxiter": 300, "maxcor": 20, "ftol": 1e-12, "gtol": 1e-7},
+    )  # fmt: skip
+    return np.asarray(found.x).reshape(motion.actions.shape)
 
 
 def shortest(episode: Episode, motion: Motion) -> Motion:
     """Motion that settles as early as successive programs find."""
     if motion.settled > episode.held:
-        motion = improved(episode, motion, episode.held)
+        motion = improved(episode, motion, Aim(episode.held, 1.0))
     if motion.settled > episode.held:
         return motion
     stride = max(1, motion.settled // 4)
     while stride:
         wanted = motion.settled - stride
-        trial = improved(episode, motion, wanted) if wanted >= 0 else motion
+        trial = improved(episode, motion, Aim(wanted, 1.0)) if wanted >= 0 else motion
         if trial.valid and trial.settled <= wanted:
             motion = trial
         else:
@@ -197,32 +124,49 @@ def shortest(episode: Episode, motion: Motion) -> Motion:
     return motion
 
 
-def plant(env_id: str, track: str) -> dict[str, Any]:
-    """Keywords of an environment with the plants of a track and an exact observation."""
-    hardware = load_hardware(TRACKS[track].kwargs.get("hardware"))
-    if hardware is None:
-        return {"obs": "state"}
-    return {"obs": "state", "randomize": hardware.spread(load_arm(IDS[env_id]["kwargs"]["arm"]))}
+def is_moving(env_id: str) -> bool:
+    """True if the target of a task moves."""
+    return TASKS[IDS[env_id]["kwargs"]["task"]].moving
+
+
+def reached(episode: Episode, motion: Motion) -> float:
+    """Settling time [s], or RMS tip error [m] where the target moves; infinite if neither."""
+    if is_moving(episode.env_id):
+        return motion.rms * SETTLED_BAND * episode.reach if motion.valid else np.inf
+    settled = motion.valid and motion.settled <= episode.held
+    return motion.settled * episode.dt if settled else np.inf
 
 
 def bounded(
     env_id: str, track: str, seed: int, batches: dict[int, Any]
 ) -> tuple[Motion, list[float]]:
-    """Best motion that was found, and the settling time [s] from every start.
+    """Best motion that was found, and what was reached from every start.
 
     `batches` keeps environments for the next episode of the same task and track.
     """
-    kwargs = plant(env_id, track)
-    episode, found = Episode(env_id, kwargs, seed, batches), []
+    episode, found = Episode(env_id, plant(env_id, track), seed, batches), []
     for name in STARTS:
         subject = controller(name, episode.batch(1)[0], parameters_of(name, env_id, "state"))
         first = episode.follow(episode.acted(subject)[None])[0]
         if not first.valid:
             first = episode.follow(np.zeros((1, *first.actions.shape)))[0]
-        found.append(shortest(episode, first))
-    settled = [x.valid and x.settled <= episode.held for x in found]
-    times = [x.settled * episode.dt if y else np.inf for x, y in zip(found, settled, strict=True)]
-    return found[int(np.argmin(times))], times
+        search = partial(improved, aim=Aim()) if is_moving(env_id) else shortest
+        found.append(search(episode, first))
+    best = [reached(episode, motion) for motion in found]
+    return found[int(np.argmin(best))], best
+
+
+# ---- stored bounds -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds of n episodes."""
+
+    seeds: Array  # (n,) of the episodes
+    best: Array  # (n,) [s] settling time, or [m] RMS tip error
+    starts: Array  # (n, starts) the same from every start
+    actions: Array  # (n, T, m)
 
 
 def file_of(env_id: str, track: str) -> Path:
@@ -231,71 +175,121 @@ def file_of(env_id: str, track: str) -> Path:
 
 
 @cache
-def stored(env_id: str, track: str) -> dict[int, float]:
-    """Shortest known settling time [s] by seed; empty if none is stored."""
+def stored(env_id: str, track: str) -> Bounds | None:
+    """Bounds that are stored for a task with the plants of a track, if any."""
     path = file_of(env_id, track)
     if not path.exists():
-        return {}
-    with np.load(path, allow_pickle=False) as data:
-        found = zip(data["seeds"].tolist(), data["times"].tolist(), strict=True)
-        return {seed: time for seed, time in found if np.isfinite(time)}
-
-
-def shortest_times(env_id: str, track: str, seeds: Sequence[int]) -> Array | None:
-    """(n,) [s] shortest known settling times of episodes; None unless all are stored."""
-    known = stored(env_id, track)
-    if not all(seed in known for seed in seeds):
         return None
-    return np.array([known[seed] for seed in seeds])
+    with np.load(path, allow_pickle=False) as data:
+        return Bounds(**{name: data[name] for name in Bounds.__annotations__})
 
 
-def save(path: Path, seeds: Sequence[int], motions: Sequence[Motion], times: Array) -> None:
-    """Write seeds (n,), times (n, starts) [s] and actions (n, T, m)."""
+def best_of(env_id: str, track: str, seeds: Sequence[int]) -> Best | None:
+    """Best that is known of episodes; None if fewer than two have a bound."""
+    found = stored(env_id, track)
+    if found is None:
+        return None
+    known = dict(zip(found.seeds.tolist(), found.best.tolist(), strict=True))
+    values = np.array([known.get(seed, np.nan) for seed in seeds])
+    values[~np.isfinite(values)] = np.nan
+    metric = "tip_error_rms" if is_moving(env_id) else "settling_time"
+    return Best(metric, values) if np.sum(values > 0.0) > 1 else None
+
+
+def add(env_id: str, track: str, seed: int, motion: Motion, starts: Sequence[float]) -> None:
+    """Store one more episode; the file is replaced as a whole."""
+    new = Bounds(
+        np.array([seed]), np.array([min(starts)]), np.array([starts]),
+        motion.actions[None].astype(np.float32),
+    )  # fmt: skip
+    old, path = stored(env_id, track), file_of(env_id, track)
+    both = [new] if old is None else [old, new]
+    order = np.argsort([seed for x in both for seed in x.seeds])
     path.parent.mkdir(exist_ok=True)
-    actions = np.array([motion.actions for motion in motions], dtype=np.float32)
     with atomic_write(path) as temporary:
         np.savez_compressed(
-            temporary, seeds=np.array(seeds), times=times.min(axis=1), starts=times, actions=actions
+            temporary,
+            seeds=np.concatenate([x.seeds for x in both])[order],
+            best=np.concatenate([x.best for x in both])[order],
+            starts=np.concatenate([x.starts for x in both])[order],
+            actions=np.concatenate([x.actions for x in both])[order],
         )
+    stored.cache_clear()
+
+
+def compute(env_id: str, track: str, seeds: Iterable[int], jobs: int = 1) -> None:
+    """Search and store the bounds of the episodes that have none."""
+    found = stored(env_id, track)
+    missing = [seed for seed in seeds if found is None or seed not in found.seeds]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        results = pool.map(partial(_searched, env_id, track), missing)
+        for seed, (motion, starts) in zip(missing, results, strict=True):
+            add(env_id, track, seed, motion, starts)
+            line = ", ".join(
+                f"{name} {value:.4g}" for name, value in zip(STARTS, starts, strict=True)
+            )
+            print(f"{env_id}, {track}, seed {seed}: from {line}", flush=True)
+
+
+_BATCHES: dict[tuple[str, str], dict[int, Any]] = {}  # of a worker
+
+
+def _searched(env_id: str, track: str, seed: int) -> tuple[Motion, list[float]]:
+    return bounded(env_id, track, seed, _BATCHES.setdefault((env_id, track), {}))
+
+
+def replay(env_id: str, track: str) -> tuple[Array, Array]:
+    """(n,) stored bounds, and those that the stored actions reach in the environment now."""
+    found, batches = stored(env_id, track), {}  # type: tuple[Any, dict[int, Any]]
+    again = []
+    for seed, actions in zip(found.seeds.tolist(), found.actions, strict=True):
+        episode = Episode(env_id, plant(env_id, track), seed, batches)
+        again.append(reached(episode, episode.follow(actions[None].astype(np.float64))[0]))
+    return found.best, np.array(again)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Search the bounds of tasks and store them; the exit status."""
-    ranked = [i for i in RANKED if not TASKS[IDS[i]["kwargs"]["task"]].moving]
+    """Search the bounds of tasks and store them, or replay them; the exit status."""
     parser = argparse.ArgumentParser(prog="python -m agents.leaderboard.bound", description=__doc__)
-    parser.add_argument("--tasks", nargs="+", default=ranked, metavar="ID")
+    parser.add_argument("--tasks", nargs="+", default=list(RANKED), metavar="ID")
     parser.add_argument("--track", default="state", help="whose plants: state or laboratory")
     parser.add_argument("--seed", type=int, default=10_000, help="of the first episode")
     parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--replay", action="store_true", help="check what is stored")
     options = parser.parse_args(arguments)
     try:
         for env_id in options.tasks:
-            validate.known(env_id, "task", ranked)
+            validate.known(env_id, "task", RANKED)
         validate.known(options.track, "track", PLANTS)
         validate.integer(options.seed, "--seed", 0, 2**31)
         validate.integer(options.episodes, "--episodes", 1, 100_000)
+        validate.integer(options.jobs, "--jobs", 1, 1024)
     except ValueError as error:
         print(f"agents.leaderboard.bound: {error}", file=sys.stderr)
         return 2
-    seeds = range(options.seed, options.seed + options.episodes)
+    seeds, passed = range(options.seed, options.seed + options.episodes), True
     for env_id in options.tasks:
-        found: list[tuple[Motion, list[float]]] = []
-        batches: dict[int, Any] = {}
-        for seed in seeds:
-            found.append(bounded(env_id, options.track, seed, batches))
-            reached = zip(STARTS, found[-1][1], strict=True)
-            line = ", ".join(f"{name} {t:.2f} s" for name, t in reached)
-            print(f"{env_id}, seed {seed}: from {line}", flush=True)
-        times = np.array([x[1] for x in found])
-        save(file_of(env_id, options.track), list(seeds), [x[0] for x in found], times)
-        print(f"{env_id}: {_agreement(times)}")
-    return 0
+        if not options.replay:
+            compute(env_id, options.track, seeds, options.jobs)
+        found = stored(env_id, options.track)
+        if found is not None:
+            print(f"{env_id}, {options.track}: {_summary(env_id, found)}")
+        if options.replay and found is not None:
+            before, now = replay(env_id, options.track)
+            same = np.isclose(before, now, rtol=1e-3) | ~np.isfinite(before)
+            print(f"  replayed: {same.sum()} of {same.size} reach what is stored")
+            passed = passed and bool(same.all())
+    return 0 if passed else 1
 
 
-def _agreement(times: Array) -> str:
-    near = np.ptp(times, axis=1) <= 0.05 * times.min(axis=1)
+def _summary(env_id: str, found: Bounds) -> str:
+    near = np.ptp(found.starts, axis=1) <= 0.05 * found.best
+    unit, scale = ("mm RMS", 1e3) if is_moving(env_id) else ("s", 1.0)
     return (
-        f"median {np.median(times.min(axis=1)):.3f} s; starts agree within 5 % in {near.mean():.0%}"
+        f"{len(found.seeds)} episodes, median {scale * np.median(found.best):.3g} {unit}; "
+        f"starts agree within 5 % in {near.mean():.0%}"
     )
 
 

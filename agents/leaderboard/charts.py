@@ -104,7 +104,9 @@ def regrets(results: Results) -> Figure:
             axis.annotate(f" {x:.0f}", (high, k), va="center", fontsize=8)
         axis.set_yticks(range(len(names)), names)
         axis.set_xlim(0.0, 450.0)
-    figure.supxlabel("regret [%]: settling time over the shortest known, minus one; 95 % interval")
+    figure.supxlabel(
+        "regret [%]: settling time, or RMS error of a path, over the best known, less 1"
+    )
     return figure
 
 

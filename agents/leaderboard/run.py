@@ -20,7 +20,7 @@ import numpy as np
 from agents.controllers import CONTROLLERS, controller
 from agents.figures import save_figure
 from agents.hybrid.controller import acting
-from agents.leaderboard.bound import shortest_times
+from agents.leaderboard.bound import best_of
 from agents.leaderboard.charts import pictures
 from agents.leaderboard.output import row, write
 from agents.leaderboard.shipped import shipped
@@ -83,8 +83,8 @@ def ranked(name: str, env_id: str, track: str, seeds: Sequence[int]) -> Entry:
         each = [episode_metrics(recording) for recording in recordings]
         metrics = {key: np.stack([found[key] for found in each]) for key in METRICS}
         milliseconds = decision_times(subjects[0], single, seeds[0])
-        shortest = shortest_times(env_id, track, seeds)
-        found = figures(metrics, milliseconds, envs.unwrapped.control_dt, shortest)
+        best = best_of(env_id, track, seeds)
+        found = figures(metrics, milliseconds, envs.unwrapped.control_dt, best)
         return Entry(found, metrics, spectrum(recordings))
     finally:
         for env in (design, envs, single):

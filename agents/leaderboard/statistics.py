@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import signal, stats
 
-from agents.metrics import Recording, regrets
+from agents.metrics import Best, Recording, regrets
 from dynamics.types import AnyArray
 from flexarm_env.tasks import SETTLED_BAND
 
@@ -47,21 +47,21 @@ def figures(
     metrics: Mapping[str, AnyArray],
     milliseconds: AnyArray,
     control_dt: float,
-    shortest: AnyArray | None,
+    best: Best | None,
 ) -> Figures:
     """Figures of one controller from metrics (runs, episodes) and the times of its decisions.
 
-    `shortest` (episodes,) [s] are the shortest settling times that are known; without them there
-    is no regret.
+    Without the best that is known of the episodes there is no regret.
     """
     score = metrics["score"]
-    regret = None if shortest is None else regrets(metrics["settling_time"], shortest)
+    regret = None if best is None else regrets(metrics, best)
     return {
         "success_rate": float(metrics["success"].mean()),
         "score_iqm": interquartile_mean(score),
         "score_ci": interval(score),
         "regret_iqm": None if regret is None else interquartile_mean(regret),
         "regret_ci": None if regret is None else interval(regret),
+        "regret_episodes": 0 if regret is None else regret.shape[-1],
         "settling_median": float(np.median(metrics["settling_time"])),
         "settling_quartiles": quartiles(metrics["settling_time"]),
         "tip_error_rms_median": float(np.median(metrics["tip_error_rms"])),
