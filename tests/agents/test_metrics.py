@@ -12,6 +12,7 @@ import pytest
 
 from agents.metrics import (
     METRICS,
+    Best,
     Recording,
     episode_metrics,
     make_batch,
@@ -285,8 +286,19 @@ def test_an_error_at_the_edge_of_the_band_is_outside() -> None:
 
 
 def test_regrets_are_at_most_four() -> None:
-    found = regrets(np.array([1.0, 3.0, 5.0, 5.1, math.inf]), np.ones(5))
+    values = np.array([1.0, 3.0, 5.0, 5.1, math.inf])
+    found = regrets({"settling_time": values}, Best("settling_time", np.ones(5)))
     assert found.tolist() == [0.0, 2.0, 4.0, 4.0, 4.0]
+
+
+def test_regrets_are_of_episodes_with_a_best_above_zero() -> None:
+    """Of the metric that the best is of; episodes are the last axis."""
+    metrics = {"tip_error_rms": np.array([[3.0, 1.0, 4.0, 2.0], [6.0, 1.0, 4.0, 8.0]])}
+    metrics["settling_time"] = np.ones((2, 4))
+    best = Best("tip_error_rms", np.array([2.0, 0.0, math.nan, 4.0]))
+    assert regrets(metrics, best).tolist() == [[0.5, -0.5], [2.0, 1.0]]
+    with pytest.raises(FrozenInstanceError):
+        best.metric = ""  # type: ignore[misc]
 
 
 def test_trees_without_infinities_are_plain_and_whole() -> None:
@@ -332,7 +344,7 @@ def test_the_table_is_in_the_units_of_its_header(capsys: pytest.CaptureFixture[s
     metrics |= {"residual_vibration": np.full(4, 0.0012505), "tip_error_final": np.full(4, 0.1)}
     lost = metrics | {"settling_time": np.full(4, math.inf)}
     lost |= {"residual_vibration": np.full(4, 0.0012495)}
-    shortest = np.array([1.0, 1.0, 2.0, 2.0])
+    best = Best("settling_time", np.array([1.0, 1.0, 2.0, 2.0]))
     print_table({"pd": metrics, "lost": lost})
     plain = capsys.readouterr().out
     rows = {line.split()[1]: line for line in plain.splitlines() if "│" in line}
@@ -343,8 +355,14 @@ def test_the_table_is_in_the_units_of_its_header(capsys: pytest.CaptureFixture[s
     assert rows["lost"].split("│")[6].strip() == "1.2"
     assert all(f" {name} " in plain for name in ("success", "score", "settling [s]"))
     assert "regret" not in plain.lower()
-    print_table({"pd": metrics}, shortest)
+    print_table({"pd": metrics}, best)
     bounded = capsys.readouterr().out
     (row,) = [line for line in bounded.splitlines() if "│ pd" in line]
     assert row.split("│")[-2].strip() == "75 %"  # of 0, 1, 0.5, 4
-    assert "median 1.50 s" in " ".join(bounded.split())
+    assert "Regret: settling time over the best" in (text := " ".join(bounded.split()))
+    assert "(median 1.5 s)" in text
+    print_table({"pd": metrics}, Best("tip_error_rms", np.array([0.00025, math.nan, 0.001, 0.0])))
+    text = " ".join(capsys.readouterr().out.split())
+    assert "Regret: tip error rms over the best" in text
+    assert "(median 0.00025 m)" in text
+    assert " 212 %" in text  # of 4 and 0.25

@@ -11,7 +11,7 @@ import pytest
 from agents.leaderboard import charts
 from agents.leaderboard.output import leaders, write
 from agents.leaderboard.statistics import Entry, Spectrum, compared, figures
-from agents.metrics import METRICS
+from agents.metrics import METRICS, Best
 
 REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
 FREQUENCY = np.linspace(0.0, 25.0, 101)
@@ -23,8 +23,8 @@ def entry(score: Any, share: float = 1.0, bounded: bool = False) -> Entry:
     metrics = {name: np.where(score > 0.0, 0.1 + score, np.inf) for name in METRICS}
     metrics |= {"score": score, "success": np.sign(score)}
     metrics["settling_time"] = np.where(score > 0.0, 3.0 * (1.0 - score), np.inf)
-    shortest = np.full(score.shape[1], 0.3) if bounded else None
-    found = figures(metrics, np.array([0.5, 1.5]), 0.02, shortest)
+    best = Best("settling_time", np.full(score.shape[1], 0.3)) if bounded else None
+    found = figures(metrics, np.array([0.5, 1.5]), 0.02, best)
     return Entry(found, metrics, Spectrum(FREQUENCY, np.ones_like(FREQUENCY), share))
 
 

@@ -20,7 +20,7 @@ from agents.leaderboard.statistics import (
     spectrum,
     wins,
 )
-from agents.metrics import METRICS, Recording
+from agents.metrics import METRICS, Best, Recording
 from dynamics.types import AnyArray
 
 DT, STEPS = 0.02, 150
@@ -174,7 +174,8 @@ def test_figures_of_known_metrics() -> None:
     metrics["settling_time"] = np.array([[1.0, 1.2, np.inf, 1.4], [1.0, 1.6, 1.5, 1.3]])
     metrics["tip_error_rms"] = 2.0 * metrics["score"]
     metrics["residual_vibration"] = 3.0 * metrics["score"]
-    found = figures(metrics, np.array([1.0, 3.0, 2.0]), 0.02, np.array([1.0, 1.0, 1.0, 0.5]))
+    best = Best("settling_time", np.array([1.0, 1.0, 1.0, 0.5]))
+    found = figures(metrics, np.array([1.0, 3.0, 2.0]), 0.02, best)
     regret = [0.0, 0.2, 4.0, 1.8, 0.0, 0.6, 0.5, 1.6]
     middle = sorted(regret)[2:-2]
     intervals = {"score_ci": "score_iqm", "regret_ci": "regret_iqm"}
@@ -185,6 +186,7 @@ def test_figures_of_known_metrics() -> None:
         "success_rate": 7 / 8,
         "score_iqm": pytest.approx(0.35),
         "regret_iqm": pytest.approx(sum(middle) / 4),
+        "regret_episodes": 4,
         "settling_median": pytest.approx(1.35),
         "settling_quartiles": [1.0, 1.5],
         "tip_error_rms_median": pytest.approx(0.7),
@@ -215,3 +217,13 @@ def test_figures_without_a_bound_have_no_regret() -> None:
     found = figures(metrics, np.array([1.0, 3.0]), 0.02, None)
     assert found["regret_iqm"] is None
     assert found["regret_ci"] is None
+    assert found["regret_episodes"] == 0
+
+
+def test_regret_of_a_path_is_that_of_its_rms_where_a_best_is_known() -> None:
+    metrics = {name: np.array([[1.0, 3.0, 9.0, 5.0]]) for name in METRICS}
+    metrics["tip_error_rms"] = np.array([[2.0, 4.0, 9.0, 6.0]])
+    best = Best("tip_error_rms", np.array([1.0, 2.0, np.nan, 4.0]))
+    found = figures(metrics, np.array([1.0, 3.0]), 0.02, best)
+    assert found["regret_iqm"] == pytest.approx((1.0 + 1.0 + 0.5) / 3.0)
+    assert found["regret_episodes"] == 3
