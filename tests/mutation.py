@@ -73,25 +73,27 @@ JUDGES = {
         equal={"recordings[ -1]": "all recordings have one clock"},
     ),
     "agents/leaderboard/bound.py": Judge(
-        ("tests/agents/leaderboard/test_bound.py",),
-        without=("bounded", "main", None),  # they need the compiled step; efforts of the search
+        (
+            "tests/agents/leaderboard/test_bound.py",
+            "tests/agents/leaderboard/test_stored_bounds.py",
+        ),
+        without=("main", None),  # the command line; efforts of the search
         equal={
-            "size <= 1": "no size is below 1",
-            "found.status <= 0": "no status is negative",
-            "reshape(- 2, ": "NumPy takes any negative length as the open one",
-            "zip(low, high, strict=False)": "both are as long",
             "rounds != ROUNDS": "rounds are counted one by one",
             "trust >= TRUST[1]": "0.5 is never quartered to 0.01",
+            "[None])[ -1]": "one sequence is followed",
+        },
+    ),
+    "agents/leaderboard/motions.py": Judge(
+        ("tests/agents/leaderboard/test_motions.py",),
+        without=(None,),  # the size of a nudge
+        equal={
             "np.stack(bends, axis=1)": "the last of two axes is the second",
             "strict=False,": "all are as long",
             "1.0)[ -1])": "the batch has one row",
-            "[None])[ -1]": "one sequence is followed",
             "reshape(count + 1, - 2)": "NumPy takes any negative length as the open one",
             "nudged[ -1] > 0.0": "all rows are still equal",
             "nudged[ 1] > 0.0": "all rows are still equal",
-            "size <= 2": "a size of 1 has its result already",
-            "( -1.0, None)": "no largest error is negative",
-            "cost[-1] = 2.0": "a factor of all costs",
         },
     ),
 }

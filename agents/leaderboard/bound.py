@@ -132,11 +132,18 @@ def is_moving(env_id: str) -> bool:
 
 
 def reached(episode: Episode, motion: Motion) -> float:
-    """Settling time [s], or RMS tip error [m] where the target moves; infinite if neither."""
+    """Settling time [s], or RMS tip error [m] where the target moves; infinite if neither.
+
+    As agents.metrics has them, of the start and all steps: step 0 of a motion ends after 1 dt.
+    """
+    if not motion.valid:
+        return np.inf
     if is_moving(episode.env_id):
-        return motion.rms * SETTLED_BAND * episode.reach if motion.valid else np.inf
-    settled = motion.valid and motion.settled <= episode.held
-    return motion.settled * episode.dt if settled else np.inf
+        rms = np.sqrt(np.mean(np.square([episode.start, *motion.distance])))
+        return float(rms) * SETTLED_BAND * episode.reach
+    if motion.settled == 0 and episode.start < 1.0:
+        return 0.0
+    return (motion.settled + 1) * episode.dt if motion.settled <= episode.held else np.inf
 
 
 def bounded(

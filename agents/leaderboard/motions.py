@@ -1,5 +1,6 @@
 """Motions of one episode under any actions, and their slopes by every single action."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -35,16 +36,23 @@ class Motion:
 
 
 class Episode:
-    """One episode, which may be repeated with any actions."""
+    """One episode, which may be repeated with any actions.
+
+    `held` is the last of the motions' steps from which staying in the band counts as settling;
+    `start` is the tip error at the start over the band.
+    """
 
     def __init__(
         self, env_id: str, kwargs: Mapping[str, Any], seed: int, batches: dict[int, Any]
     ) -> None:
         self.env_id, self.kwargs, self.seed = env_id, dict(kwargs), seed
         steps, self.dt = IDS[env_id]["max_episode_steps"], IDS[env_id]["kwargs"]["control_dt"]
-        self.steps, self.held = steps, steps - round(HOLD / self.dt)
+        self.steps, self.held = steps, steps - 1 - math.ceil(HOLD / self.dt - 1e-9)
         self._batches = batches
-        self.reach = float(self.batch(1)[0].unwrapped.reach)
+        envs, _ = self.batch(1)
+        self.reach = float(envs.unwrapped.reach)
+        _, info = envs.reset(seed=[seed])
+        self.start = float(info["tip_error"][0]) / (SETTLED_BAND * self.reach)  # [-]
 
     def batch(self, n_env: int) -> Any:
         """A batch whose environments all have this episode."""

@@ -21,6 +21,7 @@ class Cart:
 
     def __init__(self, target: Any = 1.0, bend: float = 0.5) -> None:
         self.target, self.bend = np.broadcast_to(target, STEPS), bend
+        self.start = abs(float(self.target[0])) / BAND
 
     def follow(self, actions: Array) -> list[Motion]:
         return [self.motion(force) for force in actions]

@@ -15,9 +15,10 @@ from agents.leaderboard.motions import Episode, effects, plant
 from agents.leaderboard.run import main, ranked
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part, track_of
-from agents.metrics import make_batch
+from agents.metrics import episode_metrics, make_batch, record
 from agents.tune import main as tune_main
 from agents.tune import parameters_of, tune, tuned
+from dynamics.types import AnyArray
 from tests.paths import ROOT
 
 ONE = "FlexArm/OneLink-Reach-v0"
@@ -112,6 +113,25 @@ def test_shipped_policies_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     shipped.cache_clear()
 
 
+class Replay:
+    """A controller that repeats actions (T, m)."""
+
+    def __init__(self, actions: AnyArray) -> None:
+        self.actions = actions
+
+    def predict(self, observation: Any, state: Any, start: Any) -> Any:
+        k = state or 0
+        return self.actions[None, k], k + 1
+
+
+def metrics_of(env_id: str, track: str, seed: int, actions: AnyArray) -> dict[str, Any]:
+    """Metrics of an episode under actions."""
+    envs = make_batch(env_id, 1, plant(env_id, track))
+    found = episode_metrics(record(Replay(actions), envs, [seed]))
+    envs.close()
+    return {name: values[0] for name, values in found.items()}
+
+
 def test_a_bound_beats_its_starts_and_holds_in_the_environment() -> None:
     """Replayed by hand: the tip stays in the band from the bound to the end."""
     motion, times = bound.bounded(ONE, "laboratory", 10_003, {})
@@ -129,6 +149,19 @@ def test_a_bound_beats_its_starts_and_holds_in_the_environment() -> None:
     assert min(times) == pytest.approx(bound.reached(episode, motion))
     subject = controller("lqr", episode.batch(1)[0], parameters_of("lqr", ONE, "state"))
     assert motion.settled < episode.follow(episode.acted(subject)[None])[0].settled
+
+
+@pytest.mark.parametrize("name", ["lqr", "zero"])
+@pytest.mark.parametrize("env_id", [ONE, "FlexArm/OneLink-Track-v0"])
+@pytest.mark.parametrize("track", bound.PLANTS)
+def test_a_bound_is_the_metric_of_its_actions(name: str, env_id: str, track: str) -> None:
+    """By agents.metrics, as the regrets of all controllers are."""
+    episode = Episode(env_id, plant(env_id, track), 10_005, {})
+    parameters = parameters_of(name, env_id, "state") if name == "lqr" else {}
+    actions = episode.acted(controller(name, episode.batch(1)[0], parameters))
+    metric = "tip_error_rms" if bound.is_moving(env_id) else "settling_time"
+    found = bound.reached(episode, episode.follow(actions[None])[0])
+    assert found == pytest.approx(metrics_of(env_id, track, 10_005, actions)[metric], rel=1e-6)
 
 
 def test_effects_are_the_slopes_of_the_environment() -> None:
