@@ -7,7 +7,8 @@ docs/results/mutation.md. One run takes about forty minutes on one core.
     pip install cosmic-ray
     python -m tests.mutation [--modules FILE ...] [--out FILE] [--work FOLDER]
 
-A second run with the same `--work` goes on where the first was stopped.
+A second run with the same `--work` goes on where the first was stopped. Modules that are left out
+keep their lines of the page.
 """
 
 import argparse
@@ -183,20 +184,39 @@ def harmless(mutant: Mutant, judge: Judge) -> str:
     return next((why for part, why in judge.equal.items() if part in mutant.after), "")
 
 
-def page(found: dict[str, list[Mutant]]) -> str:
-    """Markdown page: the share that is killed, and every survivor."""
-    rows, lines, total, dead = [], [], 0, 0
-    for module, all_mutants in found.items():
-        survivors = [(m, harmless(m, JUDGES[module])) for m in all_mutants if not m.killed]
-        same = [(m, reason) for m, reason in survivors if reason]
-        alive = [m for m, reason in survivors if not reason]
-        count, killed = len(all_mutants) - len(same), len(all_mutants) - len(same) - len(alive)
-        total, dead = total + count, dead + killed
-        share = f"{100.0 * killed / count:.1f} %"
-        rows.append(f"| `{module}` | {count} | {killed} | {share} | {len(alive)} | {len(same)} |")
-        lines += [f"- `{module}`, {m.line}: `{m.before}` to `{m.after}`" for m in alive]
-        lines += [f"- `{module}`, {m.line}: `{m.after}`: {reason}" for m, reason in same]
-    table = "\n".join(rows)
+def rows(module: str, found: list[Mutant]) -> list[str]:
+    """Row of a module in the table, and a line for every survivor."""
+    survivors = [(m, harmless(m, JUDGES[module])) for m in found if not m.killed]
+    same = [(m, reason) for m, reason in survivors if reason]
+    alive = [m for m, reason in survivors if not reason]
+    count, killed = len(found) - len(same), len(found) - len(same) - len(alive)
+    share = f"{100.0 * killed / count:.1f} %"
+    return [
+        f"| `{module}` | {count} | {killed} | {share} | {len(alive)} | {len(same)} |",
+        *(f"- `{module}`, {m.line}: `{m.before}` to `{m.after}`" for m in alive),
+        *(f"- `{module}`, {m.line}: `{m.after}`: {reason}" for m, reason in same),
+    ]
+
+
+def page(found: dict[str, list[Mutant]], earlier: str = "") -> str:
+    """Markdown page: the share that is killed, and every survivor.
+
+    Modules that were not tried keep their lines of an earlier page.
+    """
+    lines = [
+        line
+        for module in JUDGES
+        for line in (
+            rows(module, found[module])
+            if module in found
+            else [
+                x for x in earlier.splitlines() if x.startswith((f"| `{module}`", f"- `{module}`"))
+            ]
+        )
+    ]
+    table = [line for line in lines if line.startswith("|")]
+    total, dead = (sum(int(line.split("|")[k]) for line in table) for k in (2, 3))
+    survivors = [line for line in lines if line.startswith("-")]
     return f"""# Mutants of the judge
 
 Made by `python -m tests.mutation` with Cosmic Ray {version("cosmic-ray")}: one operator, number or
@@ -205,10 +225,10 @@ do not count; their reasons are below.
 
 | module | mutants | killed | share | survivors | behave as the original |
 |---|---:|---:|---:|---:|---:|
-{table}
+{chr(10).join(table)}
 | all | {total} | {dead} | {100.0 * dead / total:.1f} % | {total - dead} | |
 
-{chr(10).join(lines)}
+{chr(10).join(survivors)}
 """
 
 
@@ -223,8 +243,10 @@ def main() -> None:
         folder = (options.work or Path(temporary)).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         found = {module: run(module, folder) for module in options.modules}
-    options.out.write_text(page(found), encoding="utf-8")
-    print(page(found))
+    earlier = options.out.read_text(encoding="utf-8") if options.out.exists() else ""
+    text = page(found, earlier)
+    options.out.write_text(text, encoding="utf-8")
+    print(text)
 
 
 if __name__ == "__main__":

@@ -236,6 +236,12 @@ def test_a_program_pays_for_the_excess_over_the_deflection_limit() -> None:
     assert change(0.0, 1.0, push, 0.99, band=100.0) >= 0.02  # anywhere below it
 
 
+def test_an_error_of_zero_has_no_pull() -> None:
+    start, slopes = motion([[0.0], [2.0]], [[0.0]]), np.array([[[0.0]], [[4.0]]])
+    found = bound.program(start, slopes, np.zeros((2, 1)), Aim(), 9.0)
+    assert found[0, 0] == pytest.approx(-0.5, abs=1e-6)
+
+
 def test_a_program_spares_the_actions() -> None:
     """(0.005 + 0.01 a)^2 + 1e-7 a^2 is least at a = -0.5 / 1.001."""
     start = motion([[0.005]], [[0.0]])
