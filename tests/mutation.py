@@ -86,6 +86,7 @@ JUDGES = {
             "np.float64))[ -1]": "one sequence is followed",
             "actions.shape)))[ -1]": "one sequence is followed",
             "strict=False": "all are as long",
+            "reshape(- 2, size)": "NumPy takes any negative length as the open one",
             "trust + np.abs(bends)": "trust is below 1: more rows are kept, which change nothing",
             "sum(axis=1) >= MARGIN": "a row at the margin has no excess",
             "flush=False": "the line is only seen later",
