@@ -26,7 +26,13 @@ from flexarm_env.compiled.sensing import Sensing
 from flexarm_env.compiled.signals import Signals
 from flexarm_env.compiled.termination import FLAGS, LOST
 from flexarm_env.hardware.sensors import load_hardware, refuse_exact_state
-from flexarm_env.observations import curvature_columns, curvature_scale, observation_layout
+from flexarm_env.observations import (
+    acceleration_scale,
+    curvature_columns,
+    curvature_scale,
+    observation_layout,
+    sensed_axes,
+)
 from flexarm_env.plant import plan
 from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.scales import DEFLECTION_LIMIT, MOVE, SLOPE_PER_DEFLECTION
@@ -151,10 +157,12 @@ class Core:
             obs = "sensors" if fitted else "state"
         refuse_exact_state(obs, fitted)
         self.layout = observation_layout(
-            self.arm, self.task, obs, self.scales, self.rate_scale, torques
-        )
+            self.arm, self.task, obs, self.scales, self.rate_scale, torques,
+            bool(fitted and fitted.accelerometer_noise is not None),
+        )  # fmt: skip
         gauges = curvature_columns(self.arm)
-        self.sensing = Sensing(fitted, self.arm.n_joint, gauges) if fitted else None
+        axes = sensed_axes(self.arm)
+        self.sensing = Sensing(fitted, self.arm.n_joint, gauges, axes) if fitted else None
         self.gauge_scale = np.array(curvature_scale(self.arm, gauges))
         self.model: Model = compile_arm(
             self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
@@ -184,7 +192,8 @@ class Core:
             values["command_limit"] = self.actuation.command
             values["actuators"] = self.actuation.constants(self.dt)
         if self.sensing:
-            values |= self.sensing.numbers(self.gauge_scale)
+            acceleration = acceleration_scale(self.arm, self.scales, self.rate_scale)
+            values |= self.sensing.numbers(self.gauge_scale, acceleration)
         return self.signals.constants.packed(values, self.model.dtype)
 
     def _rate_limit(self) -> float:

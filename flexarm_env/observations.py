@@ -1,5 +1,6 @@
 """Observation layouts: signals, their order, units and bounds."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +21,10 @@ TIP_ERROR = "target minus tip, along the axes of the undeformed first link"
 BASE_POSITION = "position of the base in the world, from the described one"
 TARGET = "target, from a floating base and along its axes"
 CURVATURE = "curvature at the root of a link, as a strain gauge measures it"
+ACCELERATION = (
+    "acceleration of the tip minus gravity, mean over the control step, along the axes of the last "
+    "link's bent tip, as an accelerometer measures it"
+)
 
 
 @dataclass(frozen=True)
@@ -109,13 +114,14 @@ def is_planar(arm: Arm) -> bool:
 
 
 def observation_layout(
-    arm: Arm, task: Task, kind: str, scales: Scales, rate: float, torques: tuple[float, ...] = ()
-) -> Layout:
+    arm: Arm, task: Task, kind: str, scales: Scales, rate: float, torques: tuple[float, ...] = (),
+    accelerometer: bool = False,
+) -> Layout:  # fmt: skip
     """Observation layout of an arm with a task.
 
     `rate` [rad/s] is the rate scale. `torques` [N m] scale the joint torques; if empty, joint
-    torques are not observed. Of a goal-conditioned observation only "desired_goal" depends on the
-    target.
+    torques are not observed. `accelerometer` adds the acceleration of the tip to "sensors". Of a
+    goal-conditioned observation only "desired_goal" depends on the target.
     """
     validate.choice(kind, "obs", MODES)
     if kind == "goal":
@@ -141,6 +147,9 @@ def observation_layout(
     else:
         scale = curvature_scale(arm, columns)
         every.append(_part("root_curvature", CURVATURE, "1/m", columns, scale))
+        felt = sensed_axes(arm) if accelerometer else ()
+        most = acceleration_scale(arm, scales, rate)
+        every.append(_part("tip_acceleration", ACCELERATION, "m/s^2", felt, most))
         plane = range(2 if arm.base.n else 0)  # joint angles alone do not place the tip
         every.append(_part("target_position", TARGET, "m", plane, arm.reach))
     if task.moving:
@@ -212,3 +221,17 @@ def _part(
 def curvature_scale(arm: Arm, columns: tuple[int, ...]) -> tuple[float, ...]:
     """[1/m] root curvature under a tip force that deflects the link by 10 % of its length."""
     return tuple(3.0 * 0.1 / arm.links[c // 2].length for c in columns)
+
+
+def sensed_axes(arm: Arm) -> tuple[int, ...]:
+    """Axes of the tip along which an accelerometer reads: those in which the arm can move."""
+    return (0, 1) if is_planar(arm) else (0, 1, 2)
+
+
+def acceleration_scale(arm: Arm, scales: Scales, rate: float) -> float:
+    """[m/s^2] full joint acceleration times reach, plus vibration at 10 % deflection, plus gravity.
+
+    The longest link vibrates at the first locked frequency.
+    """
+    vibration = 0.1 * max(link.length for link in arm.links) * min(scales.locked, default=0.0) ** 2
+    return arm.reach * rate * rate / MOVE + vibration + math.hypot(*arm.gravity)

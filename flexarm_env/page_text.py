@@ -108,6 +108,15 @@ values. `randomize` replaces payload and stiffness.
 
 {hardware}
 
+`{{"preset": "laboratory", "accelerometer_noise": 0.01}}` fits an accelerometer to the tip, with
+noise of 1 % of the acceleration scale. The observation has its reading, `tip_acceleration`: the
+specific force, acceleration minus gravity, along the axes of the bent last link at its tip. Its x
+points outwards, y and z across; a planar arm has no z. An arm at rest therefore reads gravity,
+upwards. The reading is a mean over the control step: the change of the tip's velocity in the world
+over `control_dt`, minus gravity, along the axes at the end of the step. Vibrations much faster than
+the control step average out. At a reset the tip counts as unaccelerated. The accelerometer changes
+no other reading.
+
 ## Accuracy
 
 The certificate of an id (`env.unwrapped.certificate`) has the largest tip error on two motions from
@@ -157,6 +166,11 @@ TERMINOLOGY = (
     ("rate scale", "peak joint rate of a bang-bang move by the angle scale at full torque [rad/s]"),
     ("move time", "duration of this move [s]"),
     ("speed scale", "reach times rate scale [m/s]"),
+    (
+        "acceleration scale",
+        "sum of reach times the joint acceleration of this move, of a tenth of the longest link "
+        "times the first locked angular frequency squared, and of gravity [m/s^2]",
+    ),
     ("modal scales", "peaks of modal amplitudes [m] and modal rates [m/s] in the bang-bang test"),
     (
         "base travel, base turn",
@@ -180,6 +194,7 @@ PRESENT = {  # observation: (scale, where it is present); its meaning comes from
     "modal_rate": ("modal scale", '`obs="state"`'),
     "tip_error": (f"{MOVE:g} reach", '`obs="state"`; directions in which it can differ from zero'),
     "root_curvature": ("that of a tip force at 10 % deflection", '`obs="sensors"`'),
+    "tip_acceleration": ("acceleration scale", "with `accelerometer_noise` in `hardware`"),
     "target_position": ("reach", '`obs="sensors"` on a floating base'),
     "target_rate": ("rate scale", "task Track"),
     "target_near": ("angle scale", "task Track"),
@@ -234,7 +249,9 @@ KEYWORDS = (
     ("base_torque", "None",
      "[N m] largest torque on a floating base, the last action; None: no torque acts on it"),
     ("actuator", "None", "[actuators](../actuators.md) between action and torque; None: ideal"),
-    ("hardware", '"ideal"', 'sensors and spread of the plant: "ideal", "laboratory" or a dict'),
+    ("hardware", '"ideal"',
+     'sensors and spread of the plant: "ideal", "laboratory" or a dict, which may add an '
+     "accelerometer"),
     ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
     ("render_mode", "None", '"rgb_array" or "human"'),
     ("threads", "1", "largest number of worker threads, `gym.make_vec` only"),
@@ -255,6 +272,7 @@ HARDWARE = (
     ("gauge_noise", "standard deviation of a strain gauge, over its scale above"),
     ("gauge_bias", "largest bias of a strain gauge, over its scale"),
     ("gauge_counts", "counts of a strain gauge per scale"),
+    ("accelerometer_noise", "standard deviation of the accelerometer, over the acceleration scale"),
     ("delay", "control steps by which all readings are late; one number, or the range"),
     ("payload", "range of the mass added at the tip, over that of the last link with its tip"),
     ("stiffness", "range of the factor on all stiffnesses"),

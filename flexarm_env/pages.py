@@ -105,7 +105,7 @@ def _observation_names() -> list[Sequence[str]]:
         torques = (1.0,) * arm.n_joint
         for kind in MODES:
             task = TASKS["Reach" if kind == "goal" else "Track"]
-            layout = observation_layout(arm, task, kind, scales(arm), 1.0, torques)
+            layout = observation_layout(arm, task, kind, scales(arm), 1.0, torques, True)
             parts = {part.name: part for part in layout.parts} | parts
     return [
         (f"`{name}`", parts[name].meaning, parts[name].unit, scale, present)
@@ -169,7 +169,7 @@ def _components(core: Core, part: Part) -> str:
     """The joints, coordinates, directions or strain gauges of the elements of a part."""
     if part.name.startswith("modal"):
         return ", ".join(core.arm.names[k] for k in part.entries)
-    if part.name in ("tip_error", *GOALS):
+    if part.name in ("tip_error", "tip_acceleration", *GOALS):
         return ", ".join("xyz"[k] for k in part.entries)
     if part.name == "root_curvature":
         return ", ".join(f"link {k // 2 + 1} {'yz'[k % 2]}" for k in part.entries)

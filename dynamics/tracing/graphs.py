@@ -13,7 +13,7 @@ import numpy as np
 
 from dynamics.description.deflection import curvature
 from dynamics.description.validate import double_precision
-from dynamics.formulations.algebra import Scalar, add, combine, matvec
+from dynamics.formulations.algebra import Scalar, add, combine, matmul, matvec, transpose
 from dynamics.formulations.articulated_body import Implicit
 from dynamics.formulations.free_base import (
     SIZE,
@@ -110,6 +110,17 @@ def measure(traced: TracedArm) -> Any:
         curvatures += [bend[2], bend[1]]
     values = [*tips, *deflections, *slopes, *curvatures]
     return ca.Function("measure", s.inputs, [ca.cse(ca.vertcat(*values))])
+
+
+def tip_axes(traced: TracedArm) -> Any:
+    """CasADi Function (q, v) -> (3, 3) axes of the last link at its bent tip, as columns."""
+    import casadi as ca
+
+    s = _state(traced)
+    frames = outward(traced.chain, s.x, s.rates)
+    axes = transpose(matmul(poses(frames)[-1].R, frames[-1].E))
+    columns = [ca.vertcat(*world(axis, s.attitude)) for axis in axes]
+    return ca.Function("tip_axes", s.inputs, [ca.SX(ca.horzcat(*columns))])
 
 
 def planar_momentum(traced: TracedArm, q: Any, v: Any, parameters: Any) -> Any:

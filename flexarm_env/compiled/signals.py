@@ -144,7 +144,7 @@ class Signals:
     @property
     def noise(self) -> int:
         """Random numbers per step."""
-        return len(self.gauges) if self.sensing else 0
+        return self.sensing.noise if self.sensing else 0
 
     def _driving(self, at: Mapping[str, int]) -> list[Function]:
         """Functions of the actuators."""
@@ -273,7 +273,7 @@ class Signals:
             "tip_deflection": bent,
             "reward_terms": terms, "root_curvature": here["curvature"][list(self.gauges)],
             **self._torques(s), **self._momentum(s), "gap": gap, "curvature": here["curvature"],
-            "tip": here["tip"], "goal": goal["tip"],
+            "tip": here["tip"], "tip_velocity": here["tip_velocity"], "goal": goal["tip"],
         }  # fmt: skip
 
     def _torques(self, s: Symbols) -> dict[str, Any]:
@@ -295,13 +295,15 @@ class Signals:
         return {"linear_momentum": p[:2], "angular_momentum": p[2]}
 
     def _sensed(self, s: Symbols, values: Symbols) -> tuple[Symbols, Any]:
-        """Joint angles, joint rates and curvatures as sensors give them, and readings to keep."""
+        """Angles, rates, curvatures, acceleration as sensors give them, and readings to keep."""
         import casadi as ca
 
         joints = list(self.model.arm.joint_index)
         angle, rate, curvature = s["q"][joints], s["v"][joints], values["curvature"]
         if self.sensing:
-            return self.sensing.readings(s, angle, curvature)
+            tip = {"velocity": values["tip_velocity"], "gravity": ca.DM(self.model.arm.gravity),
+                   "axes": graphs.tip_axes(self.model.traced)(s["q"], s["v"])}  # fmt: skip
+            return self.sensing.readings(s, angle, curvature, tip)
         return {"angle": angle, "rate": rate, "curvature": curvature}, ca.SX(0, 1)
 
     def _observation(self, s: Symbols, values: Symbols, measured: Symbols) -> Any:
@@ -327,6 +329,7 @@ class Signals:
             "modal_rate": s["v"],
             "tip_error": self._in_first_link(self._in_base(s, values["gap"]), joints[0]),
             "root_curvature": measured["curvature"],
+            "tip_acceleration": measured.get("acceleration"),
             "last_action": s["action"],
             "achieved_goal": values["tip"],
             "desired_goal": values["goal"],

@@ -2,8 +2,10 @@
 
 An encoder reads the joint angle in whole counts, and the joint rate is the difference of two
 readings over a control step. A strain gauge reads the curvature at a link's root with noise, a
-bias and in whole counts. All readings arrive late by a number of control steps. Bias, delay,
-payload and stiffness are drawn at every reset, noise at every step, from the environment's stream.
+bias and in whole counts. An accelerometer at the tip, if there is one, turns with the last link and
+reads acceleration minus gravity with noise. All readings arrive late by a number of control steps.
+Bias, delay, payload and stiffness are drawn at every reset, noise at every step, from the
+environment's stream.
 
 To add a preset, add an entry to PRESETS.
 """
@@ -29,6 +31,8 @@ class Hardware:
     gauge_noise: float = 0.0  # [-] standard deviation over the curvature at 10 % deflection
     gauge_bias: float = 0.0  # [-] largest, over the same curvature
     gauge_counts: int | None = None  # per this curvature; None: not quantised
+    # [-] standard deviation over the acceleration scale; None: no accelerometer
+    accelerometer_noise: float | None = None
     delay: tuple[int, int] = (0, 0)  # [control steps] smallest and largest
     payload: Range | None = None  # [-] added mass over that of the last link with its tip
     stiffness: Range | None = None  # [-] factor on all stiffnesses
@@ -40,6 +44,7 @@ class Hardware:
         for name in ("gauge_noise", "gauge_bias"):
             value = validate.nonnegative(getattr(self, name), f"hardware.{name}", "-")
             object.__setattr__(self, name, value)
+        self._check_accelerometer()
         for name in ("payload", "stiffness"):
             if getattr(self, name) is not None:
                 low, high = validate.numbers(getattr(self, name), f"hardware.{name}", 2)
@@ -49,6 +54,19 @@ class Hardware:
                         f"{validate.shown(getattr(self, name))}."
                     )
         object.__setattr__(self, "delay", self._checked_delay())
+
+    def _check_accelerometer(self) -> None:
+        if self.accelerometer_noise is not None:
+            try:
+                noise = validate.nonnegative(
+                    self.accelerometer_noise, "hardware.accelerometer_noise", "-"
+                )
+            except ValueError as error:
+                raise ValueError(
+                    f"{error} It is a share of the acceleration scale, 0.01 for 1 %; leave it out "
+                    "for no accelerometer."
+                ) from None
+            object.__setattr__(self, "accelerometer_noise", noise)
 
     def _checked_delay(self) -> tuple[int, int]:
         """Smallest and largest delay; one number stands for both."""
