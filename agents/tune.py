@@ -83,6 +83,12 @@ def tuned() -> dict[str, Any]:
     return result
 
 
+def is_tuned(name: str, env_id: str, track: str) -> bool:
+    """True if a controller has nothing to tune, or its parameters are stored."""
+    stored = tuned().get(env_id, {}).get(TRACKS[track].design, {})
+    return not CONTROLLERS[name].ranges or name in stored
+
+
 def parameters_of(name: str, env_id: str, track: str) -> dict[str, float]:
     """Stored parameters of a controller; a ValueError if it was not tuned there."""
     found = tuned().get(env_id, {}).get(TRACKS[track].design, {}).get(name)

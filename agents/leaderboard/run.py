@@ -12,6 +12,9 @@ import importlib
 import sys
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +31,7 @@ from agents.leaderboard.statistics import Entry, compared, figures, spectrum
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
-from agents.tune import parameters_of
+from agents.tune import is_tuned, parameters_of
 from dynamics.description import validate
 from dynamics.types import AnyArray
 
@@ -94,8 +97,10 @@ def ranked(name: str, env_id: str, track: str, seeds: Sequence[int]) -> Entry:
 def names(wanted: Sequence[str] | None, env_id: str, track: str) -> list[str]:
     """Controllers that act on a task and track: all, or those that are wanted."""
     classical = [name for name in CONTROLLERS if takes_part(name, env_id, track)]
-    known = [*classical, *shipped(env_id, TRACKS[track].design)]
-    return known if wanted is None else [x for x in wanted if ":" in x or x in known]
+    learned = list(shipped(env_id, TRACKS[track].design))
+    if wanted is None:
+        return [*(name for name in classical if is_tuned(name, env_id, track)), *learned]
+    return [name for name in wanted if ":" in name or name in (*classical, *learned)]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -109,6 +114,9 @@ def main(arguments: list[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=SEED, help="of the first test episode")
     parser.add_argument("--episodes", type=int, default=EPISODES)
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="processes; decisions are timed in them"
+    )
     parser.add_argument("--out", type=Path, default=Path("leaderboard"))
     options = parser.parse_args(arguments)
     try:
@@ -119,19 +127,28 @@ def main(arguments: list[str] | None = None) -> int:
     seeds = list(range(options.seed, options.seed + options.episodes))
     options.out.mkdir(parents=True, exist_ok=True)
     results: dict[str, dict[str, dict[str, Entry]]] = {}
-    for env_id in options.tasks:
-        for track in options.tracks:
-            found = {}
-            for name in names(options.controllers, env_id, track):
-                found[name] = ranked(name, env_id, track, seeds)
-                print(f"{env_id}, {track}: {row(name, found[name].figures)}", flush=True)
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        run = map if options.jobs == 1 else pool.map
+        for env_id in options.tasks:
+            here = [(track, name) for track in options.tracks
+                    for name in names(options.controllers, env_id, track)]  # fmt: skip
+            found: dict[str, dict[str, Entry]] = {}
+            entries = run(partial(_entry, env_id, seeds), here)
+            for (track, name), entry in zip(here, entries, strict=True):
+                found.setdefault(track, {})[name] = entry
+                print(f"{env_id}, {track}: {row(name, entry.figures)}", flush=True)
             if found:
-                results.setdefault(env_id, {})[track] = compared(found)
-        write(options.out, results, seeds)
+                results[env_id] = {track: compared(entries) for track, entries in found.items()}
+            write(options.out, results, seeds)
     for file, draw in pictures(results).items():
         save_figure(draw(), options.out / file)
     print(f"Everything is in {options.out}/")
     return 0
+
+
+def _entry(env_id: str, seeds: Sequence[int], place: tuple[str, str]) -> Entry:
+    track, name = place
+    return ranked(name, env_id, track, seeds)
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -148,6 +165,11 @@ def _check(options: argparse.Namespace) -> None:
         else:
             validate.known(name, "controller", sorted({*CONTROLLERS, *shipped_names}))
     places = [(env_id, track) for env_id in options.tasks for track in options.tracks]
+    validate.integer(options.jobs, "--jobs", 1, 1024)
+    for place in places:
+        for name in names(options.controllers, *place):
+            if name in CONTROLLERS and CONTROLLERS[name].ranges:
+                parameters_of(name, *place)
     if not any(names(options.controllers, *place) for place in places):
         raise ValueError(f"None of {options.controllers} acts on these tasks and tracks.")
     validate.integer(options.episodes, "--episodes", 2, 100_000)  # an interval needs two

@@ -85,7 +85,9 @@ REFUSED = {
     "n_out must be an int, got 11.0": {"n_out": 11.0},
     "n_out must be an int, got True": {"n_out": True},
     "n_out must be between .*got 1000000000000": {"n_out": 10**12},
-    "torque must have one entry per joint .1, null for none., got 2": {"torque": [None, None]},
+    "torque must have one entry per joint, and one of a driven base .1, null for none., got 2": {
+        "torque": [None, None]
+    },
     "torque must be a list": {"torque": STEP},
     r"torque\[0\] must be a mapping": {"torque": [1.0]},
     r"torque\[0\].type must be one of .*got 'ramp'": {"torque": [{**STEP, "type": "ramp"}]},
