@@ -27,14 +27,18 @@ from flexarm_env.observations import curvature_columns
 
 ROUND = 4  # decimals [rad] within which postures share a model
 FASTEST = 3.0  # [rad] per control step; beyond pi, samples take a mode for a slower one
+KEPT = 4096  # models; the least recently used go
 LEVELS = 3  # of a drawn payload and of a drawn stiffness: lowest, middle, highest
 
 Range = tuple[float, float]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Model of one plant at one posture: n coordinates, r modes, m joints, g gauges."""
+    """Model of one plant at one posture: n coordinates, r modes, m joints, g gauges.
+
+    Models are told apart by identity, so that what is derived of them can be cached by model.
+    """
 
     A: Array  # (2r, 2r)
     B: Array  # (2r, m)
@@ -58,7 +62,7 @@ class Plant:
 
 
 class LinearModels:
-    """Linear models of an arm's plants, computed once per posture.
+    """Linear models of an arm's plants at postures; the latest KEPT are kept.
 
     Attributes
     ----------
@@ -80,7 +84,8 @@ class LinearModels:
         self.joints = list(self.model.arm.joint_index)
         self.modal = [i for i in range(self.model.n) if i not in self.joints]
         self._gauges = list(curvature_columns(arm))
-        self._known: dict[tuple[float, ...], LinearModel] = {}
+        self._model = lru_cache(KEPT)(self._linear_model)
+        self._seen = lru_cache(KEPT)(self._geometry)
 
     @staticmethod
     def of(env: Any) -> "LinearModels":
@@ -93,17 +98,13 @@ class LinearModels:
 
         Without gravity the first angle does not matter.
         """
-        plant = self.middle if plant is None else plant
-        key = (plant, *np.round(posture[1:], ROUND).tolist())
-        if key not in self._known:
-            self._known[key] = self._linear_model(np.array([0.0, *key[1:]]), self.plants[plant])
-        return self._known[key]
+        return self._model(place_of(posture), self.middle if plant is None else plant)
 
-    def _linear_model(self, posture: Array, plant: Plant) -> LinearModel:
-        model, n, m = plant.model, self.model.n, self.model.n_joint
-        q = np.zeros(n)
-        q[self.joints] = posture
-        M, kept = model.mass_matrix(q), self._kept(q)
+    def _linear_model(self, place: tuple[float, ...], plant_index: int) -> LinearModel:
+        plant, m = self.plants[plant_index], self.model.n_joint
+        q = self._straight(place)
+        kept, tip, readings = self._seen(place)
+        M = plant.model.mass_matrix(q)
         shapes = eigh(plant.K, M)[1][:, :kept]
         modes = shapes.T @ M
         inputs = np.linalg.solve(M, self._forces)
@@ -113,8 +114,6 @@ class LinearModels:
         flow[kept : 2 * kept, kept : 2 * kept] = -shapes.T @ plant.C @ shapes
         flow[kept : 2 * kept, 2 * kept :] = modes @ inputs
         step = expm(flow * self.control_dt)
-        tip, curvature = self._measured(q)
-        readings = np.concatenate([np.eye(n)[self.joints], curvature])
         seen = readings @ shapes
         return LinearModel(
             A=step[: 2 * kept, : 2 * kept], B=step[: 2 * kept, 2 * kept :],
@@ -122,10 +121,22 @@ class LinearModels:
             modes=modes, K=plant.K, tip_of=tip, readings=readings, bend=self._bends @ shapes,
         )  # fmt: skip
 
-    def _kept(self, q: Array) -> int:
-        """Number of modes that are slow enough for the control step; that of the middle plant."""
+    def _straight(self, place: tuple[float, ...]) -> Array:
+        """(n,) coordinates of the arm with straight links at joint angles."""
+        q = np.zeros(self.model.n)
+        q[self.joints] = place
+        return q
+
+    def _geometry(self, place: tuple[float, ...]) -> tuple[int, Array, Array]:
+        """Number of slow modes, tip (3, n) and readings (m + g, n) per coordinate at a posture.
+
+        The number is the middle plant's, so that the models of all plants are as large.
+        """
+        q = self._straight(place)
         squares = eigh(self.plants[self.middle].K, self.model.mass_matrix(q), eigvals_only=True)
-        return int(np.sum(squares < (FASTEST / self.control_dt) ** 2))
+        tip, curvature = self._measured(q)
+        readings = np.concatenate([np.eye(self.model.n)[self.joints], curvature])
+        return int(np.sum(squares < (FASTEST / self.control_dt) ** 2)), tip, readings
 
     @cached_property
     def _forces(self) -> Array:
@@ -168,6 +179,11 @@ class LinearModels:
 
 
 _shared = lru_cache(maxsize=8)(LinearModels)
+
+
+def place_of(posture: Array) -> tuple[float, ...]:
+    """Joint angles [rad] by which models are kept: the first is zero, the others are rounded."""
+    return (0.0, *np.round(posture[1:], ROUND).tolist())
 
 
 def _plants(arm: Arm, drawn: Mapping[str, Range]) -> tuple[Plant, ...]:

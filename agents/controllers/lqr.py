@@ -7,13 +7,14 @@ a far target would otherwise saturate every torque for long (see Franklin, Powel
 Feedback Control of Dynamic Systems, on saturation).
 """
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
-from agents.controllers.linear_model import LinearModel, LinearModels
+from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
 from agents.controllers.observers import Belief, Estimate, ExactState, KalmanFilters, fresh_of
-from agents.controllers.riccati import riccati
 from dynamics.types import AnyArray, Array
 from flexarm_env.tasks import SETTLED_BAND
 
@@ -45,7 +46,7 @@ class Gain:
 
     def __init__(self, cost: Cost, clip: float) -> None:
         self.cost, self.clip = cost, clip
-        self._gains: dict[int, Array] = {}
+        self.of = lru_cache(KEPT)(self._gain)
 
     def __call__(self, estimate: Estimate) -> Array:
         """(m,) [N m] torque, not yet limited."""
@@ -56,14 +57,19 @@ class Gain:
         x[:r] -= model.modes[:, joints] @ beyond
         return estimate.forward - self.of(model) @ x
 
-    def of(self, model: LinearModel) -> Array:
+    def _gain(self, model: LinearModel) -> Array:
         """(m, 2r) K."""
-        key = id(model)
-        if key not in self._gains:
-            A, B, (Q, R) = model.A, model.B, self.cost.of(model)
-            P = riccati(A, B, Q, R)
-            self._gains[key] = np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
-        return self._gains[key]
+        A, B, (Q, R) = model.A, model.B, self.cost.of(model)
+        P = riccati(A, B, Q, R)
+        return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
+
+
+def riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
+    """Solution of the discrete Riccati equation; a LinAlgError where the weights allow none."""
+    try:
+        return np.asarray(solve_discrete_are(A, B, Q, R), dtype=np.float64)
+    except ValueError as error:
+        raise np.linalg.LinAlgError(str(error)) from None
 
 
 class ModelBased:

@@ -7,16 +7,16 @@ Maciejowski, Predictive Control with Constraints, 2002, section 3.4). The solver
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import block_diag
 
-from agents.controllers.linear_model import LinearModel
-from agents.controllers.lqr import Cost, ModelBased, OutputFeedback
+from agents.controllers.linear_model import KEPT, LinearModel
+from agents.controllers.lqr import Cost, ModelBased, OutputFeedback, riccati
 from agents.controllers.observers import Estimate, ExactState, KalmanFilters
-from agents.controllers.riccati import riccati
 from dynamics.types import Array
 
 BLOCKS = (1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4)  # control steps that share a torque; the last repeats
@@ -41,7 +41,7 @@ class Planner:
         self.cost, self.margin = cost, margin
         self.deflection_limit = core.arguments["deflection_limit"]
         self.steps = max(2, round(horizon * core.move_time / core.control_dt))
-        self._programs: dict[int, _Program] = {}
+        self._program = lru_cache(KEPT)(self._made)
 
     def __call__(self, estimate: Estimate) -> Array:
         """(m,) [N m] torque."""
@@ -58,12 +58,6 @@ class Planner:
         )
         first = program.solver.solve(raise_error=False).x[: limit.size]
         return estimate.forward + limit * np.nan_to_num(np.asarray(first, dtype=np.float64))
-
-    def _program(self, model: LinearModel) -> _Program:
-        key = id(model)
-        if key not in self._programs:
-            self._programs[key] = self._made(model)
-        return self._programs[key]
 
     def _made(self, model: LinearModel) -> _Program:
         m, limit = self.cost.limit.size, self.cost.limit

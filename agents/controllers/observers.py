@@ -4,13 +4,14 @@ Coordinates are taken from the reference of `reference.py`.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from agents.controllers.linear_model import LinearModel, LinearModels
+from agents.controllers.linear_model import KEPT, LinearModel, LinearModels, place_of
 from agents.controllers.reading import Reading
 from agents.controllers.reference import Course, Reference, followed
 from dynamics.types import AnyArray, Array
@@ -122,7 +123,7 @@ class KalmanFilters:
         self.hypotheses = list(product(self.plants, self.sensors.delays))
         self._plant = np.array([plant for plant, _ in self.hypotheses])
         self._delay = np.array([delay for _, delay in self.hypotheses])
-        self._banks: dict[int, _Bank] = {}
+        self._bank = lru_cache(KEPT // len(self.plants))(self._stacked)
 
     def observe(
         self, x: AnyArray, belief: Belief | None, fresh: AnyArray
@@ -147,7 +148,7 @@ class KalmanFilters:
     def _estimate(self, belief: Belief, i: int, reading: Array) -> Estimate:
         """Estimate of environment i after its filters took a reading (y,)."""
         posture, step, past = belief.course.posture[i], int(belief.steps[i]), belief.torque[i]
-        bank = self._bank(posture)
+        bank = self._bank(place_of(posture))
         self._take(bank, belief, i, reading)
         best = int(np.argmin(belief.surprise[i]))
         plant, delay = self.hypotheses[best]
@@ -179,8 +180,8 @@ class KalmanFilters:
             belief.surprise[i][~new] = np.inf
 
     def _refer(self, belief: Belief) -> None:
-        """Move the references to the present."""
-        if not np.any(belief.course.rate):
+        """Move the references to the present; a resting target's stay zero."""
+        if "target_rate" not in self.read:
             return
         found = [self.reference.at(belief.course, i) for i in range(len(belief.forward))]
         place = np.array([offset for offset, _ in found])
@@ -209,31 +210,26 @@ class KalmanFilters:
         error = self.read(x, "joint_error")
         for i in np.flatnonzero(fresh):
             modes = [self.models.at(course.posture[i], plant).modes for plant in self.plants]
-            size = self._bank(course.posture[i]).A.shape[1]
+            size = self._bank(place_of(course.posture[i])).A.shape[1]
             start = np.zeros((len(modes), size))
             for row, mode in zip(start, modes, strict=True):
                 row[: len(mode)] = mode[:, self.models.joints] @ error[i]
             belief.state[i] = start[self._plant]
         return belief
 
-    def _bank(self, posture: Array) -> _Bank:
-        """Filters at a posture."""
-        key = id(self.models.at(posture))
-        if key not in self._banks:
-            found = [self._filter(self.models.at(posture, plant)) for plant in self.plants]
-            A, B, C, *learned = (np.array(list(part)) for part in zip(*found, strict=True))
-            self._banks[key] = _Bank(A, B, C, *(np.moveaxis(part, 1, 0) for part in learned))
-        return self._banks[key]
+    def _stacked(self, place: tuple[float, ...]) -> _Bank:
+        """Filters at joint angles."""
+        found = [self._filter(self.models.at(np.array(place), plant)) for plant in self.plants]
+        A, B, C, *learned = (np.array(list(part)) for part in zip(*found, strict=True))
+        return _Bank(A, B, C, *(np.moveaxis(part, 1, 0) for part in learned))
 
     def _filter(self, model: LinearModel) -> tuple[Array, ...]:
         """A, B, C of the state with biases; gains, precisions and bulks of the first readings."""
         biases, m, r = len(self.sensors.bias), self.limit.size, len(model.modes)
         A, C = block_diag(model.A, np.eye(biases)), np.hstack([model.C, np.eye(m + biases)[:, m:]])
         B = np.vstack([model.B, np.zeros((biases, m))])
-        W, V = (
-            B @ np.diag((self.disturbance * self.limit) ** 2) @ B.T,
-            np.diag(self.sensors.noise**2),
-        )
+        V = np.diag(self.sensors.noise**2)
+        W = B @ np.diag((self.disturbance * self.limit) ** 2) @ B.T
         W += 1e-12 * np.trace(W) / len(W) * np.eye(len(W))
         P = np.zeros_like(A)
         places, rates = (model.modes @ spread for spread in self.spread)
@@ -262,6 +258,12 @@ def fresh_of(state: Any, episode_start: AnyArray | None, count: int) -> AnyArray
     if state is None or episode_start is None:
         return np.full(count, state is None)
     return np.asarray(episode_start, dtype=bool)
+
+
+def resumed(state: Array | None, episode_start: AnyArray | None, like: Array) -> Array:
+    """State (..., N, m) of a controller, zero where an episode starts; `like` has its shape."""
+    fresh = fresh_of(state, episode_start, like.shape[-2])
+    return np.where(fresh[:, None], 0.0, np.zeros_like(like) if state is None else state)
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,11 @@ as its reference.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from agents.controllers.linear_model import LinearModels
+from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
 from agents.controllers.reading import Reading
 from dynamics import Model
 from dynamics.types import AnyArray, Array
@@ -57,7 +58,7 @@ class Reference:
 
     def __init__(self, models: LinearModels, plants: Sequence[int]) -> None:
         self.models, self.plants = models, plants
-        self._bends: dict[int, Array] = {}
+        self._bend = lru_cache(KEPT)(self._bending)
 
     def at(self, course: Course, i: int) -> tuple[Array, Array]:
         """Offsets (P, n) from the straight arm on the target, torques (P, m) [N m] to come."""
@@ -67,14 +68,13 @@ class Reference:
         forward = np.zeros((len(self.plants), len(joints)))
         if not (course.rate[i].any() or course.now[i].any()):
             return offset, forward
-        inertia: dict[int, tuple[Array, Array]] = {}
+        inertia = lru_cache(lambda model: self._inertia(model, course, i))
         for p, plant in enumerate(self.plants):
-            model = models.plants[plant].model
-            if id(model) not in inertia:
-                inertia[id(model)] = self._inertia(model, course, i)
-            M, bias = inertia[id(model)]
+            M, bias = inertia(models.plants[plant].model)
             forward[p] = (M @ course.coming[i] + bias)[joints]
-            offset[p] = self._bend(course.posture[i], plant) @ (M @ course.now[i] + bias)[modal]
+            offset[p] = (
+                self._bend(models.at(course.posture[i], plant)) @ (M @ course.now[i] + bias)[modal]
+            )
         return offset, forward
 
     def _inertia(self, model: Model, course: Course, i: int) -> tuple[Array, Array]:
@@ -84,17 +84,14 @@ class Reference:
         q[joints], v[joints] = course.posture[i] + course.way[i], course.rate[i]
         return model.mass_matrix(q)[:, joints], model.bias(q, v)
 
-    def _bend(self, posture: Array, plant: int) -> Array:
+    def _bending(self, model: LinearModel) -> Array:
         """(n, modal) offset by forces on the modes: links bend, joints undo it at the tip."""
-        model = self.models.at(posture, plant)
-        if id(model) not in self._bends:
-            joints, modal = self.models.joints, self.models.modal
-            bend = np.zeros((self.models.model.n, len(modal)))
-            bend[modal] = -np.linalg.inv(model.K[np.ix_(modal, modal)])
-            gap = model.tip_of[:, modal] @ bend[modal]
-            bend[joints] = -np.linalg.lstsq(model.tip_of[:, joints], gap, rcond=1e-6)[0]
-            self._bends[id(model)] = bend
-        return self._bends[id(model)]
+        joints, modal = self.models.joints, self.models.modal
+        bend = np.zeros((self.models.model.n, len(modal)))
+        bend[modal] = -np.linalg.inv(model.K[np.ix_(modal, modal)])
+        gap = model.tip_of[:, modal] @ bend[modal]
+        bend[joints] = -np.linalg.lstsq(model.tip_of[:, joints], gap, rcond=1e-6)[0]
+        return bend
 
 
 def posture_of(read: Reading, x: AnyArray) -> Array:

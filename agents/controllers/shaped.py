@@ -9,11 +9,12 @@ J. Mech. Design 116 (1994).
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from agents.controllers.linear_model import LinearModel, LinearModels
+from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
 from agents.controllers.observers import fresh_of
 from agents.controllers.pd import joint_pd
 from agents.controllers.reading import Reading
@@ -84,7 +85,7 @@ class ShapedPD:
         self.read, self.shaper, self.modes = Reading.of(env), shaper, modes
         self.pd = joint_pd(env, frequency_ratio, damping_ratio)
         self.models, self.rise = LinearModels.of(env), rise * core.move_time
-        self._known: dict[int, Impulses] = {}
+        self._impulses = lru_cache(KEPT)(self._shaped)
 
     def predict(
         self,
@@ -128,15 +129,12 @@ class ShapedPD:
         slope = 30.0 * x**2 * (1.0 - x) ** 2 / self.rise
         return float(amplitudes @ way), float(amplitudes @ slope)
 
-    def _impulses(self, model: LinearModel) -> Impulses:
+    def _shaped(self, model: LinearModel) -> Impulses:
         """Shaper of the least damped oscillations of the closed loop at a posture."""
-        key = id(model)
-        if key not in self._known:
-            result = self._none
-            for frequency, damping in oscillations(model, self.pd, self.models)[: self.modes]:
-                result = convolved(result, self.shaper(frequency, damping))
-            self._known[key] = result
-        return self._known[key]
+        result = self._none
+        for frequency, damping in oscillations(model, self.pd, self.models)[: self.modes]:
+            result = convolved(result, self.shaper(frequency, damping))
+        return result
 
 
 def oscillations(model: LinearModel, pd: Any, models: LinearModels) -> list[tuple[float, float]]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from agents.controllers.observers import fresh_of
+from agents.controllers.observers import resumed
 from agents.controllers.pd import joint_pd
 from agents.controllers.reading import Reading
 from dynamics.types import AnyArray, Array
@@ -39,8 +39,7 @@ class PID:
         """Actions; the state (N, m) [rad] is the integral."""
         x = np.atleast_2d(observation)
         error = self.read(x, "joint_error")
-        before = np.zeros_like(error) if state is None else state
-        before = np.where(fresh_of(state, episode_start, len(x))[:, None], 0.0, before)
+        before = resumed(state, episode_start, error)
         gain, moved = self.pd.stiffness / self.pd.torque_limit, before + self.share * error
         action = self.pd.predict(x)[0]
         free = np.abs(action - gain * moved) < 1.0
@@ -106,8 +105,7 @@ class PositivePosition:
         """Actions; the state (2, N, m) holds the filters' places and rates."""
         x = np.atleast_2d(observation)
         chord = self.chords(x)
-        before = np.zeros((2, *chord.shape)) if state is None else state
-        before = np.where(fresh_of(state, episode_start, len(x))[:, None], 0.0, before)
+        before = resumed(state, episode_start, np.array([chord, chord]))
         after = np.tensordot(self.step, np.stack([*before, chord]), axes=1)
         action = np.clip(self.pd.predict(x)[0] + self.gain * after[0], -1.0, 1.0)
         return action.reshape(*np.shape(observation)[:-1], -1), after

@@ -28,7 +28,7 @@ def write(folder: Path, results: Results, seeds: Sequence[int]) -> None:
         for env_id, tracks in results.items()
     }
     with atomic_write(folder / "leaderboard.json") as path:
-        path.write_text(json.dumps(without_infinities(tables), indent=1) + "\n", encoding="utf-8")
+        path.write_text(a_line_each(without_infinities(tables)) + "\n", encoding="utf-8")
     with (
         atomic_write(folder / "leaderboard.csv") as path,
         open(path, "w", newline="", encoding="utf-8") as file,
@@ -38,6 +38,27 @@ def write(folder: Path, results: Results, seeds: Sequence[int]) -> None:
         writer.writerows(episodes(results, seeds))
     with atomic_write(folder / "leaderboard.md") as path:
         path.write_text(page(tables, list(pictures(results)), seeds), encoding="utf-8")
+
+
+def a_line_each(tables: Tables) -> str:
+    """JSON text with a line per controller."""
+
+    def table(entries: Mapping[str, str], depth: int) -> str:
+        margin = "\n" + depth * " "
+        lines = ("," + margin).join(f"{json.dumps(key)}: {text}" for key, text in entries.items())
+        return "{" + margin + lines + margin[:-1] + "}"
+
+    texts = {
+        env_id: table(
+            {
+                track: table({name: json.dumps(x) for name, x in found.items()}, 3)
+                for track, found in tracks.items()
+            },
+            2,
+        )
+        for env_id, tracks in tables.items()
+    }
+    return table(texts, 1)
 
 
 def episodes(results: Results, seeds: Sequence[int]) -> Iterator[list[Any]]:

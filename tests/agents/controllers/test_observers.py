@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.controllers import controller
-from agents.controllers.linear_model import LinearModels
+from agents.controllers import controller, linear_model
+from agents.controllers.linear_model import LinearModels, place_of
 from agents.controllers.observers import KalmanFilters
 from agents.controllers.reading import Reading
 from agents.controllers.reference import followed
@@ -60,7 +60,7 @@ def test_surprises_are_as_large_as_the_covariances_say() -> None:
         torque = np.full((64, 1), 0.1 * (-1) ** (k // 5))
         filters.act(belief, torque)
         observation = envs.step((torque / filters.limit).astype(np.float32))[0]
-    bulk = filters._bank(belief.course.posture[0]).bulk[:30, 0].sum()
+    bulk = filters._bank(place_of(belief.course.posture[0])).bulk[:30, 0].sum()
     squares = (belief.surprise[:, 0] - bulk) / 30
     assert 0.5 * 2 < squares.mean() < 1.5 * 2
 
@@ -122,3 +122,13 @@ def test_plants_are_the_ends_and_the_middle_of_what_is_drawn() -> None:
     middle = models.plants[models.middle]
     assert middle.model.arm.payload.mass == pytest.approx(0.5 * (low + high))
     assert len(models.plants) == 9
+
+
+def test_models_of_old_postures_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long trainings meet a new posture in every episode."""
+    monkeypatch.setattr(linear_model, "KEPT", 2)
+    core = make_batch("FlexArm/TwoLink-Reach-v0", 1).unwrapped.core
+    models = LinearModels(core.arm, core.control_dt, ())
+    for angle in range(5):
+        models.at(np.array([0.0, float(angle)]))
+    assert models._model.cache_info().currsize == 2
