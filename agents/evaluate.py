@@ -13,7 +13,7 @@ from agents.config import LIMITS
 from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
 from agents.environments import REFUSALS, check_keywords
 from agents.files import FolderError, check_folder, folder_lock
-from agents.hybrid.controller import acting, n_taken
+from agents.hybrid.controller import acting
 from agents.leaderboard.tracks import takes_part, track_of
 from agents.learners.export import load_zip
 from agents.metrics import make_batch
@@ -156,7 +156,7 @@ def make_controller(
             return subject, classical(subject, env, env_id, kwargs)
         acting_policy = acting(policy, env)
         shapes = (env.single_observation_space.shape, env.single_action_space.shape)
-        wanted = ((n_taken(policy),), policy.biases[-1].shape)
+        wanted = ((acting_policy.n_observation,), policy.biases[-1].shape)
         if shapes != wanted:
             trained = policy.about.get("env_kwargs")
             remedy = f" Its training had --env-kwargs {validate.shown(trained)}." if trained else ""

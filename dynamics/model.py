@@ -116,9 +116,12 @@ class Model:
     def inverse_dynamics(self, q: Array, v: Array, a: Array, wrench: Array | None = None) -> Array:
         """Generalized forces M a + h (n,); joint torques alone can only produce B tau.
 
+        Of a fixed base, (N, n) at N states given as (N, n), without a wrench.
         `wrench` (6,), force [N] then moment [N m], is exerted by the last link at its tip on its
         surroundings, in the link's frame.
         """
+        if np.ndim(q) == 2 and wrench is None:
+            return self._forces(q, v, a)
         h = self.bias(q, v)
         if wrench is not None:
             self._require_fixed_base("wrench")
@@ -251,6 +254,15 @@ class Model:
     def _at_state(self, quantity: str, q: Array, v: Array) -> Array:
         function = self._state_functions[quantity]
         return validate.finite(np.array(function(*self._state(q, v))), quantity)
+
+    def _forces(self, q: Array, v: Array, a: Array) -> Array:
+        """(N, n) M a + h at N states."""
+        self._require_fixed_base("inverse_dynamics of many states")
+        shape = (np.shape(q)[0], self.n)
+        q, v, a = (validate.array(*x, shape) for x in ((q, "q"), (v, "v"), (a, "a")))
+        M, h = (np.array(self._state_functions[x](q.T, v.T)) for x in ("mass_matrix", "bias"))
+        forces = np.einsum("ikj,kj->ki", M.reshape(self.n, *shape), a) + h.T
+        return validate.finite(forces, "inverse_dynamics")
 
     def _measure(self, q: Array, v: Array) -> Array:
         return validate.finite(

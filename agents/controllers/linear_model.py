@@ -12,7 +12,6 @@ A mode that turns by more than FASTEST within a control step cannot be controlle
 is left out. The joint angles are among the modes: with straight links they cost no energy.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -51,6 +50,9 @@ class LinearModel:
     readings: Array  # (m + g, n) y per coordinate
     bend: Array  # (2 links, r) [-] deflection along y and z over a link's length, per mode
 
+    def __deepcopy__(self, memo: object) -> "LinearModel":
+        return self
+
 
 @dataclass(frozen=True)
 class Plant:
@@ -66,8 +68,8 @@ class LinearModels:
 
     Attributes
     ----------
-    plants : the drawn payloads and stiffnesses at LEVELS values each; `middle` is the index of the
-        middle one.
+    levels : LEVELS payloads [kg] and LEVELS factors of the stiffness, or one of what is not drawn.
+    plants : one of each payload and stiffness; `middle` is the index of the middle one.
     joints, modal : indices of the joints' and the modes' coordinates.
     """
 
@@ -77,7 +79,12 @@ class LinearModels:
                 f"Linear controllers take an arm without gravity, got gravity={arm.gravity}; "
                 "use pd."
             )
-        self.plants = _plants(arm, dict(drawn))
+        spans = dict(drawn)
+        self.levels = (
+            _levels(spans.get("payload_mass", (0.0, 0.0))),
+            _levels(spans.get("stiffness", (1.0, 1.0))),
+        )
+        self.plants = _plants(arm, *self.levels)
         self.middle = len(self.plants) // 2
         self.model = self.plants[self.middle].model
         self.control_dt = control_dt
@@ -183,13 +190,11 @@ _shared = lru_cache(maxsize=8)(LinearModels)
 
 def place_of(posture: Array) -> tuple[float, ...]:
     """Joint angles [rad] by which models are kept: the first is zero, the others are rounded."""
-    return (0.0, *np.round(posture[1:], ROUND).tolist())
+    return (0.0, *[round(angle, ROUND) for angle in posture[1:].tolist()])
 
 
-def _plants(arm: Arm, drawn: Mapping[str, Range]) -> tuple[Plant, ...]:
-    """Plants at LEVELS values of every drawn payload and stiffness."""
-    payloads = _levels(drawn.get("payload_mass", (0.0, 0.0)))
-    stiffnesses = _levels(drawn.get("stiffness", (1.0, 1.0)))
+def _plants(arm: Arm, payloads: list[float], stiffnesses: list[float]) -> tuple[Plant, ...]:
+    """Plants of every payload [kg] and factor of the stiffness."""
     models = [compile_arm(_loaded(arm, payload)) for payload in payloads]
     return tuple(
         Plant(model, factor * stiffness(model.chain), damping(model.chain))

@@ -108,6 +108,15 @@ class LQR(ModelBased):
 class OutputFeedback(ModelBased):
     """Control on Kalman filters, which remember the torques."""
 
+    @property
+    def n_known(self) -> int:
+        """Number of columns of `known`."""
+        return int(self.observer.n_known)
+
+    def known(self, state: Belief) -> AnyArray:
+        """(N, n_known) what the filters believe, see `KalmanFilters.known`."""
+        return np.asarray(self.observer.known(state))
+
     def told(self, state: Belief, action: AnyArray) -> Belief:
         """The belief after actions (N, m) in [-1, 1] other than its own were taken."""
         torque = np.atleast_2d(action) * self.limit

@@ -3,7 +3,8 @@
 Coordinates are taken from the reference of `reference.py`.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -16,6 +17,7 @@ from agents.controllers.reading import Reading
 from agents.controllers.reference import Course, Reference, followed
 from dynamics.types import AnyArray, Array
 from flexarm_env.hardware.sensors import Hardware
+from flexarm_env.observations import BOUND
 
 LEARNING = 40  # readings after which the gain of a filter stays
 EXACT = 1e-4  # [rad], [of the scale] steps that stand for readings without counts
@@ -60,15 +62,14 @@ class ExactState:
         place[:, models.modal] = self.read(x, "modal_amplitude")
         speed[:, models.joints] = self.read(x, "joint_rate") - course.rate
         speed[:, models.modal] = self.read(x, "modal_rate")
-        references = [self.reference.at(course, i) for i in range(count)]
-        offset = np.array([offset[0] for offset, _ in references])
+        offset, forward = (x[:, 0] for x in self.reference.along(course))
         before = offset if memory is None else np.where(fresh[:, None], offset, memory.offset)
         speed -= (offset - before) / dt
         estimates = []
         for i in range(count):
             model = models.at(course.posture[i])
             state = np.concatenate([model.modes @ (place[i] - offset[i]), model.modes @ speed[i]])
-            estimates.append(Estimate(model, state, references[i][1][0]))
+            estimates.append(Estimate(model, state, forward[i]))
         return estimates, _Sight(course, offset)
 
     def act(self, memory: _Sight, torque: Array) -> None:
@@ -99,6 +100,7 @@ class Belief:
     torque: Array  # (N, D + 1, P, m) [N m] past torques about the reference's, oldest first
     place: Array  # (N, D + 1, P, n) past references, from the target at the start
     forward: Array  # (N, P, m) [N m] torque of the reference
+    estimates: list[Estimate] = field(default_factory=list)  # N, of the likeliest plant
 
 
 class KalmanFilters:
@@ -123,7 +125,17 @@ class KalmanFilters:
         self.hypotheses = list(product(self.plants, self.sensors.delays))
         self._plant = np.array([plant for plant, _ in self.hypotheses])
         self._delay = np.array([delay for _, delay in self.hypotheses])
+        self._traits = _traits(*self.models.levels, self.sensors.delays)
+        self._scales = np.ones((2, self.models.model.n))
+        for row, name in enumerate(("joint_error", "joint_rate")):
+            self._scales[row, self.models.joints] = self.read.scales[name]
+        self._scales[:, self.models.modal] = core.scales.modal_scale, core.scales.modal_rate
         self._bank = lru_cache(KEPT // len(self.plants))(self._stacked)
+
+    @property
+    def n_known(self) -> int:
+        """Number of columns of `known`."""
+        return self._scales.size + self._traits.shape[1]
 
     def observe(
         self, x: AnyArray, belief: Belief | None, fresh: AnyArray
@@ -136,58 +148,94 @@ class KalmanFilters:
         self._refer(belief)
         angle = self.read(x, "joint_error") + course.way
         readings = np.concatenate([angle, self.read(x, "root_curvature")], axis=1)
-        estimates = [self._estimate(belief, i, y) for i, y in enumerate(readings)]
-        belief.steps = belief.steps + 1
+        estimates: list[Any] = [None] * len(x)
+        for group in _alike([state.shape[1] for state in belief.state]):
+            self._take(belief, group, readings[group])
+            for i, estimate in zip(group, self._present(belief, group), strict=True):
+                estimates[i] = estimate
+        belief.steps, belief.estimates = belief.steps + 1, estimates
         return estimates, belief
+
+    def known(self, belief: Belief) -> AnyArray:
+        """(N, k) believed joint errors, rates, modal amplitudes and their rates; plant and delay.
+
+        States are scaled as observations are; a drawn payload, stiffness and delay, from -1 to 1
+        over their ranges, are means over the filters, weighted by their probabilities.
+        """
+        places, speeds = np.zeros((2, len(belief.estimates), self.models.model.n))
+        for i, estimate in enumerate(belief.estimates):
+            r, shapes = len(estimate.model.modes), estimate.model.shapes
+            places[i], speeds[i] = shapes @ estimate.x[:r], shapes @ estimate.x[r:]
+        likely = np.exp(0.5 * (belief.surprise.min(axis=1, keepdims=True) - belief.surprise))
+        means = likely / likely.sum(axis=1, keepdims=True) @ self._traits
+        states = np.hstack([places / self._scales[0], speeds / self._scales[1]])
+        return np.hstack([np.clip(states, -BOUND, BOUND), means])
 
     def act(self, belief: Belief, torque: Array) -> None:
         """Note the torques (N, m) [N m] of the coming step."""
         apart = torque[:, None] - belief.forward
         belief.torque = np.concatenate([belief.torque[:, 1:], apart[:, None]], axis=1)
 
-    def _estimate(self, belief: Belief, i: int, reading: Array) -> Estimate:
-        """Estimate of environment i after its filters took a reading (y,)."""
-        posture, step, past = belief.course.posture[i], int(belief.steps[i]), belief.torque[i]
-        bank = self._bank(place_of(posture))
-        self._take(bank, belief, i, reading)
-        best = int(np.argmin(belief.surprise[i]))
-        plant, delay = self.hypotheses[best]
-        now: Array = belief.state[i][best]
-        for torque in past[len(past) - min(delay, step) :, plant]:
-            now = bank.A[plant] @ now + bank.B[plant] @ torque
-        model = self.models.at(posture, plant)
-        return Estimate(model, now[: len(model.A)].copy(), belief.forward[i, plant])
+    def _take(self, belief: Belief, group: AnyArray, reading: Array) -> None:
+        """Update the filters of environments that new readings (G, y) reach.
 
-    def _take(self, bank: _Bank, belief: Belief, i: int, reading: Array) -> None:
-        """Update the filters that a new reading reaches; before its delay the first one repeats."""
-        step = int(belief.steps[i])
-        if step == 0:
-            belief.first[i] = reading
-        new = (self._delay < step) | (step == 0)
-        plant, delay, state = self._plant[new], self._delay[new], belief.state[i][new]
-        if step:
-            past = belief.torque[i][-1 - delay, plant]
-            state = _times(bank.A[plant], state) + _times(bank.B[plant], past)
-        seen = self.models.at(belief.course.posture[i]).readings
-        shift = belief.place[i][-1 - delay, plant] @ seen.T
-        innovation = reading - shift - _times(bank.C[plant], state)
-        at = np.minimum(np.maximum(step - delay, 0), LEARNING - 1)
-        belief.state[i][new] = state + _times(bank.gain[at, plant], innovation)
-        belief.surprise[i][new] += bank.bulk[at, plant] + np.einsum(
-            "hi,hij,hj->h", innovation, bank.precision[at, plant], innovation
+        Before its delay, the first reading repeats.
+        """
+        banks = [self._bank(place_of(x)) for x in belief.course.posture[group]]
+        step, first = belief.steps[group, None], belief.steps[group] == 0
+        belief.first[group[first]] = reading[first]
+        late = np.maximum(step - self.sensors.delays, 0)  # (G, D) readings taken since the start
+        state = self._by_plant(np.array([belief.state[i] for i in group]))
+        moved = state @ _turned(_each(banks, "A")) + self._past(belief.torque[group]) @ _turned(
+            _each(banks, "B")
         )
-        if np.any(np.abs(reading - belief.first[i]) > 0.5 * self.sensors.quantum):
-            belief.surprise[i][~new] = np.inf
+        moved = np.where(first[:, None, None, None], state, moved)
+        seen = np.array([self.models.at(x).readings for x in belief.course.posture[group]])
+        shift = self._past(belief.place[group]) @ _turned(seen)[:, None]
+        innovation = reading[:, None, None] - shift - moved @ _turned(_each(banks, "C"))
+        at = np.minimum(late, LEARNING - 1)
+        gain, precision, bulk = (_each(banks, x, at) for x in ("gain", "precision", "bulk"))
+        correction = np.einsum("gpdy,gdpsy->gpds", innovation, gain)
+        surprise = np.einsum("gpdy,gdpyz,gpdz->gpd", innovation, precision, innovation)
+        surprise += np.swapaxes(bulk, 1, 2)
+        new = ((step > self.sensors.delays) | (step == 0))[:, None]
+        changed = np.abs(reading - belief.first[group]) > 0.5 * self.sensors.quantum
+        refuted = np.where(changed.any(axis=1), np.inf, 0.0)[:, None, None]
+        surprise = np.where(new, surprise, refuted)
+        belief.surprise[group] += surprise.reshape(len(group), -1)
+        state = np.where(new[..., None], moved + correction, state)
+        for i, filters in zip(group, state, strict=True):
+            belief.state[i] = filters.reshape(-1, state.shape[-1])
+
+    def _present(self, belief: Belief, group: AnyArray) -> list[Estimate]:
+        """Estimates of the likeliest filters, predicted with the torques since their readings."""
+        best = np.argmin(belief.surprise[group], axis=1)
+        plants, ages = self._plant[best], np.minimum(self._delay[best], belief.steps[group])
+        found = []
+        for i, k, plant, age in zip(group, best, plants, ages, strict=True):
+            posture = belief.course.posture[i]
+            bank, now = self._bank(place_of(posture)), belief.state[i][k]
+            for torque in belief.torque[i, belief.torque.shape[1] - age :, plant]:
+                now = bank.A[plant] @ now + bank.B[plant] @ torque
+            model = self.models.at(posture, plant)
+            found.append(Estimate(model, now[: len(model.A)].copy(), belief.forward[i, plant]))
+        return found
+
+    def _by_plant(self, filters: Array) -> Array:
+        """(G, P, D, S) states from (G, H, S)."""
+        return filters.reshape(len(filters), len(self.plants), -1, filters.shape[-1])
+
+    def _past(self, kept: Array) -> Array:
+        """(G, P, D, k) values of the step before each delay's reading, from (G, D + 1, P, k)."""
+        return np.swapaxes(kept[:, [-1 - delay for delay in self.sensors.delays]], 1, 2)
 
     def _refer(self, belief: Belief) -> None:
         """Move the references to the present; a resting target's stay zero."""
         if "target_rate" not in self.read:
             return
-        found = [self.reference.at(belief.course, i) for i in range(len(belief.forward))]
-        place = np.array([offset for offset, _ in found])
+        place, belief.forward = self.reference.along(belief.course)
         place[:, :, self.models.joints] += belief.course.way[:, None]
         belief.place = np.concatenate([belief.place[:, 1:], place[:, None]], axis=1)
-        belief.forward = np.array([forward for _, forward in found])
 
     def _begun(self, x: AnyArray, course: Course, belief: Belief | None, fresh: AnyArray) -> Belief:
         """The belief, begun anew where an episode starts: joints are where they are read."""
@@ -248,9 +296,23 @@ class KalmanFilters:
         return A, B, C, *(np.array(list(part)) for part in zip(*learned, strict=True))
 
 
-def _times(matrices: Array, vectors: Array) -> Array:
-    """(H, a) products of (H, a, b) and (H, b)."""
-    return np.matmul(matrices, vectors[..., None])[..., 0]
+def _alike(sizes: list[int]) -> list[AnyArray]:
+    """Indices of environments whose states are equally large."""
+    return [np.flatnonzero(np.array(sizes) == size) for size in sorted(set(sizes))]
+
+
+def _each(banks: list[_Bank], name: str, at: AnyArray | None = None) -> Array:
+    """(G or 1, ...) parts of banks, of their rows at (G, D) if given; of one bank if they agree."""
+    first = getattr(banks[0], name)
+    if all(bank is banks[0] for bank in banks):
+        return np.asarray(first[None] if at is None else first[at])
+    parts = [getattr(bank, name) for bank in banks]
+    return np.array(parts if at is None else [x[k] for x, k in zip(parts, at, strict=True)])
+
+
+def _turned(matrices: Array) -> Array:
+    """(..., b, a) from (..., a, b)."""
+    return np.swapaxes(matrices, -1, -2)
 
 
 def fresh_of(state: Any, episode_start: AnyArray | None, count: int) -> AnyArray:
@@ -290,6 +352,13 @@ class Sensors:
             noise=np.array([*[0.5 * count / UNIFORM] * m, *noise]),
             bias=hardware.gauge_bias / UNIFORM * scale,
         )
+
+
+def _traits(*levels: Sequence[float]) -> Array:
+    """(H, k) values of what is drawn, from -1 to 1; a column for each that may differ."""
+    drawn = [np.linspace(-1.0, 1.0, len(found)) if len(found) > 1 else [None] for found in levels]
+    rows = [[value for value in row if value is not None] for row in product(*drawn)]
+    return np.array(rows, dtype=np.float64)
 
 
 def _spread(core: Any, models: LinearModels) -> tuple[Array, Array]:

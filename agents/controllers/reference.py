@@ -60,29 +60,29 @@ class Reference:
         self.models, self.plants = models, plants
         self._bend = lru_cache(KEPT)(self._bending)
 
-    def at(self, course: Course, i: int) -> tuple[Array, Array]:
-        """Offsets (P, n) from the straight arm on the target, torques (P, m) [N m] to come."""
-        models = self.models
-        joints, modal = models.joints, models.modal
-        offset = np.zeros((len(self.plants), models.model.n))
-        forward = np.zeros((len(self.plants), len(joints)))
-        if not (course.rate[i].any() or course.now[i].any()):
+    def along(self, course: Course) -> tuple[Array, Array]:
+        """Offsets (N, P, n) from the straight arm on the target; torques (N, P, m) [N m] ahead."""
+        models, count = self.models, len(course.posture)
+        offset = np.zeros((count, len(self.plants), models.model.n))
+        forward = np.zeros((count, len(self.plants), len(models.joints)))
+        moving = np.flatnonzero(course.rate.any(axis=1) | course.now.any(axis=1))
+        if not moving.size:
             return offset, forward
-        inertia = lru_cache(lambda model: self._inertia(model, course, i))
+        forces = lru_cache(lambda model: self._forces(model, course, moving))
         for p, plant in enumerate(self.plants):
-            M, bias = inertia(models.plants[plant].model)
-            forward[p] = (M @ course.coming[i] + bias)[joints]
-            offset[p] = (
-                self._bend(models.at(course.posture[i], plant)) @ (M @ course.now[i] + bias)[modal]
-            )
+            coming, now = forces(models.plants[plant].model)
+            forward[moving, p] = coming[:, models.joints]
+            bends = [self._bend(models.at(x, plant)) for x in course.posture[moving]]
+            offset[moving, p] = np.einsum("kij,kj->ki", bends, now[:, models.modal])
         return offset, forward
 
-    def _inertia(self, model: Model, course: Course, i: int) -> tuple[Array, Array]:
-        """(n, m) forces of joint accelerations and (n,) of rates, of the straight arm."""
+    def _forces(self, model: Model, course: Course, moving: AnyArray) -> list[Array]:
+        """(k, n) forces on the straight arm that accelerates as it soon will, and as it does."""
         joints = self.models.joints
-        q, v = np.zeros((2, model.n))
-        q[joints], v[joints] = course.posture[i] + course.way[i], course.rate[i]
-        return model.mass_matrix(q)[:, joints], model.bias(q, v)
+        q, v, coming, now = np.zeros((4, len(moving), model.n))
+        q[:, joints], v[:, joints] = (course.posture + course.way)[moving], course.rate[moving]
+        coming[:, joints], now[:, joints] = course.coming[moving], course.now[moving]
+        return [model.inverse_dynamics(q, v, a) for a in (coming, now)]
 
     def _bending(self, model: LinearModel) -> Array:
         """(n, modal) offset by forces on the modes: links bend, joints undo it at the tip."""

@@ -6,7 +6,7 @@ trained, whatever is tuned later.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -23,8 +23,17 @@ FIELDS = ("controller", "learned", "parameters", "scale")
 
 
 @runtime_checkable
-class Listener(Protocol):
-    """A controller that remembers actions, and must know which were taken."""
+class Observer(Protocol):
+    """A controller that estimates the arm's state, and must know which actions were taken."""
+
+    @property
+    def n_known(self) -> int:
+        """Number of estimated quantities."""
+        ...
+
+    def known(self, state: Any) -> AnyArray:
+        """(N, n_known) estimates, scaled as observations are."""
+        ...
 
     def told(self, state: Any, action: AnyArray) -> Any:
         """The state after actions (N, m) in [-1, 1] other than its own."""
@@ -34,7 +43,7 @@ class Listener(Protocol):
 class Base(Protocol):
     """A classical controller whose step a policy completes."""
 
-    own: ClassVar[bool]  # the policy also sees the controller's actions
+    added: int  # what the policy sees beyond the observation
 
     def begin(
         self, observation: AnyArray, state: Any, episode_start: AnyArray | None
@@ -48,26 +57,32 @@ class Base(Protocol):
 
 
 class Residual:
-    """Sum of both actions, clipped (Johannink et al., Residual RL for robot control, ICRA 2019)."""
+    """Sum of both actions, clipped (Johannink et al., Residual RL for robot control, ICRA 2019).
 
-    own: ClassVar[bool] = True
+    The policy also sees the controller's actions, and the state that it estimates.
+    """
 
     def __init__(self, controller: Controller, scale: float, env: Any) -> None:
         self.controller, self.scale = controller, np.float32(scale)
+        estimated = controller.n_known if isinstance(controller, Observer) else 0
+        self.added = env.unwrapped.torque_limit.size + estimated
 
     def begin(
         self, observation: AnyArray, state: Any, episode_start: AnyArray | None
     ) -> tuple[AnyArray, Any]:
-        """The observation followed by the controller's actions; these and its state."""
+        """The observation, the controller's actions, its estimates; its actions and state."""
         own, state = self.controller.predict(observation, state, episode_start)
         own = np.asarray(own, np.float32)
-        return np.concatenate([observation, own], axis=-1, dtype=np.float32), (own, state)
+        seen = [observation, own]
+        if isinstance(self.controller, Observer):
+            seen.append(self.controller.known(state).reshape(*np.shape(observation)[:-1], -1))
+        return np.concatenate(seen, axis=-1, dtype=np.float32), (own, state)
 
     def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
         """The sum, of which a controller with a memory of actions is told."""
         own, state = begun
         action = np.clip(own + self.scale * learned, -1.0, 1.0)
-        if isinstance(self.controller, Listener):
+        if isinstance(self.controller, Observer):
             state = self.controller.told(state, action)
         return action, state
 
@@ -75,10 +90,10 @@ class Residual:
 class Reference:
     """Joint angles that the controller follows: the target's, moved by up to `scale` [rad]."""
 
-    own: ClassVar[bool] = False
+    added = 0
 
     def __init__(self, controller: Controller, scale: float, env: Any) -> None:
-        if isinstance(controller, Listener):
+        if isinstance(controller, Observer):
             raise ValueError(
                 f"{KEY}.learned: reference moves the readings, of which a controller with a filter "
                 "makes a motion of the arm; choose learned: residual, or another controller."
@@ -115,7 +130,12 @@ class Hybrid:
     """A policy on its base; the state is a pair of theirs."""
 
     base: Base
-    policy: Controller
+    policy: Policy
+
+    @property
+    def n_observation(self) -> int:
+        """Size of the environment's observation."""
+        return self.policy.n_observation - self.base.added
 
     def predict(
         self,
@@ -151,7 +171,7 @@ def description(
     return dict(zip(FIELDS, (name, learned, parameters, scale), strict=True))
 
 
-def acting(policy: Policy, env: Any) -> Controller:
+def acting(policy: Policy, env: Any) -> Policy | Hybrid:
     """The policy, on its base if it has one, for an environment or a batch."""
     if KEY not in policy.about:
         return policy
@@ -173,9 +193,3 @@ def base_of(about: Any, env: Any) -> Base:
     }
     scale = validate.nonnegative(given.get("scale"), f"{KEY}.scale", "-")
     return LEARNED[learned](controller(name, env, parameters), scale, env)
-
-
-def n_taken(policy: Policy) -> int:
-    """Size of the environment's observation that a policy takes, after `acting` has checked it."""
-    own = KEY in policy.about and LEARNED[policy.about[KEY]["learned"]].own
-    return policy.n_observation - (policy.biases[-1].size if own else 0)

@@ -9,15 +9,16 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from agents.hybrid.controller import Base
 from dynamics.types import AnyArray
+from flexarm_env.observations import BOUND
 
 
 class HybridVecEnv(VecEnvWrapper):
     """N environments in which a base acts with the learner's actions."""
 
     def __init__(self, venv: Any, base: Base) -> None:
-        spaces = [venv.observation_space] + ([venv.action_space] if base.own else [])
-        low, high = (np.concatenate([getattr(x, end) for x in spaces]) for end in ("low", "high"))
-        super().__init__(venv, observation_space=gym.spaces.Box(low, high, dtype=np.float32))
+        space, added = venv.observation_space, np.full(base.added, BOUND)
+        low, high = np.append(space.low, -added), np.append(space.high, added)
+        super().__init__(venv, gym.spaces.Box(np.float32(low), np.float32(high)))
         self.base = base
         self._begun: Any = None  # the base's step that waits for the learner
         self._state: Any = None

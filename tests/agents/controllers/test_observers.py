@@ -48,6 +48,47 @@ def test_filters_know_the_tip_better_than_the_late_encoder(env_id: str) -> None:
     assert np.median(found) < 0.3 * np.median(naive)
 
 
+@pytest.mark.parametrize("env_id", [REACH, DAMP])
+def test_what_the_filters_know_is_what_exact_states_show(env_id: str) -> None:
+    """Believed states in the scales of obs="state", while the arm moves, without noise or delay."""
+    envs, exact = (make_batch(env_id, 16, {"obs": obs}) for obs in ("sensors", "state"))
+    subject: Any = controller("lqg", envs, WEIGHTS)
+    observation, _ = envs.reset(seed=0)
+    shown, _ = exact.reset(seed=0)
+    state: Any = None
+    for _ in range(30):
+        action, state = subject.predict(observation, state)
+        observation, before = envs.step(action.astype(np.float32))[0], shown
+        shown = exact.step(action.astype(np.float32))[0]
+    parts = exact.unwrapped.observation_slices
+    known, models = subject.known(state), subject.observer.models
+    places, speeds = np.split(known, 2, axis=1)
+    expected = [(places, models.joints, "joint_error"), (places, models.modal, "modal_amplitude")]
+    expected += [(speeds, models.joints, "joint_rate"), (speeds, models.modal, "modal_rate")]
+    for found, columns, name in expected:
+        truth = before[:, parts[name]]
+        assert np.abs(found[:, columns] - truth).max() < 0.05 * np.abs(truth).max()
+
+
+def test_the_filters_know_the_payload_the_stiffness_and_the_delay() -> None:
+    """Means over the filters go from -1 to 1 with what is drawn."""
+    ends = []
+    for payload, stiffness, delay in ((0.0, 0.9, 0), (0.5, 1.1, 2)):
+        hardware = {"preset": "laboratory", "delay": delay}
+        hardware |= {"payload": (payload, payload), "stiffness": (stiffness, stiffness)}
+        envs = make_batch(REACH, 16, {"hardware": hardware})
+        subject: Any = controller("lqg", make_batch(REACH, 1, keywords("lqg", "laboratory")))
+        observation, _ = envs.reset(seed=0)
+        state: Any = None
+        for _ in range(40):
+            action, state = subject.predict(observation, state)
+            observation = envs.step(action.astype(np.float32))[0]
+        assert state.surprise.shape[1] == 27
+        ends.append(subject.known(state)[:, -3:])
+    assert np.all(np.median(ends[0], axis=0) < -0.5)
+    assert np.all(np.median(ends[1], axis=0) > 0.5)
+
+
 def test_surprises_are_as_large_as_the_covariances_say() -> None:
     """Squared innovations over their covariance average the number of readings (chi-square)."""
     hardware = {"preset": "laboratory", "delay": 0, "payload": (0.25, 0.25), "stiffness": (1, 1)}
