@@ -119,8 +119,8 @@ class BaseConfig:
     """Classical controller on which the policy acts, and the part that is learned."""
 
     controller: str
-    learned: str = "residual"  # of its actions, or the "reference" that it follows
-    scale: float = 0.3  # largest correction, of the torque limit; largest shift of the target [rad]
+    learned: str = "residual"  # of its actions; "alone", instead of them; its "reference"
+    scale: float = 0.3  # largest learned action, of the torque limit; shift of the target [rad]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -141,7 +141,7 @@ def learn(run: RunFolder, config: Config) -> int:
     for sentence in run.repair_log():
         print(sentence)
     model = build_model(config)
-    about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.make_kwargs}
+    about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.kwargs}
     about |= {
         "stack": config.env.stack,
         "config": config.name,
@@ -222,7 +222,7 @@ def judge(run: RunFolder, config: Config) -> None:
     """Compare the policy with the best joint PD and the untrained network; draw the pictures."""
     plot_learning_curve(run.path / "learning_curve.png", {config.name: run.curve()})
     run.write_curve()
-    env_id, kwargs = config.env.id, config.env.make_kwargs
+    env_id, kwargs = config.env.id, config.env.kwargs
     print("Searching the gains of the joint PD controller ...", flush=True)
     tuned = tune_pd(env_id, kwargs)
     write_json(run.path / "pd_gains.json", tuned.__dict__)

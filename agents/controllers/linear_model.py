@@ -27,7 +27,8 @@ from flexarm_env.observations import curvature_columns
 ROUND = 4  # decimals [rad] within which postures share a model
 FASTEST = 3.0  # [rad] per control step; beyond pi, samples take a mode for a slower one
 KEPT = 4096  # models; the least recently used go
-LEVELS = 3  # of a drawn payload and of a drawn stiffness: lowest, middle, highest
+LEVELS = {"payload_mass": 5, "stiffness": 3}  # evenly over what is drawn, with both ends
+NOMINAL = {"payload_mass": 0.0, "stiffness": 1.0}
 
 Range = tuple[float, float]
 
@@ -68,7 +69,7 @@ class LinearModels:
 
     Attributes
     ----------
-    levels : LEVELS payloads [kg] and LEVELS factors of the stiffness, or one of what is not drawn.
+    levels : payloads [kg] and factors of the stiffness, LEVELS of what is drawn.
     plants : one of each payload and stiffness; `middle` is the index of the middle one.
     joints, modal : indices of the joints' and the modes' coordinates.
     """
@@ -80,10 +81,7 @@ class LinearModels:
                 "use pd."
             )
         spans = dict(drawn)
-        self.levels = (
-            _levels(spans.get("payload_mass", (0.0, 0.0))),
-            _levels(spans.get("stiffness", (1.0, 1.0))),
-        )
+        self.levels = [_levels(*spans.get(x, (NOMINAL[x],) * 2), LEVELS[x]) for x in LEVELS]
         self.plants = _plants(arm, *self.levels)
         self.middle = len(self.plants) // 2
         self.model = self.plants[self.middle].model
@@ -203,9 +201,8 @@ def _plants(arm: Arm, payloads: list[float], stiffnesses: list[float]) -> tuple[
     )
 
 
-def _levels(span: Range) -> list[float]:
-    low, high = span
-    return np.linspace(low, high, LEVELS).tolist() if high > low else [low]
+def _levels(low: float, high: float, count: int) -> list[float]:
+    return np.linspace(low, high, count).tolist() if high > low else [low]
 
 
 def _loaded(arm: Arm, payload: float) -> Arm:

@@ -87,6 +87,15 @@ class Residual:
         return action, state
 
 
+class Alone(Residual):
+    """The policy's actions alone, on what the controller estimates and would do itself."""
+
+    def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
+        """The policy's actions, times the scale, of which the controller is told."""
+        own, state = begun
+        return super().complete((np.zeros_like(own), state), learned)
+
+
 class Reference:
     """Joint angles that the controller follows: the target's, moved by up to `scale` [rad]."""
 
@@ -121,6 +130,7 @@ class Reference:
 
 LEARNED: dict[str, type[Residual] | type[Reference]] = {
     "residual": Residual,
+    "alone": Alone,
     "reference": Reference,
 }
 

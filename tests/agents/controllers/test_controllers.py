@@ -52,7 +52,7 @@ def test_a_small_motion_follows_the_linear_model(env_id: str, loaded: bool) -> N
     core: Any = envs.unwrapped.core
     rng = np.random.default_rng(0)
     target = np.array(core.scales.home) + rng.uniform(-0.5, 0.5, core.arm.n_joint)
-    model = models.at(target, len(models.plants) - LEVELS if loaded else None)
+    model = models.at(target, len(models.plants) - LEVELS["stiffness"] if loaded else None)
     x = 1e-5 * rng.uniform(-1.0, 1.0, (2, len(model.modes)))
     q, v = x @ model.shapes.T
     q[models.joints] += target

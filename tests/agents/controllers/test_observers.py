@@ -83,7 +83,6 @@ def test_the_filters_know_the_payload_the_stiffness_and_the_delay() -> None:
         for _ in range(40):
             action, state = subject.predict(observation, state)
             observation = envs.step(action.astype(np.float32))[0]
-        assert state.surprise.shape[1] == 27
         ends.append(subject.known(state)[:, -3:])
     assert np.all(np.median(ends[0], axis=0) < -0.5)
     assert np.all(np.median(ends[1], axis=0) > 0.5)
@@ -159,10 +158,10 @@ def test_plants_are_the_ends_and_the_middle_of_what_is_drawn() -> None:
     models = LinearModels.of(envs)
     masses = sorted({plant.model.arm.payload.mass for plant in models.plants})
     low, high = envs.unwrapped.core.randomize["payload_mass"]
-    assert masses == pytest.approx([low, 0.5 * (low + high), high])
+    assert masses == pytest.approx(np.linspace(low, high, 5))
     middle = models.plants[models.middle]
     assert middle.model.arm.payload.mass == pytest.approx(0.5 * (low + high))
-    assert len(models.plants) == 9
+    assert len(models.plants) == 5 * 3
 
 
 def test_models_of_old_postures_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
