@@ -24,7 +24,7 @@ from agents.policy import Controller
 from flexarm_env import IDS
 from flexarm_env.pages import film_name
 
-RANKING = Path("docs/results/leaderboard.json")
+RANKING = Path(__file__).resolve().parents[1] / "docs" / "results" / "leaderboard.json"
 TRACK = "state"
 SEED = 10_000  # first test episode of the leaderboard
 MOST_FRAMES = 120
@@ -73,6 +73,9 @@ def main(arguments: list[str] | None = None) -> int:
     unknown = sorted(set(a.ids) - set(FILMED))
     if unknown:
         print(f"agents.films: unknown ids {unknown}; known: {sorted(FILMED)}.", file=sys.stderr)
+        return 2
+    if not RANKING.is_file():
+        print(f"agents.films: {RANKING} is missing; run from the repository.", file=sys.stderr)
         return 2
     ranking = json.loads(RANKING.read_text(encoding="utf-8"))
     a.out.mkdir(parents=True, exist_ok=True)

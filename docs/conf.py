@@ -82,5 +82,10 @@ def read_docstring(app, what, name, obj, options, lines):
 
 
 def tidy_signature(app, what, name, obj, options, signature, returns):
-    """Write default factories as dots, so that the signature is Python."""
-    return (signature or "").replace("<factory>", "...") or signature, returns
+    """Write default factories as dots, so that a signature is Python, and arrays without shape."""
+    array = re.compile(r"ndarray\[tuple\[~?\w*\.?Any, \.\.\.\], ~?[\w.]+\[.*?\]\]")
+    tidy = (
+        text and array.sub("ndarray", text.replace("<factory>", "..."))
+        for text in (signature, returns)
+    )
+    return tuple(tidy)
