@@ -23,6 +23,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p")
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (4, 1, 1, 1, 1, 1)))
 GIF_SECONDS_PER_FRAME = 0.04
 GIF_HEIGHT = 300  # [px] height of the arm's picture
+FREQUENT = 8  # most frequent colours that a GIF keeps exactly
 STRIP_HEIGHT = 130  # [px] height of each strip below it
 
 
@@ -169,28 +170,44 @@ def write_gif(path: Path, films: Mapping[str, tuple[list[AnyArray], Recording]])
         x = to_pixel(i * GIF_SECONDS_PER_FRAME)
         ImageDraw.Draw(canvas).line((x, GIF_HEIGHT, x, canvas.height), fill="#444444")
         images.append(canvas)
-    # One palette for all frames avoids flicker and is smaller. Maximum coverage keeps rare colours.
-    chosen = images[:: max(1, n_frames // 8)]
-    sample = Image.new("RGB", (width, images[0].height * len(chosen)))
+    save_gif(path, images)
+
+
+def save_gif(
+    path: Path,
+    images: Sequence[Image.Image],
+    seconds: float = GIF_SECONDS_PER_FRAME,
+    colours: int = 128,
+) -> None:
+    """Write pictures of one size as a looping GIF, `seconds` [s] per frame."""
+    # One palette for all frames avoids flicker and is smaller. The most frequent colours keep the
+    # ground, maximum coverage keeps the rare ones.
+    chosen = images[:: max(1, len(images) // 8)]
+    width, height = images[0].size
+    sample = Image.new("RGB", (width, height * len(chosen)))
     for i, image in enumerate(chosen):
-        sample.paste(image, (0, i * image.height))
-    palette = sample.quantize(128, method=Image.Quantize.MAXCOVERAGE)
-    images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+        sample.paste(image, (0, i * height))
+    counts: Any = sample.getcolors(sample.width * sample.height)
+    frequent = [level for _, colour in sorted(counts)[-FREQUENT:] for level in colour]
+    rare = sample.quantize(colours - FREQUENT, method=Image.Quantize.MAXCOVERAGE).getpalette()
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*frequent, *(rare or [])])
+    frames = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     with atomic_write(path) as temporary:
-        images[0].save(
+        frames[0].save(
             temporary,
             save_all=True,
-            append_images=images[1:],
-            duration=int(1000 * GIF_SECONDS_PER_FRAME),
+            append_images=frames[1:],
+            duration=round(1000 * seconds),
             loop=0,
             optimize=False,
         )
 
 
-def scaled(frame: AnyArray) -> Image.Image:
-    """A rendered frame, scaled to the GIF's height."""
+def scaled(frame: AnyArray, height: int = GIF_HEIGHT) -> Image.Image:
+    """A rendered frame, scaled to a height [px]."""
     image = Image.fromarray(np.asarray(frame, np.uint8))
-    size = (round(image.width * GIF_HEIGHT / image.height), GIF_HEIGHT)
+    size = (round(image.width * height / image.height), height)
     return image if image.size == size else image.resize(size, Image.Resampling.LANCZOS)
 
 

@@ -67,6 +67,7 @@ def page(env_id: str) -> str:
     sections = [
         f"# {env_id}",
         f"{core.arm.name}: {core.task.title}. {core.task.description}\n\n{core.arm.description}",
+        _film(env_id),
         "[Environments](README.md) defines the terms, actions, info, episode ends and keywords.",
         _facts(core, IDS[env_id]),
         f"**Start.** {core.task.start_text}{_floating(core)}",
@@ -127,6 +128,17 @@ def _reward_terms() -> list[Sequence[str]]:
 
 
 # ---- sections of an id's page -------------------------------------------------------------------
+
+
+def _film(env_id: str) -> str:
+    """Film of a good controller; ids with goals have the arm and the task of the id without."""
+    plain = env_id.replace("Goal", "")
+    return (
+        f"![One episode of {plain}](films/{film_name(plain)})\n\n"
+        "One episode under the best controller of the [ranking](../leaderboard.md) on exact "
+        "states, or joint PD where none is ranked; its name is in the corner. "
+        f"`python -m agents.films {plain}` makes the film."
+    )
 
 
 def _facts(core: Core, spec: Mapping[str, Any]) -> str:
@@ -221,6 +233,11 @@ def file_name(env_id: str) -> str:
     """File name of an id's page, such as one-link-reach-v0.md."""
     scene, rest = env_id.split("/")[1].split("-", 1)
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", scene).lower() + f"-{rest.lower()}.md"
+
+
+def film_name(env_id: str) -> str:
+    """File name of an id's film, such as one-link-reach-v0.gif."""
+    return file_name(env_id).removesuffix("md") + "gif"
 
 
 def main() -> None:

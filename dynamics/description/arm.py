@@ -251,7 +251,7 @@ class Arm:
 
     @property
     def automatic(self) -> bool:
-        """True if a link was described with `modes: auto`."""
+        """True if the modes of a link are those of the rule."""
         return any(isinstance(link.modes, ModesByRule) for link in self.links)
 
     def with_listed_modes(self) -> "Arm":

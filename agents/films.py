@@ -1,0 +1,90 @@
+"""Films of the best ranked controllers: `python -m agents.films --out docs/envs/films`.
+
+One GIF per id, of one episode on exact states. The controller is the best of the track `state` in
+docs/results/leaderboard.json, and joint PD with the best gains of its grid where none is ranked.
+Ids with goals have the film of the id without.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from PIL import Image, ImageDraw, ImageFont
+
+from agents.controllers import CONTROLLERS
+from agents.evaluate import classical
+from agents.figures import GIF_SECONDS_PER_FRAME, film, save_gif, scaled
+from agents.hybrid.controller import acting
+from agents.leaderboard.shipped import shipped
+from agents.leaderboard.tracks import keywords
+from agents.metrics import make_batch
+from agents.policy import Controller
+from flexarm_env import IDS
+from flexarm_env.pages import film_name
+
+RANKING = Path(__file__).resolve().parents[1] / "docs" / "results" / "leaderboard.json"
+TRACK = "state"
+SEED = 10_000  # first test episode of the leaderboard
+MOST_FRAMES = 120
+HEIGHT = 270  # [px]
+COLOURS = 64  # few, so that a film has less than 400 kB
+FILMED = tuple(env_id for env_id in IDS if "Goal" not in env_id)
+
+
+def best(ranking: dict[str, Any], env_id: str) -> str:
+    """Name of the controller with the highest score; "pd" where the id is not ranked."""
+    rows = ranking.get(env_id, {}).get(TRACK, {})
+    return max(rows, key=lambda name: rows[name]["score_iqm"], default="pd")
+
+
+def named(name: str, env_id: str) -> Controller:
+    """A controller of the table, or the shipped policy of that name with the first seed."""
+    env = make_batch(env_id, 1, keywords(name, TRACK))
+    try:
+        if name in CONTROLLERS:
+            return classical(name, env, env_id, keywords(name, TRACK))
+        return acting(shipped(env_id, TRACK)[name][0], env)
+    finally:
+        env.close()
+
+
+def write(path: Path, name: str, env_id: str) -> None:
+    """Film one episode of a named controller, its name in the picture."""
+    frames, recording = film(env_id, keywords(name, TRACK), named(name, env_id), SEED)
+    every = -(-len(frames) // MOST_FRAMES)
+    font = ImageFont.load_default(size=15)
+    pictures: list[Image.Image] = []
+    for frame in frames[::every]:
+        picture = scaled(frame, HEIGHT)
+        ImageDraw.Draw(picture).text((10, 8), name, fill="#263238", font=font)
+        pictures.append(picture)
+    seconds = max(GIF_SECONDS_PER_FRAME, recording.duration / (len(frames) - 1)) * every
+    save_gif(path, pictures, seconds, COLOURS)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m agents.films", description=__doc__)
+    parser.add_argument("ids", nargs="*", metavar="ID", help="default: all")
+    parser.add_argument("--out", type=Path, default=Path("docs/envs/films"), metavar="DIR")
+    a = parser.parse_args(arguments)
+    unknown = sorted(set(a.ids) - set(FILMED))
+    if unknown:
+        print(f"agents.films: unknown ids {unknown}; known: {sorted(FILMED)}.", file=sys.stderr)
+        return 2
+    if not RANKING.is_file():
+        print(f"agents.films: {RANKING} is missing; run from the repository.", file=sys.stderr)
+        return 2
+    ranking = json.loads(RANKING.read_text(encoding="utf-8"))
+    a.out.mkdir(parents=True, exist_ok=True)
+    for env_id in a.ids or FILMED:
+        path, name = a.out / film_name(env_id), best(ranking, env_id)
+        write(path, name, env_id)
+        print(f"{path}: {name}, {path.stat().st_size / 1000:.0f} kB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

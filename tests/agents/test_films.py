@@ -1,0 +1,49 @@
+"""Films of the environment pages."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from agents import films
+from agents.figures import save_gif
+
+ID = "FlexArm/OneLink-Reach-v0"
+GROUND, DOT = (250, 250, 248), (200, 30, 30)
+
+
+def test_the_controller_with_the_highest_score_is_filmed() -> None:
+    ranking = {ID: {"state": {"pd": {"score_iqm": 0.4}, "lqr": {"score_iqm": 0.8}}}}
+    assert films.best(ranking, ID) == "lqr"
+    assert films.best(ranking, "FlexArm/FreeFlyer-Reach-v0") == "pd"
+
+
+def test_a_film_lasts_as_long_as_its_episode(tmp_path: Path) -> None:
+    path = tmp_path / "film.gif"
+    films.write(path, "zero", ID)
+    with Image.open(path) as film:
+        frames: Any = film
+        assert frames.size == (360, films.HEIGHT)
+        assert (frames.n_frames - 1) * frames.info["duration"] == pytest.approx(3000)
+
+
+def test_an_unknown_id_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert films.main(["FlexArm/NoLink-Reach-v0", "--out", str(tmp_path / "films")]) == 2
+    assert "unknown ids ['FlexArm/NoLink-Reach-v0']" in capsys.readouterr().err
+    assert not (tmp_path / "films").exists()
+
+
+def test_few_colours_keep_the_ground_and_what_is_rare(tmp_path: Path) -> None:
+    """Gradients of hundreds of colours must not take those of ground and dot."""
+    image = Image.new("RGB", (200, 200), GROUND)
+    for x in range(200):
+        image.paste((x, 255, 255 - x), (x, 0, x + 1, 20))
+        image.paste((255, 255 - x // 20, 255 - x // 40), (x, 20, x + 1, 40))
+    image.paste(DOT, (100, 100, 104, 104))
+    save_gif(tmp_path / "a.gif", [image, image.rotate(90)], colours=32)
+    with Image.open(tmp_path / "a.gif") as film:
+        shown = film.convert("RGB")
+    assert shown.getpixel((10, 150)) == GROUND
+    dot: Any = shown.getpixel((102, 102))
+    assert max(abs(a - b) for a, b in zip(dot, DOT, strict=True)) < 30

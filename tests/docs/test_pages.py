@@ -1,0 +1,108 @@
+"""Pages of the documentation: their code runs, and they explain every key."""
+
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from dynamics import Body, Joint, Link, Mode, Payload
+from dynamics.description.arm import Base
+from dynamics.description.arm_file import ARM_KEYS, CASE_KEYS
+from dynamics.description.denavit_hartenberg import Row
+from flexarm_env import IDS
+from flexarm_env.pages import film_name
+from tests.paths import ROOT
+
+DOCS = ROOT / "docs"
+RUN = ("index", "own_arm", "sensors", "certificate", "controller", "faq", "actuators")
+BLOCK = re.compile(r"^```(python|yaml|bash)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+SHORT = {  # of the pages -> in the tests
+    "total_steps: 500_000": "total_steps: 4_096",
+    "learn(100_000)": "learn(2_048)",
+    "--episodes 20": "--episodes 2",
+    "--tracks state": "--tracks state --episodes 2",
+}
+KEYS = {
+    "The arm": ARM_KEYS,
+    "A link": [entry.name for entry in fields(Link)],
+    "A joint": [entry.name for entry in fields(Joint)],
+    "A mode": [entry.name for entry in fields(Mode)],
+    "A payload": [entry.name for entry in fields(Payload)],
+    "A base": [*(entry.name for entry in fields(Base)), "euler"],
+    "A body": [entry.name for entry in fields(Body)],
+    "A row of Denavit and Hartenberg": [entry.name for entry in fields(Row)],
+}
+LARGEST_FILM = 400_000  # bytes
+
+
+def blocks(page: str) -> list[tuple[str, str]]:
+    """Language and short form of the code blocks of a page."""
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    for long, short in SHORT.items():
+        text = text.replace(long, short)
+    return BLOCK.findall(text)
+
+
+def followed(page: str, folder: Path) -> list[str]:
+    """Run the Python of a page in a folder, its named blocks as files; returns its commands."""
+    code, commands = "", []
+    for language, text in blocks(page):
+        named = re.match(r"# (\w+\.(?:py|yaml))\n", text)
+        if named:
+            (folder / named[1]).write_text(text, encoding="utf-8")
+        elif language == "python":
+            code += text
+        elif language == "bash":
+            commands += text.replace("\\\n", "").splitlines()
+    run([sys.executable, "-c", code], folder)
+    return commands
+
+
+def run(command: list[str], folder: Path) -> None:
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(Path.home()), "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, f"{command}:\n{done.stdout}\n{done.stderr}"
+
+
+@pytest.mark.parametrize("page", RUN)
+def test_the_python_of_a_page_runs(page: str, tmp_path: Path) -> None:
+    followed(page, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["own_arm", "controller"])
+def test_the_commands_of_a_page_run(page: str, tmp_path: Path) -> None:
+    for command in followed(page, tmp_path):
+        words = shlex.split(command.replace("train.py", str(ROOT / "train.py")))
+        assert words[0] == "python"
+        run([sys.executable, *words[1:]], tmp_path)
+
+
+@pytest.mark.parametrize("section", KEYS)
+def test_every_key_of_an_arm_file_is_explained(section: str) -> None:
+    """One row per key that the loader accepts, and none beside."""
+    text = (DOCS / "own_arm.md").read_text(encoding="utf-8")
+    body = re.split(r"^#+ ", text.partition(f"### {section}\n")[2], flags=re.MULTILINE)[0]
+    assert sorted(re.findall(r"^\| `(\w+)`", body, re.MULTILINE)) == sorted(KEYS[section])
+
+
+def test_ignored_keys_are_named() -> None:
+    text = (DOCS / "own_arm.md").read_text(encoding="utf-8")
+    assert [key for key in CASE_KEYS if f"`{key}`" not in text] == []
+
+
+@pytest.mark.parametrize("env_id", [env_id for env_id in IDS if "Goal" not in env_id])
+def test_a_film_of_every_id_moves_and_is_small(env_id: str) -> None:
+    """If not: python -m agents.films"""
+    path = DOCS / "envs" / "films" / film_name(env_id)
+    assert path.stat().st_size < LARGEST_FILM
+    with Image.open(path) as film:
+        assert film.n_frames > 50
+        first = film.convert("RGB").tobytes()
+        film.seek(film.n_frames - 1)
+        assert film.convert("RGB").tobytes() != first
