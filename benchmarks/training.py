@@ -248,7 +248,7 @@ def median_of(summaries: Sequence[Mapping[str, float | None]]) -> dict[str, floa
 
 def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: bool) -> None:
     """Train all seeds, evaluate every policy and the references, write JSON, pages and pictures."""
-    env_id, kwargs = config.env.id, config.env.make_kwargs
+    env_id, kwargs = config.env.id, config.env.kwargs
     episodes, first = config.evaluation.episodes, config.evaluation.seed
     tuned = tune_pd(env_id, kwargs)
     envs = make_batch(env_id, episodes, kwargs)
@@ -346,7 +346,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         work = a.keep or Path(temporary)
         benchmark(config, a.seeds, work, a.out, a.gif)
-        track = track_of(config.agent.name, config.env.id, config.env.make_kwargs)
+        track = track_of(config.agent.name, config.env.id, config.env.kwargs)
         if a.ship and track is not None:
             for seed in a.seeds:
                 ship(load_policy(RunFolder(work / f"seed{seed}").policy), config.env.id, track)

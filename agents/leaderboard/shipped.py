@@ -9,10 +9,12 @@ FOLDER = Path(__file__).parents[1] / "policies"
 
 
 def name_of(policy: Policy) -> str:
-    """Algorithm of a policy, "-on-BASE" and "-stacked" where it has a base or a stack."""
+    """Algorithm of a policy, "-on-BASE" or "-watching-BASE" where it has one, "-stacked"."""
     algorithm: str = policy.about.get("algorithm", "policy")
     base = policy.about.get("base")
-    on_base = "" if base is None else f"-on-{base['controller']}"
+    on_base = ""
+    if base is not None:
+        on_base = f"-{'watching' if base['learned'] == 'alone' else 'on'}-{base['controller']}"
     return algorithm + on_base + "-stacked" * (policy.stack > 1)
 
 

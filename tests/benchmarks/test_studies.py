@@ -1,0 +1,67 @@
+"""Studies of learning: what is trained and judged where, and pages of the stored results."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.config import load_config
+from agents.metrics import make_batch
+from benchmarks.output import RESULTS
+from benchmarks.studies import (
+    LEARNER,
+    SHOWN,
+    STUDIES,
+    figures,
+    limits,
+    memory,
+    model_based,
+    trained,
+)
+
+CONFIG = load_config(LEARNER)
+
+
+def test_bounds_are_those_of_the_plants_that_are_judged() -> None:
+    """Start, target, payload and stiffness are the track's, episode by episode."""
+    for training in limits(CONFIG):
+        found = []
+        plain = {} if training.track == "state" else {"hardware": "laboratory"}
+        for kwargs in (training.kwargs, plain):
+            envs = make_batch(training.config.env.id, 4, kwargs)
+            envs.reset(seed=list(training.seeds[:4]))
+            base = envs.unwrapped
+            drawn = base.core.parameters if base.core.parameters.size else np.full((4, 2), [0, 1])
+            found.append(np.hstack([base.core.q, base.joint_target(), drawn]))
+            envs.close()
+        np.testing.assert_array_equal(*found)
+
+
+def test_memory_is_judged_in_the_laboratory_alone() -> None:
+    trainings = memory(CONFIG)
+    assert len({(str(one.config.env.kwargs), one.config.env.stack) for one in trainings}) == 9
+    assert {str(one.kwargs) for one in trainings} == {"{'hardware': 'laboratory'}"}
+
+
+def test_a_study_trains_once_and_continues_a_run(tmp_path: Path) -> None:
+    """A second call finds the finished policy; model-based control is judged alike."""
+    config = replace(CONFIG, total_steps=4096)
+    config = replace(config, evaluation=replace(config.evaluation, episodes=4))
+    (first, *_) = limits(config)
+    found = [trained(first, 0, tmp_path) for _ in range(2)]
+    np.testing.assert_array_equal(found[0]["score"], found[1]["score"])
+    assert figures(first, found)["success_rate"] < 1.0
+    assert figures(first, [model_based(first, "lqg")])["success_rate"] == 1.0
+
+
+@pytest.mark.parametrize("name", sorted(STUDIES))
+def test_the_stored_page_is_that_of_the_stored_figures(name: str) -> None:
+    """If not: python -m benchmarks.studies NAME"""
+    data: dict[str, Any] = json.loads((RESULTS / f"study_{name}.json").read_text("utf-8"))
+    page, chart = SHOWN[name]
+    assert (RESULTS / f"study_{name}.md").read_text("utf-8") == page(data)
+    assert len(data["rows"]) == len(STUDIES[name](CONFIG))
+    chart(data)
