@@ -114,7 +114,7 @@ def test_the_caller_restarts_ended_episodes_as_gymnasium_defines_it(env_id: str)
 
 
 def test_episodes_that_ended_must_be_restarted_before_a_step() -> None:
-    """Where the caller restarts them; a refused step or reset changes nothing."""
+    """If the caller restarts them; a refused step or reset changes nothing."""
     envs: Any = gym.make_vec(
         "FlexArm/OneLink-Reach-v0", num_envs=2, autoreset_mode="Disabled", max_episode_steps=4
     )
