@@ -27,6 +27,7 @@ from agents.training import prepare
 MOST_TRIALS = 10_000
 RETRIES = 3  # of a trial whose worker was lost
 REDUCTION = 3  # ASHA goes on with this part of the trials at each of its steps
+SNAPSHOT_SECONDS = "2"  # between Ray Tune's notes of which trials are done
 RESULTS, BEST, TUNE = "sweep.json", "best.yaml", "tune"
 
 
@@ -128,6 +129,7 @@ def run(
     from agents.sweep.progress import Ranking
 
     os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")
+    os.environ.setdefault("TUNE_GLOBAL_CHECKPOINT_S", SNAPSHOT_SECONDS)
     more = {} if address else {"include_dashboard": False}
     ray.init(address=address, log_to_driver=False, logging_level="ERROR", **more)
     try:

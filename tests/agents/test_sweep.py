@@ -79,7 +79,7 @@ def test_a_missing_ray_is_named_with_the_remedy(
 
 @pytest.mark.slow
 def test_a_killed_sweep_resumes_and_names_a_best_that_trains(tmp_path: Path) -> None:
-    """Trials that were done before the kill keep their results; the rest is trained."""
+    """No trial falls behind what it had reached before the kill; the rest is trained."""
     pytest.importorskip(
         "ray", reason='needs the extra: pip install -c constraints.txt -e ".[scale]"'
     )
@@ -98,7 +98,11 @@ def test_a_killed_sweep_resumes_and_names_a_best_that_trains(tmp_path: Path) -> 
     after = {t["trial"]: t for t in ranking(out)}
     assert sorted(after) == list(range(5))
     assert all(t["state"] in ("done", "stopped early") for t in after.values())
-    assert {number: after[number] for number in before} == before
+    for number, trial in before.items():  # one stopped just before the kill may go on
+        assert after[number]["kwargs"] == trial["kwargs"]
+        assert after[number]["steps"] >= trial["steps"]
+        if after[number]["steps"] == trial["steps"]:
+            assert after[number]["objective"] == trial["objective"]
     best = load_config(out / "best.yaml")
     first = max(after.values(), key=lambda t: t["objective"])
     assert best.agent.kwargs == first["kwargs"]
