@@ -19,6 +19,8 @@ from agents.learners.algorithms import (
     settings,
 )
 from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS, MOST_STACKED
+from agents.ranges import checked_ranges
+from agents.zoo import HINTS, translated
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
 from flexarm_env import registered
@@ -70,17 +72,6 @@ TEXTS = {  # texts of agent keywords that are no schedules, and their descriptio
 LARGEST_ROLLOUT = 2**24  # steps, summed over all environments
 FOLDER_NAME = re.compile(r"\w[\w .,()+=@-]{0,99}")
 
-# Keys of RL Zoo, and their place here
-ZOO_NAMES = {
-    "n_timesteps": "total_steps",
-    "n_envs": "env.n_envs",
-    "env_kwargs": "env.kwargs",
-    "policy": "agent.policy",
-    "policy_kwargs": "agent.kwargs.policy_kwargs",
-    "normalize": "nothing: observations are scaled by the environment",
-    "env_wrapper": "env.reward (a table of reward terms and weights)",
-    "frame_stack": "env.stack",
-}
 TYPE_NAMES = {int: "an int", float: "a float", str: "text", bool: "true or false"}
 TYPE_NAMES |= {list: "a list", dict: "a table"}
 
@@ -143,14 +134,16 @@ class Config:
     seed: int = 0
     checkpoint_seconds: float = 10.0  # [s] wall time between checkpoints
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    sweep: dict[str, Any] = field(default_factory=dict)  # ranges of agent.kwargs, for agents.sweep
 
     def to_dict(self) -> dict[str, Any]:
         """Inverse of `config_from_dict`."""
         data = asdict(self)
         if data["env"]["reward"] is None:
             del data["env"]["reward"]
-        if data["base"] is None:
-            del data["base"]
+        for section in ("base", "sweep"):
+            if not data[section]:
+                del data[section]
         return data
 
 
@@ -195,7 +188,14 @@ def load_config(path: str | Path) -> Config:
 
 
 def config_from_dict(data: Any, *, name: str = "run") -> Config:
-    """Return a checked `Config` from plain tables; `name` is the default name."""
+    """Return a checked `Config` from plain tables; `name` is the default name.
+
+    Settings of RL Zoo may stand in `agent.kwargs`.
+    """
+    try:
+        data = translated(data)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
     checked(data, "")
     for section in SECTIONS:
         if section and section in data:
@@ -203,6 +203,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     agent = checked_agent(AgentConfig(**data["agent"]))
     env = checked_environment(EnvConfig(**data["env"]))
     check_batch(agent, env)
+    check_sweep(agent, data.get("sweep", {}))
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
     base = BaseConfig(**data["base"]) if "base" in data else None
     rest = {k: v for k, v in data.items() if k not in SECTIONS} | {"base": base}
@@ -303,8 +304,8 @@ def number_remedy(value: Any, types: tuple[type, ...]) -> str:
 
 def hint(key: Any, known: Mapping[str, Any]) -> str:
     """Remedy for an unknown key: its place here, the closest known key, or all known keys."""
-    if key in ZOO_NAMES:
-        return f"Here it is {ZOO_NAMES[key]}."
+    if key in HINTS:
+        return f"Here it is {HINTS[key]}."
     if "env" in known and any(key in settings(name) for name in algorithms()):
         return f"It belongs to agent.kwargs.{key}."
     close = difflib.get_close_matches(str(key), list(known), n=1)
@@ -358,6 +359,17 @@ def check_network(policy_kwargs: dict[str, Any]) -> None:
                 f"net_arch must have at most {most} layers of at most {LARGEST_LAYER} "
                 f"units, got {validate.shown(sizes)}."
             )
+
+
+def check_sweep(agent: AgentConfig, ranges: dict[str, Any]) -> None:
+    """Refuse ranges of unknown keywords, of wrong values or in another form."""
+    try:
+        for key, value in checked_ranges(ranges):
+            check_table({key: value}, settings(agent.name), "sweep")
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
 
 
 def check_batch(agent: AgentConfig, env: EnvConfig) -> None:

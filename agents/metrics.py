@@ -105,6 +105,25 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
     )  # fmt: skip
 
 
+def evaluated(
+    controller: Controller,
+    env_id: str,
+    *,
+    episodes: int = 100,
+    seed: int = 10_000,
+    **kwargs: Any,
+) -> dict[str, AnyArray]:
+    """All METRICS of the episodes seed, seed + 1, ... of an id with the keywords `kwargs`.
+
+    The controller may be any learner's model that has the method `predict`.
+    """
+    envs = make_batch(env_id, episodes, kwargs)
+    try:
+        return episode_metrics(record(controller, envs, range(seed, seed + episodes)))
+    finally:
+        envs.close()
+
+
 def episode_metrics(recording: Recording) -> dict[str, AnyArray]:
     """All METRICS per episode; in a failed episode all but success and score are infinite."""
     r = recording

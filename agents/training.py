@@ -141,7 +141,23 @@ def learn(run: RunFolder, config: Config) -> int:
     for sentence in run.repair_log():
         print(sentence)
     model = build_model(config)
+<<<<<<< HEAD
     about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.kwargs}
+=======
+    about = about_policy(config)
+    save_untrained(run, model, about)
+    progress = restore_newest(run, config, model)
+    if model.num_timesteps < config.total_steps:
+        run_session(run, config, model, progress)
+    save_policy(export_policy(model, about | {"steps": model.num_timesteps}), run.policy)
+    model.env.close()
+    return int(model.num_timesteps)
+
+
+def about_policy(config: Config) -> dict[str, Any]:
+    """Origin of a policy, which is stored beside its weights."""
+    about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.make_kwargs}
+>>>>>>> wtlibs
     about |= {
         "stack": config.env.stack,
         "config": config.name,
@@ -150,13 +166,7 @@ def learn(run: RunFolder, config: Config) -> int:
     }
     if config.base is not None:
         about[KEY] = base_description(config.base, config.env)
-    save_untrained(run, model, about)
-    progress = restore_newest(run, config, model)
-    if model.num_timesteps < config.total_steps:
-        run_session(run, config, model, progress)
-    save_policy(export_policy(model, about | {"steps": model.num_timesteps}), run.policy)
-    model.env.close()
-    return int(model.num_timesteps)
+    return about
 
 
 def save_untrained(run: RunFolder, model: Any, about: dict[str, Any]) -> None:

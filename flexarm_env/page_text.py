@@ -63,7 +63,12 @@ columns are the presets of `reward=`; a dict sets other weights.
 
 `reset(seed=..., options=...)` draws the start of the task, except where `options` sets `state`, a
 dict of `q` and `v` (one number per coordinate; zeros if left out), or `target`, joint angles. In a
-batch, options may have one row per environment.
+batch, options may have one row per environment that restarts.
+
+A batch has Gymnasium's three modes, `gym.make_vec(..., autoreset_mode=...)`. An ended episode
+restarts in the next step (`"NextStep"`, the default), in the same step (`"SameStep"`, with
+`final_obs` and `final_info`), or, with `"Disabled"`, when the caller says
+`reset(options={{"reset_mask": terminated | truncated}})`.
 
 ## Floating base
 

@@ -23,7 +23,17 @@ class SB3VecEnv(VecEnv):
     environment's own. The infos of the other environments are empty.
     """
 
-    def __init__(self, id: str, n_envs: int, **kwargs: Any) -> None:
+    def __init__(
+        self, id: str, n_envs: int | None = None, *, num_envs: int | None = None, **kwargs: Any
+    ) -> None:
+        """Take the number of environments as `n_envs` or, as `gymnasium.make_vec`, `num_envs`."""
+        given = [n for n in (n_envs, num_envs) if n is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"Give the number of environments once, as n_envs or num_envs, got n_envs={n_envs} "
+                f"and num_envs={num_envs}."
+            )
+        n_envs = given[0]
         envs = gym.make_vec(id, num_envs=n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
         assert isinstance(envs, FlexArmVectorEnv)
         self.envs, self.core, self._observed = envs, envs.core, envs.core.layout.observed

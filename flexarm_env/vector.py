@@ -27,14 +27,14 @@ from flexarm_env.observations import GOALS
 from flexarm_env.rewards import goal_reward
 
 Flags = NDArray[np.bool_]
-_AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
 
 
 class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
     """N flexible arms with one task; environment i equals a `FlexArmEnv` with seed `seed + i`.
 
     Keywords are those of `FlexArmEnv`, and `max_episode_steps`, `autoreset_mode`, `threads`.
-    `render_mode` "human" shows the first environment.
+    `render_mode` "human" shows the first environment. With `autoreset_mode` DISABLED the caller
+    restarts ended episodes by `reset(options={"reset_mask": terminated | truncated})`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -53,7 +53,7 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         **arguments: Any,
     ) -> None:
         check_render_mode(render_mode)
-        known = {mode.value: mode for mode in _AUTORESET}
+        known = {mode.value: mode for mode in AutoresetMode}
         given = getattr(autoreset_mode, "value", autoreset_mode)
         mode = known[validate.choice(given, "autoreset_mode", known)]
         steps = 0 if max_episode_steps is None else max_episode_steps
@@ -71,7 +71,8 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         self._observed = self.core.layout.observed
         self._shape = (self.num_envs, self.core.arm.n_torque)
         self._all = np.arange(self.num_envs)
-        self._pending = np.zeros(0, np.int64)  # environments to restart instead of stepping
+        self._pending = np.zeros(0, np.int64)  # ended environments, to restart before a step
+        self._latest: NDArray[np.float32] | None = None  # observations, if the caller restarts
         self._seeded = False
 
     # ---- for controllers -----------------------------------------------------------------------
@@ -86,14 +87,18 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
 
     # ---- the Gymnasium interface -------------------------------------------------------------
 
-    def seed_streams(self, seed: int | Sequence[int | None] | None) -> None:
-        """Seed the random streams as single environments with these seeds do."""
+    def seed_streams(
+        self, seed: int | Sequence[int | None] | None, rows: NDArray[np.int64] | None = None
+    ) -> None:
+        """Seed the random streams of `rows` (all) as single environments with these seeds do."""
         if seed is None:
             if not self._seeded:
                 for i in range(self.num_envs):
                     self.core.seed(i, self.np_random)
         else:
-            for i, one in enumerate(self._seeds(seed)):
+            seeds = self._seeds(seed)
+            for i in range(self.num_envs) if rows is None else rows.tolist():
+                one = seeds[i]
                 if one is not None or not self._seeded:
                     self.core.seed(i, seeding.np_random(one)[0])
             if isinstance(seed, Integral):
@@ -118,19 +123,54 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start episodes; environment i gets `seed + i` or `seed[i]`; options of `FlexArmEnv`."""
+        """Start episodes; environment i gets `seed + i` or `seed[i]`; options of `FlexArmEnv`.
+
+        With `autoreset_mode` DISABLED, options["reset_mask"], (num_envs,) bool, selects the
+        environments that restart; the others go on, and info is about those that restart.
+        """
         self.core.claim()
         try:
-            self.seed_streams(seed)
-            out = self.core.reset(self._all, options)
-            self._pending = self._pending[:0]
+            mask, placed = self._selected(options)
+            rows = self._all if mask is None else np.flatnonzero(mask)
+            self.seed_streams(seed, rows)
+            out = self.core.reset(rows, placed)
+            if mask is not None and self._latest is not None:
+                out.obs[~mask] = self._latest[~mask]
+            self._pending = np.setdiff1d(self._pending, rows)
+            self._keep(out)
         finally:
             self.core.lock.release()
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return self._observed(out.obs), out.marked()
+        info = out.marked() if mask is None else self._masked_info(out, mask)
+        return self._observed(out.obs), info
+
+    def _selected(self, options: Any) -> tuple[Flags | None, Any]:
+        """The mask of environments to reset, None for all, and the other options."""
+        if not isinstance(options, Mapping) or "reset_mask" not in options:
+            return None, options
+        mask = options["reset_mask"]
+        if self.autoreset_mode is not AutoresetMode.DISABLED:
+            raise ValueError(
+                "options['reset_mask'] needs autoreset_mode='Disabled'; this batch restarts ended "
+                f"episodes itself (autoreset_mode={self.autoreset_mode.value!r})."
+            )
+        shape, dtype = getattr(mask, "shape", None), getattr(mask, "dtype", None)
+        if shape != (self.num_envs,) or dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f"options['reset_mask'] must be a bool array of shape ({self.num_envs},) with a "
+                f"true value, got {validate.shown(mask)}."
+            )
+        if self._latest is None and not mask.all():
+            raise gym.error.ResetNeeded("reset() all environments before some of them.")
+        return mask, {key: value for key, value in options.items() if key != "reset_mask"}
+
+    def _keep(self, out: BatchOutputs) -> None:
+        """Keep the observations for a later reset of some environments."""
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            self._latest = out.obs.copy()
 
     def step(self, actions: Any) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
         """Advance all by one control step; ended episodes restart by `autoreset_mode`.
@@ -161,9 +201,16 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
     def _stepped(
         self, actions: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], Array, Flags, Flags, dict[str, Any]]:
+        restarting = self.autoreset_mode is AutoresetMode.NEXT_STEP
+        if self._pending.size and not restarting:
+            raise gym.error.ResetNeeded(
+                f"The episodes of the environments {validate.shown(self._pending.tolist())} have "
+                "ended: reset(options={'reset_mask': terminated | truncated}) before the next step."
+            )
         out, ended = self.core.step(actions)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             return self._restart_now(out, ended)
+        self._keep(out)
         if self._pending.size:
             self.core.restart(self._pending, out)
             ended = True
@@ -196,20 +243,20 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
             final = {
                 "final_obs": last,
                 "_final_obs": done,
-                "final_info": self._final_info(out, done),
+                "final_info": self._masked_info(out, done),
                 "_final_info": done.copy(),
             }
             self.core.restart(rows, out)
         return self._observed(out.obs), *outcome, out.marked() | final
 
-    def _final_info(self, out: BatchOutputs, done: Flags) -> dict[str, Any]:
-        """Copies of the info of this step, masked by `done`."""
+    def _masked_info(self, out: BatchOutputs, present: Flags) -> dict[str, Any]:
+        """Copies of the info of this step, masked by `present`."""
         described = out.described()
         terms = described.pop("reward_terms")
         copies: dict[str, Any] = {name: values.copy() for name, values in described.items()}
         copies["reward_terms"] = {name: values.copy() for name, values in terms.items()}
-        copies["reward_terms"] |= masks(terms, done)
-        return copies | masks(copies, done)
+        copies["reward_terms"] |= masks(terms, present)
+        return copies | masks(copies, present)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return a picture per environment, or show the first in a window and return None."""

@@ -21,6 +21,8 @@ QUICK = {
     "agents/test_config.py",
     "agents/test_metrics.py",
     "agents/test_policy.py",
+    "agents/test_ranges.py",
+    "agents/test_zoo.py",
     "benchmarks/test_operations.py",
     "dynamics/accuracy/test_fidelity.py",
     "dynamics/accuracy/test_scene.py",

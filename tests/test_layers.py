@@ -76,7 +76,7 @@ def test_folders_are_small() -> None:
 
 def test_files_are_short_and_named_for_what_they_do() -> None:
     """No file above 400 lines, no utils.py."""
-    for path in sources(".", *PACKAGES, "tests"):
+    for path in sources(".", *PACKAGES, "examples", "tests"):
         length = len(path.read_text(encoding="utf-8").splitlines())
         assert length <= LONGEST_FILE, f"{path.relative_to(ROOT)} has {length} lines"
         assert path.name != "utils.py", f"{path.relative_to(ROOT)}: name it for what it does"
@@ -98,7 +98,7 @@ def test_importing_the_lower_layers_loads_no_learning_library(package: str) -> N
 def test_docstrings_name_their_subject() -> None:
     """First a noun or a verb of the field, not a question word or a reference to another text."""
     riddles = ("What", "How", "Where", "Who", "Whether", "The same", "That", "Those", "This")
-    for path in sources(".", *PACKAGES, "tests"):
+    for path in sources(".", *PACKAGES, "examples", "tests"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
                 text = ast.get_docstring(node) or ""

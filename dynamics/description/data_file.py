@@ -10,6 +10,7 @@ import yaml
 from dynamics.description.validate import shown
 
 MOST_BYTES = {".json": 16_777_216, ".yaml": 1_048_576, ".yml": 1_048_576}
+_MERGE = "tag:yaml.org,2002:merge"
 MOST_NODES = 50_000  # values of a YAML file with aliases expanded
 
 
@@ -79,6 +80,7 @@ class _Loader(yaml.SafeLoader):
         super().__init__(stream)
         self._sizes: dict[int, int] = {}  # node id -> number of values in the node, itself included
         self._count = 0
+        self._flat: set[int] = set()  # ids of the mappings whose keys were compared
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Count values; an alias adds the size of its node."""
@@ -94,10 +96,13 @@ class _Loader(yaml.SafeLoader):
             raise ValueError(f"must hold at most {MOST_NODES} values with aliases expanded.")
         return node
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        pairs = [(str(self.construct_object(key, deep=True)), None) for key, _ in node.value]
-        _unique(pairs)
-        return super().construct_mapping(node, deep=deep)
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Merge the mappings of "<<" into the node, whose own keys must differ."""
+        if id(node) not in self._flat:
+            self._flat.add(id(node))
+            own = [key for key, _ in node.value if key.tag != _MERGE]
+            _unique([(str(self.construct_object(key, deep=True)), None) for key in own])
+        super().flatten_mapping(node)
 
 
 def _children(node: yaml.Node) -> list[Any]:

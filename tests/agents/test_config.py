@@ -116,6 +116,17 @@ def test_other_yaml_is_refused(tmp_path: Path, text: str) -> None:
         load(tmp_path, text)
 
 
+def test_tables_may_share_what_they_have_in_common(tmp_path: Path) -> None:
+    """By YAML's merge key, whose values a table's own keys replace; own keys stand once."""
+    shared = "agent: {name: ppo, kwargs: {<<: &k {n_steps: 9, batch_size: 128}, n_steps: 64}}"
+    text = GOOD.splitlines()
+    text[2] = shared
+    assert load(tmp_path, "\n".join(text)).agent.kwargs == {"n_steps": 64, "batch_size": 128}
+    text[2] = shared.replace("n_steps: 64", "n_steps: 64, n_steps: 32")
+    with pytest.raises(ConfigError, match=r"n_steps.* stand twice"):
+        load(tmp_path, "\n".join(text))
+
+
 def test_a_file_cannot_run_code(tmp_path: Path) -> None:
     made = tmp_path / "made"
     with pytest.raises(ConfigError, match="is not valid YAML"):

@@ -81,6 +81,67 @@ def test_batch_equals_single_environments(scene: str, task: str, mode: str) -> N
     assert failures > 0 or scene != "OneLink"
 
 
+@pytest.mark.parametrize("env_id", ["FlexArm/TwoLink-Reach-v0", "FlexArm/OneLink-Track-v0"])
+def test_the_caller_restarts_ended_episodes_as_gymnasium_defines_it(env_id: str) -> None:
+    """Autoreset mode DISABLED against SyncVectorEnv: only masked environments restart."""
+    keywords: dict[str, Any] = {"max_episode_steps": 23}
+    disabled = AutoresetMode.DISABLED
+    batch = gym.make_vec(env_id, num_envs=3, autoreset_mode=disabled, **keywords)
+    singles = gym.make_vec(
+        env_id, num_envs=3, vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": disabled}, **keywords,
+    )  # fmt: skip
+    assert batch.metadata["autoreset_mode"] is disabled
+    batch.reset(seed=3)
+    singles.reset(seed=3)
+    masks = [np.array([False, True, False])] * 2  # while their episodes run
+    seeds: list[Any] = [[None, 70, None], None]
+    for action in random_actions(60, 3, batch.unwrapped.n_joint):
+        ours, theirs = batch.step(action), singles.step(action)
+        for a, b in zip(ours[:4], theirs[:4], strict=True):
+            np.testing.assert_allclose(a, b, rtol=ROUND_OFF, atol=ROUND_OFF)
+        assert_same_infos(ours[4], theirs[4])
+        ended = ours[2] | ours[3]
+        mask = ended if ended.any() else masks.pop() if masks else None
+        if mask is not None:
+            seed = seeds.pop() if seeds else None
+            started, info = batch.reset(seed=seed, options={"reset_mask": mask})
+            expected, other = singles.reset(seed=seed, options={"reset_mask": mask})
+            np.testing.assert_allclose(started, expected, rtol=ROUND_OFF, atol=ROUND_OFF)
+            np.testing.assert_array_equal(info["_tip_error"], mask)
+            assert_same_infos(info, other)
+    assert not masks
+
+
+def test_episodes_that_ended_must_be_restarted_before_a_step() -> None:
+    """If the caller restarts them; a refused step or reset changes nothing."""
+    envs: Any = gym.make_vec(
+        "FlexArm/OneLink-Reach-v0", num_envs=2, autoreset_mode="Disabled", max_episode_steps=4
+    )
+    with pytest.raises(gym.error.ResetNeeded, match="all environments before some"):
+        envs.reset(options={"reset_mask": np.array([True, False])})
+    envs.reset(seed=0)
+    envs.step(np.zeros((2, 1)))
+    envs.reset(options={"reset_mask": np.array([True, False])})
+    for _ in range(3):
+        observation, _, _, truncated, _ = envs.step(np.ones((2, 1)))
+    np.testing.assert_array_equal(truncated, [False, True])
+    with pytest.raises(gym.error.ResetNeeded, match=r"environments \[1\] have ended"):
+        envs.step(np.zeros((2, 1)))
+    for bad in ([True, True], np.zeros(2, bool), np.ones(3, bool), np.ones(2)):
+        with pytest.raises(ValueError, match="must be a bool array of shape"):
+            envs.reset(options={"reset_mask": bad})
+    target = {"target": [0.5], "reset_mask": truncated}
+    after, _ = envs.reset(options=target)
+    assert set(target) == {"target", "reset_mask"}
+    np.testing.assert_array_equal(after[0], observation[0])
+    np.testing.assert_array_equal(envs.joint_target()[1], [0.5])
+    envs.step(np.zeros((2, 1)))
+    others = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2)
+    with pytest.raises(ValueError, match="needs autoreset_mode='Disabled'"):
+        others.reset(options={"reset_mask": np.ones(2, bool)})
+
+
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize(("n_env", "threads"), [(5, 1), (40, 1), (40, 2), (33, 2)])
 def test_results_do_not_depend_on_batch_size_or_threads(
@@ -195,7 +256,7 @@ def test_a_pickled_batch_continues_where_it_was() -> None:
 
 def test_bad_batch_arguments_are_refused_with_a_sentence() -> None:
     with pytest.raises(ValueError, match="autoreset_mode must be one of"):
-        gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2, autoreset_mode="Disabled")
+        gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2, autoreset_mode="Never")
     envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2)
     envs.reset(seed=0)
     with pytest.raises(ValueError, match=r"shape \(2, 1\), got \(3, 1\)"):
@@ -244,6 +305,14 @@ def test_sb3_batch_is_the_same_batch() -> None:
                     info["terminal_observation"], other["terminal_observation"],
                     rtol=ROUND_OFF, atol=ROUND_OFF,
                 )  # fmt: skip
+
+
+def test_sb3_batch_takes_either_name_of_its_size() -> None:
+    for size in ({"n_envs": 3}, {"num_envs": 3}):
+        assert flexarm_env.SB3VecEnv("FlexArm/OneLink-Reach-v0", **size).num_envs == 3
+    for both in ({}, {"n_envs": 3, "num_envs": 3}):
+        with pytest.raises(ValueError, match="once, as n_envs or num_envs, got n_envs="):
+            flexarm_env.SB3VecEnv("FlexArm/OneLink-Reach-v0", **both)
 
 
 def test_sb3_batch_has_the_attributes_and_methods_of_a_vec_env() -> None:

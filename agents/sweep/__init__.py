@@ -1,0 +1,1 @@
+"""Search over an experiment's agent keywords with Ray Tune, on one machine or a cluster."""

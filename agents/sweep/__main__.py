@@ -1,0 +1,8 @@
+"""`python -m agents.sweep CONFIG --trials N`: search over an experiment's agent keywords."""
+
+import sys
+
+from agents.sweep.command import main
+
+if __name__ == "__main__":
+    sys.exit(main())

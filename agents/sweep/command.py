@@ -1,0 +1,192 @@
+"""Command line of a sweep: trials drawn, trained by Ray Tune and ranked in `sweep.json`.
+
+The first trial is the experiment itself. ASHA stops poor trials early. A trial whose worker or
+machine is lost starts again from its newest checkpoint, on another machine if there is one.
+"""
+
+import argparse
+import os
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from agents.config import Config, ConfigError, config_from_dict, load_config
+from agents.files import FolderError, atomic_write, folder_lock
+from agents.learners.algorithms import settings
+from agents.ranges import DEFAULTS, drawn
+from agents.run_folder.folder import check_out, refuse_used
+from agents.sentences import one_line
+from agents.sweep.trial import POLICY, REPORTS, train_trial
+from agents.training import prepare
+
+MOST_TRIALS = 10_000
+RETRIES = 3  # of a trial whose worker was lost
+REDUCTION = 3  # ASHA goes on with this part of the trials at each of its steps
+SNAPSHOT_SECONDS = "2"  # between Ray Tune's notes of which trials are done
+RESULTS, BEST, TUNE = "sweep.json", "best.yaml", "tune"
+
+
+class SweepError(ValueError):
+    """A sweep that cannot be carried out; the message is one sentence for the user."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit status (2 and one sentence for unusable input)."""
+    parser = argparse.ArgumentParser(prog="python -m agents.sweep", description=__doc__)
+    parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="experiment file")
+    parser.add_argument("--trials", type=int, default=20, metavar="N")
+    parser.add_argument("--seed", type=int, default=0, help="of the drawn values")
+    parser.add_argument("--steps", type=int, help="of every trial (the experiment's)")
+    parser.add_argument("--address", metavar="A", help="of a Ray cluster (started on this machine)")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR",
+        help="folder of the results (runs/NAME/sweep); all machines of a cluster must reach it",
+    )  # fmt: skip
+    parser.add_argument("--keep-all", action="store_true", help="stop no trial early")
+    parser.add_argument("--resume", type=Path, metavar="DIR", help="continue the sweep in DIR")
+    a = parser.parse_args(arguments)
+    try:
+        if a.resume is not None:
+            resume(a.resume, a.address)
+        elif a.config is None:
+            raise SweepError("an experiment file is needed, such as configs/one_link_damp_ppo.yaml")
+        else:
+            start(a)
+    except (SweepError, ConfigError, FolderError) as error:
+        print(f"agents.sweep: {one_line(error)}", file=sys.stderr)
+        return 2
+    except ConnectionError as error:
+        print(f"agents.sweep: no cluster at {a.address} ({one_line(error)}).", file=sys.stderr)
+        return 1
+    return 0
+
+
+def start(a: argparse.Namespace) -> None:
+    """Check and draw everything, then begin the sweep in a new folder."""
+    require_ray()
+    for name, low, high in (("trials", 1, MOST_TRIALS), ("seed", 0, 2**31 - 1)):
+        if not low <= getattr(a, name) <= high:
+            raise SweepError(
+                f"--{name} must be between {low} and {high:_}, got {getattr(a, name)}."
+            )
+    config = load_config(a.config)
+    if a.steps is not None:
+        config = config_from_dict(config.to_dict() | {"total_steps": a.steps})
+    trials = plan(config, a.trials, a.seed)
+    out = a.out or Path("runs") / config.name / "sweep"
+    check_out(out)
+    prepare(config)
+    out.mkdir(parents=True, exist_ok=True)
+    with folder_lock(out):
+        refuse_used(out)
+        write_yaml(out / "config.yaml", config)
+        run(out.absolute(), a.address, trials, a.keep_all)
+
+
+def resume(out: Path, address: str | None) -> None:
+    """Continue a sweep whose command was ended; finished trials are kept."""
+    require_ray()
+    if not (out / TUNE).is_dir():
+        raise SweepError(f"{out} holds no sweep to resume.")
+    with folder_lock(out):
+        run(out.absolute(), address, None)
+
+
+def require_ray() -> None:
+    """Refuse to begin without Ray."""
+    try:
+        import ray.tune  # noqa: F401
+    except ImportError:
+        raise SweepError("Ray is missing; pip install -c constraints.txt -e '.[scale]'.") from None
+
+
+def plan(config: Config, n: int, seed: int) -> list[Config]:
+    """The experiment itself and n - 1 others with drawn keywords; an unusable one is refused."""
+    known = settings(config.agent.name)
+    ranges = config.sweep or {key: table for key, table in DEFAULTS.items() if key in known}
+    rng = np.random.default_rng(seed)
+    plain = replace(config, sweep={})
+    trials = [plain]
+    while len(trials) < n:
+        data = plain.to_dict()
+        data["agent"]["kwargs"] |= drawn(ranges, config.agent.kwargs, rng)
+        trials.append(config_from_dict(data))
+    return trials
+
+
+def run(
+    out: Path, address: str | None, trials: list[Config] | None, keep_all: bool = False
+) -> None:
+    """Let Ray Tune train the trials, or resume them if None; write the ranking and the best."""
+    import ray
+    from ray import tune
+
+    from agents.sweep.progress import Ranking
+
+    os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")
+    os.environ.setdefault("TUNE_GLOBAL_CHECKPOINT_S", SNAPSHOT_SECONDS)
+    more = {} if address else {"include_dashboard": False}
+    ray.init(address=address, log_to_driver=False, logging_level="ERROR", **more)
+    try:
+        if trials is None:
+            tuner = tune.Tuner.restore(
+                str(out / TUNE), trainable=train_trial, resume_unfinished=True, resume_errored=True
+            )
+        else:
+            tuner = new_tuner(out, trials, keep_all, Ranking(out / RESULTS))
+        results = tuner.fit()
+    finally:
+        ray.shutdown()
+    finish(out, results)
+
+
+def new_tuner(out: Path, trials: list[Config], keep_all: bool, ranking: Any) -> Any:
+    """Ray Tune's plan of a new sweep."""
+    from ray import tune
+    from ray.tune.schedulers import ASHAScheduler, FIFOScheduler
+
+    most = max(trial.total_steps for trial in trials)
+    halving = ASHAScheduler(
+        time_attr="steps", max_t=2 * most, grace_period=max(1, most // REPORTS),
+        reduction_factor=REDUCTION,
+    )  # fmt: skip
+    scheduler = FIFOScheduler() if keep_all else halving
+    planned = [{"number": k, "experiment": trial.to_dict()} for k, trial in enumerate(trials)]
+    return tune.Tuner(
+        tune.with_resources(train_trial, {"cpu": 1}),
+        param_space={"planned": tune.grid_search(planned)},
+        tune_config=tune.TuneConfig(metric="objective", mode="max", scheduler=scheduler),
+        run_config=tune.RunConfig(
+            name=TUNE,
+            storage_path=str(out),
+            verbose=0,
+            callbacks=[ranking],
+            failure_config=tune.FailureConfig(max_failures=RETRIES),
+            checkpoint_config=tune.CheckpointConfig(num_to_keep=2),
+        ),
+    )
+
+
+def finish(out: Path, results: Any) -> None:
+    """Write the best trial as an experiment, and copy its policy."""
+    done = [result for result in results if result.metrics and "objective" in result.metrics]
+    if not done:
+        raise SweepError(f"no trial of {out} has reported; the errors are below {out / TUNE}.")
+    best = max(done, key=lambda result: result.metrics["objective"])
+    config = config_from_dict(best.config["planned"]["experiment"])
+    write_yaml(out / BEST, replace(config, name=f"{config.name[:80]}_best"))
+    with best.checkpoint.as_directory() as folder:
+        shutil.copytree(Path(folder) / POLICY, out / POLICY, dirs_exist_ok=True)
+    print(f"Best: score {best.metrics['score']:.3f}. Everything is in {out}/")
+    print(f"Train it with: python train.py --config {out / BEST}")
+
+
+def write_yaml(path: Path, config: Config) -> None:
+    """Write an experiment that train.py accepts."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(yaml.safe_dump(config.to_dict(), sort_keys=False), encoding="utf-8")

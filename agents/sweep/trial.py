@@ -1,0 +1,85 @@
+"""One trial of a sweep: an experiment trained in a Ray worker, with reports and checkpoints."""
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.config import Config, config_from_dict
+from agents.hybrid.controller import acting
+from agents.learners.export import export_policy
+from agents.metrics import episode_metrics, make_batch, record
+from agents.policy import save_policy
+from agents.run_folder.checkpoints import newest_intact, restore_checkpoint, save_checkpoint
+from agents.training import about_policy, build_model
+from agents.tune import SEED, objective
+
+REPORTS = 9  # of a trial that is not stopped early
+EPISODES = 32  # judged at every report, other ones than those of an evaluation
+POLICY = "policy"  # folder in a checkpoint
+
+
+def train_trial(settings: dict[str, Any]) -> None:
+    """Train the experiment in `settings["planned"]`, from the trial's checkpoint if it has one.
+
+    Reports the mean score of the tuning episodes, the objective by which trials are ranked, the
+    steps, how often the trial was restarted, and Ray's name of the machine, each time with a
+    checkpoint.
+    """
+    import ray
+    from ray import tune
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    config = config_from_dict(settings["planned"]["experiment"])
+    model = build_model(config)
+    progress = {"session": 0, "seconds": 0.0}
+    checkpoint = tune.get_checkpoint()
+    if checkpoint is not None:
+        with checkpoint.as_directory() as folder:
+            found, _ = newest_intact(Path(folder))
+            if found is not None:
+                progress = restore_checkpoint(model, found)
+                progress["session"] += 1
+    node = ray.get_runtime_context().get_node_id()
+    interval = -(-config.total_steps // REPORTS)
+
+    def report() -> None:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            save_checkpoint(model, folder, progress)
+            policy = export_policy(model, about_policy(config) | {"steps": model.num_timesteps})
+            save_policy(policy, folder / POLICY)
+            entry = judged(config, policy)
+            entry |= {"steps": model.num_timesteps, "restarts": progress["session"], "node": node}
+            tune.report(entry, checkpoint=tune.Checkpoint.from_directory(folder))
+
+    class Reports(BaseCallback):
+        def _on_training_start(self) -> None:
+            self.due = (self.num_timesteps // interval + 1) * interval
+
+        def _on_step(self) -> bool:
+            return True
+
+        def _on_rollout_start(self) -> None:  # between updates: the state is consistent here
+            if self.due <= self.num_timesteps < config.total_steps:
+                self.due += interval
+                report()
+
+    remaining = config.total_steps - model.num_timesteps
+    if remaining > 0:
+        model.learn(remaining, Reports(), log_interval=None, reset_num_timesteps=checkpoint is None)
+    report()
+    model.env.close()
+
+
+def judged(config: Config, policy: Any) -> dict[str, Any]:
+    """Mean score, success rate and objective of a policy on the tuning episodes."""
+    envs = make_batch(config.env.id, EPISODES, config.env.make_kwargs)
+    try:
+        metrics = episode_metrics(record(acting(policy, envs), envs, range(SEED, SEED + EPISODES)))
+        reach = float(envs.unwrapped.reach)
+    finally:
+        envs.close()
+    means = {name: float(np.mean(metrics[name])) for name in ("score", "success")}
+    return means | {"objective": objective(metrics, reach)}

@@ -1,0 +1,151 @@
+"""Sweeps with Ray Tune: refusals, one machine, and a cluster that loses a machine."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from agents.config import load_config
+from agents.policy import load_policy
+from agents.sweep.command import main
+from tests.agents.tiny import one_sentence, write_config
+from tests.paths import ROOT
+
+
+def sweep(*arguments: str | Path) -> subprocess.Popen[str]:
+    """Start `python -m agents.sweep` with the arguments."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "agents.sweep", *map(str, arguments)],
+        cwd=ROOT,
+        env=os.environ | {"RAY_USAGE_STATS_ENABLED": "0", "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ranking(out: Path) -> list[dict[str, Any]]:
+    """Trials of a sweep as its results have them by now."""
+    path = out / "sweep.json"
+    trials: list[dict[str, Any]] = json.loads(path.read_text())["trials"] if path.exists() else []
+    return trials
+
+
+def wait(process: subprocess.Popen[str], reached: Callable[[], bool]) -> None:
+    """Wait until a condition holds, while the process runs."""
+    deadline = time.monotonic() + 600.0
+    while not reached():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, "not reached after ten minutes"
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "an experiment file is needed"),
+        (["none.yaml"], "there is no such file"),
+        (["CONFIG", "--trials", "0"], "--trials must be between 1 and 10_000, got 0"),
+        (["CONFIG", "--steps", "0"], "total_steps must be between 1 and"),
+        (["--resume", "none"], "none holds no sweep to resume"),
+    ],
+)
+def test_unusable_requests_are_refused_in_one_sentence(
+    arguments: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("agents.sweep.command.require_ray", lambda: None)
+    config = str(write_config(tmp_path, "ppo", 256))
+    assert main([config if x == "CONFIG" else x for x in arguments]) == 2
+    assert sentence in one_sentence(capsys)
+    assert [path.suffix for path in tmp_path.iterdir()] == [".yaml"]
+
+
+def test_a_missing_ray_is_named_with_the_remedy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray.tune", None)
+    assert main([str(write_config(tmp_path, "ppo", 256))]) == 2
+    assert "pip install -c constraints.txt -e '.[scale]'" in one_sentence(capsys)
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_resumes_and_names_a_best_that_trains(tmp_path: Path) -> None:
+    """No trial falls behind what it had reached before the kill; the rest is trained."""
+    pytest.importorskip(
+        "ray", reason='needs the extra: pip install -c constraints.txt -e ".[scale]"'
+    )
+    out, config = tmp_path / "out", write_config(tmp_path, "ppo", 8_000)
+    data = yaml.safe_load(config.read_text())
+    data["sweep"] = {"gamma": {"between": [0.9, 0.99]}}
+    config.write_text(yaml.safe_dump(data))
+    process = sweep(config, "--trials", "5", "--out", out)
+    wait(process, lambda: any(t["state"] != "unfinished" for t in ranking(out)))
+    process.kill()
+    process.communicate()
+    before = {t["trial"]: t for t in ranking(out) if t["state"] != "unfinished"}
+
+    output, error = sweep("--resume", out).communicate()
+    assert "Best: score" in output, error
+    after = {t["trial"]: t for t in ranking(out)}
+    assert sorted(after) == list(range(5))
+    assert all(t["state"] in ("done", "stopped early") for t in after.values())
+    for number, trial in before.items():  # one stopped just before the kill may go on
+        assert after[number]["kwargs"] == trial["kwargs"]
+        assert after[number]["steps"] >= trial["steps"]
+        if after[number]["steps"] == trial["steps"]:
+            assert after[number]["objective"] == trial["objective"]
+    best = load_config(out / "best.yaml")
+    first = max(after.values(), key=lambda t: t["objective"])
+    assert best.agent.kwargs == first["kwargs"]
+    assert load_policy(out / "policy").about["steps"] == first["steps"]
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_machine_loses_nothing_that_was_finished(tmp_path: Path) -> None:
+    """Two nodes with one core each; one is killed while a trial trains on it."""
+    pytest.importorskip(
+        "ray", reason='needs the extra: pip install -c constraints.txt -e ".[scale]"'
+    )
+    from ray.cluster_utils import Cluster
+
+    soon = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}
+    node = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
+    cluster = Cluster(
+        initialize_head=True,
+        head_node_args=node | {"include_dashboard": False, "_system_config": soon},
+    )
+    try:
+        worker = cluster.add_node(**node)
+        cluster.wait_for_nodes()
+        out, config = tmp_path / "out", write_config(tmp_path, "ppo", 12_000)
+        process = sweep(
+            config, "--trials", "5", "--address", cluster.address, "--keep-all", "--out", out
+        )
+
+        def half_way() -> bool:
+            done = [t for t in ranking(out) if t["state"] == "done"]
+            there = [t for t in ranking(out) if t.get("node") == worker.node_id]
+            return bool(done) and any(2_000 < t["steps"] < 8_000 for t in there)
+
+        wait(process, half_way)
+        before = {t["trial"]: t for t in ranking(out) if t["state"] == "done"}
+        cluster.remove_node(worker, allow_graceful=False)
+        output, error = process.communicate(timeout=600)
+        assert process.returncode == 0, error
+    finally:
+        cluster.shutdown()
+    after = {t["trial"]: t for t in ranking(out)}
+    assert sorted(after) == list(range(5))
+    assert all(t["state"] == "done" for t in after.values()), after
+    assert {number: after[number] for number in before} == before
+    assert sum(t["restarts"] for t in after.values()) == 1
+    assert "lost for good" not in output
