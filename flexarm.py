@@ -15,6 +15,7 @@ COMMANDS = {  # module whose `main` runs the command, and its line in the help
     "evaluate": ("agents.evaluate", "evaluate a run's policy or a classical controller"),
     "leaderboard": ("agents.leaderboard.run", "rank controllers on tasks and tracks"),
     "certify": ("flexarm_env.certify", "measure the errors of an arm's model and step"),
+    "fit": ("agents.fit", "fit an arm's stiffness and damping to a log of its rig"),
     "arms": ("flexarm_env.__main__", "list the preset arms and the environments of each"),
 }
 PACKAGES = ("dynamics", "flexarm_env", "agents")
