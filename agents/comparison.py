@@ -48,17 +48,18 @@ def compare(
     envs = make_batch(env_id, episodes, kwargs)
     try:
         for name, controller in controllers.items():
-            recordings[name] = record(controller, envs, seeds)
+            recordings[name] = record(controller, envs, seeds, name)
         reach = float(envs.unwrapped.reach)
     finally:
         envs.close()
     results = {name: episode_metrics(r) for name, r in recordings.items()}
     header = {"env": env_id, "env_kwargs": dict(kwargs), "reach": reach} | dict(about or {})
     write_results(folder, results, seeds, header)
-    title = f"{titled(env_id, kwargs)}, {episodes} episodes"
+    what = titled(env_id, kwargs)
+    title = f"{what}, {episodes} episodes"
     plot_recordings(folder / "trajectories.png", dict(list(recordings.items())[:plotted]), title)
     chosen = list(controllers.items())[:filmed]
     print_table(results, best)
     films = {name: film(env_id, kwargs, controller, seed) for name, controller in chosen}
-    write_gif(folder / "arm.gif", films)
+    write_gif(folder / "arm.gif", films, f"{what}, seed {seed}")
     return results

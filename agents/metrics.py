@@ -10,6 +10,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from tqdm import tqdm
 
 from agents.files import atomic_write
 from agents.policy import Controller
@@ -72,8 +73,13 @@ def make_batch(env_id: str, n_env: int, kwargs: Mapping[str, Any] | None = None)
     return envs
 
 
-def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording:
-    """Run and record one episode per environment of the batch, from the given seeds."""
+def record(
+    controller: Controller, envs: Any, seeds: Sequence[int], label: str | None = None
+) -> Recording:
+    """Run and record one episode per environment of the batch, from the given seeds.
+
+    With a `label`, a terminal shows a bar of progress.
+    """
     observation, info = envs.reset(seed=list(seeds))
     n_env = envs.num_envs
     base = envs.unwrapped
@@ -84,6 +90,7 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
     running = np.ones(n_env, bool)
     failed = np.zeros(n_env, bool)
     state, start = None, running.copy()
+    bar = progress(label, base.core.max_steps)
     while running.any():
         action, state = controller.predict(observation, state, start)
         action = np.clip(np.asarray(action, np.float32), -1.0, 1.0)
@@ -96,6 +103,8 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
         start = terminated | truncated
         failed |= running & terminated
         running &= ~start
+        bar.update()
+    bar.close()
     stacked = {name: np.stack(rows) for name, rows in samples.items()}
     time = base.control_dt * np.arange(len(stacked["action"]))
     core = base.core
@@ -103,6 +112,14 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
         time=time, failed=failed, reach=float(base.reach), moving=core.task.moving,
         duration=core.max_steps * base.control_dt, **stacked,
     )  # fmt: skip
+
+
+def progress(label: str | None, total: int) -> Any:
+    """Bar of progress on standard error: on a terminal and with a label, else one that is silent.
+
+    It disappears when it is closed.
+    """
+    return tqdm(total=total, desc=label, disable=None if label else True, leave=False)
 
 
 def episode_metrics(recording: Recording) -> dict[str, AnyArray]:

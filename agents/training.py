@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.comparison import compare
+from agents.comparison import compare, titled
 from agents.config import (
     LIMITS,
     AgentConfig,
@@ -221,9 +221,10 @@ def refuse_divergence(model: Any) -> None:
 
 def judge(run: RunFolder, config: Config) -> None:
     """Compare the policy with the best joint PD and the untrained network; draw the pictures."""
-    plot_learning_curve(run.path / "learning_curve.png", {config.name: run.curve()})
-    run.write_curve()
     env_id, kwargs = config.env.id, config.env.kwargs
+    title = f"{config.agent.name}, seed {config.seed}, on {titled(env_id, kwargs)}"
+    plot_learning_curve(run.path / "learning_curve.png", {config.name: run.curve()}, title)
+    run.write_curve()
     print("Searching the gains of the joint PD controller ...", flush=True)
     tuned = tune_pd(env_id, kwargs)
     write_json(run.path / "pd_gains.json", tuned.__dict__)
