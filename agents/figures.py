@@ -1,6 +1,7 @@
 """Pictures without a display: learning curves, tip error and root curvature, films of the arm."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -109,13 +110,20 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
     save_figure(figure, path)
 
 
-def film(
-    env_id: str, kwargs: Mapping[str, Any], controller: Controller, seed: int
-) -> tuple[list[AnyArray], Recording]:
-    """Run one episode on one environment; returns its frames and recording.
+@dataclass(frozen=True)
+class Film:
+    """One episode: pictures, measured quantities, and the arm's form at every control step."""
 
-    A terminal shows a bar of progress.
-    """
+    frames: list[AnyArray]  # (GIF_HEIGHT, W, 3) every GIF_SECONDS_PER_FRAME
+    recording: Recording
+    bent: AnyArray  # (N, links, points, 3) [m] centre lines
+    straight: AnyArray  # (N, links, 2, 3) [m] ends of the links of the rigid arm
+    target: AnyArray  # (N, 3) [m]
+    planar: bool
+
+
+def film(env_id: str, kwargs: Mapping[str, Any], controller: Controller, seed: int) -> Film:
+    """Run one episode on one environment; a terminal shows a bar of progress."""
     import flexarm_env  # noqa: F401  (registers the ids)
 
     env: Any = gym.make(env_id, **{name: x for name, x in kwargs.items() if name != "threads"})
@@ -125,6 +133,7 @@ def film(
         renderer = Renderer(base.core, GIF_HEIGHT)
         every = max(1, round(GIF_SECONDS_PER_FRAME / base.control_dt))
         frames: list[AnyArray] = [renderer.draw(base.core)]
+        forms = [renderer.forms(base.core)]
         bar = progress("film", env.spec.max_episode_steps)
         samples: dict[str, list[Any]] = {name: [info[name]] for name in SAMPLED}
         actions = [np.zeros(base.action_space.shape, np.float32)]
@@ -136,6 +145,7 @@ def film(
             actions.append(action)
             ended, failed, step = terminated or truncated, terminated, step + 1
             renderer.follow(base.core)
+            forms.append(renderer.forms(base.core))
             bar.update()
             for name, values in samples.items():
                 values.append(info[name])
@@ -154,7 +164,8 @@ def film(
             moving=base.core.task.moving,
             **columns,
         )
-        return frames, recording
+        bent, straight, target = (np.array(x) for x in zip(*forms, strict=True))
+        return Film(frames, recording, bent, straight, target, renderer.planar)
     finally:
         env.close()
 
@@ -162,17 +173,17 @@ def film(
 SAMPLED = ("tip_error", "tip_deflection", "root_curvature", "torque")
 
 
-def write_gif(
-    path: Path, films: Mapping[str, tuple[list[AnyArray], Recording]], title: str
-) -> None:
+def write_gif(path: Path, films: Mapping[str, Film], title: str) -> None:
     """Write a GIF: arms side by side, with strips of tip error and root curvature and a cursor.
 
     A terminal shows a bar of progress.
     """
-    n_frames = max(len(frames) for frames, _ in films.values())
-    pictures = {name: [*map(Image.fromarray, frames)] for name, (frames, _) in films.items()}
+    n_frames = max(len(film.frames) for film in films.values())
+    pictures = {name: [*map(Image.fromarray, film.frames)] for name, film in films.items()}
     width = sum(frames[0].width for frames in pictures.values())
-    strips, to_pixel = draw_strips({name: r for name, (_, r) in films.items()}, width, title)
+    strips, to_pixel = draw_strips(
+        {name: film.recording for name, film in films.items()}, width, title
+    )
     bar = progress("GIF", n_frames)
     font = ImageFont.load_default(size=15)
     images = []

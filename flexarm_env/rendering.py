@@ -125,6 +125,16 @@ class Renderer:
             lines.append(np.concatenate(line))
         return lines
 
+    def forms(self, core: Core) -> tuple[Array, Array, Array]:
+        """Centre lines (links, points, 3), ends of straight links (links, 2, 3), target (3,) [m].
+
+        Those of the first environment.
+        """
+        bent = self.shapes(core, core.q[0], 1.0)
+        straight = self.shapes(core, _straight(core, 0), 0.0)
+        even = [line[np.linspace(0, len(line) - 1, POINTS).round().astype(int)] for line in bent]
+        return np.array(even), np.array([x[[0, -1]] for x in straight]), core.goal(0).copy()
+
     def pixels(self, points: Array) -> list[tuple[float, float]]:
         """Pixels of world points [m] on the supersampled canvas."""
         flat = np.atleast_2d(points) @ self.view.T * self.scale * (1.0, -1.0) + self.centre
