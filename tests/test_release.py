@@ -3,7 +3,6 @@
 import os
 import re
 import subprocess
-import sys
 import tomllib
 from typing import Any
 
@@ -65,16 +64,10 @@ def test_the_scripts_are_shell_without_errors(name: str) -> None:
     subprocess.run(["bash", "-n", str(ROOT / ".ci" / name)], check=True)
 
 
-def test_the_oldest_libraries_are_all_lower_bounds() -> None:
-    """One version of every library that the package and its extras name."""
+def test_every_library_has_a_lower_bound_that_the_script_installs() -> None:
     script = (ROOT / ".ci" / "oldest").read_text("utf-8")
-    (code,) = re.findall(r"<<'EOF'\n(.*?)\nEOF", script, re.S)
-    ran = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    assert "--resolution lowest-direct" in script
+    assert "--extra test" in script
     extras = PROJECT["optional-dependencies"]
     named = [*PROJECT["dependencies"], *extras["train"], *extras["test"]]
-    libraries = [re.split(r"[>=\[]", line)[0] for line in named if not line.startswith("flexarm")]
-    lines = ran.stdout.splitlines()
-    assert [line.split("==")[0] for line in lines] == libraries
-    assert all(re.fullmatch(r"[\w-]+==[\d.]+(;.*)?", line) for line in lines)
+    assert [x for x in named if ">=" not in x] == ["flexarm[train]"]  # of the extra test
