@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from PIL import Image
 
 import flexarm_env
 from dynamics import ARMS
@@ -33,6 +34,9 @@ def test_pictures_show_the_arm_and_change_as_it_moves(scene: str) -> None:
     assert after.dtype == np.uint8
     assert (np.abs(after.astype(int) - STEEL).sum(axis=2) < 30).sum() > 200
     assert not np.array_equal(before, after)
+    shown = Image.fromarray(after)._repr_png_()  # by which a notebook shows it
+    assert shown is not None
+    assert shown.startswith(b"\x89PNG")
 
 
 def pixels_of(picture: np.ndarray, colour: tuple[int, int, int]) -> int:
