@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
 from agents.files import atomic_write
-from agents.metrics import Recording, progress
+from agents.metrics import Recording, never_empty, progress
 from agents.policy import Controller
 from dynamics.types import AnyArray
 from flexarm_env.rendering import Renderer
@@ -155,6 +155,7 @@ def film(env_id: str, kwargs: Mapping[str, Any], controller: Controller, seed: i
         columns = {name: np.array(values, float)[:, None] for name, values in samples.items()}
         for name in ("root_curvature", "torque"):
             columns[name] = columns[name].reshape(step + 1, 1, -1)
+        columns["root_curvature"] = never_empty(columns["root_curvature"])
         recording = Recording(
             time=base.control_dt * np.arange(step + 1),
             action=np.array(actions, float)[:, None],

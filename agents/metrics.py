@@ -106,12 +106,18 @@ def record(
         bar.update()
     bar.close()
     stacked = {name: np.stack(rows) for name, rows in samples.items()}
+    stacked["root_curvature"] = never_empty(stacked["root_curvature"])
     time = base.control_dt * np.arange(len(stacked["action"]))
     core = base.core
     return Recording(
         time=time, failed=failed, reach=float(base.reach), moving=core.task.moving,
         duration=core.max_steps * base.control_dt, **stacked,
     )  # fmt: skip
+
+
+def never_empty(curvature: AnyArray) -> AnyArray:
+    """Curvatures (..., links that bend); of a rigid arm one column of zeros."""
+    return curvature if curvature.shape[-1] else np.zeros((*curvature.shape[:-1], 1))
 
 
 def progress(label: str | None, total: int) -> Any:

@@ -79,3 +79,15 @@ def test_pictures_are_titled_by_what_was_run(
     assert [text.get_text() for text in drawn["trajectories.png"].legends[0].texts] == ["joint PD"]
     figures.plot_learning_curve(tmp_path / "curve.png", {"a": []}, f"ppo, seed 0, on {wanted}")
     assert drawn["curve.png"].axes[0].get_title(loc="left") == f"ppo, seed 0, on {wanted}"
+
+
+def test_a_rigid_arm_is_evaluated_too(tmp_path: Path) -> None:
+    """It has no curvature at any root."""
+    kwargs = {"arm": "puma-600", "max_episode_steps": 5}
+    envs = make_batch("FlexArm/SixLink-Reach-v0", 1, kwargs)
+    pd = joint_pd(envs, 1.0, 1.0)
+    found = compare(
+        {"pd": pd}, "FlexArm/SixLink-Reach-v0", kwargs, episodes=2, seed=0, folder=tmp_path
+    )
+    assert found["pd"]["peak_root_curvature"].tolist() == [0.0, 0.0]
+    assert (tmp_path / "replay.html").is_file()
