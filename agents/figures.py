@@ -114,7 +114,7 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
 class Film:
     """One episode: pictures, measured quantities, and the arm's form at every control step."""
 
-    frames: list[AnyArray]  # (GIF_HEIGHT, W, 3) every GIF_SECONDS_PER_FRAME
+    frames: list[AnyArray]  # (height, W, 3) every GIF_SECONDS_PER_FRAME
     recording: Recording
     bent: AnyArray  # (N, links, points, 3) [m] centre lines
     straight: AnyArray  # (N, links, 2, 3) [m] ends of the links of the rigid arm
@@ -122,15 +122,21 @@ class Film:
     planar: bool
 
 
-def film(env_id: str, kwargs: Mapping[str, Any], controller: Controller, seed: int) -> Film:
-    """Run one episode on one environment; a terminal shows a bar of progress."""
+def film(
+    env_id: str,
+    kwargs: Mapping[str, Any],
+    controller: Controller,
+    seed: int,
+    height: int = GIF_HEIGHT,
+) -> Film:
+    """Run one episode on one environment, with pictures of a height [px]; terminals show a bar."""
     import flexarm_env  # noqa: F401  (registers the ids)
 
     env: Any = gym.make(env_id, **{name: x for name, x in kwargs.items() if name != "threads"})
     try:
         base: Any = env.unwrapped
         observation, info = env.reset(seed=seed)
-        renderer = Renderer(base.core, GIF_HEIGHT)
+        renderer = Renderer(base.core, height)
         every = max(1, round(GIF_SECONDS_PER_FRAME / base.control_dt))
         frames: list[AnyArray] = [renderer.draw(base.core)]
         forms = [renderer.forms(base.core)]

@@ -14,7 +14,7 @@ from agents.metrics import without_infinities
 from dynamics.types import AnyArray
 from flexarm_env.tasks import SETTLED_BAND
 
-TEMPLATE = Path(__file__).with_name("replay.html")
+TEMPLATE = Path(__file__).with_name("page.html")
 PLACE = "{}/*DATA*/"  # in the template
 FINENESS = 20_000  # units of a stored coordinate per reach
 
