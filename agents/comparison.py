@@ -15,6 +15,7 @@ from agents.metrics import (
     write_results,
 )
 from agents.policy import Controller
+from agents.replay import write_replay
 from dynamics.types import AnyArray
 
 
@@ -39,8 +40,8 @@ def compare(
     """Evaluate the controllers on the episodes seed, seed + 1, ... and write the results.
 
     Writes `evaluation.json`, `evaluation.csv`, `trajectories.png` with the first `plotted`
-    controllers, and `arm.gif` with the first `filmed` to the folder. With the `best`
-    that is known of these episodes, the printed table has regrets.
+    controllers, and `arm.gif` and `replay.html` with the first `filmed` to the folder. With the
+    `best` that is known of these episodes, the printed table has regrets.
     Returns the metrics per controller and episode.
     """
     seeds = list(range(seed, seed + episodes))
@@ -48,17 +49,19 @@ def compare(
     envs = make_batch(env_id, episodes, kwargs)
     try:
         for name, controller in controllers.items():
-            recordings[name] = record(controller, envs, seeds)
+            recordings[name] = record(controller, envs, seeds, name)
         reach = float(envs.unwrapped.reach)
     finally:
         envs.close()
     results = {name: episode_metrics(r) for name, r in recordings.items()}
     header = {"env": env_id, "env_kwargs": dict(kwargs), "reach": reach} | dict(about or {})
     write_results(folder, results, seeds, header)
-    title = f"{titled(env_id, kwargs)}, {episodes} episodes"
+    what = titled(env_id, kwargs)
+    title = f"{what}, {episodes} episodes"
     plot_recordings(folder / "trajectories.png", dict(list(recordings.items())[:plotted]), title)
     chosen = list(controllers.items())[:filmed]
     print_table(results, best)
     films = {name: film(env_id, kwargs, controller, seed) for name, controller in chosen}
-    write_gif(folder / "arm.gif", films)
+    write_gif(folder / "arm.gif", films, f"{what}, seed {seed}")
+    write_replay(folder / "replay.html", films, f"{what}, seed {seed}")
     return results

@@ -30,9 +30,11 @@ class UsageError(ValueError):
     """A command line that cannot be carried out; the message is one sentence for the user."""
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, prog: str = "python -m agents.evaluate") -> int:
     """Run the command line; returns the exit status (2 and one sentence for unusable input)."""
-    parser = argparse.ArgumentParser(prog="python -m agents.evaluate", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog=prog, description="Evaluate a policy or a controller on seeded episodes."
+    )
     parser.add_argument(
         "subject",
         metavar="RUN_OR_CONTROLLER",

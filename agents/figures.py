@@ -1,6 +1,7 @@
 """Pictures without a display: learning curves, tip error and root curvature, films of the arm."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,10 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
 from agents.files import atomic_write
-from agents.metrics import Recording
+from agents.metrics import Recording, never_empty, progress
 from agents.policy import Controller
 from dynamics.types import AnyArray
+from flexarm_env.rendering import Renderer
 from flexarm_env.tasks import SETTLED_BAND
 
 COLOURS = (  # colour-blind safe
@@ -57,7 +59,9 @@ def tidy(axes: Any) -> None:
     axes.grid(alpha=0.25, linewidth=0.6)
 
 
-def plot_learning_curve(path: Path, runs: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+def plot_learning_curve(
+    path: Path, runs: Mapping[str, Sequence[Mapping[str, Any]]], title: str
+) -> None:
     """Plot mean episode return and settled share over steps, one line per run."""
     figure = new_figure(8.0, 3.2)
     columns = (("return", "episode return"), ("settled", "episodes ending on target [%]"))
@@ -74,6 +78,7 @@ def plot_learning_curve(path: Path, runs: Mapping[str, Sequence[Mapping[str, Any
     if len(runs) > 1:
         figure.axes[0].legend(frameon=False, fontsize=8)
     figure.axes[1].set_ylim(-3.0, 103.0)
+    figure.axes[0].set_title(title, loc="left", fontsize=10)
     save_figure(figure, path)
 
 
@@ -105,18 +110,37 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
     save_figure(figure, path)
 
 
+@dataclass(frozen=True)
+class Film:
+    """One episode: pictures, measured quantities, and the arm's form at every control step."""
+
+    frames: list[AnyArray]  # (height, W, 3) every GIF_SECONDS_PER_FRAME
+    recording: Recording
+    bent: AnyArray  # (N, links, points, 3) [m] centre lines
+    straight: AnyArray  # (N, links, 2, 3) [m] ends of the links of the rigid arm
+    target: AnyArray  # (N, 3) [m]
+    planar: bool
+
+
 def film(
-    env_id: str, kwargs: Mapping[str, Any], controller: Controller, seed: int
-) -> tuple[list[AnyArray], Recording]:
-    """Run one episode on one environment; returns its frames and recording."""
+    env_id: str,
+    kwargs: Mapping[str, Any],
+    controller: Controller,
+    seed: int,
+    height: int = GIF_HEIGHT,
+) -> Film:
+    """Run one episode on one environment, with pictures of a height [px]; terminals show a bar."""
     import flexarm_env  # noqa: F401  (registers the ids)
 
-    env = gym.make(env_id, render_mode="rgb_array", **kwargs)
+    env: Any = gym.make(env_id, **{name: x for name, x in kwargs.items() if name != "threads"})
     try:
         base: Any = env.unwrapped
         observation, info = env.reset(seed=seed)
+        renderer = Renderer(base.core, height)
         every = max(1, round(GIF_SECONDS_PER_FRAME / base.control_dt))
-        frames: list[AnyArray] = [np.asarray(env.render())]
+        frames: list[AnyArray] = [renderer.draw(base.core)]
+        forms = [renderer.forms(base.core)]
+        bar = progress("film", env.spec.max_episode_steps)
         samples: dict[str, list[Any]] = {name: [info[name]] for name in SAMPLED}
         actions = [np.zeros(base.action_space.shape, np.float32)]
         state, ended, failed, step = None, False, False, 0
@@ -126,13 +150,18 @@ def film(
             observation, _, terminated, truncated, info = env.step(action)
             actions.append(action)
             ended, failed, step = terminated or truncated, terminated, step + 1
+            renderer.follow(base.core)
+            forms.append(renderer.forms(base.core))
+            bar.update()
             for name, values in samples.items():
                 values.append(info[name])
             if step % every == 0:
-                frames.append(np.asarray(env.render()))
+                frames.append(renderer.draw(base.core))
+        bar.close()
         columns = {name: np.array(values, float)[:, None] for name, values in samples.items()}
         for name in ("root_curvature", "torque"):
             columns[name] = columns[name].reshape(step + 1, 1, -1)
+        columns["root_curvature"] = never_empty(columns["root_curvature"])
         recording = Recording(
             time=base.control_dt * np.arange(step + 1),
             action=np.array(actions, float)[:, None],
@@ -142,7 +171,8 @@ def film(
             moving=base.core.task.moving,
             **columns,
         )
-        return frames, recording
+        bent, straight, target = (np.array(x) for x in zip(*forms, strict=True))
+        return Film(frames, recording, bent, straight, target, renderer.planar)
     finally:
         env.close()
 
@@ -150,12 +180,18 @@ def film(
 SAMPLED = ("tip_error", "tip_deflection", "root_curvature", "torque")
 
 
-def write_gif(path: Path, films: Mapping[str, tuple[list[AnyArray], Recording]]) -> None:
-    """Write a GIF: arms side by side, with strips of tip error and root curvature and a cursor."""
-    n_frames = max(len(frames) for frames, _ in films.values())
-    pictures = {name: [scaled(f) for f in frames] for name, (frames, _) in films.items()}
+def write_gif(path: Path, films: Mapping[str, Film], title: str) -> None:
+    """Write a GIF: arms side by side, with strips of tip error and root curvature and a cursor.
+
+    A terminal shows a bar of progress.
+    """
+    n_frames = max(len(film.frames) for film in films.values())
+    pictures = {name: [*map(Image.fromarray, film.frames)] for name, film in films.items()}
     width = sum(frames[0].width for frames in pictures.values())
-    strips, to_pixel = draw_strips({name: r for name, (_, r) in films.items()}, width)
+    strips, to_pixel = draw_strips(
+        {name: film.recording for name, film in films.items()}, width, title
+    )
+    bar = progress("GIF", n_frames)
     font = ImageFont.load_default(size=15)
     images = []
     for i in range(n_frames):
@@ -170,6 +206,8 @@ def write_gif(path: Path, films: Mapping[str, tuple[list[AnyArray], Recording]])
         x = to_pixel(i * GIF_SECONDS_PER_FRAME)
         ImageDraw.Draw(canvas).line((x, GIF_HEIGHT, x, canvas.height), fill="#444444")
         images.append(canvas)
+        bar.update()
+    bar.close()
     save_gif(path, images)
 
 
@@ -211,7 +249,9 @@ def scaled(frame: AnyArray, height: int = GIF_HEIGHT) -> Image.Image:
     return image if image.size == size else image.resize(size, Image.Resampling.LANCZOS)
 
 
-def draw_strips(recordings: Mapping[str, Recording], width: int) -> tuple[Image.Image, Any]:
+def draw_strips(
+    recordings: Mapping[str, Recording], width: int, title: str
+) -> tuple[Image.Image, Any]:
     """The strips as one picture, and a function from time [s] to pixel column."""
     dpi = 100
     figure = new_figure(width / dpi, 2 * STRIP_HEIGHT / dpi, dpi)
@@ -223,6 +263,7 @@ def draw_strips(recordings: Mapping[str, Recording], width: int) -> tuple[Image.
         curvature.plot(r.time, r.root_curvature[:, 0, worst], color=colour, linewidth=1.2)
     error.axhspan(0.0, 100.0 * SETTLED_BAND, color="#009e73", alpha=0.2, linewidth=0.0)
     error.set_ylim(bottom=0.0)
+    error.set_title(title, loc="left", fontsize=8)
     error.set_ylabel("tip error\n[% of reach]", fontsize=8)
     curvature.set_ylabel("root\ncurvature [1/m]", fontsize=8)
     curvature.set_xlabel("time [s]", fontsize=8)

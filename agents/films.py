@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from agents.controllers import CONTROLLERS
 from agents.evaluate import classical
-from agents.figures import GIF_SECONDS_PER_FRAME, film, save_gif, scaled
+from agents.figures import GIF_SECONDS_PER_FRAME, film, save_gif
 from agents.hybrid.controller import acting
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import keywords
@@ -52,15 +52,15 @@ def named(name: str, env_id: str) -> Controller:
 
 def write(path: Path, name: str, env_id: str) -> None:
     """Film one episode of a named controller, its name in the picture."""
-    frames, recording = film(env_id, keywords(name, TRACK), named(name, env_id), SEED)
-    every = -(-len(frames) // MOST_FRAMES)
+    taken = film(env_id, keywords(name, TRACK), named(name, env_id), SEED, HEIGHT)
+    every = -(-len(taken.frames) // MOST_FRAMES)
     font = ImageFont.load_default(size=15)
     pictures: list[Image.Image] = []
-    for frame in frames[::every]:
-        picture = scaled(frame, HEIGHT)
+    for frame in taken.frames[::every]:
+        picture = Image.fromarray(frame)
         ImageDraw.Draw(picture).text((10, 8), name, fill="#263238", font=font)
         pictures.append(picture)
-    seconds = max(GIF_SECONDS_PER_FRAME, recording.duration / (len(frames) - 1)) * every
+    seconds = max(GIF_SECONDS_PER_FRAME, taken.recording.duration / (len(taken.frames) - 1)) * every
     save_gif(path, pictures, seconds, COLOURS)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from tqdm import tqdm
 
 from agents.files import atomic_write
 from agents.policy import Controller
@@ -72,8 +73,13 @@ def make_batch(env_id: str, n_env: int, kwargs: Mapping[str, Any] | None = None)
     return envs
 
 
-def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording:
-    """Run and record one episode per environment of the batch, from the given seeds."""
+def record(
+    controller: Controller, envs: Any, seeds: Sequence[int], label: str | None = None
+) -> Recording:
+    """Run and record one episode per environment of the batch, from the given seeds.
+
+    With a `label`, a terminal shows a bar of progress.
+    """
     observation, info = envs.reset(seed=list(seeds))
     n_env = envs.num_envs
     base = envs.unwrapped
@@ -84,6 +90,7 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
     running = np.ones(n_env, bool)
     failed = np.zeros(n_env, bool)
     state, start = None, running.copy()
+    bar = progress(label, base.core.max_steps)
     while running.any():
         action, state = controller.predict(observation, state, start)
         action = np.clip(np.asarray(action, np.float32), -1.0, 1.0)
@@ -96,7 +103,10 @@ def record(controller: Controller, envs: Any, seeds: Sequence[int]) -> Recording
         start = terminated | truncated
         failed |= running & terminated
         running &= ~start
+        bar.update()
+    bar.close()
     stacked = {name: np.stack(rows) for name, rows in samples.items()}
+    stacked["root_curvature"] = never_empty(stacked["root_curvature"])
     time = base.control_dt * np.arange(len(stacked["action"]))
     core = base.core
     return Recording(
@@ -122,6 +132,19 @@ def evaluated(
         return episode_metrics(record(controller, envs, range(seed, seed + episodes)))
     finally:
         envs.close()
+
+
+def never_empty(curvature: AnyArray) -> AnyArray:
+    """Curvatures (..., links that bend); of a rigid arm one column of zeros."""
+    return curvature if curvature.shape[-1] else np.zeros((*curvature.shape[:-1], 1))
+
+
+def progress(label: str | None, total: int) -> Any:
+    """Bar of progress on standard error: on a terminal and with a label, else one that is silent.
+
+    It disappears when it is closed.
+    """
+    return tqdm(total=total, desc=label, disable=None if label else True, leave=False)
 
 
 def episode_metrics(recording: Recording) -> dict[str, AnyArray]:

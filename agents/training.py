@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.comparison import compare
+from agents.comparison import compare, titled
 from agents.config import (
     LIMITS,
     AgentConfig,
@@ -23,6 +23,7 @@ from agents.config import (
 )
 from agents.controllers import controller, joint_pd, tune_pd
 from agents.environments import REFUSALS
+from agents.experiments import find_experiment, shipped_experiments
 from agents.figures import plot_learning_curve
 from agents.files import FolderError, folder_lock
 from agents.hybrid.controller import KEY, acting, base_of, description
@@ -42,7 +43,7 @@ from dynamics.description import validate
 
 BESIDE = ("pd-zv", "lqr", "lqg")  # tuned controllers that a policy is compared with
 SESSION_STRIDE = 1_000_003  # seed increment per resumed session
-DEFAULT_CONFIG = Path(__file__).resolve().parents[1] / "configs" / "one_link_reach_ppo.yaml"
+DEFAULT = "one_link_reach_ppo"  # experiment without --config
 
 
 class TrainingError(ValueError):
@@ -141,9 +142,6 @@ def learn(run: RunFolder, config: Config) -> int:
     for sentence in run.repair_log():
         print(sentence)
     model = build_model(config)
-<<<<<<< HEAD
-    about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.kwargs}
-=======
     about = about_policy(config)
     save_untrained(run, model, about)
     progress = restore_newest(run, config, model)
@@ -156,8 +154,7 @@ def learn(run: RunFolder, config: Config) -> int:
 
 def about_policy(config: Config) -> dict[str, Any]:
     """Origin of a policy, which is stored beside its weights."""
-    about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.make_kwargs}
->>>>>>> wtlibs
+    about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.kwargs}
     about |= {
         "stack": config.env.stack,
         "config": config.name,
@@ -230,9 +227,10 @@ def refuse_divergence(model: Any) -> None:
 
 def judge(run: RunFolder, config: Config) -> None:
     """Compare the policy with the best joint PD and the untrained network; draw the pictures."""
-    plot_learning_curve(run.path / "learning_curve.png", {config.name: run.curve()})
-    run.write_curve()
     env_id, kwargs = config.env.id, config.env.kwargs
+    title = f"{config.agent.name}, seed {config.seed}, on {titled(env_id, kwargs)}"
+    plot_learning_curve(run.path / "learning_curve.png", {config.name: run.curve()}, title)
+    run.write_curve()
     print("Searching the gains of the joint PD controller ...", flush=True)
     tuned = tune_pd(env_id, kwargs)
     write_json(run.path / "pd_gains.json", tuned.__dict__)
@@ -286,51 +284,59 @@ def start(out: Path | None, config: Config) -> RunFolder:
     return new_run(out, config)
 
 
-def resume(run: RunFolder, steps: int | None) -> None:
-    """Continue a run, unless it is finished."""
+def resume(run: RunFolder, steps: int | None, prog: str) -> None:
+    """Continue a run, unless it is finished; `prog` is the command that is running."""
     run.refuse_links()
     config = with_overrides(run.read_config(), None, steps)
     finished = run.finished_at()
     if finished is not None and finished >= config.total_steps:
         print(
             f"{run.path} is finished at {finished:,} steps; to continue, give it more: "
-            f"{resume_command(run)} --steps {2 * finished}"
+            f"{resume_command(run, prog)} --steps {2 * finished}"
         )
         return
     prepare(config)
     train(run, config)
 
 
-def resume_command(run: RunFolder) -> str:
+def resume_command(run: RunFolder, prog: str) -> str:
     """Command that resumes the run."""
-    return f"python train.py --resume {shlex.quote(str(run.path))}"
+    return f"{prog} --resume {shlex.quote(str(run.path))}"
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, prog: str = "python train.py") -> int:
     """Run the command line of `train.py`; returns the exit status."""
-    parser = argparse.ArgumentParser(description="Train a policy and compare it with joint PD.")
-    parser.add_argument("--config", type=Path, help=f"experiment file ({DEFAULT_CONFIG.name})")
+    parser = argparse.ArgumentParser(
+        prog=prog, description="Train a policy and compare it with joint PD."
+    )
+    experiment = parser.add_mutually_exclusive_group()
+    shipped = f"an experiment file, or one of {', '.join(shipped_experiments())}"
+    experiment.add_argument("experiment", nargs="?", metavar="EXPERIMENT", help=shipped)
+    experiment.add_argument("--config", metavar="EXPERIMENT", help=f"the same (default: {DEFAULT})")
     parser.add_argument("--seed", type=int, help="replaces the experiment's seed")
     parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
     parser.add_argument("--out", type=Path, help="folder of the run (runs/NAME/seedN)")
     parser.add_argument("--resume", type=Path, metavar="RUN", help="continue the run in RUN")
     a = parser.parse_args(arguments)
     run = None if a.resume is None else RunFolder(a.resume)
+    named = a.config or a.experiment
     try:
         with signals_to(stop_at_once):
             if run is None:
-                config = with_overrides(load_config(a.config or DEFAULT_CONFIG), a.seed, a.steps)
+                config = with_overrides(
+                    load_config(find_experiment(named or DEFAULT)), a.seed, a.steps
+                )
                 run = start(a.out, config)
                 with folder_lock(run.path):
                     refuse_used(run.path)
                     print(f"Run folder: {run.path}", flush=True)
                     train(run, config)
-            elif a.config or a.out or a.seed is not None:
+            elif named or a.out or a.seed is not None:
                 raise ConfigError("--resume allows only --steps: a run keeps its experiment.")
             else:
                 run.require()
                 with folder_lock(run.path):
-                    resume(run, a.steps)
+                    resume(run, a.steps, prog)
     except (ConfigError, FolderError, PolicyError, CheckpointError) as error:
         print(f"train.py: {one_line(error)}", file=sys.stderr)
         return 2
@@ -340,19 +346,19 @@ def main(arguments: list[str] | None = None) -> int:
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         reason = error.strerror or one_line(error)
-        print(f"train.py: {place}{reason}; {remedy(run)}", file=sys.stderr)
+        print(f"train.py: {place}{reason}; {remedy(run, prog)}", file=sys.stderr)
         return 1
     except Interrupted as error:
-        print(f"\ntrain.py: interrupted; {remedy(run)}", file=sys.stderr)
+        print(f"\ntrain.py: interrupted; {remedy(run, prog)}", file=sys.stderr)
         return error.status
     return 0
 
 
-def remedy(run: RunFolder | None) -> str:
+def remedy(run: RunFolder | None, prog: str) -> str:
     """Remedy in messages about interrupted work: the command that resumes it."""
     if run is None or not run.config.is_file():
         return "there is no run to resume yet."
-    return f"resume with: {resume_command(run)}"
+    return f"resume with: {resume_command(run, prog)}"
 
 
 def with_overrides(config: Config, seed: int | None, steps: int | None) -> Config:

@@ -311,15 +311,16 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
     write_json(out / f"{config.name}.json", data)
     text = page(data)
     (out / f"{config.name}.md").write_text(text, encoding="utf-8")
-    plot_learning_curve(out / f"{config.name}.png", curves)
+    what = titled(env_id, kwargs)
+    plot_learning_curve(out / f"{config.name}.png", curves, f"{config.agent.name} on {what}")
     shown = {f"policy, seed {seeds[0]}": recordings[f"seed {seeds[0]}"]}
     shown |= {name: recordings[name] for name in ("joint PD", "untrained policy")}
-    title = f"{titled(env_id, kwargs)}, {episodes} episodes"
+    title = f"{what}, {episodes} episodes"
     plot_recordings(out / f"{config.name}_trajectories.png", shown, title)
     if gif:
         pair: dict[str, Controller] = {"trained policy": policies[0], "joint PD": pd}
         films = {name: film(env_id, kwargs, c, first) for name, c in pair.items()}
-        write_gif(out / f"{config.name}.gif", films)
+        write_gif(out / f"{config.name}.gif", films, what)
     summarise_experiments(out)
     print(text)
 

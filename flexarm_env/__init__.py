@@ -5,7 +5,16 @@ FlexArm/FreeFlyer-Reach-v0 and the variants in `IDS`;
 `gym.make("flexarm_env:FlexArm/OneLink-Reach-v0")` does both at once.
 """
 
+from pathlib import Path
 from typing import Any
+
+import dynamics
+
+if Path(dynamics.__file__).resolve().parents[1] != Path(__file__).resolve().parents[1]:
+    raise ImportError(
+        f"{dynamics.__file__} hides flexarm's package 'dynamics'; rename it, or run from another "
+        "folder."
+    )
 
 from flexarm_env.env import FlexArmEnv
 from flexarm_env.registration import IDS, register, registered

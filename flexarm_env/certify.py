@@ -165,12 +165,10 @@ def _report(sentence: str) -> None:
     print(sentence, file=sys.stderr, flush=True)
 
 
-def main(given: list[str] | None = None) -> int:
+def main(given: list[str] | None = None, prog: str = "python -m flexarm_env.certify") -> int:
     """Print the tables of the named arms, store those of registered ones; the exit status."""
     known = [arm for arm, _, _ in SCENES.values()]
-    parser = argparse.ArgumentParser(
-        prog="python -m flexarm_env.certify", description="Measure the errors of arms."
-    )
+    parser = argparse.ArgumentParser(prog=prog, description="Measure the errors of arms.")
     parser.add_argument(
         "arms", nargs="*", metavar="ARM", default=known,
         help="preset or arm file (.json, .yaml); default: the registered arms, " + ", ".join(known),

@@ -59,6 +59,11 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         check_render_mode(render_mode)
+        if "threads" in arguments:
+            raise ValueError(
+                "threads is for a batch; leave it out, or use gymnasium.make_vec(id, num_envs=N, "
+                f"threads={shown(arguments['threads'])})."
+            )
         for name in ("n_env", "single", "max_steps"):
             if name in arguments:
                 raise ValueError(f"{name} is for a batch; this is a single environment.")

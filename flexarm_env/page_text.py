@@ -258,7 +258,8 @@ KEYWORDS = (
      'sensors and spread of the plant: "ideal", "laboratory" or a dict, which may add an '
      "accelerometer"),
     ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
-    ("render_mode", "None", '"rgb_array" or "human"'),
+    ("render_mode", "None", '"rgb_array", in a notebook too: `PIL.Image.fromarray(env.render())` '
+     'shows it; or "human", a window'),
     ("threads", "1", "largest number of worker threads, `gym.make_vec` only"),
     ("fidelity", '"auto"',
      '"auto", the arm as described; "rigid"; or "reference", fine segments and slow'),

@@ -1,7 +1,7 @@
 """Pictures of the arm, drawn without a display: bent, with exaggerated bending, and straight.
 
-The view of a planar arm is from above, that of a spatial arm is oblique. A floating base is drawn
-as a square of its mass and inertia.
+The view of a planar arm is from above, that of a spatial arm is oblique, with shadows on the floor.
+A floating base is drawn as a square of its mass and inertia.
 """
 
 import math
@@ -21,12 +21,14 @@ from flexarm_env.observations import is_planar
 SIZE = (640, 480)  # [px]
 FINE = 2  # supersampling factor, for smooth edges
 EXAGGERATION = 5.0  # factor on deflections
-POINTS = 24  # along a link
+POINTS = 10  # along a link; more would be shorter than the line is wide
 TRAIL = 150  # control steps
 STRIP = 3.0  # [s] of deflection in the strip
 GROUND = (250, 250, 248)
 INK = (38, 50, 56)
 FAINT = (176, 190, 197)
+GHOST = (200, 211, 217)  # the rigid arm
+SHADOW = (226, 228, 226)
 GRID = (232, 236, 238)
 SOLID = (207, 216, 220)
 STEEL = (38, 70, 120)
@@ -37,23 +39,30 @@ STRIP_HEIGHT = 64  # [px]
 
 
 class Renderer:
-    """Draws environments of a core; records trail and deflection of the first one's tip."""
+    """Draws environments of a core; records trail and deflection of the first one's tip.
 
-    def __init__(self, core: Core) -> None:
+    Parameters
+    ----------
+    height : [px] of the pictures, which have the form of SIZE; drawn at this size, not resized.
+    """
+
+    def __init__(self, core: Core, height: int = SIZE[1]) -> None:
         arm = core.arm
+        self.fine = FINE * height / SIZE[1]  # drawn pixels per pixel of SIZE
+        self.canvas = (round(SIZE[0] * height / SIZE[1]) * FINE, height * FINE)
         self.planar = is_planar(arm) and arm.links[0].joint.rotation[2][2] == 1.0
         self.view = np.eye(3)[:2] if self.planar else VIEW
         self.constants = chain_constants(arm)
-        height = SIZE[1] - STRIP_HEIGHT - 34  # [px] above the legend and the strip
-        self.scale = height / (1.9 * arm.reach)  # [px/m]
-        base = 0.24 if self.planar else 0.36  # [-] of the width: home postures point to the right
+        room = SIZE[1] - STRIP_HEIGHT - 34  # [px] above the legend and the strip
+        self.scale = room / ((1.9 if self.planar else 1.6) * arm.reach)  # [px/m]
+        base = 0.24 if self.planar else 0.4  # [-] of the width: home postures point to the right
         base = 0.5 if arm.base.n else base  # but not from a base at any angle
-        self.centre = np.array([base * SIZE[0], (0.5 if self.planar else 0.62) * height + 4])
+        self.centre = np.array([base * SIZE[0], (0.5 if self.planar else 0.64) * room + 4])
         self.trail: list[Array] = []
         self.bent: list[float] = []  # [m] elastic tip displacement, signed where planar
         self._window: Any = None
         self.follow(core)
-        self._fonts = {size: ImageFont.load_default(size=size * FINE) for size in (12, 14)}
+        self._fonts = {size: ImageFont.load_default(size=size * self.fine) for size in (12, 14)}
 
     def clear(self) -> None:
         """Clear the trail and the deflections, for a new episode."""
@@ -116,16 +125,26 @@ class Renderer:
             lines.append(np.concatenate(line))
         return lines
 
+    def forms(self, core: Core) -> tuple[Array, Array, Array]:
+        """Centre lines (links, points, 3), ends of straight links (links, 2, 3), target (3,) [m].
+
+        Those of the first environment.
+        """
+        bent = self.shapes(core, core.q[0], 1.0)
+        straight = self.shapes(core, _straight(core, 0), 0.0)
+        even = [line[np.linspace(0, len(line) - 1, POINTS).round().astype(int)] for line in bent]
+        return np.array(even), np.array([x[[0, -1]] for x in straight]), core.goal(0).copy()
+
     def pixels(self, points: Array) -> list[tuple[float, float]]:
         """Pixels of world points [m] on the supersampled canvas."""
         flat = np.atleast_2d(points) @ self.view.T * self.scale * (1.0, -1.0) + self.centre
-        return [(float(x), float(y)) for x, y in flat * FINE]
+        return [(float(x), float(y)) for x, y in flat * self.fine]
 
     # ---- drawing -----------------------------------------------------------------------------
 
     def draw(self, core: Core, row: int = 0) -> NDArray[np.uint8]:
         """(H, W, 3) picture of environment `row`."""
-        image = Image.new("RGB", (SIZE[0] * FINE, SIZE[1] * FINE), GROUND)
+        image = Image.new("RGB", self.canvas, GROUND)
         pen = ImageDraw.Draw(image)
         self._draw_floor(pen, core.arm.reach)
         q = core.q[row]
@@ -133,16 +152,18 @@ class Renderer:
         if row == 0 and len(self.trail) > 1:
             self._draw_trail(pen)
         straight = _straight(core, row)
-        exaggerated = self.shapes(core, q, EXAGGERATION)
+        bent = self.shapes(core, q, 1.0)
+        if not self.planar:
+            self._draw_shadow(pen, bent, goal)
         self._draw_base(pen, core, q)
-        self._draw_arm(pen, self.shapes(core, straight, 0.0), FAINT, 2)
-        self._draw_arm(pen, exaggerated, ORANGE, 3)
-        self._draw_arm(pen, self.shapes(core, q, 1.0), STEEL, 7, body=True)
+        self._draw_arm(pen, self.shapes(core, straight, 0.0), GHOST, 15)
+        self._draw_arm(pen, self.shapes(core, q, EXAGGERATION), ORANGE, 3)
+        self._draw_arm(pen, bent, STEEL, 7, body=True)
         self._draw_target(pen, goal, core.arm.reach)
         self._draw_text(pen, core, row)
         if row == 0:
             self._draw_strip(pen, core)
-        return np.asarray(image.resize(SIZE, Image.Resampling.LANCZOS), dtype=np.uint8)
+        return np.asarray(image.reduce(FINE), dtype=np.uint8)
 
     def _draw_floor(self, pen: ImageDraw.ImageDraw, reach: float) -> None:
         step = 10.0 ** math.floor(math.log10(reach))
@@ -151,10 +172,19 @@ class Renderer:
         angles = np.linspace(0.0, 2.0 * math.pi, 121)
         ring = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
         for k in range(1, count + 1):
-            pen.line(self.pixels(k * step * ring), fill=GRID, width=FINE)
+            pen.line(self.pixels(k * step * ring), fill=GRID, width=round(self.fine))
         for axis in np.eye(3)[: 2 if self.planar else 3]:
             ends = np.array([-axis if axis[2] == 0.0 else 0.0 * axis, axis]) * reach
-            pen.line(self.pixels(ends), fill=GRID, width=FINE)
+            pen.line(self.pixels(ends), fill=GRID, width=round(self.fine))
+
+    def _draw_shadow(self, pen: ImageDraw.ImageDraw, lines: list[Array], goal: Array) -> None:
+        """Shadow of the links on the floor, and plumb lines of tip and target."""
+        for line in lines:
+            pen.line(self.pixels(line * (1.0, 1.0, 0.0)), SHADOW, round(7 * self.fine), "curve")
+        for point, colour in ((lines[-1][-1], FAINT), (goal, GREEN)):
+            foot = point * (1.0, 1.0, 0.0)
+            pen.line(self.pixels(np.array([point, foot])), colour, round(self.fine))
+            _disc(pen, self.pixels(foot)[0], 2.0 * self.fine, colour)
 
     def _draw_base(self, pen: ImageDraw.ImageDraw, core: Core, q: Array) -> None:
         """A floating base: the square that has its mass and its inertia."""
@@ -164,7 +194,12 @@ class Renderer:
         R, place = _base_pose(core, q)
         half = 0.5 * math.sqrt(6.0 * base.inertia[2][2] / base.mass)  # [m]
         corners = half * np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) + base.com
-        pen.polygon(self.pixels(place + corners @ R.T), fill=SOLID, outline=FAINT, width=2 * FINE)
+        pen.polygon(
+            self.pixels(place + corners @ R.T),
+            fill=SOLID,
+            outline=FAINT,
+            width=round(2 * self.fine),
+        )
 
     def _draw_arm(
         self,
@@ -175,18 +210,22 @@ class Renderer:
         body: bool = False,
     ) -> None:
         for k, line in enumerate(lines):
-            thick = width * FINE * (1.0 - 0.45 * k / max(1, len(lines))) if body else width * FINE
+            thick = (
+                width * self.fine * (1.0 - 0.45 * k / max(1, len(lines)))
+                if body
+                else width * self.fine
+            )
             pen.line(self.pixels(line), fill=colour, width=round(thick), joint="curve")
         if not body:
             return
         x, y = self.pixels(lines[0][0])[0]
-        size = 15 * FINE
-        pen.rounded_rectangle((x - size, y - size, x + size, y + size), 5 * FINE, fill=FAINT)
+        size = 15 * self.fine
+        pen.rounded_rectangle((x - size, y - size, x + size, y + size), 5 * self.fine, fill=FAINT)
         for k, line in enumerate(lines):
-            radius = (9.0 if k == 0 else 6.5 - 2.5 * k / len(lines)) * FINE
+            radius = (9.0 if k == 0 else 6.5 - 2.5 * k / len(lines)) * self.fine
             _disc(pen, self.pixels(line[0])[0], radius, INK)
             _disc(pen, self.pixels(line[0])[0], 0.45 * radius, GROUND)
-        _disc(pen, self.pixels(lines[-1][-1])[0], 4.5 * FINE, INK)
+        _disc(pen, self.pixels(lines[-1][-1])[0], 4.5 * self.fine, INK)
 
     def _draw_trail(self, pen: ImageDraw.ImageDraw) -> None:
         points = self.pixels(np.array(self.trail))
@@ -195,47 +234,57 @@ class Renderer:
             colour = tuple(
                 round(g + (s - g) * 0.6 * fade) for g, s in zip(GROUND, STEEL, strict=True)
             )
-            pen.line([a, b], fill=colour, width=2 * FINE)
+            pen.line([a, b], fill=colour, width=round(2 * self.fine))
 
     def _draw_target(self, pen: ImageDraw.ImageDraw, goal: Array, reach: float) -> None:
         """A cross in a ring; the ring is the settled band, 2 % of the reach."""
         x, y = self.pixels(goal)[0]
-        radius = max(0.02 * reach * self.scale, 5.0) * FINE
-        pen.ellipse((x - radius, y - radius, x + radius, y + radius), outline=GREEN, width=2 * FINE)
+        radius = max(0.02 * reach * self.scale, 5.0) * self.fine
+        pen.ellipse(
+            (x - radius, y - radius, x + radius, y + radius),
+            outline=GREEN,
+            width=round(2 * self.fine),
+        )
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            start, stop = 0.55 * radius, radius + 5 * FINE
+            start, stop = 0.55 * radius, radius + 5 * self.fine
             pen.line(
-                (x + dx * start, y + dy * start, x + dx * stop, y + dy * stop), GREEN, 2 * FINE
+                (x + dx * start, y + dy * start, x + dx * stop, y + dy * stop),
+                GREEN,
+                round(2 * self.fine),
             )
 
     def _draw_text(self, pen: ImageDraw.ImageDraw, core: Core, row: int) -> None:
         error = float(np.linalg.norm(core.goal(row) - core.model.tip(core.q[row])))
         time = core.elapsed(row) * core.control_dt
         unit, factor = ("mm", 1e3) if core.arm.reach < 10.0 else ("m", 1.0)
-        right = SIZE[0] * FINE - 16 * FINE
+        right = (SIZE[0] - 16) * self.fine
         large, small = self._fonts[14], self._fonts[12]
-        pen.text((right, 12 * FINE), f"t = {time:5.2f} s", fill=INK, font=large, anchor="ra")
+        pen.text((right, 12 * self.fine), f"t = {time:5.2f} s", fill=INK, font=large, anchor="ra")
         text = f"tip error {factor * error:6.1f} {unit}"
         colour = GREEN if error < 0.02 * core.arm.reach else INK
-        pen.text((right, 32 * FINE), text, fill=colour, font=large, anchor="ra")
-        y = (SIZE[1] - STRIP_HEIGHT - 22) * FINE
+        pen.text((right, 32 * self.fine), text, fill=colour, font=large, anchor="ra")
+        y = (SIZE[1] - STRIP_HEIGHT - 22) * self.fine
         for x, colour, word in (
             (16, STEEL, "arm"),
             (66, ORANGE, f"bending x {EXAGGERATION:.0f}"),
-            (164, FAINT, "rigid"),
+            (164, GHOST, "rigid"),
             (218, GREEN, "target"),
         ):
-            pen.line((x * FINE, y, (x + 14) * FINE, y), fill=colour, width=4 * FINE)
-            pen.text(((x + 19) * FINE, y), word, fill=INK, font=small, anchor="lm")
+            pen.line(
+                (x * self.fine, y, (x + 14) * self.fine, y), fill=colour, width=round(4 * self.fine)
+            )
+            pen.text(((x + 19) * self.fine, y), word, fill=INK, font=small, anchor="lm")
 
     def _draw_strip(self, pen: ImageDraw.ImageDraw, core: Core) -> None:
         """Plot the elastic tip displacement of the last seconds."""
-        left, right = 16 * FINE, (SIZE[0] - 16) * FINE
-        bottom = (SIZE[1] - 8) * FINE
-        top = bottom - STRIP_HEIGHT * FINE
+        left, right = 16 * self.fine, (SIZE[0] - 16) * self.fine
+        bottom = (SIZE[1] - 8) * self.fine
+        top = bottom - STRIP_HEIGHT * self.fine
         middle = (top + bottom) / 2
-        pen.rectangle((left, top, right, bottom), fill=(255, 255, 255), outline=GRID, width=FINE)
-        pen.line((left, middle, right, middle), fill=GRID, width=FINE)
+        pen.rectangle(
+            (left, top, right, bottom), fill=(255, 255, 255), outline=GRID, width=round(self.fine)
+        )
+        pen.line((left, middle, right, middle), fill=GRID, width=round(self.fine))
         count = max(2, round(max(STRIP, 4.0 * core.move_time) / core.control_dt))
         bent = self.bent[-count:]
         if len(bent) > 1:
@@ -243,10 +292,10 @@ class Renderer:
             x = left + (right - left) * np.arange(len(bent)) / (count - 1)
             y = middle - np.array(bent) / full * (bottom - top) / 2
             points = list(zip(x.tolist(), y.tolist(), strict=True))
-            pen.line(points, fill=ORANGE, width=2 * FINE, joint="curve")
-            _disc(pen, points[-1], 3.5 * FINE, ORANGE)
+            pen.line(points, fill=ORANGE, width=round(2 * self.fine), joint="curve")
+            _disc(pen, points[-1], 3.5 * self.fine, ORANGE)
         text = f"tip deflection {1e3 * abs(bent[-1]) if bent else 0.0:6.1f} mm"
-        pen.text((right, top - 14 * FINE), text, fill=INK, font=self._fonts[12], anchor="rm")
+        pen.text((right, top - 14 * self.fine), text, fill=INK, font=self._fonts[12], anchor="rm")
 
     # ---- window ------------------------------------------------------------------------------
 

@@ -35,6 +35,12 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
     Keywords are those of `FlexArmEnv`, and `max_episode_steps`, `autoreset_mode`, `threads`.
     `render_mode` "human" shows the first environment. With `autoreset_mode` DISABLED the caller
     restarts ended episodes by `reset(options={"reset_mask": terminated | truncated})`.
+
+    `gymnasium.make_vec` refuses `wrappers=` for this class, because they wrap single environments.
+    Rewards and observations are keywords here (`reward=`, `obs=`), as fast as those of the id.
+    Other changes go round the batch: `gymnasium.wrappers.vector.ClipReward(envs, 0.0, 1.0)`.
+    Wrappers of single environments need `gym.make_vec(id, 8, vectorization_mode="sync",
+    wrappers=[...])`, which steps one environment after another.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012

@@ -24,6 +24,7 @@ QUICK = {
     "agents/test_ranges.py",
     "agents/test_zoo.py",
     "benchmarks/test_operations.py",
+    "benchmarks/test_paper.py",
     "dynamics/accuracy/test_fidelity.py",
     "dynamics/accuracy/test_scene.py",
     "dynamics/arms/test_presets.py",
@@ -34,12 +35,14 @@ QUICK = {
     "dynamics/formulations/test_free_base.py",
     "dynamics/formulations/test_gibbs_appell.py",
     "dynamics/formulations/test_link_constants.py",
+    "dynamics/measured/test_log_file.py",
     "dynamics/simulation/test_case_file.py",
     "dynamics/simulation/test_large_deflection.py",
     "dynamics/tracing/test_recorded_steps.py",
     "flexarm_env/test_reward_terms.py",
     "flexarm_env/test_tasks.py",
     "test_layers.py",
+    "test_release.py",
 }
 
 

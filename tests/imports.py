@@ -26,6 +26,7 @@ ROOMS = (
     "dynamics.backends",
     "dynamics.model",
     "dynamics.simulation",
+    "dynamics.measured",
     "dynamics.accuracy",
     "dynamics",
     "flexarm_env.arguments",

@@ -105,7 +105,7 @@ def tune_pd(
         ratios = np.repeat(np.array(pairs), episodes, axis=0)
         controller = joint_pd(envs, ratios[:, :1], ratios[:, 1:])
         seeds = [seed + i for i in range(episodes)] * len(pairs)
-        metrics = episode_metrics(record(controller, envs, seeds))
+        metrics = episode_metrics(record(controller, envs, seeds, "gains of joint PD"))
     finally:
         envs.close()
     table = []

@@ -103,9 +103,11 @@ def names(wanted: Sequence[str] | None, env_id: str, track: str) -> list[str]:
     return [name for name in wanted if ":" in name or name in (*classical, *learned)]
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, prog: str = "python -m agents.leaderboard") -> int:
     """Rank, and write after every task; the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m agents.leaderboard", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog=prog, description="Rank controllers on tasks and tracks, on the same test episodes."
+    )
     parser.add_argument("--tasks", nargs="+", default=list(RANKED), metavar="ID")
     parser.add_argument("--tracks", nargs="+", default=list(TRACKS), metavar="TRACK")
     parser.add_argument(

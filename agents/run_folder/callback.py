@@ -153,8 +153,9 @@ class Progress:
         if means["return"] is not None and means["settled"] is not None:
             note += f", return {means['return']:.2f}, on target {100 * means['settled']:.0f} %"
         self.bar.update(self.task, completed=min(steps, self.total), note=note)
-        if not self.console.is_terminal and steps >= self.next_line:
-            print(f"training: {100 * steps / self.total:3.0f} %, {note}", flush=True)
+        if not self.console.is_terminal and steps >= min(self.next_line, self.total):
+            share = min(1.0, steps / self.total)
+            print(f"training: {100 * share:3.0f} %, {note}", flush=True)
             self.next_line = steps + self.total // 10
 
     def close(self) -> None:

@@ -28,7 +28,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 def test_a_run_writes_all_its_files(run: RunFolder) -> None:
     files = {str(f.relative_to(run.path)) for f in run.path.rglob("*") if f.is_file()}
     expected = "config.yaml versions.json metrics.jsonl metrics.csv evaluation.json evaluation.csv"
-    expected += " learning_curve.png trajectories.png arm.gif pd_gains.json"
+    expected += " learning_curve.png trajectories.png arm.gif replay.html pd_gains.json"
     expected += " policy/policy.json policy/weights.npz untrained/policy.json"
     assert set(expected.split()) <= files
     assert any(name.startswith("tensorboard/events.out") for name in files)
@@ -48,7 +48,7 @@ def test_no_file_of_a_run_needs_unpickling(run: RunFolder) -> None:
     """Neither pickles nor zips of stable-baselines3: arrays and text only."""
     files = [f for f in run.path.rglob("*") if f.is_file() and "events" not in f.name]
     suffixes = {f.suffix for f in files if f.name not in (".lock", "SHA256SUMS")}
-    assert suffixes <= {".yaml", ".json", ".jsonl", ".csv", ".npz", ".png", ".gif"}
+    assert suffixes <= {".yaml", ".json", ".jsonl", ".csv", ".npz", ".png", ".gif", ".html"}
 
 
 def test_evaluation_is_deterministic(run: RunFolder, tmp_path: Path) -> None:

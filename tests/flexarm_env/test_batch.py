@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import ClipReward
 
 import flexarm_env
 from dynamics import load_arm
@@ -347,3 +348,24 @@ def test_read_only_actions_are_accepted_without_compiling_again() -> None:
     actions.flags.writeable = False
     np.testing.assert_array_equal(envs.step(actions)[0], expected)
     assert len(envs.core._program.control_step.overloads) == 1
+
+
+def test_threads_of_a_batch_are_a_count() -> None:
+    with pytest.raises(ValueError, match=r"threads must be between 1 and 1024, got 0"):
+        gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2, threads=0)
+
+
+def test_wrappers_go_round_the_batch_or_round_single_environments() -> None:
+    """As the docstring of the batch says, beside what Gymnasium refuses."""
+    with pytest.raises(gym.error.Error, match="wrappers"):
+        gym.make_vec("FlexArm/OneLink-Reach-v0", 2, wrappers=[flexarm_env.TipTrackingReward])
+    whole = ClipReward(gym.make_vec("FlexArm/OneLink-Reach-v0", 2), 0.0, 0.01)
+    single: Any = gym.make_vec(
+        "FlexArm/OneLink-Reach-v0", 2, vectorization_mode="sync",
+        wrappers=[flexarm_env.TipTrackingReward],
+    )  # fmt: skip
+    for envs in (whole, single):
+        envs.reset(seed=0)
+        rewards = envs.step(envs.action_space.sample())[1]
+        assert rewards.shape == (2,)
+    assert "wrappers=[...]" in (flexarm_env.FlexArmVectorEnv.__doc__ or "")

@@ -148,7 +148,7 @@ def test_any_arm_can_be_given(tmp_path: Any) -> None:
         ({"substeps": 0}, r"substeps must be between 1 and 1000000, got 0"),
         ({"torque_limit": -1.0}, r"torque_limit must be positive, got -1\.0"),
         ({"torque_limit": [1.0, 2.0]}, r"torque_limit must be one number or 1"),
-        ({"threads": 0}, r"threads must be between 1 and 1024, got 0"),
+        ({"threads": 2}, r"threads is for a batch; .*make_vec\(id, num_envs=N, threads=2\)"),
         ({"deflection_limit": -0.1}, r"deflection_limit must be between 1e-06 and 1, got -0\.1"),
         ({"render_mode": "ascii"}, r"render_mode must be one of"),
         ({"arm": "slimmer"}, r"Unknown arm 'slimmer'"),

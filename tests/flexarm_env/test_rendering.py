@@ -8,13 +8,14 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from PIL import Image
 
 import flexarm_env
 from dynamics import ARMS
 from flexarm_env import registration
 from flexarm_env.core import Core
 from flexarm_env.pages import common_page, file_name, page
-from flexarm_env.rendering import SIZE, STEEL, Renderer
+from flexarm_env.rendering import GHOST, SHADOW, SIZE, STEEL, Renderer
 from tests.paths import ROOT
 
 TURNING = [n for n, arm in ARMS.items() if all(k.joint.type == "revolute" for k in arm.links)]
@@ -33,6 +34,31 @@ def test_pictures_show_the_arm_and_change_as_it_moves(scene: str) -> None:
     assert after.dtype == np.uint8
     assert (np.abs(after.astype(int) - STEEL).sum(axis=2) < 30).sum() > 200
     assert not np.array_equal(before, after)
+    shown = Image.fromarray(after)._repr_png_()  # by which a notebook shows it
+    assert shown is not None
+    assert shown.startswith(b"\x89PNG")
+
+
+def pixels_of(picture: np.ndarray, colour: tuple[int, int, int]) -> int:
+    return int((np.abs(picture.astype(int) - colour).sum(axis=2) < 6).sum())
+
+
+@pytest.mark.parametrize("scene", registration.SCENES)
+def test_the_rigid_arm_is_visible_beside_the_bent_one(scene: str) -> None:
+    """Also where the arm is straight; on the floor a spatial arm has a shadow."""
+    core = Core(task="Reach", arm=registration.SCENES[scene][0])
+    core.q[0, list(core.arm.joint_index)] = 0.4
+    renderer = Renderer(core)
+    picture = renderer.draw(core)
+    assert pixels_of(picture, GHOST) > 500
+    assert (pixels_of(picture, SHADOW) > 200) == (not renderer.planar)
+
+
+@pytest.mark.parametrize("height", [300, 480])
+def test_pictures_are_drawn_at_their_height(height: int) -> None:
+    core = Core(task="Reach", arm="slim")
+    width = height * SIZE[0] // SIZE[1]
+    assert Renderer(core, height).draw(core).shape == (height, width, 3)
 
 
 @pytest.mark.parametrize("arm", TURNING)

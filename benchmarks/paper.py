@@ -1,0 +1,175 @@
+"""Figures of docs/paper.md, from docs/results.
+
+    python -m benchmarks.paper
+
+Every figure of the page stands in a block `<!-- NAME --> ... <!-- /NAME -->`, which this command
+fills; the text between the blocks has none.
+"""
+
+import json
+from collections import Counter
+from typing import Any
+
+from agents.controllers import CONTROLLERS
+from benchmarks.output import RESULTS, ROOT, argument_parser, table
+
+PAGE = ROOT / "docs" / "paper.md"
+SCENES = {"OneLink": "one link", "TwoLink": "two links", "SixLink": "six links, spatial"}
+BATCH = "batch of 16384, 1 thread, float64 [steps/s]"
+ERROR = "error in all at full torque [reach]"
+REFERENCES = ("zero", "random")  # controllers that rank nothing
+
+
+def blocks() -> dict[str, str]:
+    """Text of every block by its name."""
+    stored = {path.stem: json.loads(path.read_text("utf-8")) for path in RESULTS.glob("*.json")}
+    return {
+        "summary": summary(stored),
+        "speed": speed(stored["speed"]),
+        "operations": operations(stored["operations"]),
+        "peers": peers(stored["peers"]),
+        "validation": validation(stored["validation"]),
+        "control": control(stored["leaderboard"]),
+        "measured": measured(stored["measured_data"]),
+    }
+
+
+def summary(stored: dict[str, Any]) -> str:
+    """Sentences with the figures that matter most."""
+    rates = [stored["speed"][scene][BATCH]["median"] for scene in SCENES]
+    worst = max(stored["speed"][scene][ERROR] for scene in SCENES)
+    ratios = [entry["steady"] for entry in stored["peers"]["comparisons"]]
+    verdicts = _verdicts(stored["validation"])
+    steps = sum(counts["steps"] for counts in stored["soak"]["counts"].values())
+    wrong = sum(
+        count
+        for counts in stored["soak"]["counts"].values()
+        for name, count in counts.items()
+        if name not in ("steps", "time out", "invalid", "diverged")
+    )
+    return (
+        f"On one core, a batch takes {_count(rates[0])}, {_count(rates[1])} and "
+        f"{_count(rates[2])} control steps per second for one, two and six links, with tip errors "
+        f"of at most {1e3 * worst:.2g} thousandths of the reach. At equal error it needs "
+        f"{min(ratios):.0f} to {max(ratios):.0f} times less processor time than the cheapest runs "
+        f"of other engines. Of {verdicts.total()} published numbers {verdicts['reproduced']} are "
+        f"reproduced and {verdicts['error in print']} are errors in print. In "
+        f"{_count(steps)} random and bang-bang steps {wrong} observations, rewards or flags were "
+        "wrong."
+    )
+
+
+def speed(stored: dict[str, Any]) -> str:
+    """Steps per second and errors of the environments."""
+    rows = [
+        (
+            words,
+            str(stored[scene]["coordinates"]),
+            f"{stored[scene]['rhs many lanes [ns]']['median']:.3g}",
+            f"{100 * stored[scene]['share of peak, many lanes']['median']:.0f} %",
+            f"{stored[scene][BATCH]['median']:.2g}",
+            f"{1e3 * stored[scene][ERROR]:.2g}",
+        )
+        for scene, words in SCENES.items()
+    ]
+    header = ("arm", "coordinates", "right-hand side [ns]", "share of peak", "steps per second",
+              "error [thousandths of the reach]")  # fmt: skip
+    return table(header, rows, "lr")
+
+
+def operations(stored: dict[str, Any]) -> str:
+    """Multiplications and additions of M and h beside the published ones."""
+    rows = []
+    for published in stored["published"]:
+        ours = next(
+            case
+            for case in stored["cases"]
+            if (case["size"], case["arm"]) == (published["size"], "general")
+            and (case["formulation"], case["rotation"]) == ("gibbs_appell", "linear")
+        )
+        theirs, found = published["gibbs_appell"], ours["M and h"]
+        rows.append((
+            ", ".join(map(str, published["size"])),
+            f"{theirs['multiplications']} + {theirs['additions']}",
+            f"{found['multiplications']} + {found['additions']}",
+        ))  # fmt: skip
+    header = ("joints, flexible links, modes of each", "published", "traced and folded")
+    return table(header, rows, "lrr")
+
+
+def peers(stored: dict[str, Any]) -> str:
+    """Processor time of peers over ours, at an error."""
+    rows = [
+        (entry["scene"].split(":")[0], f"{entry['error']:.0e}", entry["beside"],
+         f"{entry['ratio']:.0f}", f"{entry['steady']:.0f}")
+        for entry in stored["comparisons"]
+    ]  # fmt: skip
+    header = ("scene", "error at most [reach]", "beside", "of all runs", "without luck")
+    return table(header, rows, "lrlrr")
+
+
+def validation(stored: dict[str, Any]) -> str:
+    """Counts of verdicts."""
+    counts = _verdicts(stored).most_common()
+    return table([name for name, _ in counts], [[str(count) for _, count in counts]], "r")
+
+
+def control(stored: dict[str, Any]) -> str:
+    """Best classical and best learned controller of every task of two tracks."""
+    rows = []
+    for track in ("state", "laboratory"):
+        for env_id, tracks in stored.items():
+            entries = {k: v for k, v in tracks.get(track, {}).items() if k not in REFERENCES}
+            classical = {name: entry for name, entry in entries.items() if name in CONTROLLERS}
+            learned = {name: x for name, x in entries.items() if name not in CONTROLLERS}
+            if classical and learned:
+                task = env_id.removeprefix("FlexArm/").removesuffix("-v0")
+                rows.append((track, task, _best(classical), _best(learned)))
+    return table(("track", "task", "best classical", "best learned"), rows)
+
+
+def measured(stored: dict[str, Any]) -> str:
+    """Sentence about the intervals of fits to logs."""
+    clean, friction = stored["cases"]
+    return (
+        f"Of {clean['logs']} noisy logs, {100 * clean['held'][0]:.0f} % of the intervals of the "
+        f"stiffness and {100 * clean['held'][1]:.0f} % of those of the damping hold the truth. "
+        "With dry friction that the model lacks it is "
+        f"{100 * friction['held'][0]:.0f} % and {100 * friction['held'][1]:.0f} %, and the command "
+        "says so."
+    )
+
+
+def _best(entries: dict[str, Any]) -> str:
+    name = max(entries, key=lambda name: entries[name]["score_iqm"])
+    low, high = entries[name]["score_ci"]
+    return f"{name} {entries[name]['score_iqm']:.3f} [{low:.3f}, {high:.3f}]"
+
+
+def _count(number: float) -> str:
+    return f"{number / 1e6:.2g} million" if number < 1e8 else f"{number / 1e6:.0f} million"
+
+
+def _verdicts(stored: dict[str, Any]) -> Counter[str]:
+    return Counter(row["verdict"] for entry in stored["tables"] for row in entry["rows"])
+
+
+def filled(page: str) -> str:
+    """The page with the present figures in its blocks."""
+    for name, text in blocks().items():
+        before, mark, rest = page.partition(f"<!-- {name} -->")
+        _, end, after = rest.partition(f"<!-- /{name} -->")
+        if not end:
+            raise ValueError(f"{PAGE.name} must hold the block {name!r}.")
+        page = f"{before}{mark}\n\n{text}\n\n{end}{after}"
+    return page
+
+
+def main() -> None:
+    """Fill the blocks of the page."""
+    argument_parser("paper", __doc__).parse_args()
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,75 @@
+"""`flexarm COMMAND ...`: the commands of this package, each also a module.
+
+Only the module of the command is imported. A folder or a file of the user's own with the name of
+one of our packages is refused with a sentence.
+"""
+
+import argparse
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+COMMANDS = {  # module whose `main` runs the command, and its line in the help
+    "train": ("agents.training", "train a policy from an experiment file, and compare it"),
+    "evaluate": ("agents.evaluate", "evaluate a run's policy or a classical controller"),
+    "leaderboard": ("agents.leaderboard.run", "rank controllers on tasks and tracks"),
+    "certify": ("flexarm_env.certify", "measure the errors of an arm's model and step"),
+    "fit": ("agents.fit", "fit an arm's stiffness and damping to a log of its rig"),
+    "arms": ("flexarm_env.__main__", "list the preset arms and the environments of each"),
+}
+PACKAGES = ("dynamics", "flexarm_env", "agents")
+MISSING = 2  # exit status: something is not installed, or ours is hidden
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns its exit status."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if not given or given[0] not in COMMANDS:
+        parser().parse_args(given or ["--help"])
+    hidden = [sentence for sentence in map(shadow, PACKAGES) if sentence]
+    if hidden:
+        print(f"flexarm: {hidden[0]}", file=sys.stderr)
+        return MISSING
+    name = given[0]
+    try:
+        run = import_module(COMMANDS[name][0]).main
+    except ModuleNotFoundError as error:
+        print(
+            f"flexarm: {name} needs {error.name}, which is not installed; "
+            "run: pip install 'flexarm[train]'",
+            file=sys.stderr,
+        )
+        return MISSING
+    status: int = run(given[1:], prog=f"flexarm {name}")
+    return status
+
+
+def parser() -> argparse.ArgumentParser:
+    """Parser of the command's name alone; the command parses the rest."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:{width}}  {line}" for name, (_, line) in COMMANDS.items()]
+    result = argparse.ArgumentParser(
+        prog="flexarm",
+        description="Robot arms whose links bend: train, evaluate and rank what controls them.",
+        epilog="\n".join(["commands:", *lines, "", "flexarm COMMAND --help says more."]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    result.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
+    return result
+
+
+def shadow(package: str) -> str:
+    """Sentence about a user's own module that hides one of our packages; empty if none does."""
+    spec = find_spec(package)
+    found = Path(spec.origin).resolve() if spec is not None and spec.origin else None
+    if found == Path(__file__).resolve().parent / package / "__init__.py":
+        return ""
+    return (
+        f"{found or package} hides flexarm's package {package!r}; rename it, or run from another "
+        "folder."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

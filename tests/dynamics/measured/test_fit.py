@@ -1,0 +1,130 @@
+"""Fits of logs that this package makes: known parameters come back within their intervals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from benchmarks.measured_data import (
+    GAUGE,
+    PRESET,
+    STIFFER,
+    Held,
+    clean_log,
+    holds,
+    noisy,
+    rig,
+    truth,
+)
+from dynamics import Arm, compile_arm, load_arm, simulate
+from dynamics.measured.fit import Gauge, LoggedMotion, fit
+from dynamics.measured.log_file import Log
+
+N_LOG = 12
+
+
+@pytest.fixture(scope="module")
+def clean() -> Log:
+    return clean_log(rig())
+
+
+def test_known_parameters_come_back_within_their_intervals(clean: Log) -> None:
+    """About 95 of 100 intervals hold the truth, and estimates scatter as their covariances say."""
+    fits = [fit(PRESET, noisy(clean, seed), [GAUGE]) for seed in range(N_LOG)]
+    held = np.array([holds(one) for one in fits])
+    assert held.sum() >= 20  # of 24; fewer come once in 500 times
+    scatter = [(one.values - truth()) / np.sqrt(np.diag(one.covariance)) for one in fits]
+    assert 0.6 < np.sqrt(np.mean(np.square(scatter))) < 1.45  # 3 deviations of 24 normal numbers
+    assert all(np.abs(one.correlation).max() < 0.2 for one in fits)
+
+
+def test_without_noise_the_parameters_are_exact(clean: Log) -> None:
+    """Of an arm that another integrator moved; to the accuracy of the fit's own steps."""
+    found = fit(PRESET, clean, [GAUGE])
+    assert_allclose(found.values, truth(), rtol=2e-4)
+    assert np.all(found.rms(found.fitted) < 1e-3 * found.rms(found.nominal))
+
+
+def test_constant_offsets_of_sensors_do_not_matter(clean: Log) -> None:
+    log = noisy(clean, 0)
+    shifted = replace(log, encoder=log.encoder + 3.0, gauge=log.gauge - 1e-3)
+    one, other = (fit(PRESET, x, [GAUGE]) for x in (log, shifted))
+    assert_allclose(one.values, other.values, rtol=1e-6)
+    assert_allclose(one.intervals, other.intervals, rtol=1e-6)
+
+
+def test_a_truth_outside_the_bounds_ends_at_a_bound(clean: Log) -> None:
+    found = fit(PRESET, clean, [GAUGE], {"stiffness": (0.5, 1.1)})
+    assert found.at_bound == ["stiffness"]
+    assert found.values[0] == pytest.approx(1.1)
+    assert fit(PRESET, clean, [GAUGE], {"stiffness": (0.5, 2.0)}).at_bound == []
+
+
+def test_dry_friction_that_the_arm_lacks_colours_the_residual() -> None:
+    found = fit(PRESET, noisy(clean_log(rig(2e-3)), 0), [GAUGE])
+    assert np.abs(found.correlation).max() > 0.2
+    assert not holds(found).all()
+
+
+def test_two_links_with_two_commands_and_two_gauges() -> None:
+    arm = load_arm("two-link")
+    stiffer = replace(arm, links=tuple(replace(x, EIz=STIFFER * (x.EIz or 0.0)) for x in arm.links))
+    t = 0.01 * np.arange(150.0)
+    torque = 0.02 * np.sign(np.sin(8.0 * t))
+    model = compile_arm(stiffer)
+    command = Held(t, torque)
+
+    def both(s: float) -> np.ndarray:
+        return np.repeat(command(s), 2) * [1.0, 0.3]
+
+    both.breakpoints = t  # type: ignore[attr-defined]
+    motion = simulate(model, np.zeros(model.n), np.zeros(model.n), both, t)
+    gauges = [Gauge(link=k, x=0.05) for k in range(2)]
+    strain = [[model.strain(q, g.link, g.x)[2] for g in gauges] for q in motion.q]
+    joints = motion.q[:, list(arm.joint_index)]
+    log = Log(t, torque[:, None] * [1.0, 0.3], joints, np.array(strain))
+    found = fit(arm, log, gauges, {"stiffness": (0.5, 2.0)})
+    assert found.values[0] == pytest.approx(STIFFER, rel=2e-4)
+    assert found.signals == ("encoder 1", "encoder 2", "gauge 1", "gauge 2")
+
+
+def stiff_without_damping() -> Arm:
+    arm = load_arm(PRESET)
+    return replace(arm, links=(replace(arm.links[0], damping_ratio=0.0),))
+
+
+@pytest.mark.parametrize(
+    ("arm", "bounds", "sentence"),
+    [
+        (PRESET, {"stifness": (0.5, 2.0)}, "stifness"),
+        (PRESET, {}, "needs at least one"),
+        (PRESET, {"stiffness": (2.0, 0.5)}, "0 <= low < high"),
+        (PRESET, {"stiffness": (0.5, float("nan"))}, "bounds of stiffness"),
+        (stiff_without_damping(), {"damping": (0.0, 2.0)}, "damping has no effect"),
+        ("two-link", None, "The arm needs 2 commands, got 1"),
+        ("free-flyer", None, "needs a fixed base"),
+        (
+            replace(load_arm(PRESET), gravity=(0.0, -9.81, 0.0)),
+            {"stiffness": (0.5, 2.0)},
+            "Gravity bends this arm",
+        ),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(
+    clean: Log, arm: str | Arm, bounds: dict[str, tuple[float, float]], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        fit(arm, clean, [GAUGE], bounds)
+
+
+def test_the_steps_are_halved_until_the_signals_converge(clean: Log) -> None:
+    model = compile_arm(PRESET, free_parameters=("stiffness", "damping"))
+    motion = LoggedMotion(model, clean, [GAUGE])
+    corner = np.array([[5.0, 20.0]])
+    motion.refine(corner)
+    coarse = motion.signals(corner)
+    motion.substeps *= 4
+    change = np.abs(motion.signals(corner) - coarse).max(axis=(0, 1)) / motion.deviation
+    assert np.all(change < 1e-3)
+    assert np.isfinite(coarse).all()

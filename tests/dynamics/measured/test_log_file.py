@@ -1,0 +1,142 @@
+"""Logs of rigs: units and columns, and files that cannot be used."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.io import savemat
+
+from dynamics.measured.log_file import MOST_BYTES, Columns, read_log
+
+COLUMNS = Columns(
+    time="t",
+    command=("u",),
+    encoder=("angle",),
+    gauge=("strain",),
+    units={"time": "ms", "command": "mN m", "encoder": "0.5", "gauge": "microstrain"},
+)
+HEADER = "t,angle,unused,u,strain"
+
+
+def rows(count: int = 12) -> list[str]:
+    return [f"{5 * k},{2 * k},x,{-k},{k}" for k in range(count)]
+
+
+def csv_file(folder: Path, lines: list[str], header: str = HEADER) -> Path:
+    path = folder / "log.csv"
+    path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_columns_are_found_by_name_and_given_in_si_units(tmp_path: Path, separator: str) -> None:
+    path = csv_file(tmp_path, [row.replace(",", separator) for row in rows()],
+                    HEADER.replace(",", separator))  # fmt: skip
+    log = read_log(path, COLUMNS)
+    k = np.arange(12.0)
+    assert_allclose(log.time, 5e-3 * k)
+    assert_allclose(log.command, -1e-3 * k[:, None])
+    assert_allclose(log.encoder, k[:, None])
+    assert_allclose(log.gauge, 1e-6 * k[:, None])
+
+
+def test_a_mat_file_gives_the_log_of_a_csv_file(tmp_path: Path) -> None:
+    k = np.arange(12.0)
+    held = {"t": 5.0 * k, "angle": 2 * k[:, None], "u": -k, "strain": k, "other": "text"}
+    savemat(tmp_path / "log.mat", held)
+    log, other = (
+        read_log(path, COLUMNS) for path in (tmp_path / "log.mat", csv_file(tmp_path, rows()))
+    )
+    for name in ("time", "command", "encoder", "gauge"):
+        assert_allclose(getattr(log, name), getattr(other, name))
+
+
+def edited(number: int, line: str) -> list[str]:
+    lines = rows()
+    lines[number] = line
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("lines", "header", "sentence"),
+    [
+        (rows(), "t,angle,unused,u,gauge", "holds no column 'strain'; it holds"),
+        (rows(), "t,angle,t,u,strain", "column 't' is named twice"),
+        (edited(3, "15,6,x,-3,nan"), HEADER, "column 'strain' is not finite at sample 4 of 12"),
+        (edited(3, "15,,x,-3,3"), HEADER, "column 'angle' is not finite at sample 4 of 12"),
+        (edited(3, "15,six,x,-3,3"), HEADER, "column 'angle' holds 'six' in line 5"),
+        (edited(3, "15,6,x,-3"), HEADER, "line 5 holds 4 values, but the header names 5"),
+        (edited(3, "10,6,x,-3,3"), HEADER, "time must increase, but sample 4 (10)"),
+        (edited(3, "9,6,x,-3,3"), HEADER, "time must increase, but sample 4 (9)"),
+        (rows(9), HEADER, "must hold 10 to 200000 samples, got 9"),
+        ([], "", "holds no column 't'"),
+    ],
+)
+def test_bad_text_files_are_refused_with_the_place(
+    tmp_path: Path, lines: list[str], header: str, sentence: str
+) -> None:
+    with pytest.raises(ValueError) as refusal:
+        read_log(csv_file(tmp_path, lines, header), COLUMNS)
+    assert str(refusal.value).startswith("log.csv: ")
+    assert sentence in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"angle": np.arange(11.0)}, "columns have unequal lengths: {'t': 12, 'u': 12, 'angle'"),
+        ({"angle": np.ones((12, 2))}, "variable 'angle' must be a vector of numbers"),
+        ({"angle": "text"}, "variable 'angle' must be a vector of numbers"),
+        ({"angle": 1j * np.ones(12)}, "variable 'angle' must be a vector of numbers"),
+    ],
+)
+def test_bad_mat_variables_are_refused(
+    tmp_path: Path, change: dict[str, object], sentence: str
+) -> None:
+    k = np.arange(12.0)
+    savemat(tmp_path / "log.mat", {"t": k, "angle": k, "u": k, "strain": k} | change)
+    with pytest.raises(ValueError) as refusal:
+        read_log(tmp_path / "log.mat", COLUMNS)
+    assert sentence in str(refusal.value)
+
+
+def test_files_that_are_no_logs_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "log.mat").write_bytes(
+        b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"x" * 99
+    )
+    (tmp_path / "short.mat").write_bytes(b"no")
+    (tmp_path / "log.csv").write_bytes(b"t,\xff\n1,2\n")
+    (tmp_path / "log.xlsx").write_bytes(b"")
+    for name, sentence in (
+        ("log.mat", "version 7.3"), ("short.mat", "cannot be read as a MAT file"),
+        ("log.csv", "must be UTF-8 text"), ("log.xlsx", "must end in one of"),
+        ("none.csv", "cannot be read (No such file"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=f"{sentence[:8]}") as refusal:
+            read_log(tmp_path / name, COLUMNS)
+        assert sentence in str(refusal.value)
+
+
+def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    with path.open("wb") as file:
+        file.truncate(MOST_BYTES + 1)  # takes no room on the disk
+    with pytest.raises(ValueError, match="at most"):
+        read_log(path, COLUMNS)
+
+
+@pytest.mark.parametrize(
+    ("units", "sentence"),
+    [
+        ({"time": "min"}, "The unit of time must be one of ['s', 'ms', 'us'] or a factor"),
+        ({"encoder": "nan"}, "got 'nan'"),
+        ({"encoder": "0"}, "got '0'"),
+        ({"angle": "deg"}, "Unknown kinds of units ['angle']"),
+    ],
+)
+def test_units_are_names_or_factors(units: dict[str, str], sentence: str, tmp_path: Path) -> None:
+    columns = Columns(time="t", command=("u",), encoder=("angle",), units=units)
+    with pytest.raises(ValueError) as refusal:
+        read_log(csv_file(tmp_path, rows()), columns)
+    assert sentence in str(refusal.value)

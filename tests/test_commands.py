@@ -1,0 +1,102 @@
+"""`flexarm COMMAND`: what each command runs, and what hides it."""
+
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import flexarm
+from dynamics.arms import ARMS
+from flexarm_env import IDS
+from flexarm_env.__main__ import environments, table
+from tests.paths import ROOT
+
+
+def python(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run Python in a folder, whose modules come before those of the checkout."""
+    code = f"import sys; sys.path[:0] = [{str(folder)!r}, {str(ROOT)!r}]; {arguments[0]}"
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize("name", flexarm.COMMANDS)
+def test_every_command_says_what_it_takes(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        flexarm.main([name, "--help"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out.startswith(f"usage: flexarm {name}")
+    assert callable(import_module(flexarm.COMMANDS[name][0]).main)
+
+
+def test_a_command_has_the_errors_of_its_module(capsys: pytest.CaptureFixture[str]) -> None:
+    status = flexarm.main(["evaluate", "nothing", "--out", "nowhere"])
+    assert status == 2
+    said = capsys.readouterr().err
+    assert import_module("agents.evaluate").main(["nothing", "--out", "nowhere"]) == status
+    assert capsys.readouterr().err == said
+
+
+def test_unknown_commands_are_refused_and_none_prints_the_help(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for given, code in (["no-such"], 2), ([], 0):
+        with pytest.raises(SystemExit) as end:
+            flexarm.main(given)
+        assert end.value.code == code
+    shown = capsys.readouterr()
+    assert "invalid choice: 'no-such'" in shown.err
+    assert all(line in shown.out for _, line in flexarm.COMMANDS.values())
+
+
+def test_the_help_imports_no_learning_library(tmp_path: Path) -> None:
+    """Neither that of the dispatcher nor those of its commands."""
+    ran = python(
+        "import flexarm, contextlib\n"
+        "for name in [None, *flexarm.COMMANDS]:\n"
+        "    with contextlib.suppress(SystemExit): flexarm.main([name, '--help'][name is None:])\n"
+        "print({'torch', 'stable_baselines3'} & set(sys.modules))",
+        folder=tmp_path,
+    )
+    assert ran.stdout.count("usage: flexarm") == 1 + len(flexarm.COMMANDS)
+    assert ran.stdout.endswith("set()\n"), ran
+
+
+def test_the_table_of_arms_has_every_preset_and_every_id() -> None:
+    rows = table().splitlines()[1:]
+    assert [row.split()[0] for row in rows] == list(ARMS)
+    shown = " ".join(map(environments, ARMS))
+    assert shown.count("FlexArm/") == len({env_id.split("-")[0] for env_id in IDS})
+    for env_id in IDS:
+        scene, task, _ = env_id.split("-")
+        assert f"{scene}-" in shown
+        assert task in shown
+
+
+@pytest.mark.parametrize("package", ["flexarm_env", "agents.evaluate"])
+def test_a_users_own_dynamics_is_named(package: str, tmp_path: Path) -> None:
+    (tmp_path / "dynamics.py").write_text("")
+    ran = python(f"import {package}", folder=tmp_path)
+    assert f"ImportError: {tmp_path}/dynamics.py hides flexarm's package 'dynamics'" in ran.stderr
+
+
+def test_a_users_own_agents_are_named(tmp_path: Path) -> None:
+    (tmp_path / "agents").mkdir()
+    (tmp_path / "agents" / "__init__.py").write_text("")
+    ran = python("import flexarm; sys.exit(flexarm.main(['evaluate']))", folder=tmp_path)
+    assert ran.returncode == 2
+    assert "hides flexarm's package 'agents'; rename it" in ran.stderr
+    assert ran.stderr.count("\n") == 1
+
+
+def test_a_missing_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(name: str) -> None:
+        raise ModuleNotFoundError("No module named 'filelock'", name="filelock")
+
+    monkeypatch.setattr(flexarm, "import_module", refused)
+    assert flexarm.main(["train"]) == 2
+    assert "train needs filelock" in capsys.readouterr().err
