@@ -18,9 +18,9 @@ from agents.learners.algorithms import (
     policy_settings,
     settings,
 )
+from agents.learners.ranges import checked_ranges
+from agents.learners.zoo import HINTS, translated
 from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS, MOST_STACKED
-from agents.ranges import checked_ranges
-from agents.zoo import HINTS, translated
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
 from flexarm_env import registered

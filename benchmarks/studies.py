@@ -1,4 +1,4 @@
-"""What learning adds on one link: beside predictive control, and by memory and randomization.
+"""Learning on one link: beside predictive control, and by memory and randomization.
 
     python -m benchmarks.studies limits --jobs 2
     python -m benchmarks.studies memory --jobs 2

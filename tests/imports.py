@@ -53,8 +53,6 @@ ROOMS = (
     "agents.files",
     "agents.policy",
     "agents.learners",
-    "agents.zoo",
-    "agents.ranges",
     "agents.config",
     "agents.metrics",
     "agents.run_folder",

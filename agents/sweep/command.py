@@ -18,7 +18,7 @@ import yaml
 from agents.config import Config, ConfigError, config_from_dict, load_config
 from agents.files import FolderError, atomic_write, folder_lock
 from agents.learners.algorithms import settings
-from agents.ranges import DEFAULTS, drawn
+from agents.learners.ranges import DEFAULTS, drawn
 from agents.run_folder.folder import check_out, refuse_used
 from agents.sentences import one_line
 from agents.sweep.trial import POLICY, REPORTS, train_trial

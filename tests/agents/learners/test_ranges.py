@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.config import Config, ConfigError, config_from_dict
-from agents.ranges import drawn
+from agents.learners.ranges import drawn
 from agents.sweep.command import plan
 
 PPO: dict[str, Any] = {"name": "ppo", "kwargs": {"learning_rate": "lin_1.0e-3", "n_steps": 64}}
