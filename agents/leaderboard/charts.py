@@ -98,6 +98,9 @@ def regrets(results: Results) -> Figure:
     for axis, (env_id, track) in zip(axes, shown, strict=True):
         drawn = excess_points if is_moving(env_id) else regret_bars
         drawn(axis, results[env_id][track], TRACK_LOOKS[track][0])
+    figure.supxlabel(
+        "regret: settling time over the best known, less 1; excess: RMS tip error less the smallest"
+    )
     return figure
 
 
@@ -106,7 +109,7 @@ def regret_bars(axis: Any, found: Mapping[str, Entry], colour: str) -> None:
     for k, (x, low, high) in enumerate(_sorted(axis, found, "regret", 100.0)):
         axis.barh(k, x, xerr=beside(x, low, high), color=colour, alpha=0.75, capsize=3)
         axis.annotate(f" {x:.0f}", (high, k), va="center", fontsize=8)
-    axis.set(xlim=(0.0, 450.0), xlabel="regret [%]: settling time over the best known, less 1")
+    axis.set(xlim=(0.0, 450.0), xlabel="regret [%]")
 
 
 def excess_points(axis: Any, found: Mapping[str, Entry], colour: str) -> None:
@@ -117,8 +120,9 @@ def excess_points(axis: Any, found: Mapping[str, Entry], colour: str) -> None:
             continue
         end = high if math.isfinite(high) else x
         axis.errorbar(x, k, xerr=beside(x, low, end), color=colour, marker="o", capsize=3)
-        axis.annotate(f" {x:.2g}", (end, k), va="center", fontsize=8)
-    axis.set(xscale="log", xlabel="excess [mm]: RMS tip error less the smallest known")
+        beyond = "" if math.isfinite(high) else " to failed"
+        axis.annotate(f" {x:.3g}{beyond}", (end, k), va="center", fontsize=8)
+    axis.set(xscale="log", xlabel="excess [mm]")
     low, high = axis.get_xlim()
     axis.set_xlim(low, 3.0 * high)
 

@@ -144,7 +144,8 @@ def over_best(x: Figures) -> str:
     """Excess [mm] on a path, else the regret, with its interval; a dash if no bound is known."""
     if x["excess_iqm"] is not None:
         middle, *ends = (
-            _number(1e3 * value, ".3g", "failed") for value in (x["excess_iqm"], *x["excess_ci"])
+            _number(round(1e3 * value, 4) + 0.0, ".3g", "failed")
+            for value in (x["excess_iqm"], *x["excess_ci"])
         )
         return middle if middle == "failed" else f"{middle} [{', '.join(ends)}]"
     if x["regret_iqm"] is None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agents.leaderboard import charts
-from agents.leaderboard.output import leaders, write
+from agents.leaderboard.output import leaders, over_best, write
 from agents.leaderboard.statistics import Entry, Spectrum, compared, figures
 from agents.metrics import METRICS, Best
 
@@ -182,3 +182,15 @@ def test_a_dozen_controllers_look_different() -> None:
     seen = {(x["color"], x["marker"], str(x["linestyle"])) for x in looks.values()}
     assert len(seen) == 12
     assert len({(x["color"], str(x["linestyle"])) for x in looks.values()}) == 12
+
+
+def test_an_excess_ends_at_a_ten_thousandth_of_a_millimetre_or_in_failures() -> None:
+    figures = {"excess_iqm": -1e-19, "excess_ci": [-2e-19, 1e-5]}
+    assert over_best(figures) == "0 [0, 0.01]"
+    assert over_best({"excess_iqm": 0.1134, "excess_ci": [0.05, np.inf]}) == "113 [50, failed]"
+    failing = entry([[0.002, 0.002, 0.002, 0.0]], best=PATH)
+    low, high = failing.figures["excess_ci"]
+    assert low < 0.01
+    assert high == np.inf
+    (axis,) = charts.regrets({TRACK: {"state": compared({"lqr": failing})}}).axes
+    assert [text.get_text() for text in axis.texts] == [" 2 to failed"]
