@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
 from agents.environments import REFUSALS, check_keywords
 from agents.files import FolderError, check_folder, folder_lock
 from agents.hybrid.controller import acting
+from agents.leaderboard.replay import YARDSTICK, optimal
 from agents.leaderboard.tracks import takes_part, track_of
 from agents.learners.export import load_zip
 from agents.metrics import make_batch
@@ -24,6 +25,8 @@ from agents.signals import Interrupted, signals_to, stop_at_once
 from agents.tune import parameters_of
 from dynamics.description import validate
 from flexarm_env import registered
+
+KNOWN = sorted({*CONTROLLERS, YARDSTICK})
 
 
 class UsageError(ValueError):
@@ -38,7 +41,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.evalu
     parser.add_argument(
         "subject",
         metavar="RUN_OR_CONTROLLER",
-        help=f"a run's folder, or one of {', '.join(sorted(CONTROLLERS))}",
+        help=f"a run's folder, or one of {', '.join(KNOWN)}",
     )
     parser.add_argument(
         "--env", metavar="ID",
@@ -81,7 +84,10 @@ def evaluate(a: argparse.Namespace) -> None:
     env_id, kwargs = find_env(policy, a.env, env_kwargs)
     if policy is not None and a.env is None and kwargs:
         print(f"{env_id} with the keywords of the training: {validate.shown(kwargs)}")
-    name, subject = make_controller(a.subject, policy, env_id, kwargs)
+    if a.subject == YARDSTICK:
+        name, subject = a.subject, bounds_of(env_id, kwargs, range(a.seed, a.seed + a.episodes))
+    else:
+        name, subject = make_controller(a.subject, policy, env_id, kwargs)
     a.out.mkdir(parents=True, exist_ok=True)
     with folder_lock(a.out):
         compare(
@@ -111,13 +117,13 @@ def parse_kwargs(text: str | None) -> dict[str, Any] | None:
 
 def find_policy(subject: str, trust: bool) -> Policy | None:
     """The stored policy that the subject names; None if it names a controller."""
-    if subject in CONTROLLERS:
+    if subject in KNOWN:
         return None
     path = Path(subject)
     if not path.exists():
         raise UsageError(
             f"{subject!r} is neither a run's folder nor a controller; "
-            f"controllers: {', '.join(sorted(CONTROLLERS))}."
+            f"controllers: {', '.join(KNOWN)}."
         )
     return load_policy(path) if path.is_dir() else load_zip(path, trust=trust)
 
@@ -169,6 +175,20 @@ def make_controller(
         return Path(subject).name, acting_policy
     finally:
         env.close()
+
+
+def bounds_of(env_id: str, kwargs: dict[str, Any], seeds: Sequence[int]) -> Controller:
+    """The yardstick for episodes of an id with the keywords of a track."""
+    track = track_of(YARDSTICK, env_id, kwargs)
+    if track is None:
+        raise UsageError(
+            f"{YARDSTICK} has bounds of ids with the keywords of a track alone, got {env_id} with "
+            f"{validate.shown(kwargs)}."
+        )
+    try:
+        return optimal(env_id, track, seeds)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
 
 
 def classical(name: str, env: Any, env_id: str, kwargs: dict[str, Any]) -> Controller:

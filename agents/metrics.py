@@ -261,6 +261,11 @@ class Best:
     metric: str  # "settling_time" [s], or "tip_error_rms" [m] where the target moves
     values: AnyArray  # (episodes,)
 
+    @property
+    def of_path(self) -> bool:
+        """True if the target moves."""
+        return self.metric == "tip_error_rms"
+
 
 def regrets(metrics: Mapping[str, AnyArray], best: Best) -> AnyArray:
     """A metric (..., episodes) over the best that is known, minus 1, at most MOST_REGRET.
@@ -272,6 +277,15 @@ def regrets(metrics: Mapping[str, AnyArray], best: Best) -> AnyArray:
     return np.minimum(ratio - 1.0, MOST_REGRET)
 
 
+def excesses(metrics: Mapping[str, AnyArray], best: Best) -> AnyArray:
+    """A metric (..., episodes) less the best that is known; infinite in a failed episode.
+
+    Episodes without a best are left out.
+    """
+    known = best.values > 0.0
+    return np.asarray(metrics[best.metric][..., known] - best.values[known])
+
+
 def print_table(results: Mapping[str, Mapping[str, AnyArray]], best: Best | None = None) -> None:
     """Print the main metrics of every controller, and the regret where a bound is known."""
     from rich.console import Console
@@ -280,7 +294,9 @@ def print_table(results: Mapping[str, Mapping[str, AnyArray]], best: Best | None
 
     table = Table()
     columns = ["", "success", "score", "settling [s]", "tip error [mm]", "vibration [mm]"]
-    columns += ["effort [N²m²s]"] + ["regret"] * (best is not None)
+    columns += ["effort [N²m²s]"]
+    if best is not None:
+        columns.append("excess [mm]" if best.of_path else "regret")
     for column in columns:
         table.add_column(Text(column), justify="right" if column else "left")
     for name, metrics in results.items():
@@ -293,17 +309,27 @@ def print_table(results: Mapping[str, Mapping[str, AnyArray]], best: Best | None
             f"{1e3 * s['residual_vibration']:.2g}",
             f"{s['effort']:.3g}",
         ]
-        if best is not None:
-            regret = np.median(regrets(metrics, best))
-            cells.append(f"{100 * regret:.0f} %")
+        if best is not None and best.of_path:
+            cells.append(f"{1e3 * np.median(excesses(metrics, best)):.3g}")
+        elif best is not None:
+            cells.append(f"{100 * np.median(regrets(metrics, best)):.0f} %")
         table.add_row(name, *cells)
     console = Console(width=None if Console().is_terminal else 100)
     console.print(table)
     console.print(CAPTION, style="dim")
     if best is not None:
-        name, unit = best.metric.replace("_", " "), METRICS[best.metric][0]
-        console.print(
-            f"Regret: {name} over the best that any torques are known to reach (median "
-            f"{np.nanmedian(best.values):.3g} {unit}), minus one.",
-            style="dim",
+        console.print(_bounded(best), style="dim")
+
+
+def _bounded(best: Best) -> str:
+    """Sentence on the last column of the table."""
+    median = np.nanmedian(best.values)
+    if best.of_path:
+        return (
+            "Excess: RMS tip error less the smallest that any torques are known to reach (median "
+            f"{1e3 * median:.3g} mm)."
         )
+    return (
+        "Regret: settling time over the best that any torques are known to reach (median "
+        f"{median:.3g} s), minus one."
+    )

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from agents.controllers.inverse import InverseDynamics
 from agents.controllers.lqr import LQG, LQR
 from agents.controllers.mpc import MPC, KalmanMPC
 from agents.controllers.pd import JointPD, joint_pd, tune_pd
 from agents.controllers.shaped import ShapedPD, ei, zv, zvd
 from agents.controllers.simple import Random, Zero
-from agents.controllers.strain import PID, PositivePosition, StrainFeedback
+from agents.controllers.strain import PID, IntegralResonant, PositivePosition, StrainFeedback
 from agents.policy import Controller
 
 __all__ = ["CONTROLLERS", "JointPD", "Kind", "controller", "joint_pd", "tune_pd"]
@@ -57,6 +58,10 @@ CONTROLLERS: dict[str, Kind] = {
             "gain": (0.01, 10.0), "filter_ratio": (0.1, 3.0), "filter_damping": (0.1, 1.0),
         },
     ),
+    "irc": Kind(
+        build=IntegralResonant, obs=("sensors",),
+        ranges=_PD | {"gain": (0.01, 10.0), "corner_ratio": (0.01, 3.0)},
+    ),
     **{
         f"pd-{shaper.__name__}": Kind(
             build=partial(ShapedPD, shaper=shaper),
@@ -65,6 +70,15 @@ CONTROLLERS: dict[str, Kind] = {
         )
         for shaper in (zv, zvd, ei)
     },
+    **{
+        f"pd-{shaper.__name__}-2": Kind(
+            build=partial(ShapedPD, shaper=shaper, modes=2),
+            ranges=_SHAPED,
+            follows=False,
+        )
+        for shaper in (zv, zvd)
+    },
+    "inverse": Kind(build=InverseDynamics, ranges=_SHAPED),
     "lqr": Kind(build=LQR, ranges=_LQR, obs=("state",)),
     "lqg": Kind(
         build=LQG, obs=("sensors",),

@@ -104,6 +104,12 @@ def posture_of(read: Reading, x: AnyArray) -> Array:
     return posture
 
 
+def smooth_way(share: Array) -> tuple[Array, Array]:
+    """Way from 0 to 1 and its slope over shares of its time: at rest at both ends, and beyond."""
+    x = np.clip(share, 0.0, 1.0)
+    return x**3 * (10.0 + x * (6.0 * x - 15.0)), 30.0 * x**2 * (1.0 - x) ** 2
+
+
 def target_rate(read: Reading, x: AnyArray) -> Array:
     """(N, m) [rad/s] rate of the target."""
     return (

@@ -3,7 +3,8 @@
 The reference of every joint runs smoothly from its first reading to the target and is convolved
 with impulses that cancel the least damped oscillations of the linear closed loop: ZV and ZVD of
 Singer and Seering, J. Dyn. Sys. Meas. Control 112 (1990), and EI of Singhose, Seering and Singer,
-J. Mech. Design 116 (1994).
+J. Mech. Design 116 (1994). Shapers of several modes are convolved (Hyde and Seering, IEEE Int.
+Conf. Robotics and Automation, 1991).
 """
 
 import math
@@ -18,7 +19,7 @@ from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
 from agents.controllers.observers import fresh_of
 from agents.controllers.pd import joint_pd
 from agents.controllers.reading import Reading
-from agents.controllers.reference import posture_of
+from agents.controllers.reference import posture_of, smooth_way
 from dynamics.types import AnyArray, Array
 
 Impulses = tuple[Array, Array]  # amplitudes, which add up to 1, and times [s]
@@ -124,10 +125,8 @@ class ShapedPD:
 
     def _reference(self, t: float, amplitudes: Array, times: Array) -> tuple[float, float]:
         """Share of the way [-] and its rate [1/s] at time t [s]."""
-        x = np.clip((t - times) / self.rise, 0.0, 1.0)
-        way = x**3 * (10.0 + x * (6.0 * x - 15.0))
-        slope = 30.0 * x**2 * (1.0 - x) ** 2 / self.rise
-        return float(amplitudes @ way), float(amplitudes @ slope)
+        way, slope = smooth_way((t - times) / self.rise)
+        return float(amplitudes @ way), float(amplitudes @ slope) / self.rise
 
     def _shaped(self, model: LinearModel) -> Impulses:
         """Shaper of the least damped oscillations of the closed loop at a posture."""

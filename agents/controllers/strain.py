@@ -5,8 +5,12 @@
   curvature at the root (direct strain feedback, Luo, IEEE Trans. Automatic Control 38, 1993).
 - Positive position feedback: a second-order filter near the arm's first frequency takes the
   bending and adds a torque (Fanson and Caughey, AIAA Journal 28, 1990).
+- Integral resonant control: the integral of the bending with a feed-through adds a torque (Aphale,
+  Fleming and Moheimani, Smart Materials and Structures 16, 2007; for a flexible arm Pereira,
+  Aphale, Feliu and Moheimani, IEEE/ASME Trans. Mechatronics 16, 2011).
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -108,6 +112,44 @@ class PositivePosition:
         before = resumed(state, episode_start, np.array([chord, chord]))
         after = np.tensordot(self.step, np.stack([*before, chord]), axes=1)
         action = np.clip(self.pd.predict(x)[0] + self.gain * after[0], -1.0, 1.0)
+        return action.reshape(*np.shape(observation)[:-1], -1), after
+
+
+class IntegralResonant:
+    """Joint PD whose joints yield by the integral u of the bending with a feed-through.
+
+    u' = k (chord - u / gain). `corner_ratio` is the corner k / gain over the first frequency with
+    locked joints; `gain` is what is left of the chord at rest.
+    """
+
+    def __init__(
+        self,
+        env: Any,
+        *,
+        frequency_ratio: float,
+        damping_ratio: float,
+        gain: float,
+        corner_ratio: float,
+    ) -> None:
+        core = env.unwrapped.core
+        self.chords, self.pd = Chords(env, "irc"), joint_pd(env, frequency_ratio, damping_ratio)
+        self.gain, self.stiffness = gain, self.pd.stiffness / self.pd.torque_limit
+        corner = corner_ratio * (core.scales.locked or (1.0 / core.move_time,))[0]
+        self.kept = math.exp(-corner * core.control_dt)
+
+    def predict(
+        self,
+        observation: AnyArray,
+        state: Array | None = None,
+        episode_start: AnyArray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[AnyArray, Array]:
+        """Actions; the state (N, m) [rad] is the integral."""
+        x = np.atleast_2d(observation)
+        chord = self.chords(x)
+        before = resumed(state, episode_start, chord)
+        after = self.kept * before + (1.0 - self.kept) * self.gain * chord
+        action = np.clip(self.pd.predict(x)[0] + self.stiffness * after, -1.0, 1.0)
         return action.reshape(*np.shape(observation)[:-1], -1), after
 
 

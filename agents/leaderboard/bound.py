@@ -35,7 +35,7 @@ from agents.files import atomic_write
 from agents.leaderboard.motions import Episode, Motion, effects, plant
 from agents.leaderboard.tracks import RANKED
 from agents.metrics import Best
-from agents.tune import parameters_of
+from agents.tune import is_tuned, parameters_of
 from dynamics.description import validate
 from dynamics.types import Array
 from flexarm_env import IDS, TASKS
@@ -43,7 +43,6 @@ from flexarm_env.tasks import SETTLED_BAND
 
 FOLDER = Path(__file__).parents[1] / "bounds"
 PLANTS = ("state", "laboratory")  # tracks whose plants differ in free parameters alone
-STARTS = ("lqr", "pd")  # controllers whose actions the search begins with
 TRUST = (0.5, 0.01)  # [-] first and last largest change of an action
 ROUNDS = 12  # programs per aim
 MARGIN = 0.97  # of the band and of the deflection limit, for the programs
@@ -146,6 +145,11 @@ def reached(episode: Episode, motion: Motion) -> float:
     return (motion.settled + 1) * episode.dt if motion.settled <= episode.held else np.inf
 
 
+def starts_of(env_id: str) -> tuple[str, str]:
+    """Controllers whose actions the search begins with, the best that were tuned for the task."""
+    return ("mpc" if is_tuned("mpc", env_id, "state") else "lqr", "pd")
+
+
 def bounded(
     env_id: str, track: str, seed: int, batches: dict[int, Any]
 ) -> tuple[Motion, list[float]]:
@@ -154,7 +158,7 @@ def bounded(
     `batches` keeps environments for the next episode of the same task and track.
     """
     episode, found = Episode(env_id, plant(env_id, track), seed, batches), []
-    for name in STARTS:
+    for name in starts_of(env_id):
         subject = controller(name, episode.batch(1)[0], parameters_of(name, env_id, "state"))
         first = episode.follow(episode.acted(subject)[None])[0]
         if not first.valid:
@@ -181,15 +185,15 @@ class Bounds:
 DIMENSIONS = {"seeds": 1, "best": 1, "starts": 2, "actions": 3}
 
 
-def file_of(env_id: str, track: str) -> Path:
-    """File of the bounds of a task with the plants of a track."""
-    return FOLDER / f"{env_id.split('/')[1]}.{track}.npz"
+def file_of(env_id: str, track: str, folder: Path | None = None) -> Path:
+    """File of the bounds of a task with the plants of a track, in the package or in a folder."""
+    return (folder or FOLDER) / f"{env_id.split('/')[1]}.{track}.npz"
 
 
 @cache
-def stored(env_id: str, track: str) -> Bounds | None:
+def stored(env_id: str, track: str, folder: Path | None = None) -> Bounds | None:
     """Bounds that are stored for a task with the plants of a track, if any."""
-    path = file_of(env_id, track)
+    path = file_of(env_id, track, folder)
     if not path.exists():
         return None
     try:
@@ -208,51 +212,79 @@ def stored(env_id: str, track: str) -> Bounds | None:
     return Bounds(**arrays)
 
 
-def best_of(env_id: str, track: str, seeds: Sequence[int]) -> Best | None:
+def known(env_id: str, track: str, folder: Path | None = None) -> dict[int, tuple[float, Array]]:
+    """Best value and actions (T, m) by seed of all searched episodes; infinite if none was found.
+
+    A folder adds its bounds to those of the package; the better one counts.
+    """
+    result: dict[int, tuple[float, Array]] = {}
+    for place in {None, folder}:
+        found = stored(env_id, track, place)
+        if found is not None:
+            for seed, value, actions in zip(
+                found.seeds.tolist(), found.best.tolist(), found.actions, strict=True
+            ):
+                if seed not in result or value < result[seed][0]:
+                    result[seed] = value, actions
+    return result
+
+
+def best_of(
+    env_id: str, track: str, seeds: Sequence[int], folder: Path | None = None
+) -> Best | None:
     """Best that is known of episodes; None if fewer than two have a bound."""
-    found = stored(env_id, track)
-    if found is None:
-        return None
-    known = dict(zip(found.seeds.tolist(), found.best.tolist(), strict=True))
-    values = np.array([known.get(seed, np.nan) for seed in seeds])
+    bounds = known(env_id, track, folder)
+    values = np.array([bounds[seed][0] if seed in bounds else np.nan for seed in seeds])
     values[~np.isfinite(values)] = np.nan
     metric = "tip_error_rms" if is_moving(env_id) else "settling_time"
     return Best(metric, values) if np.sum(values > 0.0) > 1 else None
 
 
-def add(env_id: str, track: str, seed: int, motion: Motion, starts: Sequence[float]) -> None:
+def add(
+    env_id: str,
+    track: str,
+    seed: int,
+    motion: Motion,
+    starts: Sequence[float],
+    folder: Path | None = None,
+) -> None:
     """Store one more episode, in place of an earlier bound; the file is replaced as a whole."""
     new = Bounds(
         np.array([seed]), np.array([min(starts)]), np.array([starts]),
         motion.actions[None].astype(np.float32),
     )  # fmt: skip
     stored.cache_clear()  # another process may have added episodes
-    old, path = stored(env_id, track), file_of(env_id, track)
+    old, path = stored(env_id, track, folder), file_of(env_id, track, folder)
     arrays = {name: getattr(new, name) for name in DIMENSIONS}
     if old is not None:
         others = old.seeds != seed
         order = np.argsort([*old.seeds[others], seed])
         for name, row in arrays.items():
             arrays[name] = np.concatenate([getattr(old, name)[others], row])[order]
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary:
         np.savez_compressed(temporary, **arrays)
     stored.cache_clear()
 
 
-def compute(env_id: str, track: str, seeds: Iterable[int], jobs: int = 1) -> None:
-    """Search and store the bounds of the episodes that have none."""
-    found = stored(env_id, track)
-    missing = [seed for seed in seeds if found is None or seed not in found.seeds]
+def compute(
+    env_id: str, track: str, seeds: Iterable[int], jobs: int = 1, folder: Path | None = None
+) -> None:
+    """Search the bounds of the episodes that have none; store them in the package or a folder."""
+    there = known(env_id, track, folder)
+    missing = [seed for seed in seeds if seed not in there]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
         results = pool.map(partial(_searched, env_id, track), missing)
-        for seed, (motion, starts) in zip(missing, results, strict=True):
-            add(env_id, track, seed, motion, starts)
+        for done, (seed, (motion, starts)) in enumerate(zip(missing, results, strict=True), 1):
+            add(env_id, track, seed, motion, starts, folder)
             line = ", ".join(
-                f"{name} {value:.4g}" for name, value in zip(STARTS, starts, strict=True)
+                f"{name} {value:.4g}" for name, value in zip(starts_of(env_id), starts, strict=True)
             )
-            print(f"{env_id}, {track}, seed {seed}: from {line}", flush=True)
+            print(
+                f"{env_id}, {track}, bound {done} of {len(missing)}, seed {seed}: from {line}",
+                flush=True,
+            )
 
 
 _BATCHES: dict[tuple[str, str], dict[int, Any]] = {}  # of a worker

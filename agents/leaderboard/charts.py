@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from agents.figures import COLOURS, look, new_figure, tidy
+from agents.leaderboard.bound import is_moving
+from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.statistics import Entry, profile
 from dynamics.types import AnyArray
 from flexarm_env import IDS, TASKS
@@ -26,7 +28,7 @@ TRACK_LOOKS = {  # colour, marker and place
     "transfer": (COLOURS[3], "^", -0.22),
 }
 COLUMNS = 4
-IDLE = ("zero", "random")  # not drawn
+UNRANKED = ("zero", "random", YARDSTICK)  # not drawn
 BEST = 5  # lines in a panel
 LEVELS = np.linspace(0.0, 1.0, 51)  # [-] scores of a profile
 
@@ -51,7 +53,7 @@ def scores(results: Results) -> Figure:
     figure, axes = panels([title(env_id) for env_id in results])
     for axis, tracks in zip(axes, results.values(), strict=True):
         every = dict.fromkeys(name for found in tracks.values() for name in found)
-        names = [name for name in every if name not in IDLE][::-1]
+        names = [name for name in every if name not in UNRANKED][::-1]
         for track, found in tracks.items():
             color, marker, off = TRACK_LOOKS[track]
             for name in [name for name in names if name in found]:
@@ -86,28 +88,57 @@ def profiles(results: Results, track: str) -> Figure:
 
 
 def regrets(results: Results) -> Figure:
-    """Interquartile means of the regret with their intervals, where a bound is known."""
+    """What controllers lose to the best that is known, with intervals.
+
+    Bars of the regret where the target rests; on a path, points of the excess of the RMS tip error,
+    on a logarithmic scale.
+    """
     shown = bounded(results)
     figure, axes = panels([f"{title(env_id)}, {track}" for env_id, track in shown])
     for axis, (env_id, track) in zip(axes, shown, strict=True):
-        found = results[env_id][track]
-        regret = {
-            name: (entry.figures["regret_iqm"], *entry.figures["regret_ci"])
-            for name, entry in found.items()
-            if name not in IDLE
-        }
-        names = sorted(regret, key=regret.__getitem__, reverse=True)
-        for k, name in enumerate(names):
-            x, low, high = (100.0 * value for value in regret[name])
-            colour = TRACK_LOOKS[track][0]
-            axis.barh(k, x, xerr=beside(x, low, high), color=colour, alpha=0.75, capsize=3)
-            axis.annotate(f" {x:.0f}", (high, k), va="center", fontsize=8)
-        axis.set_yticks(range(len(names)), names)
-        axis.set_xlim(0.0, 450.0)
+        drawn = excess_points if is_moving(env_id) else regret_bars
+        drawn(axis, results[env_id][track], TRACK_LOOKS[track][0])
     figure.supxlabel(
-        "regret [%]: settling time, or RMS error of a path, over the best known, less 1"
+        "regret: settling time over the best known, less 1; excess: RMS tip error less the smallest"
     )
     return figure
+
+
+def regret_bars(axis: Any, found: Mapping[str, Entry], colour: str) -> None:
+    """Bars of the regrets of controllers in a panel, the least on top."""
+    for k, (x, low, high) in enumerate(_sorted(axis, found, "regret", 100.0)):
+        axis.barh(k, x, xerr=beside(x, low, high), color=colour, alpha=0.75, capsize=3)
+        axis.annotate(f" {x:.0f}", (high, k), va="center", fontsize=8)
+    axis.set(xlim=(0.0, 450.0), xlabel="regret [%]")
+
+
+def excess_points(axis: Any, found: Mapping[str, Entry], colour: str) -> None:
+    """Points of the excesses of controllers in a panel, the least on top; none of failures."""
+    for k, (x, low, high) in enumerate(_sorted(axis, found, "excess", 1e3)):
+        if math.isinf(x):
+            axis.annotate(" failed", (0.0, k), ("axes fraction", "data"), va="center", fontsize=8)
+            continue
+        end = high if math.isfinite(high) else x
+        axis.errorbar(x, k, xerr=beside(x, low, end), color=colour, marker="o", capsize=3)
+        beyond = "" if math.isfinite(high) else " to failed"
+        axis.annotate(f" {x:.3g}{beyond}", (end, k), va="center", fontsize=8)
+    axis.set(xscale="log", xlabel="excess [mm]")
+    low, high = axis.get_xlim()
+    axis.set_xlim(low, 3.0 * high)
+
+
+def _sorted(
+    axis: Any, found: Mapping[str, Entry], name: str, factor: float
+) -> list[tuple[float, ...]]:
+    """Values of a figure with their intervals, the largest first; the axis bears the names."""
+    values = {
+        key: tuple(factor * x for x in (entry.figures[f"{name}_iqm"], *entry.figures[f"{name}_ci"]))
+        for key, entry in found.items()
+        if key not in UNRANKED
+    }
+    names = sorted(values, key=values.__getitem__, reverse=True)
+    axis.set_yticks(range(len(names)), names)
+    return [values[key] for key in names]
 
 
 def settling(results: Results) -> Figure:
@@ -183,7 +214,7 @@ def resting(results: Results) -> list[str]:
 
 def best(found: Mapping[str, Entry]) -> list[str]:
     """Controllers with the highest scores, best first."""
-    names = [name for name in found if name not in IDLE]
+    names = [name for name in found if name not in UNRANKED]
     return sorted(names, key=lambda name: -found[name].figures["score_iqm"])[:BEST]
 
 
@@ -209,7 +240,7 @@ def panels(titles: list[str]) -> tuple[Figure, list[Any]]:
 def looks_of(results: Results) -> dict[str, dict[str, Any]]:
     """Colour, marker and dashes of every controller, equal in all pictures."""
     every = (name for tracks in results.values() for found in tracks.values() for name in found)
-    names = [name for name in dict.fromkeys(every) if name not in IDLE]
+    names = [name for name in dict.fromkeys(every) if name not in UNRANKED]
     return {name: look(k) for k, name in enumerate(names)}
 
 

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from agents.files import atomic_write
-from agents.leaderboard.charts import IDLE, Results, pictures
+from agents.leaderboard.bound import is_moving
+from agents.leaderboard.charts import UNRANKED, Results, pictures
+from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.statistics import Figures
 from agents.leaderboard.tracks import TRACKS
 from agents.metrics import METRICS, without_infinities
@@ -35,7 +37,7 @@ def write(folder: Path, results: Results, seeds: Sequence[int]) -> None:
     ):
         writer = csv.writer(file)
         writer.writerow(["task", "track", "controller", "run", "seed", *METRICS])
-        writer.writerows(episodes(results, seeds))
+        writer.writerows(episodes(results))
     with atomic_write(folder / "leaderboard.md") as path:
         path.write_text(page(tables, list(pictures(results)), seeds), encoding="utf-8")
 
@@ -61,14 +63,14 @@ def a_line_each(tables: Tables) -> str:
     return table(texts, 1)
 
 
-def episodes(results: Results, seeds: Sequence[int]) -> Iterator[list[Any]]:
+def episodes(results: Results) -> Iterator[list[Any]]:
     """Rows of the table of all episodes."""
     for env_id, tracks in results.items():
         for track, found in tracks.items():
             for name, entry in found.items():
                 for (run, k), _ in np.ndenumerate(entry.metrics["score"]):
                     values = [float(entry.metrics[key][run, k]) for key in METRICS]
-                    yield [env_id, track, name, run, seeds[k], *values]
+                    yield [env_id, track, name, run, entry.seeds[k], *values]
 
 
 def page(tables: Tables, files: Sequence[str], seeds: Sequence[int]) -> str:
@@ -76,7 +78,10 @@ def page(tables: Tables, files: Sequence[str], seeds: Sequence[int]) -> str:
     about = (
         f"Test episodes {seeds[0]} to {seeds[-1]}. Score: 0 to 1, the share of the episode that is "
         "left after settling; for Track 1 / (1 + RMS / band). IQM: mean of the middle half, "
-        "with a 95 % bootstrap interval over episodes. Decisions: one environment at a time."
+        "with a 95 % bootstrap interval over episodes. Regret: settling time over the best known, "
+        "less 1. Excess: RMS tip error less the smallest known; infinite where an episode failed. "
+        f"Decisions: one environment at a time. {YARDSTICK} plays the torques of the best known "
+        "in the episodes that have one; it is told which they are, and is not ranked."
     )
     parts = ["# Leaderboard", about, *(f"![{name.split('.')[0]}]({name})" for name in files)]
     parts += ["## Best and runner-up", leaders(tables)]
@@ -86,7 +91,8 @@ def page(tables: Tables, files: Sequence[str], seeds: Sequence[int]) -> str:
             lines = [
                 f"**{track}**: {TRACKS[track].text}",
                 "",
-                "| controller | success | score, IQM [95 %] | regret, IQM [95 %] | settling [s] | "
+                "| controller | success | score, IQM [95 %] | "
+                f"{'excess [mm]' if is_moving(env_id) else 'regret'}, IQM [95 %] | settling [s] | "
                 "RMS [mm] | decision, median and 99 % [ms] | of [ms] |",
                 "|---|---:|---:|---:|---:|---:|---:|---:|",
             ]
@@ -106,7 +112,7 @@ def leaders(tables: Tables) -> str:
     ]
     for env_id, tracks in tables.items():
         for track, found in tracks.items():
-            names = [name for name in order(found) if name not in IDLE]
+            names = [name for name in order(found) if name not in UNRANKED]
             for first, second in pairwise(names[:2]):
                 x = found[first]["improvement"][second]
                 low, high = x["ci"]
@@ -118,23 +124,34 @@ def leaders(tables: Tables) -> str:
 
 
 def order(found: Mapping[str, Figures]) -> list[str]:
-    """Controllers, best first."""
-    return sorted(found, key=lambda name: -found[name]["score_iqm"])
+    """Controllers, best first, and the yardstick behind them."""
+    return sorted(found, key=lambda name: (found[name]["privileged"], -found[name]["score_iqm"]))
 
 
 def row(name: str, x: Figures) -> str:
     """Row of a controller in the table of a task and track."""
     low, high = x["score_ci"]
-    settling, regret = x["settling_median"], "-"
-    if x["regret_iqm"] is not None:
-        least, most = x["regret_ci"]
-        regret = f"{100.0 * x['regret_iqm']:.0f} % [{100.0 * least:.0f}, {100.0 * most:.0f}]"
+    settling = x["settling_median"]
     return (
         f"| {name} | {100.0 * x['success_rate']:.0f} % | {x['score_iqm']:.3f} "
-        f"[{low:.3f}, {high:.3f}] | {regret} | {_number(settling, '.2f', 'never')} | "
+        f"[{low:.3f}, {high:.3f}] | {over_best(x)} | {_number(settling, '.2f', 'never')} | "
         f"{_number(1e3 * x['tip_error_rms_median'], '.3g', 'failed')} | "
         f"{x['ms_per_action']:.2g}, {x['ms_per_action_p99']:.2g} | {x['ms_control_step']:g} |"
     )
+
+
+def over_best(x: Figures) -> str:
+    """Excess [mm] on a path, else the regret, with its interval; a dash if no bound is known."""
+    if x["excess_iqm"] is not None:
+        middle, *ends = (
+            _number(round(1e3 * value, 4) + 0.0, ".3g", "failed")
+            for value in (x["excess_iqm"], *x["excess_ci"])
+        )
+        return middle if middle == "failed" else f"{middle} [{', '.join(ends)}]"
+    if x["regret_iqm"] is None:
+        return "-"
+    least, most = x["regret_ci"]
+    return f"{100.0 * x['regret_iqm']:.0f} % [{100.0 * least:.0f}, {100.0 * most:.0f}]"
 
 
 def _number(x: float, style: str, otherwise: str) -> str:

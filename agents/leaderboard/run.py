@@ -23,9 +23,10 @@ import numpy as np
 from agents.controllers import CONTROLLERS, controller
 from agents.figures import save_figure
 from agents.hybrid.controller import acting
-from agents.leaderboard.bound import best_of
+from agents.leaderboard.bound import PLANTS, best_of, compute
 from agents.leaderboard.charts import pictures
 from agents.leaderboard.output import row, write
+from agents.leaderboard.replay import YARDSTICK, optimal, replayed
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.statistics import Entry, compared, figures, spectrum
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
@@ -72,35 +73,47 @@ def users_class(name: str) -> Callable[[Any], Controller]:
     return found
 
 
-def ranked(name: str, env_id: str, track: str, seeds: Sequence[int]) -> Entry:
+def ranked(
+    name: str, env_id: str, track: str, seeds: Sequence[int], bounds: Path | None = None
+) -> Entry:
     """Entry of a controller, made for the track's design conditions.
 
-    The episodes of all training seeds of a policy count.
+    The episodes of all training seeds of a policy count. The yardstick meets those episodes alone
+    that have a bound, in the package or in the folder `bounds`.
     """
+    if name == YARDSTICK:
+        seeds = replayed(env_id, track, seeds, bounds)
     design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
     kwargs = keywords(name, track)
     envs, single = make_batch(env_id, len(seeds), kwargs), make_batch(env_id, 1, kwargs)
     try:
-        subjects = built(name, design, env_id, track)
+        if name == YARDSTICK:
+            subjects: list[Controller] = [optimal(env_id, track, seeds, bounds)]
+        else:
+            subjects = built(name, design, env_id, track)
         recordings = [record(subject, envs, seeds) for subject in subjects]
         each = [episode_metrics(recording) for recording in recordings]
         metrics = {key: np.stack([found[key] for found in each]) for key in METRICS}
         milliseconds = decision_times(subjects[0], single, seeds[0])
-        best = best_of(env_id, track, seeds)
-        found = figures(metrics, milliseconds, envs.unwrapped.control_dt, best)
-        return Entry(found, metrics, spectrum(recordings))
+        best = best_of(env_id, track, seeds, bounds)
+        dt, privileged = envs.unwrapped.control_dt, name == YARDSTICK
+        found = figures(metrics, milliseconds, dt, best, privileged)
+        return Entry(found, metrics, spectrum(recordings), seeds)
     finally:
         for env in (design, envs, single):
             env.close()
 
 
-def names(wanted: Sequence[str] | None, env_id: str, track: str) -> list[str]:
-    """Controllers that act on a task and track: all, or those that are wanted."""
+def names(wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool) -> list[str]:
+    """Controllers that act on a task and track, all or those that are wanted.
+
+    The yardstick is among them where bounds are known.
+    """
     classical = [name for name in CONTROLLERS if takes_part(name, env_id, track)]
-    learned = list(shipped(env_id, TRACKS[track].design))
+    others = [*shipped(env_id, TRACKS[track].design), *[YARDSTICK] * bounded]
     if wanted is None:
-        return [*(name for name in classical if is_tuned(name, env_id, track)), *learned]
-    return [name for name in wanted if ":" in name or name in (*classical, *learned)]
+        return [*(name for name in classical if is_tuned(name, env_id, track)), *others]
+    return [name for name in wanted if ":" in name or name in (*classical, *others)]
 
 
 def main(arguments: list[str] | None = None, prog: str = "python -m agents.leaderboard") -> int:
@@ -117,6 +130,10 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     parser.add_argument("--seed", type=int, default=SEED, help="of the first test episode")
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument(
+        "--bound", action="store_true",
+        help="search the bounds of episodes that have none, and keep them in OUT/bounds",
+    )  # fmt: skip
+    parser.add_argument(
         "--jobs", type=int, default=1, help="processes; decisions are timed in them"
     )
     parser.add_argument("--out", type=Path, default=Path("leaderboard"))
@@ -128,14 +145,24 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
         return 2
     seeds = list(range(options.seed, options.seed + options.episodes))
     options.out.mkdir(parents=True, exist_ok=True)
+    bounds = options.out / "bounds" if options.bound else None
     results: dict[str, dict[str, dict[str, Entry]]] = {}
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
         run = map if options.jobs == 1 else pool.map
         for env_id in options.tasks:
-            here = [(track, name) for track in options.tracks
-                    for name in names(options.controllers, env_id, track)]  # fmt: skip
+            if bounds is not None:
+                for track in [track for track in options.tracks if track in PLANTS]:
+                    compute(env_id, track, seeds, options.jobs, bounds)
+            here = [
+                (track, name)
+                for track in options.tracks
+                for name in names(
+                    options.controllers, env_id, track,
+                    best_of(env_id, track, seeds, bounds) is not None,
+                )
+            ]  # fmt: skip
             found: dict[str, dict[str, Entry]] = {}
-            entries = run(partial(_entry, env_id, seeds), here)
+            entries = run(partial(_entry, env_id, seeds, bounds), here)
             for (track, name), entry in zip(here, entries, strict=True):
                 found.setdefault(track, {})[name] = entry
                 print(f"{env_id}, {track}: {row(name, entry.figures)}", flush=True)
@@ -148,9 +175,9 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     return 0
 
 
-def _entry(env_id: str, seeds: Sequence[int], place: tuple[str, str]) -> Entry:
+def _entry(env_id: str, seeds: Sequence[int], bounds: Path | None, place: tuple[str, str]) -> Entry:
     track, name = place
-    return ranked(name, env_id, track, seeds)
+    return ranked(name, env_id, track, seeds, bounds)
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -165,17 +192,25 @@ def _check(options: argparse.Namespace) -> None:
         if ":" in name:
             users_class(name)
         else:
-            validate.known(name, "controller", sorted({*CONTROLLERS, *shipped_names}))
-    places = [(env_id, track) for env_id in options.tasks for track in options.tracks]
+            validate.known(name, "controller", sorted({*CONTROLLERS, *shipped_names, YARDSTICK}))
     validate.integer(options.jobs, "--jobs", 1, 1024)
-    for place in places:
-        for name in names(options.controllers, *place):
-            if name in CONTROLLERS and CONTROLLERS[name].ranges:
-                parameters_of(name, *place)
-    if not any(names(options.controllers, *place) for place in places):
-        raise ValueError(f"None of {options.controllers} acts on these tasks and tracks.")
     validate.integer(options.episodes, "--episodes", 2, 100_000)  # an interval needs two
     validate.integer(options.seed, "--seed", 0, 2**31)
+    seeds = range(options.seed, options.seed + options.episodes)
+    found = [
+        (name, env_id, track)
+        for env_id in options.tasks
+        for track in options.tracks
+        for name in names(
+            options.controllers, env_id, track,
+            (options.bound and track in PLANTS) or best_of(env_id, track, seeds) is not None,
+        )
+    ]  # fmt: skip
+    for name, *place in found:
+        if name in CONTROLLERS and CONTROLLERS[name].ranges:
+            parameters_of(name, *place)
+    if not found:
+        raise ValueError(f"None of {options.controllers} acts on these tasks and tracks.")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import signal, stats
 
-from agents.metrics import Best, Recording, regrets
+from agents.metrics import Best, Recording, excesses, regrets
 from dynamics.types import AnyArray
 from flexarm_env.tasks import SETTLED_BAND
 
@@ -41,6 +41,12 @@ class Entry:
     figures: Figures  # of leaderboard.json
     metrics: Mapping[str, AnyArray]  # (runs, episodes) each of METRICS
     spectrum: Spectrum
+    seeds: Sequence[int]  # (episodes,)
+
+    @property
+    def privileged(self) -> bool:
+        """True for the yardstick, which is told the episodes and not ranked."""
+        return bool(self.figures["privileged"])
 
 
 def figures(
@@ -48,19 +54,26 @@ def figures(
     milliseconds: AnyArray,
     control_dt: float,
     best: Best | None,
+    privileged: bool = False,
 ) -> Figures:
     """Figures of one controller from metrics (runs, episodes) and the times of its decisions.
 
-    Without the best that is known of the episodes there is no regret.
+    Without the best that is known of the episodes there is no regret; with a resting target there
+    is no excess of the RMS tip error [m] over the smallest known.
     """
     score = metrics["score"]
     regret = None if best is None else regrets(metrics, best)
+    excess = None if best is None or not best.of_path else excesses(metrics, best)
     return {
+        "privileged": privileged,
+        "episodes": score.shape[-1],
         "success_rate": float(metrics["success"].mean()),
         "score_iqm": interquartile_mean(score),
         "score_ci": interval(score),
         "regret_iqm": None if regret is None else interquartile_mean(regret),
         "regret_ci": None if regret is None else interval(regret),
+        "excess_iqm": None if excess is None else interquartile_mean(excess),
+        "excess_ci": None if excess is None else interval(excess),
         "regret_episodes": 0 if regret is None else regret.shape[-1],
         "settling_median": float(np.median(metrics["settling_time"])),
         "settling_quartiles": quartiles(metrics["settling_time"]),
@@ -79,12 +92,13 @@ def interquartile_mean(values: AnyArray) -> float:
 
 
 def interval(values: AnyArray) -> list[float]:
-    """[low, high] of the interquartile mean of values (runs, episodes)."""
+    """[low, high] of the interquartile mean of values (runs, episodes), some perhaps infinite."""
 
     def statistic(*rows: AnyArray, axis: int) -> Any:
         return stats.trim_mean(np.concatenate(rows, axis=axis), 0.25, axis=axis)
 
-    return [float(x) for x in _bootstrap(values, statistic)]
+    with np.errstate(invalid="ignore"):  # between infinite resamples
+        return np.nan_to_num(_bootstrap(values, statistic), nan=np.inf, posinf=np.inf).tolist()
 
 
 def wins(values: AnyArray, others: AnyArray) -> AnyArray:
@@ -111,9 +125,11 @@ def improvements(scores: Mapping[str, AnyArray]) -> dict[str, dict[str, Any]]:
 
 def compared(found: Mapping[str, Entry]) -> dict[str, Entry]:
     """Entries of a task and track, with the improvements over each other among their figures."""
-    better = improvements({name: entry.metrics["score"] for name, entry in found.items()})
+    better = improvements(
+        {name: entry.metrics["score"] for name, entry in found.items() if not entry.privileged}
+    )
     return {
-        name: replace(entry, figures=entry.figures | {"improvement": better[name]})
+        name: replace(entry, figures=entry.figures | {"improvement": better.get(name, {})})
         for name, entry in found.items()
     }
 

@@ -363,6 +363,7 @@ def test_the_table_is_in_the_units_of_its_header(capsys: pytest.CaptureFixture[s
     assert "(median 1.5 s)" in text
     print_table({"pd": metrics}, Best("tip_error_rms", np.array([0.00025, math.nan, 0.001, 0.0])))
     text = " ".join(capsys.readouterr().out.split())
-    assert "Regret: tip error rms over the best" in text
-    assert "(median 0.00025 m)" in text
-    assert " 212 %" in text  # of 4 and 0.25
+    assert "Excess: RMS tip error less the smallest" in text
+    assert "excess [mm]" in text
+    assert " 0.625 │" in text  # of 1 and 0.25
+    assert "(median 0.25 mm)" in text

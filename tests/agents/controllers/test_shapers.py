@@ -2,13 +2,19 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import eig
 
-from agents.controllers.shaped import TOLERATED, Impulses, convolved, ei, zv, zvd
+from agents.controllers import CONTROLLERS
+from agents.controllers.shaped import TOLERATED, Impulses, ShapedPD, convolved, ei, zv, zvd
+from agents.metrics import make_batch
+from dynamics.types import Array
 
 Shaper = Callable[[float, float], Impulses]
+GAINS: dict[str, Any] = {"frequency_ratio": 1.0, "damping_ratio": 1.0}
 
 
 def residual(impulses: Impulses, frequency: float, damping: float) -> float:
@@ -50,3 +56,50 @@ def test_two_shapers_in_a_row_cancel_both_frequencies() -> None:
     both = convolved(zv(7.0, 0.1), zv(20.0, 0.02))
     assert residual(both, 7.0, 0.1) < 1e-12
     assert residual(both, 20.0, 0.02) < 1e-12
+
+
+class Linear:
+    """The arm's linear model at rest under joint PD, beside the controller that it is made for."""
+
+    def __init__(self, modes: int) -> None:
+        self.envs = make_batch("FlexArm/OneLink-Reach-v0", 1, {"control_dt": 0.002})
+        self.subject = ShapedPD(self.envs, zv, **GAINS, rise=0.02, modes=modes)
+        self.base, self.models = self.envs.unwrapped, self.subject.models
+        self.model = self.models.at(np.zeros(1))
+
+    def left(self) -> list[float]:
+        """Residual vibration per oscillation, slowest first, 0.8 s after a step of the target."""
+        model, pd, size = self.model, self.subject.pd, len(self.model.modes)
+        x, state, fresh = np.zeros(2 * size), None, np.ones(1, bool)
+        x[:size] = model.modes[:, 0] * 1e-3  # the joint is off by 1 mrad
+        for _ in range(400):
+            action, state = self.subject.predict(self.observed(x), state, fresh)
+            x = model.A @ x + model.B @ (action[0] * self.base.torque_limit)
+            fresh[:] = False
+        gain = np.hstack([pd.stiffness * model.shapes[:1], pd.damping * model.shapes[:1]])
+        values, left, _ = eig(model.A - model.B @ gain, left=True)
+        turning = [k for k in np.argsort(np.abs(values.imag)) if values[k].imag > 1e-3]
+        # without a decay, so that the modes compare
+        return [float(abs(left[:, k].conj() @ x) / abs(values[k]) ** 400) for k in turning]
+
+    def observed(self, x: Array) -> Array:
+        """(1, size) observation of a linear state."""
+        size = len(self.model.modes)
+        y = np.zeros((1, self.base.single_observation_space.shape[0]))
+        for name, part in (("joint_error", x[:size]), ("joint_rate", x[size:])):
+            place, scale = self.base.observation_slices[name], self.base.observation_scales[name]
+            y[0, place] = (self.model.shapes[:1] @ part) / scale
+        return y
+
+
+def test_a_shaper_of_two_oscillations_leaves_both_still() -> None:
+    """In a linear simulation; a shaper of one leaves the other, none leaves both."""
+    none, one, two = (np.array(Linear(modes).left()) for modes in (0, 1, 2))
+    assert len(none) == 2
+    assert np.all(two < 0.02 * none)
+    assert one[0] < 0.02 * none[0]
+    assert one[1] > 0.2 * none[1]
+    table = CONTROLLERS["pd-zv-2"].build(Linear(0).envs, **GAINS, rise=1.0)
+    assert (table.shaper, table.modes) == (zv, 2)
+    table = CONTROLLERS["pd-zvd-2"].build(Linear(0).envs, **GAINS, rise=1.0)
+    assert (table.shaper, table.modes) == (zvd, 2)

@@ -1,4 +1,4 @@
-"""Joint PID, strain feedback and positive position feedback by hand."""
+"""Joint PID and feedback of the strain by hand, and along a root locus."""
 
 from typing import Any
 
@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS
+from agents.controllers.linear_model import LinearModels
 from agents.controllers.pd import joint_pd
-from agents.controllers.strain import PID, Chords, PositivePosition, StrainFeedback
+from agents.controllers.strain import (
+    PID,
+    Chords,
+    IntegralResonant,
+    PositivePosition,
+    StrainFeedback,
+)
 from agents.metrics import make_batch
 
 TWO = "FlexArm/TwoLink-Reach-v0"
@@ -79,8 +86,77 @@ def test_the_filter_of_positive_position_feedback_rests_at_the_chord(envs: Any) 
     assert found == pytest.approx(0.5 * pd.stiffness * chord / pd.torque_limit)
 
 
-@pytest.mark.parametrize("name", ["strain", "ppf"])
+@pytest.mark.parametrize("name", ["strain", "ppf", "irc"])
 def test_strain_is_not_among_exact_states(name: str) -> None:
     envs = make_batch(TWO, 1, {"obs": "state"})
     with pytest.raises(ValueError, match=f"{name} needs obs='sensors'"):
         CONTROLLERS[name].build(envs, **CONTROLLERS[name].middle)
+
+
+IRC = {"frequency_ratio": 1.0, "damping_ratio": 1.0}
+
+
+def test_the_integral_of_the_strain_follows_its_differential_equation(envs: Any) -> None:
+    """u' = k (chord - u / gain) from rest under a constant chord, in closed form."""
+    subject = IntegralResonant(envs, **IRC, gain=0.5, corner_ratio=0.3)
+    core, x = envs.unwrapped.core, observed(envs, root_curvature=[0.003, -0.001])
+    chord, corner = Chords(envs, "x")(x), 0.3 * core.scales.locked[0]
+    state: Any = None
+    for k in range(1, 40):
+        found, state = subject.predict(x, state, np.zeros(1, bool))
+        grown = 0.5 * chord * (1.0 - np.exp(-corner * k * core.control_dt))
+        assert state == pytest.approx(grown)
+        assert found == pytest.approx(subject.pd.stiffness * grown / subject.pd.torque_limit)
+
+
+def locus(gain: float) -> Any:
+    """Poles [rad/s] of the one-link arm under the controller itself, sampled every 0.5 ms.
+
+    The loop is closed around the arm's linear model; the law is linear below the torque limit, so
+    that it is known by its answers to single readings.
+    """
+    envs = make_batch("FlexArm/OneLink-Reach-v0", 1, {"control_dt": 5e-4, "obs": "sensors"})
+    subject = IntegralResonant(envs, **IRC, gain=gain, corner_ratio=1.0)
+    model, limit = LinearModels.of(envs).at(np.zeros(1)), envs.unwrapped.torque_limit
+    rate = np.hstack([np.zeros_like(model.shapes[:1]), model.shapes[:1]])
+    size, small = len(model.A), 1e-6
+    loop = np.zeros((size + 1, size + 1))
+    for k, unit in enumerate(np.eye(size + 1)):
+        joint, bent = model.C @ unit[:size]
+        x = observed(
+            envs, joint_error=small * joint, root_curvature=small * bent,
+            joint_rate=small * (rate @ unit[:size]),
+        )  # fmt: skip
+        action, state = subject.predict(x, small * unit[None, size:], np.zeros(1, bool))
+        torque = action[0] * limit / small
+        loop[:, k] = [*(model.A @ unit[:size] + model.B @ torque), state[0, 0] / small]
+    return np.log(np.linalg.eigvals(loop).astype(complex)) / 5e-4
+
+
+def exact_locus(gain: float) -> Any:
+    """The same in continuous time from the arm's equations of motion."""
+    envs = make_batch("FlexArm/OneLink-Reach-v0", 1, {"obs": "sensors"})
+    model, pd = envs.unwrapped.model, joint_pd(envs, *IRC.values())
+    n, rest = model.n, np.zeros(model.n)
+    A, B = model.linearize(rest, rest, np.zeros(1))
+    corner = model.frequencies(rest, joints="locked")[0]
+    chord = [model.strain(e, 0, 0.0)[2] * model.arm.links[0].length / 3.0 for e in np.eye(n)]
+    push = np.zeros((1, 2 * n + 1))
+    push[0, [0, n, 2 * n]] = -pd.stiffness[0], -pd.damping[0], pd.stiffness[0]
+    loop = np.vstack([np.hstack([A, np.zeros((2 * n, 1))]) + B @ push, np.zeros(2 * n + 1)])
+    loop[-1, :n], loop[-1, -1] = corner * gain * np.array(chord), -corner
+    return np.linalg.eigvals(loop)
+
+
+def test_integral_resonant_control_adds_damping_along_its_root_locus() -> None:
+    """The first oscillation decays twice as fast at a gain of 1, and no pole turns unstable."""
+    ratios = []
+    for gain in (0.0, 0.1, 0.3, 1.0):
+        exact, found = exact_locus(gain), locus(gain)
+        assert found.real.max() < 0.0
+        for pole in exact[np.abs(exact) < 100.0]:
+            assert np.abs(found - pole).min() < 0.05 * abs(pole)
+        first = found[(found.imag > 5.0) & (found.imag < 50.0)]
+        ratios.append(float((-first.real / np.abs(first)).min()))
+    assert ratios == sorted(ratios)
+    assert ratios[-1] > 2.0 * ratios[0]

@@ -289,7 +289,7 @@ def test_every_start_is_improved_and_the_best_is_kept(
 
         def acted(self, subject: Any) -> Array:
             assert subject[1:] == ("batch of 1", (subject[0], env_id, "state"))
-            return np.full((STEPS, 1), 0.25 if subject[0] == "lqr" else -0.5)
+            return np.full((STEPS, 1), -0.5 if subject[0] == "pd" else 0.25)
 
         def motion(self, force: Array) -> Motion:
             return replace(super().motion(force), valid=bool(force[0, 0] <= 0.0))

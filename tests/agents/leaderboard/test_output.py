@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agents.leaderboard import charts
-from agents.leaderboard.output import leaders, write
+from agents.leaderboard.output import leaders, over_best, write
 from agents.leaderboard.statistics import Entry, Spectrum, compared, figures
 from agents.metrics import METRICS, Best
 
@@ -17,15 +17,20 @@ REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
 FREQUENCY = np.linspace(0.0, 25.0, 101)
 
 
-def entry(score: Any, share: float = 1.0, bounded: bool = False) -> Entry:
+SEEDS = [7, 8, 9, 10]
+KNOWN = Best("settling_time", np.full(4, 0.3))
+PATH = Best("tip_error_rms", np.full(4, 0.1))
+
+
+def entry(score: Any, share: float = 1.0, best: Best | None = None) -> Entry:
     """A controller with scores (runs, episodes) in episodes of 3 s; 0 stands for a failure."""
     score = np.array(score, float)
     metrics = {name: np.where(score > 0.0, 0.1 + score, np.inf) for name in METRICS}
     metrics |= {"score": score, "success": np.sign(score)}
     metrics["settling_time"] = np.where(score > 0.0, 3.0 * (1.0 - score), np.inf)
-    best = Best("settling_time", np.full(score.shape[1], 0.3)) if bounded else None
     found = figures(metrics, np.array([0.5, 1.5]), 0.02, best)
-    return Entry(found, metrics, Spectrum(FREQUENCY, np.ones_like(FREQUENCY), share))
+    spectrum = Spectrum(FREQUENCY, np.ones_like(FREQUENCY), share)
+    return Entry(found, metrics, spectrum, SEEDS[-score.shape[1] :])
 
 
 @pytest.fixture
@@ -34,9 +39,9 @@ def results() -> charts.Results:
         REACH: {
             "state": compared(
                 {
-                    "pd": entry([[0.2, 0.4, 0.3, 0.9]], bounded=True),
-                    "ppo": entry([[0.8, 0.4, 0.6, 0.1], [0.8, 0.5, 0.6, 0.7]], bounded=True),
-                    "zero": entry([[0.0, 0.0, 0.0, 0.0]], share=0.0, bounded=True),
+                    "pd": entry([[0.2, 0.4, 0.3, 0.9]], best=KNOWN),
+                    "ppo": entry([[0.8, 0.4, 0.6, 0.1], [0.8, 0.5, 0.6, 0.7]], best=KNOWN),
+                    "zero": entry([[0.0, 0.0, 0.0, 0.0]], share=0.0, best=KNOWN),
                 }
             ),
             "laboratory": compared(
@@ -51,7 +56,7 @@ def results() -> charts.Results:
 
 
 def test_files_hold_every_figure_and_every_episode(results: Any, tmp_path: Path) -> None:
-    write(tmp_path, results, [7, 8, 9, 10])
+    write(tmp_path, results, SEEDS)
     stored = json.loads((tmp_path / "leaderboard.json").read_text())
     assert {task: {t: set(x) for t, x in tracks.items()} for task, tracks in stored.items()} == {
         REACH: {"state": {"pd", "ppo", "zero"}, "laboratory": {"pd", "lqg"}},
@@ -69,7 +74,7 @@ def test_files_hold_every_figure_and_every_episode(results: Any, tmp_path: Path)
 
 
 def test_the_page_shows_the_best_first_and_how_sure_that_is(results: Any, tmp_path: Path) -> None:
-    write(tmp_path, results, [7, 8, 9, 10])
+    write(tmp_path, results, SEEDS)
     text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
     assert text.index("| ppo |") < text.index("| pd |") < text.index("| zero |")
     assert "| OneLink-Reach-v0 | state | ppo | pd | 69 % [" in text
@@ -116,6 +121,55 @@ def test_pictures_show_what_there_is(results: Any) -> None:
     }  # fmt: skip
 
 
+@pytest.fixture
+def told() -> charts.Results:
+    """A path, on which the RMS is 0.1 more than the score, and the yardstick in two episodes."""
+    exact = entry([[0.9, 0.9]], best=Best("tip_error_rms", np.full(2, 1.0)))
+    exact.figures["privileged"] = True
+    found = {
+        "lqr": entry([[0.002] * 4], best=PATH),
+        "pd": entry([[0.07] * 4], best=PATH),
+        "zero": entry([[0.0] * 4], best=PATH),
+        "pid": entry([[0.0] * 4], best=PATH),
+        "optimal": exact,
+    }
+    return {TRACK: {"state": compared(found)}}
+
+
+def test_the_yardstick_stands_last_and_is_not_ranked(told: Any, tmp_path: Path) -> None:
+    write(tmp_path, told, SEEDS)
+    stored = json.loads((tmp_path / "leaderboard.json").read_text())[TRACK]["state"]
+    assert stored["optimal"]["privileged"]
+    assert stored["optimal"]["improvement"] == {}
+    assert all("optimal" not in entry["improvement"] for entry in stored.values())
+    assert not stored["lqr"]["privileged"]
+    text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
+    assert text.index("| zero |") < text.index("| optimal |")
+    assert "| OneLink-Track-v0 | state | pd | lqr |" in text
+    with open(tmp_path / "leaderboard.csv", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["controller"] == "optimal"]
+    assert [row["seed"] for row in rows] == ["9", "10"]
+
+
+def test_a_path_has_its_excess_in_the_table_and_in_the_picture(told: Any, tmp_path: Path) -> None:
+    """2 and 70 mm over the best; a failure has neither number nor point."""
+    write(tmp_path, told, SEEDS)
+    stored = json.loads((tmp_path / "leaderboard.json").read_text())[TRACK]["state"]
+    assert stored["pd"]["excess_iqm"] == pytest.approx(0.07)
+    assert stored["zero"]["excess_iqm"] is None
+    text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
+    assert "excess [mm], IQM [95 %]" in text
+    assert "| 70 [70, 70] |" in text
+    assert "| failed |" in text
+    (axis,) = charts.regrets(told).axes
+    assert "excess [mm]" in axis.get_xlabel()
+    assert axis.get_xscale() == "log"
+    assert [label.get_text() for label in axis.get_yticklabels()] == ["pid", "pd", "lqr"]
+    assert [text.get_text() for text in axis.texts] == [" failed", " 70", " 2"]
+    low, high = axis.get_xlim()
+    assert low < 2.0 < 70.0 < high
+
+
 def test_pictures_without_bounds_and_resting_targets_are_left_out(results: Any) -> None:
     names = set(charts.pictures({TRACK: results[TRACK]}))
     assert names == {
@@ -128,3 +182,15 @@ def test_a_dozen_controllers_look_different() -> None:
     seen = {(x["color"], x["marker"], str(x["linestyle"])) for x in looks.values()}
     assert len(seen) == 12
     assert len({(x["color"], str(x["linestyle"])) for x in looks.values()}) == 12
+
+
+def test_an_excess_ends_at_a_ten_thousandth_of_a_millimetre_or_in_failures() -> None:
+    figures = {"excess_iqm": -1e-19, "excess_ci": [-2e-19, 1e-5]}
+    assert over_best(figures) == "0 [0, 0.01]"
+    assert over_best({"excess_iqm": 0.1134, "excess_ci": [0.05, np.inf]}) == "113 [50, failed]"
+    failing = entry([[0.002, 0.002, 0.002, 0.0]], best=PATH)
+    low, high = failing.figures["excess_ci"]
+    assert low < 0.01
+    assert high == np.inf
+    (axis,) = charts.regrets({TRACK: {"state": compared({"lqr": failing})}}).axes
+    assert [text.get_text() for text in axis.texts] == [" 2 to failed"]

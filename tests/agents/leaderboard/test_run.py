@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from agents.controllers import controller
+from agents.evaluate import bounds_of
+from agents.evaluate import main as evaluate_main
 from agents.leaderboard import bound
 from agents.leaderboard.motions import Episode, effects, plant
+from agents.leaderboard.replay import YARDSTICK, optimal
 from agents.leaderboard.run import main, ranked
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part, track_of
@@ -21,7 +24,7 @@ from agents.tune import parameters_of, tune, tuned
 from dynamics.types import AnyArray
 from tests.paths import ROOT
 
-ONE = "FlexArm/OneLink-Reach-v0"
+ONE, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
 
 
 class Still:
@@ -52,6 +55,64 @@ def test_a_users_class_is_ranked_beside_ours(tmp_path: Path) -> None:
     for file in re.findall(r"\]\((.*?\.png)\)", page := (tmp_path / "leaderboard.md").read_text()):
         assert (tmp_path / file).stat().st_size > 5_000
     assert page.index("| pd |") < page.index(":Still |")  # best first
+
+
+def test_missing_bounds_are_searched_where_that_is_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Kept beside the results, not searched again, and no part of a ranking without the option."""
+    arguments = ["--tasks", ONE, "--tracks", "state", "--seed", "70000", "--episodes", "2"]
+    arguments += ["--controllers", "lqr", "optimal", "--out", str(tmp_path)]
+    assert main([*arguments, "--bound"]) == 0
+    assert f"{ONE}, state, bound 2 of 2, seed 70001: from mpc" in capsys.readouterr().out
+    found = json.loads((tmp_path / "leaderboard.json").read_text())[ONE]["state"]
+    assert found["lqr"]["regret_episodes"] == 2
+    assert 0.0 <= found["lqr"]["regret_iqm"] < 0.5
+    assert found["optimal"]["regret_iqm"] == pytest.approx(0.0, abs=1e-6)
+    assert [path.name for path in (tmp_path / "bounds").iterdir()] == ["OneLink-Reach-v0.state.npz"]
+    assert main([*arguments, "--bound"]) == 0
+    assert "bound 1 of" not in capsys.readouterr().out
+    assert (
+        json.loads((tmp_path / "leaderboard.json").read_text())[ONE]["state"]["lqr"]["regret_ci"]
+        == found["lqr"]["regret_ci"]
+    )
+    assert main(arguments) == 0
+    found = json.loads((tmp_path / "leaderboard.json").read_text())[ONE]["state"]
+    assert list(found) == ["lqr"]
+    assert found["lqr"]["regret_iqm"] is None
+
+
+@pytest.mark.parametrize(("env_id", "track"), [(ONE, "laboratory"), (TRACK, "state")])
+def test_the_yardstick_reaches_the_bounds_under_the_conditions_of_the_track(
+    env_id: str, track: str
+) -> None:
+    """Late and noisy readings change nothing without feedback; other episodes do."""
+    seeds = [10_000, 10_003, 10_001]
+    best = bound.best_of(env_id, track, seeds)
+    assert best is not None
+    envs = make_batch(env_id, 3, keywords(YARDSTICK, track))
+    metrics = episode_metrics(record(optimal(env_id, track, seeds), envs, seeds))
+    assert metrics[best.metric] == pytest.approx(best.values, rel=1e-3)
+    metrics = episode_metrics(record(optimal(env_id, track, seeds), envs, seeds[::-1]))
+    assert np.all(metrics[best.metric][[0, 2]] > 1.5 * best.values[[2, 0]])
+    with pytest.raises(ValueError, match=r"has no bound of .* seeds \[5\]; run python -m agents"):
+        optimal(env_id, track, [10_000, 5])
+
+
+def test_the_yardstick_is_evaluated_where_bounds_are_stored(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    subject: Any = bounds_of(TRACK, {"hardware": "laboratory"}, [10_002, 10_000])
+    wanted: Any = optimal(TRACK, "laboratory", [10_002, 10_000])
+    np.testing.assert_array_equal(subject.actions, wanted.actions)
+    for more, words in (
+        (["--seed", "1"], "run python -m agents.leaderboard.bound"),
+        (["--env-kwargs", "{control_dt: 0.01}"], "keywords of a track alone"),
+    ):
+        out = tmp_path / "out"
+        assert evaluate_main(["optimal", "--env", TRACK, *more, "--out", str(out)]) == 2
+        assert words in capsys.readouterr().err
+        assert not out.exists()
 
 
 @pytest.mark.parametrize(
@@ -135,7 +196,7 @@ def metrics_of(env_id: str, track: str, seed: int, actions: AnyArray) -> dict[st
 def test_a_bound_beats_its_starts_and_holds_in_the_environment() -> None:
     """Replayed by hand: the tip stays in the band from the bound to the end."""
     motion, times = bound.bounded(ONE, "laboratory", 10_003, {})
-    assert len(times) == len(bound.STARTS)
+    assert len(times) == 2
     envs = make_batch(ONE, 1, plant(ONE, "laboratory"))
     envs.reset(seed=[10_003])
     inside = []

@@ -183,6 +183,10 @@ def test_figures_of_known_metrics() -> None:
         low, high = found.pop(key)
         assert low < found[centre] < high
     assert found == {
+        "privileged": False,
+        "episodes": 4,
+        "excess_iqm": None,
+        "excess_ci": None,
         "success_rate": 7 / 8,
         "score_iqm": pytest.approx(0.35),
         "regret_iqm": pytest.approx(sum(middle) / 4),
@@ -201,10 +205,15 @@ def test_figures_of_known_metrics() -> None:
 def test_entries_are_compared_by_their_scores() -> None:
     scores = {"a": np.array([[0.5, 0.5]]), "b": np.array([[0.25, 0.75]])}
     nothing = Spectrum(np.zeros(1), np.zeros(1), 0.0)
-    entries = {name: Entry({"x": 1}, {"score": s}, nothing) for name, s in scores.items()}
-    found = compared(entries)
+    entries = {
+        name: Entry({"privileged": False}, {"score": s}, nothing, [7, 8])
+        for name, s in scores.items()
+    }
+    told = Entry({"privileged": True}, {"score": np.array([[0.9]])}, nothing, [8])
+    found = compared(entries | {"told": told})
+    assert found.pop("told").figures == {"privileged": True, "improvement": {}}
     assert {name: entry.figures for name, entry in found.items()} == {
-        name: {"x": 1, "improvement": better} for name, better in improvements(scores).items()
+        name: {"privileged": False, "improvement": x} for name, x in improvements(scores).items()
     }
     assert found["a"].spectrum is nothing
     assert found["b"].metrics["score"] is scores["b"]
@@ -227,3 +236,32 @@ def test_regret_of_a_path_is_that_of_its_rms_where_a_best_is_known() -> None:
     found = figures(metrics, np.array([1.0, 3.0]), 0.02, best)
     assert found["regret_iqm"] == pytest.approx((1.0 + 1.0 + 0.5) / 3.0)
     assert found["regret_episodes"] == 3
+
+
+def test_excess_of_a_path_is_its_rms_less_the_smallest_known() -> None:
+    """The middle half of 1, 2, 2, 50; in other tasks there is none."""
+    metrics = {name: np.array([[1.0, 3.0, 9.0, 5.0, 7.0]]) for name in METRICS}
+    metrics["tip_error_rms"] = np.array([[2.0, 4.0, 9.0, 6.0, 52.0]])
+    best = Best("tip_error_rms", np.array([1.0, 2.0, np.nan, 4.0, 2.0]))
+    found = figures(metrics, np.array([1.0, 3.0]), 0.02, best)
+    assert found["excess_iqm"] == pytest.approx(2.0)
+    low, high = found["excess_ci"]
+    assert 1.0 <= low < 2.0 < high <= 50.0
+    resting = figures(metrics, np.array([1.0, 3.0]), 0.02, replace(best, metric="settling_time"))
+    assert resting["excess_iqm"] is resting["excess_ci"] is None
+
+
+@pytest.mark.parametrize(
+    ("failed", "middle", "ends"),
+    [(1, 1.0, [1.0, np.inf]), (4, np.inf, [1.0, np.inf]), (7, np.inf, [np.inf, np.inf])],
+)
+def test_excess_is_infinite_where_a_quarter_of_the_episodes_failed(
+    failed: int, middle: float, ends: list[float]
+) -> None:
+    """Of 8 episodes the middle half leaves out two on either side."""
+    rms = np.full((1, 8), 1.5)
+    rms[0, :failed] = np.inf
+    best = Best("tip_error_rms", np.full(8, 0.5))
+    found = figures(dict.fromkeys(METRICS, rms), np.array([1.0, 3.0]), 0.02, best)
+    assert found["excess_iqm"] == middle
+    assert found["excess_ci"] == ends

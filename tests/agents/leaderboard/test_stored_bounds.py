@@ -99,6 +99,28 @@ def test_best_of_less_than_two_episodes_is_none(seeds: list[int]) -> None:
     assert best_of(REACH, "state", seeds) is None
 
 
+def test_a_folder_adds_its_bounds_to_those_of_the_package(folder: Path, tmp_path: Path) -> None:
+    """The better one counts where both have an episode; the package's stay as they are."""
+    own = tmp_path / "out" / "bounds"
+    for seed, best, place in ((5, 0.5, None), (6, 0.6, None), (6, 0.4, own), (5, 0.7, own)):
+        add(REACH, "state", seed, pushed(best), [best, np.inf], place)
+    add(REACH, "state", 7, pushed(0.3), [0.3, np.inf], own)
+    assert read(REACH, "state").best.tolist() == [0.5, 0.6]
+    found = bound.known(REACH, "state", own)
+    assert {seed: best for seed, (best, _) in found.items()} == {5: 0.5, 6: 0.4, 7: 0.3}
+    assert found[6][1][0, 0] == pytest.approx(0.4)
+    best = best_of(REACH, "state", [7, 8, 6], own)
+    assert best is not None
+    np.testing.assert_array_equal(best.values, [0.3, np.nan, 0.4])
+    assert best_of(REACH, "state", [7, 8, 6]) is None
+    assert [path.name for path in own.iterdir()] == ["OneLink-Reach-v0.state.npz"]
+
+
+def test_searches_begin_with_predictive_control_where_it_was_tuned() -> None:
+    assert bound.starts_of(REACH) == ("mpc", "pd")
+    assert bound.starts_of(TRACK) == bound.starts_of("FlexArm/SixLink-Reach-v0") == ("lqr", "pd")
+
+
 def test_only_episodes_without_a_bound_are_searched(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -123,7 +145,7 @@ def test_only_episodes_without_a_bound_are_searched(
     assert found.seeds.tolist() == [0, 1, 2, 3, 4]
     assert found.best.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
     assert found.actions[:, 0, 0].tolist() == [0.0, 0.125, 0.25, 0.375, 0.5]
-    assert f"{REACH}, state, seed 2: from lqr 0.5, pd inf" in capsys.readouterr().out
+    assert f"{REACH}, state, bound 2 of 2, seed 2: from mpc 0.5, pd inf" in capsys.readouterr().out
 
 
 @pytest.fixture
