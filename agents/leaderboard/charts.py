@@ -88,7 +88,7 @@ def profiles(results: Results, track: str) -> Figure:
 
 
 def regrets(results: Results) -> Figure:
-    """What controllers lose to the best that is known, with intervals.
+    """Losses of controllers to the best that is known, with intervals.
 
     Bars of the regret where the target rests; on a path, points of the excess of the RMS tip error,
     on a logarithmic scale.
