@@ -24,8 +24,10 @@ KINDS: dict[str, dict[str, Any]] = {
     "default": {},
     "sensors in float32": {"obs": "sensors", "dtype": "float32"},
     "drawn parameters": {"randomize": {"payload_mass": (0.0, 0.1), "stiffness": (0.8, 1.2)}},
+    "laboratory": {"hardware": "laboratory", "obs": "sensors"},
 }
 STEPS, BATCH = 60, 20
+STARTS = {"settled": 0.0, "broken": 0.25}  # deflection of the first link over its length
 
 
 def processor() -> str:
@@ -58,6 +60,36 @@ def followed(env: Any, batch: bool) -> tuple[str, list[float]]:
     return digest.hexdigest(), [float(x) for x in few]
 
 
+def judged(env_id: str, bent: float) -> tuple[str, list[float]]:
+    """Digest of a step without torque from rest on the target, the first link bent.
+
+    It pins what random torque hardly reaches: the reward of a goal, and the price of a failure.
+    Numbers are the reward, whether the episode failed, and the steps of an episode.
+    """
+    env: Any = gym.make(env_id)
+    core = env.unwrapped.core
+    q, base = np.zeros(core.model.n), core.arm.base.n
+    joints = list(core.arm.joint_index)
+    q[joints] = core.scales.home
+    mode = next(i for i in range(base, q.size) if i not in joints)
+    placed = {"state": {"q": q}} | ({} if core.task.moving else {"target": core.scales.home})
+    if bent:
+        q[mode] = 1e-3
+        q[mode] *= bent / np.max(env.reset(seed=7, options=placed)[1]["deflection"])
+    given = numbers_of(env.reset(seed=7, options=placed)[0])
+    obs, reward, terminated, _, _ = env.step(np.zeros(env.action_space.shape, np.float32))
+    given += [*numbers_of(obs), reward, terminated]
+    if core.layout.goal:
+        apart = np.zeros((81, core.layout.goal))
+        apart[:, 0] = np.linspace(0.0, 0.04, 81)
+        given.append(env.unwrapped.compute_reward(apart, np.zeros_like(apart), {}))
+    digest = hashlib.sha256()
+    for x in given:
+        digest.update(np.ascontiguousarray(x).tobytes())
+    steps = gym.spec(env_id).max_episode_steps
+    return digest.hexdigest(), [float(reward), float(terminated), float(steps or 0)]
+
+
 def pinned(env_id: str) -> dict[str, Any]:
     """Digests and numbers of a batch and of a single environment, for every kind."""
     result: dict[str, Any] = {}
@@ -67,6 +99,9 @@ def pinned(env_id: str) -> dict[str, Any]:
         for name, env in (("batch", batch), ("single", single)):
             digest, few = followed(env, name == "batch")
             result[f"{kind}, {name}"] = {"digest": digest, "numbers": few}
+    for kind, bent in STARTS.items():
+        digest, few = judged(env_id, bent)
+        result[kind] = {"digest": digest, "numbers": few}
     return result
 
 
@@ -84,6 +119,18 @@ def test_an_environment_gives_its_stored_results(env_id: str) -> None:
     for kind, entry in found.items():
         assert entry["digest"] == digests.get(kind, entry["digest"]), kind
         assert close(kind, entry["numbers"], numbers[kind]), kind
+
+
+@pytest.mark.parametrize("env_id", flexarm_env.IDS)
+def test_pinned_starts_succeed_and_fail(env_id: str) -> None:
+    """Rest on the target is worth 1 unless the target moves; a broken link costs 100."""
+    numbers = json.loads(STORE.read_text(encoding="utf-8"))["numbers"][env_id]
+    settled, broken = (numbers[name] for name in STARTS)
+    assert 0.0 < settled[0] <= 1.0
+    assert "Track" in env_id or settled[0] == pytest.approx(1.0)
+    assert broken[0] == pytest.approx(0.0 if "Goal" in env_id else -100.0, abs=1.0)
+    assert (settled[1], broken[1]) == (0.0, 1.0)
+    assert settled[2] == broken[2] == (240 if "Two" in env_id or "Free" in env_id else 150)
 
 
 def pin() -> None:
