@@ -37,7 +37,7 @@ class Replay:
 def replayed(
     env_id: str, track: str, seeds: Sequence[int], folder: Path | None = None
 ) -> list[int]:
-    """Those of the episodes that have a bound."""
+    """Episodes among these that have a bound."""
     bounds = known(env_id, track, folder)
     return [seed for seed in seeds if seed in bounds and np.isfinite(bounds[seed][0])]
 

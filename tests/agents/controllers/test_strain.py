@@ -134,7 +134,7 @@ def locus(gain: float) -> Any:
 
 
 def exact_locus(gain: float) -> Any:
-    """The same in continuous time from the arm's equations of motion."""
+    """Closed loop in continuous time from the arm's equations of motion."""
     envs = make_batch("FlexArm/OneLink-Reach-v0", 1, {"obs": "sensors"})
     model, pd = envs.unwrapped.model, joint_pd(envs, *IRC.values())
     n, rest = model.n, np.zeros(model.n)

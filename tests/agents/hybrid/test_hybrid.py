@@ -124,6 +124,24 @@ def test_without_corrections_the_base_acts_alone() -> None:
     envs.close()
 
 
+def test_a_policy_alone_sees_the_base_and_acts_without_it() -> None:
+    """Its inputs are those of a residual; its actions are taken, and the filters are told."""
+    envs = make_batch(ENV_ID, 2, LABORATORY)
+    alone, residual = (
+        Hybrid(base_of(described("lqg", kind, 0.5), envs), Constant(0.6))
+        for kind in ("alone", "residual")
+    )
+    assert alone.base.added == residual.base.added > 1 + 4
+    observation, _ = envs.reset(seed=0)
+    seen = [hybrid.base.begin(observation, None, None)[0] for hybrid in (alone, residual)]
+    np.testing.assert_array_equal(*seen)
+    action, (belief, _) = alone.predict(observation)
+    np.testing.assert_allclose(action, 0.3)
+    torque = belief.torque[:, -1] + belief.forward
+    np.testing.assert_allclose(torque, 0.3 * LABORATORY["torque_limit"], rtol=1e-6)
+    envs.close()
+
+
 def test_lqg_knows_the_actions_that_were_taken() -> None:
     """Its innovations stay small under a correction; untold, it takes it for a disturbance."""
     envs = make_batch(ENV_ID, 4, {"obs": "sensors"})
@@ -254,7 +272,10 @@ def test_a_run_on_a_base_is_trained_resumed_and_evaluated_without_torch(
     assert train(["--resume", str(run.path), "--steps", "512"]) == 0
     tuned = description("lqg", "residual", 0.2, ENV_ID, {"hardware": "laboratory"})
     assert load_policy(run.policy).about["base"] == tuned
-    assert name_of(load_policy(run.policy)) == "ppo-on-lqg-stacked"
+    policy = load_policy(run.policy)
+    assert name_of(policy) == "ppo-on-lqg-stacked"
+    policy.about["base"]["learned"] = "alone"
+    assert name_of(policy) == "ppo-watching-lqg-stacked"
     code = (
         "import sys; from agents.evaluate import main; "
         f"main([{str(run.path)!r}, '--episodes', '2', '--out', {str(tmp_path / 'seen')!r}]); "
