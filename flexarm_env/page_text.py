@@ -26,8 +26,12 @@ sb3_envs = flexarm_env.SB3VecEnv("FlexArm/OneLink-Reach-v0", 1024)  # for stable
 Environment i of a batch with `seed=s` is the single environment with seed s + i. All quantities are
 in SI units. `env.unwrapped` has the attributes `arm`, `model`, `task`, `control_dt`,
 `torque_limit`, `n_joint`, `reach`, `certificate`, `observation_slices` and `observation_scales`,
-and the methods `joint_target()` and `joint_state()`. An id never changes its dynamics, observations
-or rewards: a change gets a new version. All ids are at v0, the first.
+and the methods `joint_target()` and `joint_state()`.
+
+All ids are at v0, the first, and frozen: an id never changes its dynamics, observations, rewards
+or length of an episode. A change gets a new version. `tests/reference/digests.json` holds digests
+of what each id computes, as it is and with sensors, `hardware="laboratory"` and drawn parameters,
+under random torque, at rest on the target and after a failure; a test compares them.
 
 ## Definitions
 

@@ -1,5 +1,6 @@
 """Goal-conditioned Reach: dict observations, a reward of goals, and hindsight replay."""
 
+import re
 from typing import Any
 
 import gymnasium as gym
@@ -8,6 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import flexarm_env
+from tests.paths import ROOT
 
 GOAL_IDS = [env_id for env_id in flexarm_env.IDS if "ReachGoal" in env_id]
 
@@ -98,3 +100,29 @@ def test_hindsight_replay_takes_the_batch() -> None:
         goals["achieved_goal"].numpy(), goals["desired_goal"].numpy(), {}
     )
     assert np.array_equal(found, rewards)
+
+
+def reached(model: Any) -> float:
+    """Share of fifty episodes at whose last steps, for 0.26 s, the tip is on the goal."""
+    envs = flexarm_env.SB3VecEnv(GOAL_IDS[0], 50)
+    envs.seed(10_000)
+    observation, rewards = envs.reset(), []
+    for _ in range(150):
+        observation, reward, _, _ = envs.step(model.predict(observation, deterministic=True)[0])
+        rewards.append(reward)
+    return float(np.mean(np.min(rewards[-13:], axis=0)))
+
+
+@pytest.mark.slow
+def test_hindsight_replay_learns() -> None:
+    """The example of docs/training.md; seeds 0 to 3 reach 88, 88, 98 and 94 % of the goals."""
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    example: dict[str, Any] = {"print": lambda *words: None}
+    text = (ROOT / "docs/training.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n((?:(?!```).)*HerReplayBuffer.*?)```", text, re.DOTALL)
+    before, after = code.split("model.learn")
+    exec(before, example)
+    assert isinstance(example["model"].replay_buffer, stable_baselines3.HerReplayBuffer)
+    assert reached(example["model"]) < 0.1
+    exec("model.learn" + after, example)
+    assert reached(example["model"]) > 0.6
