@@ -35,7 +35,8 @@ FILMED = tuple(env_id for env_id in IDS if "Goal" not in env_id)
 
 def best(ranking: dict[str, Any], env_id: str) -> str:
     """Name of the controller with the highest score; "pd" where the id is not ranked."""
-    rows = ranking.get(env_id, {}).get(TRACK, {})
+    found = ranking.get(env_id, {}).get(TRACK, {})
+    rows = {name: row for name, row in found.items() if not row["privileged"]}
     return max(rows, key=lambda name: rows[name]["score_iqm"], default="pd")
 
 

@@ -119,7 +119,8 @@ def control(stored: dict[str, Any]) -> str:
     rows = []
     for track in ("state", "laboratory"):
         for env_id, tracks in stored.items():
-            entries = {k: v for k, v in tracks.get(track, {}).items() if k not in REFERENCES}
+            found = tracks.get(track, {}).items()
+            entries = {k: v for k, v in found if not (k in REFERENCES or v["privileged"])}
             classical = {name: entry for name, entry in entries.items() if name in CONTROLLERS}
             learned = {name: x for name, x in entries.items() if name not in CONTROLLERS}
             if classical and learned:

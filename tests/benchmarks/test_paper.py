@@ -12,6 +12,10 @@ def test_the_figures_of_the_paper_are_those_of_the_results() -> None:
     assert filled(page) == page
 
 
+def test_the_yardstick_is_no_controller() -> None:
+    assert "optimal" not in blocks()["control"]
+
+
 def test_the_text_between_the_blocks_has_no_figures() -> None:
     text = PAGE.read_text(encoding="utf-8")
     for name in blocks():
