@@ -26,7 +26,7 @@ from agents.files import folder_lock
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.statistics import interquartile_mean, interval
 from agents.leaderboard.tracks import keywords
-from agents.metrics import episode_metrics, make_batch, record, regrets
+from agents.metrics import evaluated, make_batch, regrets
 from agents.policy import load_policy
 from agents.run_folder.folder import RunFolder
 from agents.training import learn
@@ -129,11 +129,10 @@ def model_based(training: Training, name: str) -> dict[str, AnyArray]:
 
 def judged(training: Training, subject: Any) -> dict[str, AnyArray]:
     """Metrics (episodes,) of a controller on the test episodes."""
-    envs = make_batch(training.config.env.id, len(training.seeds), training.kwargs)
-    try:
-        return episode_metrics(record(subject, envs, training.seeds))
-    finally:
-        envs.close()
+    test = training.config.evaluation
+    return evaluated(
+        subject, training.config.env.id, episodes=test.episodes, seed=test.seed, **training.kwargs
+    )
 
 
 def figures(training: Training, found: Sequence[Mapping[str, AnyArray]]) -> dict[str, Any]:

@@ -83,6 +83,7 @@ class _Bank:
     A: Array  # (P, S, S)
     B: Array  # (P, S, m)
     C: Array  # (P, y, S)
+    readings: Array  # (y, n) of coordinates, the same for all plants
     gain: Array  # (LEARNING, P, S, y) Kalman gain at the first readings; the last one stays
     precision: Array  # (LEARNING, P, y, y) of the innovations
     bulk: Array  # (LEARNING, P) minus twice the logarithm of the likeliest reading's probability
@@ -190,8 +191,7 @@ class KalmanFilters:
             _each(banks, "B")
         )
         moved = np.where(first[:, None, None, None], state, moved)
-        seen = np.array([self.models.at(x).readings for x in belief.course.posture[group]])
-        shift = self._past(belief.place[group]) @ _turned(seen)[:, None]
+        shift = self._past(belief.place[group]) @ _turned(_each(banks, "readings"))[:, None]
         innovation = reading[:, None, None] - shift - moved @ _turned(_each(banks, "C"))
         at = np.minimum(late, LEARNING - 1)
         gain, precision, bulk = (_each(banks, x, at) for x in ("gain", "precision", "bulk"))
@@ -267,9 +267,10 @@ class KalmanFilters:
 
     def _stacked(self, place: tuple[float, ...]) -> _Bank:
         """Filters at joint angles."""
-        found = [self._filter(self.models.at(np.array(place), plant)) for plant in self.plants]
+        models = [self.models.at(np.array(place), plant) for plant in self.plants]
+        found = map(self._filter, models)
         A, B, C, *learned = (np.array(list(part)) for part in zip(*found, strict=True))
-        return _Bank(A, B, C, *(np.moveaxis(part, 1, 0) for part in learned))
+        return _Bank(A, B, C, models[0].readings, *(np.moveaxis(part, 1, 0) for part in learned))
 
     def _filter(self, model: LinearModel) -> tuple[Array, ...]:
         """A, B, C of the state with biases; gains, precisions and bulks of the first readings."""

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from agents.controllers.observers import resumed
-from agents.controllers.pd import joint_pd
+from agents.controllers.pd import JointPD, joint_pd
 from agents.controllers.reading import Reading
 from dynamics.types import AnyArray, Array
 from flexarm_env.observations import curvature_columns
@@ -76,7 +76,35 @@ class StrainFeedback:
         return np.clip(action, -1.0, 1.0), state
 
 
-class PositivePosition:
+class FilteredBending:
+    """Joint PD beside a filter of the bending that adds to the joints' reference.
+
+    Its s states go to `step` (states, chord) at every control step; `gain` [1/rad] turns the first
+    into actions.
+    """
+
+    chords: "Chords"
+    pd: JointPD
+    gain: Array  # (m,)
+    step: Array  # (s, s + 1)
+
+    def predict(
+        self,
+        observation: AnyArray,
+        state: Array | None = None,
+        episode_start: AnyArray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[AnyArray, Array]:
+        """Actions; the state (s, N, m) is the filters'."""
+        x = np.atleast_2d(observation)
+        chord = self.chords(x)
+        before = resumed(state, episode_start, np.array([chord] * len(self.step)))
+        after = np.tensordot(self.step, np.stack([*before, chord]), axes=1)
+        action = np.clip(self.pd.predict(x)[0] + self.gain * after[0], -1.0, 1.0)
+        return action.reshape(*np.shape(observation)[:-1], -1), after
+
+
+class PositivePosition(FilteredBending):
     """Joint PD beside a filter of the bending that adds `gain` times PD's stiffness.
 
     `filter_ratio` is the filter's frequency over the first one with locked joints.
@@ -92,30 +120,14 @@ class PositivePosition:
         filter_ratio: float,
         filter_damping: float,
     ) -> None:
-        core = env.unwrapped.core
         self.chords, self.pd = Chords(env, "ppf"), joint_pd(env, frequency_ratio, damping_ratio)
         self.gain = gain * self.pd.stiffness / self.pd.torque_limit
-        w = filter_ratio * (core.scales.locked or (1.0 / core.move_time,))[0]
+        w = filter_ratio * _first_frequency(env)
         flow = np.array([[0.0, 1.0, 0.0], [-(w**2), -2.0 * filter_damping * w, w**2], 3 * [0.0]])
-        self.step = expm(flow * core.control_dt)[:2]
-
-    def predict(
-        self,
-        observation: AnyArray,
-        state: Array | None = None,
-        episode_start: AnyArray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[AnyArray, Array]:
-        """Actions; the state (2, N, m) holds the filters' places and rates."""
-        x = np.atleast_2d(observation)
-        chord = self.chords(x)
-        before = resumed(state, episode_start, np.array([chord, chord]))
-        after = np.tensordot(self.step, np.stack([*before, chord]), axes=1)
-        action = np.clip(self.pd.predict(x)[0] + self.gain * after[0], -1.0, 1.0)
-        return action.reshape(*np.shape(observation)[:-1], -1), after
+        self.step = expm(flow * env.unwrapped.core.control_dt)[:2]
 
 
-class IntegralResonant:
+class IntegralResonant(FilteredBending):
     """Joint PD whose joints yield by the integral u of the bending with a feed-through.
 
     u' = k (chord - u / gain). `corner_ratio` is the corner k / gain over the first frequency with
@@ -131,26 +143,17 @@ class IntegralResonant:
         gain: float,
         corner_ratio: float,
     ) -> None:
-        core = env.unwrapped.core
         self.chords, self.pd = Chords(env, "irc"), joint_pd(env, frequency_ratio, damping_ratio)
-        self.gain, self.stiffness = gain, self.pd.stiffness / self.pd.torque_limit
-        corner = corner_ratio * (core.scales.locked or (1.0 / core.move_time,))[0]
-        self.kept = math.exp(-corner * core.control_dt)
+        self.gain = self.pd.stiffness / self.pd.torque_limit
+        corner = corner_ratio * _first_frequency(env)
+        kept = math.exp(-corner * env.unwrapped.core.control_dt)
+        self.step = np.array([[kept, (1.0 - kept) * gain]])
 
-    def predict(
-        self,
-        observation: AnyArray,
-        state: Array | None = None,
-        episode_start: AnyArray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[AnyArray, Array]:
-        """Actions; the state (N, m) [rad] is the integral."""
-        x = np.atleast_2d(observation)
-        chord = self.chords(x)
-        before = resumed(state, episode_start, chord)
-        after = self.kept * before + (1.0 - self.kept) * self.gain * chord
-        action = np.clip(self.pd.predict(x)[0] + self.stiffness * after, -1.0, 1.0)
-        return action.reshape(*np.shape(observation)[:-1], -1), after
+
+def _first_frequency(env: Any) -> float:
+    """First frequency [rad/s] with locked joints; of a rigid arm one over the move time."""
+    core = env.unwrapped.core
+    return float((core.scales.locked or (1.0 / core.move_time,))[0])
 
 
 class Chords:

@@ -75,7 +75,7 @@ def train_trial(settings: dict[str, Any]) -> None:
 
 def judged(config: Config, policy: Any) -> dict[str, Any]:
     """Mean score, success rate and objective of a policy on the tuning episodes."""
-    envs = make_batch(config.env.id, EPISODES, config.env.make_kwargs)
+    envs = make_batch(config.env.id, EPISODES, config.env.kwargs)
     try:
         metrics = episode_metrics(record(acting(policy, envs), envs, range(SEED, SEED + EPISODES)))
         reach = float(envs.unwrapped.reach)

@@ -153,7 +153,7 @@ def test_an_arm_on_its_reference_stays_there() -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 2e-3 * envs.unwrapped.reach
 
 
-def test_plants_are_the_ends_and_the_middle_of_what_is_drawn() -> None:
+def test_plants_are_spread_evenly_over_what_is_drawn() -> None:
     envs = make_batch(REACH, 1, {"hardware": "laboratory"})
     models = LinearModels.of(envs)
     masses = sorted({plant.model.arm.payload.mass for plant in models.plants})

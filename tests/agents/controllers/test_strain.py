@@ -105,7 +105,7 @@ def test_the_integral_of_the_strain_follows_its_differential_equation(envs: Any)
     for k in range(1, 40):
         found, state = subject.predict(x, state, np.zeros(1, bool))
         grown = 0.5 * chord * (1.0 - np.exp(-corner * k * core.control_dt))
-        assert state == pytest.approx(grown)
+        assert state[0] == pytest.approx(grown)
         assert found == pytest.approx(subject.pd.stiffness * grown / subject.pd.torque_limit)
 
 
@@ -127,9 +127,9 @@ def locus(gain: float) -> Any:
             envs, joint_error=small * joint, root_curvature=small * bent,
             joint_rate=small * (rate @ unit[:size]),
         )  # fmt: skip
-        action, state = subject.predict(x, small * unit[None, size:], np.zeros(1, bool))
+        action, state = subject.predict(x, small * unit[None, None, size:], np.zeros(1, bool))
         torque = action[0] * limit / small
-        loop[:, k] = [*(model.A @ unit[:size] + model.B @ torque), state[0, 0] / small]
+        loop[:, k] = [*(model.A @ unit[:size] + model.B @ torque), state[0, 0, 0] / small]
     return np.log(np.linalg.eigvals(loop).astype(complex)) / 5e-4
 
 
