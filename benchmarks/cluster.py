@@ -7,6 +7,7 @@ Each node is a process group of this machine with one processor, so two nodes ne
 
 import importlib.util
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -18,7 +19,8 @@ from benchmarks.output import RESULTS, ROOT, argument_parser, provenance, save_r
 
 CONFIG = Path("configs") / "one_link_reach_ppo.yaml"
 NODES = (1, 2)
-RUNNER_STEPS = 65_536  # sampled by RLlib
+RUNNER_STEPS = 131_072  # sampled by RLlib, REPEATS times
+REPEATS = 5
 CALL_STEPS = 8_192  # of one worker in one call
 HEADER = """# Cluster: one node against two
 
@@ -28,8 +30,8 @@ other one; a network is not part of the measurement.
 {table}
 
 Sweep: {trials} trials of {steps:,} steps of `{config}`, none stopped early, start
-of the workers included. RLlib: environment steps per second while workers sample, one worker per
-node with 64 environments in one batch.
+of the workers included. RLlib: environment steps per second while workers sample (median of
+{repeats} times {runner_steps:,} steps), one worker per node with 64 environments in one batch.
 """
 
 
@@ -67,13 +69,15 @@ def sampled_per_second(address: str, runners: int) -> float:
             .debugging(log_level="ERROR")
         )
         group = config.build_algo().env_runner_group
-        steps, begin = 0, 0.0
-        while steps < RUNNER_STEPS:
-            group.foreach_env_runner(sample, local_env_runner=False)
-            if begin:  # the first call compiles and warms up
-                steps += CALL_STEPS * runners
-            begin = begin or time.monotonic()
-        return steps / (time.monotonic() - begin)
+        group.foreach_env_runner(sample, local_env_runner=False)  # compiles
+        calls = RUNNER_STEPS // (CALL_STEPS * runners)
+        seconds = []
+        for _ in range(REPEATS):
+            begin = time.monotonic()
+            for _ in range(calls):
+                group.foreach_env_runner(sample, local_env_runner=False)
+            seconds.append(time.monotonic() - begin)
+        return RUNNER_STEPS / statistics.median(seconds)
     finally:
         ray.shutdown()
 
@@ -105,6 +109,7 @@ def main() -> None:
     if importlib.util.find_spec("ray") is None:
         sys.exit('The cluster needs ray, which is not installed: pip install "flexarm[scale]".')
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    measured(1, trials=1, steps=CALL_STEPS)  # compiles and fills the caches
     runs = [measured(nodes, a.trials, a.steps) for nodes in NODES]
     about = provenance("ray", "torch", "stable-baselines3")
     about["load"] = os.getloadavg()
@@ -121,7 +126,7 @@ def main() -> None:
     text = HEADER.format(
         command=about["command"], processor=about["machine"]["processor"],
         cores=about["machine"]["cores"], table=table(header, rows, "r"), trials=a.trials,
-        steps=a.steps, config=CONFIG,
+        steps=a.steps, config=CONFIG, repeats=REPEATS, runner_steps=RUNNER_STEPS,
     )  # fmt: skip
     save_results(about | {"trials": a.trials, "steps": a.steps, "runs": runs}, text, a.out)
     print(text)
