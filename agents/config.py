@@ -18,6 +18,7 @@ from agents.learners.algorithms import (
     policy_settings,
     settings,
 )
+from agents.learners.normalization import checked_normalization
 from agents.learners.ranges import checked_ranges
 from agents.learners.zoo import HINTS, translated
 from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS, MOST_STACKED
@@ -89,6 +90,7 @@ class EnvConfig:
     reward: dict[str, float] | None = None  # weights of the reward terms; None: the task's
     n_envs: int = 1
     stack: int = 1  # latest observations that the policy sees
+    normalize: bool | dict[str, Any] = False  # running statistics; DEFAULTS of normalization.py
 
     @property
     def make_kwargs(self) -> dict[str, Any]:
@@ -103,6 +105,11 @@ class AgentConfig:
     name: str
     policy: str | None = None  # by default the algorithm's first of a vector of observations
     kwargs: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def gamma(self) -> float | None:
+        """Discount of rewards; None for algorithms without one."""
+        return self.kwargs.get("gamma", default(self.name, "gamma"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +208,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
         if section and section in data:
             checked(data[section], section)
     agent = checked_agent(AgentConfig(**data["agent"]))
-    env = checked_environment(EnvConfig(**data["env"]))
+    env = checked_environment(EnvConfig(**data["env"]), agent)
     check_batch(agent, env)
     check_sweep(agent, data.get("sweep", {}))
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
@@ -239,16 +246,17 @@ def checked_agent(agent: AgentConfig) -> AgentConfig:
     return replace(agent, policy=policy)
 
 
-def checked_environment(env: EnvConfig) -> EnvConfig:
+def checked_environment(env: EnvConfig, agent: AgentConfig) -> EnvConfig:
     """The environment with its registered id; refuses unknown ids, keywords and weights."""
     try:
         plain = registered(env.id)
         check_keywords(env.kwargs, "env.kwargs")
+        normalize = checked_normalization(env.normalize, agent.name, agent.gamma, env.stack)
     except ValueError as error:
         raise ConfigError(str(error)) from None
     for term, weight in (env.reward or {}).items():
         check_value(weight, NUMBER, f"env.reward.{term}")
-    return replace(env, id=plain)
+    return replace(env, id=plain, normalize=normalize)
 
 
 def checked(table: Any, section: str) -> None:

@@ -21,6 +21,7 @@ JSON_FILE, WEIGHTS_FILE = "policy.json", "weights.npz"
 KEYS = "format layer_sizes activation squashing observation_low observation_high action_low"
 KEYS += " action_high about"
 RECURRENT = "recurrent"  # number of LSTM layers; a file without the key has none
+NORMALIZATION = "normalization"  # of observations; a file without the key has none
 GATES = 4  # of an LSTM: input, forget, candidate, output
 LARGEST_JSON = 2**20  # bytes
 LARGEST_LAYER = 2048  # units
@@ -60,13 +61,49 @@ class Controller(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Normalization:
+    """Statistics of training observations, as stable-baselines3's VecNormalize applies them."""
+
+    mean: AnyArray  # (n_observation,)
+    variance: AnyArray  # (n_observation,)
+    epsilon: float  # added to the variance
+    clip: float  # largest size of a normalized number
+
+    def apply(self, observation: AnyArray) -> AnyArray:
+        """Normalized observations (..., n_observation), in float32."""
+        scaled = (observation - self.mean) / np.sqrt(self.variance + self.epsilon)
+        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+
+    @classmethod
+    def of(cls, data: Any, size: int) -> "Normalization":
+        """Statistics of observations of a size, from their table in a file; or ValueError."""
+        names = ("mean", "variance", "epsilon", "clip")
+        table = validate.mapping(data, NORMALIZATION, names)
+        variance = validate.numbers(table.get("variance"), f"{NORMALIZATION}.variance", size)
+        for k, value in enumerate(variance):
+            validate.nonnegative(value, f"{NORMALIZATION}.variance[{k}]", "-")
+        return cls(
+            mean=np.array(validate.numbers(table.get("mean"), f"{NORMALIZATION}.mean", size)),
+            variance=np.array(variance),
+            epsilon=validate.positive(table.get("epsilon"), f"{NORMALIZATION}.epsilon", "-"),
+            clip=validate.positive(table.get("clip"), f"{NORMALIZATION}.clip", "-"),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Inverse of `of`."""
+        mean, variance = self.mean.tolist(), self.variance.tolist()
+        return {"mean": mean, "variance": variance, "epsilon": self.epsilon, "clip": self.clip}
+
+
+@dataclass(frozen=True, kw_only=True)
 class Policy:
     """A network from observation to action, evaluated with numpy in float32.
 
     Layers of LSTM cells (Hochreiter and Schmidhuber, Long Short-Term Memory, Neural Computation 9,
     1997, with forget gates), if any, come first; a multilayer perceptron follows. A policy may take
     its latest observations, stacked oldest first; zeros precede the first one of an episode. The
-    state that `predict` returns holds these observations and the cells.
+    state that `predict` returns holds these observations and the cells. Observations may be
+    normalized before they are stacked.
     """
 
     weights: tuple[AnyArray, ...]  # each (n_out, n_in), of LSTM cells (4 n_out, n_in + n_out)
@@ -76,6 +113,7 @@ class Policy:
     squashing: str
     observation_low: AnyArray  # (n_observation,) bounds of the training observations
     observation_high: AnyArray
+    normalization: Normalization | None = None
     about: dict[str, Any]  # env id and keywords, algorithm, steps, versions: plain JSON
 
     @property
@@ -122,6 +160,8 @@ class Policy:
             )
         activation, first = ACTIVATIONS[self.activation], self.recurrent
         with np.errstate(over="ignore", invalid="ignore"):
+            if self.normalization is not None:
+                x = self.normalization.apply(x)
             if self.n_state:
                 x, state = self._remembered(x, state, episode_start)
             for W, b in zip(self.weights[first:-1], self.biases[first:-1], strict=True):
@@ -186,6 +226,7 @@ def save_policy(policy: Policy, folder: Path) -> None:
         "observation_high": policy.observation_high.tolist(),
         "action_low": [-1.0] * policy.layer_sizes[-1],
         "action_high": [1.0] * policy.layer_sizes[-1],
+        **({NORMALIZATION: policy.normalization.to_dict()} if policy.normalization else {}),
         "about": policy.about,
     }
     text = json.dumps(description, indent=2, allow_nan=False)
@@ -221,15 +262,19 @@ def load_policy(folder: str | Path) -> Policy:
         squashing=d["squashing"],
         observation_low=np.asarray(d["observation_low"], np.float32),
         observation_high=np.asarray(d["observation_high"], np.float32),
+        normalization=d.get(NORMALIZATION),
         about=d["about"],
     )
 
 
 def read_description(path: Path) -> dict[str, Any]:
-    """Read and check every field of a `policy.json`; raises ValueError."""
+    """Read and check every field of a `policy.json`; raises ValueError.
+
+    The normalization, if there is one, is returned as such.
+    """
     if path.stat().st_size > LARGEST_JSON:
         raise ValueError(f"{path.name} must be at most {LARGEST_JSON:_} bytes.")
-    known = [*KEYS.split(), RECURRENT]
+    known = [*KEYS.split(), RECURRENT, NORMALIZATION]
     d: dict[str, Any] = {RECURRENT: 0} | validate.mapping(read_mapping(path), path.name, known)
     missing = sorted(set(KEYS.split()) - set(d))
     if missing:
@@ -252,6 +297,8 @@ def read_description(path: Path) -> dict[str, Any]:
     stack = validate.integer(d["about"].get("stack", 1), "about.stack", 1, MOST_STACKED)
     if sizes[0] % stack:
         raise ValueError(f"about.stack ({stack}) must divide the {sizes[0]} observations.")
+    if NORMALIZATION in d:
+        d[NORMALIZATION] = Normalization.of(d[NORMALIZATION], sizes[0] // stack)
     return d
 
 

@@ -31,6 +31,7 @@ from agents.leaderboard.bound import best_of
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
 from agents.learners.algorithms import algorithms
 from agents.learners.export import export_policy
+from agents.learners.normalization import normalized
 from agents.metrics import make_batch, write_json
 from agents.policy import Controller, PolicyError, load_policy, save_policy
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
@@ -70,6 +71,7 @@ def build_model(config: Config) -> Any:
             env = HybridVecEnv(env, base_of(base_description(config.base, config.env), env.envs))
         except REFUSALS as error:
             raise ConfigError(str(error)) from None
+    env = normalized(env, config.env.normalize, config.agent.gamma)
     if config.env.stack > 1:
         env = VecFrameStack(env, config.env.stack)
     try:
@@ -121,7 +123,7 @@ def prepare(config: Config) -> None:
     begin = time.monotonic()
     print(f"Preparing {config.env.id} (an arm is compiled at its first use and cached) ...")
     model = build_model(config)
-    export_policy(model, {})
+    export_policy(model, {"stack": config.env.stack})
     env = model.env
     env.reset()
     env.step(np.zeros((config.env.n_envs, *env.action_space.shape), np.float32))

@@ -8,7 +8,14 @@ from zipfile import ZipFile
 import numpy as np
 
 from agents.learners.algorithms import algorithms, name_of
-from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS, Policy, PolicyError
+from agents.policy import (
+    ACTIVATIONS,
+    LARGEST_LAYER,
+    MOST_LAYERS,
+    Normalization,
+    Policy,
+    PolicyError,
+)
 from agents.sentences import one_line
 from dynamics.description import validate
 from dynamics.types import AnyArray
@@ -65,6 +72,7 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
         squashing=squashing,
         observation_low=space.low.copy(),
         observation_high=space.high.copy(),
+        normalization=normalization(model),
         about={"algorithm": name_of(type(model))} | about,
     )
     sizes = policy.layer_sizes
@@ -73,7 +81,27 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
             f"A policy can have at most {MOST_LAYERS} layers of at most {LARGEST_LAYER} units, "
             f"observation and action included, got {sizes}."
         )
+    statistics = policy.normalization
+    if statistics is not None and statistics.mean.shape != (policy.n_observation,):
+        raise PolicyError(
+            f"VecNormalize must be inside VecFrameStack: it has {statistics.mean.size} means, but "
+            f"one observation has {policy.n_observation} numbers."
+        )
     return policy
+
+
+def normalization(model: Any) -> Normalization | None:
+    """Statistics by which the model's observations are normalized; None if they are not."""
+    envs = model.get_vec_normalize_env()
+    if envs is None or not envs.norm_obs:
+        return None
+    found = envs.obs_rms
+    return Normalization(
+        mean=found.mean.copy(),
+        variance=found.var.copy(),
+        epsilon=float(envs.epsilon),
+        clip=float(envs.clip_obs),
+    )
 
 
 def actor(model: Any) -> tuple[list[tuple[AnyArray, AnyArray]], list[Any]]:

@@ -15,15 +15,20 @@ PLACES = {  # key of Zoo: section and key here
     "n_envs": ("env", "n_envs"),
     "env_kwargs": ("env", "kwargs"),
     "frame_stack": ("env", "stack"),
+    "normalize": ("env", "normalize"),
     "policy": ("agent", "policy"),
 }
 HINTS = {key: f"{section}.{here}".lstrip(".") for key, (section, here) in PLACES.items()} | {
     "policy_kwargs": "agent.kwargs.policy_kwargs",
-    "normalize": "nothing: observations are scaled by the environment",
     "env_wrapper": "env.reward (a table of reward terms and weights)",
 }
 ACTIVATIONS = {"Tanh": "tanh", "ReLU": "relu", "ELU": "elu"}  # classes of torch.nn, names here
 MODULES = ("nn", "th.nn", "torch.nn")
+TABLES = {  # key whose table may be a text: an example of one
+    "policy_kwargs": "dict(net_arch=[64, 64], activation_fn=nn.ReLU)",
+    "env_kwargs": "dict(hardware='laboratory')",
+    "normalize": "dict(norm_obs=True, norm_reward=False)",
+}
 LONGEST = 2000  # characters of a table in Python's form
 DEVICES = ("cpu", "auto")
 REFUSED = {  # key of Zoo: remedy
@@ -49,8 +54,7 @@ def translated(data: Any) -> Any:
     for key, remedy in REFUSED.items():
         if key in kwargs:
             raise ValueError(f"agent.kwargs.{key} of RL Zoo names code to import; {remedy}.")
-    for key in ("normalize", "device"):
-        kwargs.pop(key, None)
+    kwargs.pop("device", None)
     result = {**data, "agent": {**agent, "kwargs": kwargs}}
     for key, (section, here) in PLACES.items():
         if key in kwargs:
@@ -77,15 +81,10 @@ def plain(key: Any, value: Any) -> Any:
     where = f"agent.kwargs.{key}"
     if key == "n_timesteps" and isinstance(value, float) and value.is_integer():
         return int(value)  # Zoo writes !!float 1e6
-    if key in ("policy_kwargs", "env_kwargs") and isinstance(value, str):
-        return table_of(value, where)
+    if key in TABLES and isinstance(value, str):
+        return table_of(value, where, TABLES[key])
     if key == "train_freq" and isinstance(value, list) and value[1:] == ["step"]:
         return value[0]
-    if key == "normalize" and value is not False:
-        raise ValueError(
-            f"{where} must be left out, got {validate.shown(value)}: the environment scales its "
-            "observations by the arm's physics, and the terms of its reward are of order one."
-        )
     if key == "device" and value not in DEVICES:
         raise ValueError(
             f"{where} must be one of {list(DEVICES)}, got {validate.shown(value)}: networks of "
@@ -94,8 +93,8 @@ def plain(key: Any, value: Any) -> Any:
     return value
 
 
-def table_of(text: str, where: str) -> dict[str, Any]:
-    """Table of a text such as "dict(net_arch=[64, 64], activation_fn=nn.ReLU)", without eval."""
+def table_of(text: str, where: str, example: str) -> dict[str, Any]:
+    """Table of a text such as the example, without eval."""
     try:
         if len(text) > LONGEST:
             raise ValueError("it is too long")
@@ -106,8 +105,8 @@ def table_of(text: str, where: str) -> dict[str, Any]:
     except (SyntaxError, ValueError, RecursionError, MemoryError, TypeError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else str(error) or "nested too deeply"
         raise ValueError(
-            f"{where} must be a table, or a text such as 'dict(net_arch=[64, 64], "
-            f"activation_fn=nn.ReLU)' of plain values, got {validate.shown(text)} ({reason})."
+            f"{where} must be a table, or a text such as {example!r} of plain values, got "
+            f"{validate.shown(text)} ({reason})."
         ) from None
     return table
 

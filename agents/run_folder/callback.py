@@ -67,8 +67,9 @@ def make_callback(
             self.checkpoint_cost = 0.0
 
         def _on_step(self) -> bool:
-            s = self.locals
-            self.statistics.add(s["rewards"], s["dones"], s["infos"])
+            s, normalized = self.locals, self.model.get_vec_normalize_env()
+            rewards = normalized.get_original_reward() if normalized else s["rewards"]
+            self.statistics.add(rewards, s["dones"], s["infos"])
             return True
 
         def _on_rollout_end(self) -> None:

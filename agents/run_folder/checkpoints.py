@@ -12,6 +12,7 @@ import numpy as np
 from agents.arrays import read_arrays
 from agents.environments import REFUSALS
 from agents.files import sync
+from agents.learners.normalization import restore_statistics, statistics
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
 
@@ -62,7 +63,7 @@ def save_checkpoint(model: Any, folder: Path, progress: dict[str, Any]) -> Path:
 
 def write_state(model: Any, folder: Path, progress: dict[str, Any]) -> None:
     """Write the arrays and the other state of the model into the folder."""
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, Any] = statistics(model)
     state = {
         "parameters": flattened(model.get_parameters(), arrays),
         "variables": flattened(loose_variables(model), arrays),
@@ -156,6 +157,7 @@ def restore_checkpoint(model: Any, folder: Path) -> dict[str, Any]:
         model.set_parameters(parameters, device="cpu")
         for name, value in loose_variables(model).items():
             value.data.copy_(variables[name])
+        restore_statistics(model, arrays)
         model.num_timesteps = state["num_timesteps"]
         model._n_updates = state["n_updates"]
         if "replay" in state:

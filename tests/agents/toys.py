@@ -5,6 +5,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import torch
 
 from agents.learners.algorithms import algorithms, policies
 
@@ -53,3 +54,13 @@ def build(name: str, seed: int = 0, env: Any = None, **kwargs: Any) -> Any:
     """An untrained model of an algorithm on `Toy`, or on another environment."""
     given = deepcopy(KWARGS[name] | kwargs)  # learners write into policy_kwargs
     return algorithms()[name](policies(name)[0], env or Toy(), seed=seed, device="cpu", **given)
+
+
+def trained(name: str, env: Any = None) -> Any:
+    """A model after a few updates, with outputs so large that some actions reach their limits."""
+    model = build(name, env=env)
+    model.learn(256)
+    actor = model.actor.mu if hasattr(model, "actor") else model.policy.action_net
+    last = [module for module in actor.modules() if isinstance(module, torch.nn.Linear)][-1]
+    last.weight.data *= 2.0 / last.weight.abs().max()
+    return model

@@ -5,25 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
 
 from agents.learners.algorithms import algorithms
 from agents.learners.export import export_policy, load_zip
 from agents.policy import Policy, PolicyError, load_policy, save_policy
-from tests.agents.toys import KWARGS, Toy, build
+from tests.agents.toys import KWARGS, Toy, build, trained
 
 ROUND_OFF = 5e-6  # float32 sums in another order, over a sequence
-
-
-def trained(name: str) -> Any:
-    """A model after a few updates, with outputs so large that some actions reach their limits."""
-    model = build(name)
-    model.learn(256)
-    actor = model.actor.mu if hasattr(model, "actor") else model.policy.action_net
-    last = [module for module in actor.modules() if isinstance(module, torch.nn.Linear)][-1]
-    last.weight.data *= 2.0 / last.weight.abs().max()
-    return model
 
 
 def differences(model: Any, policy: Policy, steps: int = 60) -> tuple[float, float]:

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from agents.config import Config, ConfigError, config_from_dict
+from agents.learners.normalization import DEFAULTS
 from dynamics.description.data_file import read_mapping
 from tests.paths import ROOT
 
@@ -40,7 +41,8 @@ def test_settings_of_the_zoo_go_to_their_places() -> None:
     config = pasted(
         "ppo",
         {
-            "normalize": False, "device": "auto", "n_envs": 8, "n_timesteps": 1e5,
+            "normalize": "{'norm_reward': False}", "device": "auto",
+            "n_envs": 8, "n_timesteps": 1e5,
             "policy": "MlpPolicy", "env_kwargs": "dict(hardware='laboratory')", "frame_stack": 4,
             "n_steps": 64, "batch_size": 256, "learning_rate": "lin_3e-4", "clip_range": "lin_0.2",
             "use_sde": True, "sde_sample_freq": 4,
@@ -50,6 +52,7 @@ def test_settings_of_the_zoo_go_to_their_places() -> None:
     )  # fmt: skip
     assert (config.env.n_envs, config.env.stack, config.total_steps) == (8, 4, 100_000)
     assert config.env.kwargs == {"hardware": "laboratory"}
+    assert config.env.normalize == DEFAULTS | {"norm_reward": False}
     network = {"pi": [256, 256], "vf": [64]}
     policy = {"log_std_init": -2, "ortho_init": False, "activation_fn": "relu", "net_arch": network}
     others = {"n_steps": 64, "batch_size": 256, "use_sde": True, "sde_sample_freq": 4}
@@ -91,8 +94,7 @@ def test_a_text_that_is_no_plain_table_is_refused_and_not_run(
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"normalize": True}, r"normalize must be left out, got True: the environment scales"),
-        ({"normalize": "dict(norm_reward=True)"}, "normalize must be left out, got 'dict"),
+        ({"normalize": "dict(norm_rewards=True)"}, "Unknown key 'norm_rewards' in env.normalize"),
         ({"device": "cuda"}, r"device must be one of \['cpu', 'auto'\], got 'cuda'"),
         ({"env_wrapper": "gym.wrappers.X"}, "env_wrapper of RL Zoo names code.*env.reward"),
         ({"callback": "x.Y"}, "callback of RL Zoo names code to import"),
