@@ -22,6 +22,7 @@ KEYS = "format layer_sizes activation squashing observation_low observation_high
 KEYS += " action_high about"
 RECURRENT = "recurrent"  # number of LSTM layers; a file without the key has none
 NORMALIZATION = "normalization"  # of observations; a file without the key has none
+MEAN_LIMIT = "mean_limit"  # of the last layer's outputs; a file without the key has none
 GATES = 4  # of an LSTM: input, forget, candidate, output
 LARGEST_JSON = 2**20  # bytes
 LARGEST_LAYER = 2048  # units
@@ -111,6 +112,7 @@ class Policy:
     recurrent: int = 0  # number of layers of LSTM cells
     activation: str
     squashing: str
+    mean_limit: float | None = None  # largest size of the last layer's outputs
     observation_low: AnyArray  # (n_observation,) bounds of the training observations
     observation_high: AnyArray
     normalization: Normalization | None = None
@@ -166,7 +168,10 @@ class Policy:
                 x, state = self._remembered(x, state, episode_start)
             for W, b in zip(self.weights[first:-1], self.biases[first:-1], strict=True):
                 x = activation(x @ W.T + b)
-            x = SQUASHINGS[self.squashing](x @ self.weights[-1].T + self.biases[-1])
+            x = x @ self.weights[-1].T + self.biases[-1]
+            if self.mean_limit is not None:
+                x = np.clip(x, -self.mean_limit, self.mean_limit)
+            x = SQUASHINGS[self.squashing](x)
         if np.isnan(x).any():
             raise PolicyError("The policy's weights are so large that its action is not a number.")
         return x.astype(np.float32), state
@@ -222,6 +227,7 @@ def save_policy(policy: Policy, folder: Path) -> None:
         **({RECURRENT: policy.recurrent} if policy.recurrent else {}),
         "activation": policy.activation,
         "squashing": policy.squashing,
+        **({} if policy.mean_limit is None else {MEAN_LIMIT: policy.mean_limit}),
         "observation_low": policy.observation_low.tolist(),
         "observation_high": policy.observation_high.tolist(),
         "action_low": [-1.0] * policy.layer_sizes[-1],
@@ -260,6 +266,7 @@ def load_policy(folder: str | Path) -> Policy:
         recurrent=d[RECURRENT],
         activation=d["activation"],
         squashing=d["squashing"],
+        mean_limit=d.get(MEAN_LIMIT),
         observation_low=np.asarray(d["observation_low"], np.float32),
         observation_high=np.asarray(d["observation_high"], np.float32),
         normalization=d.get(NORMALIZATION),
@@ -274,7 +281,7 @@ def read_description(path: Path) -> dict[str, Any]:
     """
     if path.stat().st_size > LARGEST_JSON:
         raise ValueError(f"{path.name} must be at most {LARGEST_JSON:_} bytes.")
-    known = [*KEYS.split(), RECURRENT, NORMALIZATION]
+    known = [*KEYS.split(), RECURRENT, NORMALIZATION, MEAN_LIMIT]
     d: dict[str, Any] = {RECURRENT: 0} | validate.mapping(read_mapping(path), path.name, known)
     missing = sorted(set(KEYS.split()) - set(d))
     if missing:
@@ -297,6 +304,8 @@ def read_description(path: Path) -> dict[str, Any]:
     stack = validate.integer(d["about"].get("stack", 1), "about.stack", 1, MOST_STACKED)
     if sizes[0] % stack:
         raise ValueError(f"about.stack ({stack}) must divide the {sizes[0]} observations.")
+    if MEAN_LIMIT in d:
+        d[MEAN_LIMIT] = validate.positive(d[MEAN_LIMIT], MEAN_LIMIT, "-")
     if NORMALIZATION in d:
         d[NORMALIZATION] = Normalization.of(d[NORMALIZATION], sizes[0] // stack)
     return d

@@ -42,6 +42,9 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
     squashing = "clip"
     if isinstance(modules[-1], torch.nn.Tanh):
         squashing, modules = "tanh", modules[:-1]
+    mean_limit = None
+    if isinstance(modules[-1], torch.nn.Hardtanh):  # of exploration noise that depends on the state
+        mean_limit, modules = float(modules[-1].max_val), modules[:-1]
     weights, biases = [W for W, _ in cells], [b for _, b in cells]
     activations: set[str] = set()
     factor, shift = np.ones(1), np.zeros(1)  # of the next layer's input
@@ -70,6 +73,7 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
         recurrent=len(cells),
         activation=activations.pop() if activations else "tanh",
         squashing=squashing,
+        mean_limit=mean_limit,
         observation_low=space.low.copy(),
         observation_high=space.high.copy(),
         normalization=normalization(model),

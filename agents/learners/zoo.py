@@ -83,7 +83,12 @@ def plain(key: Any, value: Any) -> Any:
         return int(value)  # Zoo writes !!float 1e6
     if key in TABLES and isinstance(value, str):
         return table_of(value, where, TABLES[key])
-    if key == "train_freq" and isinstance(value, list) and value[1:] == ["step"]:
+    if key == "train_freq" and isinstance(value, list):
+        if len(value) != 2 or value[1] != "step":
+            raise ValueError(
+                f"{where} must count steps, as 8 or [8, step], got {validate.shown(value)}: the "
+                "environments of a batch end their episodes at different steps."
+            )
         return value[0]
     if key == "device" and value not in DEVICES:
         raise ValueError(

@@ -167,6 +167,8 @@ def refusal(folder: Path) -> str:
         ({"activation": "system"}, "activation must be one of"),
         ({"activation": ["tanh"]}, "activation must be one of"),
         ({"squashing": None}, "squashing must be one of"),
+        ({"mean_limit": 0.0}, "mean_limit must be positive, got 0.0"),
+        ({"mean_limit": None}, "mean_limit [-] must be a number, got None"),
         ({"observation_low": [0.0]}, "observation_low must have 3 numbers, got 1"),
         ({"observation_low": "low"}, "observation_low must be a list"),
         ({"observation_high": [1.0, 2.0, float("inf")]}, "must be a finite number"),

@@ -56,9 +56,9 @@ def build(name: str, seed: int = 0, env: Any = None, **kwargs: Any) -> Any:
     return algorithms()[name](policies(name)[0], env or Toy(), seed=seed, device="cpu", **given)
 
 
-def trained(name: str, env: Any = None) -> Any:
+def trained(name: str, env: Any = None, **kwargs: Any) -> Any:
     """A model after a few updates, with outputs so large that some actions reach their limits."""
-    model = build(name, env=env)
+    model = build(name, env=env, **kwargs)
     model.learn(256)
     actor = model.actor.mu if hasattr(model, "actor") else model.policy.action_net
     last = [module for module in actor.modules() if isinstance(module, torch.nn.Linear)][-1]

@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
 
 from agents.learners.algorithms import algorithms
 from agents.learners.export import export_policy, load_zip
 from agents.policy import Policy, PolicyError, load_policy, save_policy
-from tests.agents.toys import KWARGS, Toy, build, trained
+from tests.agents.toys import KWARGS, NETWORK, Toy, build, trained
 
 ROUND_OFF = 5e-6  # float32 sums in another order, over a sequence
 
@@ -45,15 +46,26 @@ def test_every_algorithm_of_the_libraries_is_tested() -> None:
     assert sorted(KWARGS) == list(algorithms())
 
 
-@pytest.mark.parametrize("name", ["sac", "tqc", "ppo"])
-def test_other_networks_are_stored_or_refused(name: str) -> None:
-    """Exploration noise that depends on the state adds a clipped mean, which cannot be stored."""
-    model = build(name, use_sde=True)
-    if name == "ppo":
-        assert differences(model, export_policy(model, {}))[0] < ROUND_OFF
-    else:
-        with pytest.raises(PolicyError, match=r"one activation out of .* got \['hardtanh', 'relu'"):
-            export_policy(model, {})
+@pytest.mark.parametrize("name", ["a2c", "crossq", "ppo", "sac", "tqc"])
+def test_policies_whose_exploration_depends_on_the_state_are_stored(
+    name: str, tmp_path: Path
+) -> None:
+    """Off-policy algorithms then limit the mean before it is squashed."""
+    kwargs = {} if name in ("a2c", "ppo") else {"policy_kwargs": NETWORK | {"clip_mean": 0.5}}
+    model = trained(name, use_sde=True, **kwargs)
+    save_policy(export_policy(model, {}), tmp_path)
+    policy = load_policy(tmp_path)
+    gap, largest = differences(model, policy)
+    assert gap < ROUND_OFF
+    if kwargs:
+        assert policy.mean_limit == 0.5
+        assert largest == pytest.approx(np.tanh(0.5))
+
+
+def test_networks_of_other_layers_are_refused() -> None:
+    model = build("ppo", policy_kwargs={"activation_fn": torch.nn.Sigmoid})
+    with pytest.raises(PolicyError, match=r"one activation out of .* got \['sigmoid'\]"):
+        export_policy(model, {})
 
 
 def test_a_network_with_too_many_layers_is_refused() -> None:

@@ -2,11 +2,14 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
+from agents import training
 from agents.evaluate import main as evaluate
-from agents.policy import load_policy
+from agents.policy import PolicyError, load_policy
 from agents.run_folder.checkpoints import list_checkpoints
 from agents.run_folder.folder import RunFolder
 from agents.training import main as train
@@ -40,10 +43,29 @@ def test_a_run_of_every_algorithm_resumes_and_is_evaluated(
 
 
 def test_a_policy_that_cannot_be_stored_is_refused_before_the_run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def refused(model: Any, about: Any) -> None:
+        raise PolicyError("Only networks with one activation can be stored.")
+
+    monkeypatch.setattr(training, "export_policy", refused)
     config = write_config(tmp_path, "sac", 256)
-    config.write_text(config.read_text().replace("batch_size", "use_sde: true\n    batch_size"))
     assert train(["--config", str(config), "--out", str(tmp_path / "out")]) == 2
     assert "Only networks with one activation" in one_sentence(capsys)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["ppo", "sac"])
+def test_exploration_that_depends_on_the_state_is_trained_and_resumed(
+    name: str, tmp_path: Path, unjudged: list[RunFolder]
+) -> None:
+    """RL Zoo's `use_sde`."""
+    run = RunFolder(tmp_path / "out")
+    config = write_config(tmp_path, name, 256, kwargs={"max_episode_steps": 20})
+    given = yaml.safe_load(config.read_text())
+    given["agent"]["kwargs"] |= {"use_sde": True, "sde_sample_freq": 4}
+    config.write_text(yaml.safe_dump(given))
+    assert train(["--config", str(config), "--out", str(run.path)]) == 0
+    assert train(["--resume", str(run.path), "--steps", "512"]) == 0
+    assert load_policy(run.policy).mean_limit == {"ppo": None, "sac": 2.0}[name]
+    assert evaluate([str(run.path), "--episodes", "1", "--out", str(tmp_path / "seen")]) == 0
