@@ -20,7 +20,7 @@ from agents.learners.export import load_zip
 from agents.metrics import make_batch
 from agents.policy import Controller, Policy, PolicyError, load_policy
 from agents.run_folder.folder import versions
-from agents.sentences import one_line
+from agents.sentences import one_line, speaker
 from agents.signals import Interrupted, signals_to, stop_at_once
 from agents.tune import parameters_of
 from dynamics.description import validate
@@ -57,14 +57,14 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.evalu
         with signals_to(stop_at_once):
             evaluate(a)
     except (UsageError, PolicyError, FolderError) as error:
-        print(f"agents.evaluate: {one_line(error)}", file=sys.stderr)
+        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
     except OSError as error:
         reason = error.strerror or one_line(error)
-        print(f"agents.evaluate: writing to {a.out} failed ({reason}).", file=sys.stderr)
+        print(f"{speaker(prog)}: writing to {a.out} failed ({reason}).", file=sys.stderr)
         return 1
     except Interrupted as error:
-        print("agents.evaluate: interrupted; run it again for the results.", file=sys.stderr)
+        print(f"{speaker(prog)}: interrupted; run it again for the results.", file=sys.stderr)
         return error.status
     print(f"Everything is in {a.out}/")
     return 0

@@ -10,7 +10,7 @@ import numpy as np
 from agents.figures import COLOURS, new_figure, save_figure, tidy
 from agents.files import FolderError, check_folder
 from agents.metrics import write_json
-from agents.sentences import one_line
+from agents.sentences import one_line, speaker
 from dynamics.load import load_arm
 from dynamics.measured.fit import BOUNDS, CONFIDENCE, Fit, Gauge, fit
 from dynamics.measured.log_file import UNITS, Columns, Log, read_log
@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
         log, arm = read_log(a.log, columns), load_arm(a.arm)
         found = fit(arm, log, gauges, bounds)
     except (ValueError, FolderError) as error:
-        print(f"agents.fit: {one_line(error)}", file=sys.stderr)
+        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
     a.out.mkdir(parents=True, exist_ok=True)
     title = f"{a.log.name} and {arm.name or a.arm}"

@@ -37,7 +37,7 @@ from agents.policy import Controller, PolicyError, load_policy, save_policy
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
-from agents.sentences import one_line
+from agents.sentences import one_line, speaker
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 from agents.tune import parameters_of
 from dynamics.description import validate
@@ -307,7 +307,7 @@ def resume_command(run: RunFolder, prog: str) -> str:
 
 
 def main(arguments: list[str] | None = None, prog: str = "python train.py") -> int:
-    """Run the command line of `train.py`; returns the exit status."""
+    """Run the command line; returns the exit status."""
     parser = argparse.ArgumentParser(
         prog=prog, description="Train a policy and compare it with joint PD."
     )
@@ -340,18 +340,18 @@ def main(arguments: list[str] | None = None, prog: str = "python train.py") -> i
                 with folder_lock(run.path):
                     resume(run, a.steps, prog)
     except (ConfigError, FolderError, PolicyError, CheckpointError) as error:
-        print(f"train.py: {one_line(error)}", file=sys.stderr)
+        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
     except TrainingError as error:
-        print(f"train.py: {error}", file=sys.stderr)
+        print(f"{speaker(prog)}: {error}", file=sys.stderr)
         return 1
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         reason = error.strerror or one_line(error)
-        print(f"train.py: {place}{reason}; {remedy(run, prog)}", file=sys.stderr)
+        print(f"{speaker(prog)}: {place}{reason}; {remedy(run, prog)}", file=sys.stderr)
         return 1
     except Interrupted as error:
-        print(f"\ntrain.py: interrupted; {remedy(run, prog)}", file=sys.stderr)
+        print(f"\n{speaker(prog)}: interrupted; {remedy(run, prog)}", file=sys.stderr)
         return error.status
     return 0
 

@@ -183,7 +183,7 @@ def main(given: list[str] | None = None, prog: str = "python -m flexarm_env.cert
         try:
             measured = entry(source, options.control_dt)
         except (ValueError, RuntimeError) as error:
-            _report(" ".join(str(error).split()))
+            _report(f"{prog.removeprefix('python -m ')}: {' '.join(str(error).split())}")
             return 2
         dt = measured["control_dt"]
         command = f"python -m flexarm_env.certify {source}"

@@ -31,12 +31,37 @@ def test_every_command_says_what_it_takes(name: str, capsys: pytest.CaptureFixtu
     assert callable(import_module(flexarm.COMMANDS[name][0]).main)
 
 
-def test_a_command_has_the_errors_of_its_module(capsys: pytest.CaptureFixture[str]) -> None:
-    status = flexarm.main(["evaluate", "nothing", "--out", "nowhere"])
+@pytest.mark.parametrize(
+    ("name", "arguments", "own"),
+    [
+        ("train", ["--config", "none.yaml"], "train.py"),
+        ("evaluate", ["nothing", "--out", "nowhere"], "agents.evaluate"),
+        ("leaderboard", ["--tasks", "nothing"], "agents.leaderboard"),
+        ("certify", ["nothing"], "flexarm_env.certify"),
+        (
+            "fit",
+            ["none.csv", "--arm", "slim", "--time", "t", "--command", "u", "--encoder", "q"],
+            "agents.fit",
+        ),
+    ],
+)
+def test_messages_begin_with_the_command_that_was_typed(
+    name: str,
+    arguments: list[str],
+    own: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """And are those of its module otherwise."""
+    monkeypatch.chdir(tmp_path)
+    status = flexarm.main([name, *arguments])
     assert status == 2
-    said = capsys.readouterr().err
-    assert import_module("agents.evaluate").main(["nothing", "--out", "nowhere"]) == status
-    assert capsys.readouterr().err == said
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith(f"flexarm {name}: ")
+    assert import_module(flexarm.COMMANDS[name][0]).main(arguments) == status
+    again = capsys.readouterr().err.splitlines()[-1]
+    assert again == said.replace(f"flexarm {name}", own)
 
 
 def test_unknown_commands_are_refused_and_none_prints_the_help(

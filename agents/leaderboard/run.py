@@ -32,6 +32,7 @@ from agents.leaderboard.statistics import Entry, compared, figures, spectrum
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
+from agents.sentences import speaker
 from agents.tune import is_tuned, parameters_of
 from dynamics.description import validate
 from dynamics.types import AnyArray
@@ -141,7 +142,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     try:
         _check(options)
     except ValueError as error:
-        print(f"agents.leaderboard: {error}", file=sys.stderr)
+        print(f"{speaker(prog)}: {error}", file=sys.stderr)
         return 2
     seeds = list(range(options.seed, options.seed + options.episodes))
     options.out.mkdir(parents=True, exist_ok=True)
