@@ -7,17 +7,20 @@ one of our packages is refused with a sentence.
 import argparse
 import sys
 from importlib import import_module
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
 COMMANDS = {  # module whose `main` runs the command, and its line in the help
     "train": ("agents.training", "train a policy from an experiment file, and compare it"),
     "evaluate": ("agents.evaluate", "evaluate a run's policy or a classical controller"),
+    "sweep": ("agents.sweep.command", "search the settings of an experiment, by Ray"),
     "leaderboard": ("agents.leaderboard.run", "rank controllers on tasks and tracks"),
     "certify": ("flexarm_env.certify", "measure the errors of an arm's model and step"),
     "fit": ("agents.fit", "fit an arm's stiffness and damping to a log of its rig"),
     "arms": ("flexarm_env.__main__", "list the preset arms and the environments of each"),
 }
+EXTRAS = {"sweep": "scale"}  # other than `train`
 PACKAGES = ("dynamics", "flexarm_env", "agents")
 MISSING = 2  # exit status: something is not installed, or ours is hidden
 
@@ -36,8 +39,8 @@ def main(arguments: list[str] | None = None) -> int:
         run = import_module(COMMANDS[name][0]).main
     except ModuleNotFoundError as error:
         print(
-            f"flexarm: {name} needs {error.name}, which is not installed; "
-            "run: pip install 'flexarm[train]'",
+            f"flexarm: {name} needs {error.name}, which is not installed; run in the folder of "
+            f"flexarm: pip install -c constraints.txt -e '.[{EXTRAS.get(name, 'train')}]'",
             file=sys.stderr,
         )
         return MISSING
@@ -55,6 +58,7 @@ def parser() -> argparse.ArgumentParser:
         epilog="\n".join(["commands:", *lines, "", "flexarm COMMAND --help says more."]),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    result.add_argument("--version", action="version", version=f"flexarm {version('flexarm')}")
     result.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
     return result
 

@@ -18,7 +18,14 @@ from agents.leaderboard.replay import YARDSTICK, optimal
 from agents.leaderboard.tracks import takes_part, track_of
 from agents.learners.export import load_zip
 from agents.metrics import make_batch
-from agents.policy import Controller, Policy, PolicyError, load_policy
+from agents.policy import (
+    JSON_FILE,
+    WEIGHTS_FILE,
+    Controller,
+    Policy,
+    PolicyError,
+    load_policy,
+)
 from agents.run_folder.folder import versions
 from agents.sentences import one_line, speaker
 from agents.signals import Interrupted, signals_to, stop_at_once
@@ -125,7 +132,15 @@ def find_policy(subject: str, trust: bool) -> Policy | None:
             f"{subject!r} is neither a run's folder nor a controller; "
             f"controllers: {', '.join(KNOWN)}."
         )
-    return load_policy(path) if path.is_dir() else load_zip(path, trust=trust)
+    if path.is_file():
+        stored = path.name in (JSON_FILE, WEIGHTS_FILE)
+        return load_policy(path.parent) if stored else load_zip(path, trust=trust)
+    inside = sorted(found.parent.parent for found in path.glob(f"*/policy/{JSON_FILE}"))
+    if inside:
+        raise UsageError(
+            f"{path}: holds runs, not a policy; name one of them, such as {inside[0]}."
+        )
+    return load_policy(path)
 
 
 def find_env(
@@ -139,7 +154,10 @@ def find_env(
     about: Mapping[str, Any] = {} if policy is None else policy.about
     own: str = about.get("env_id", "")
     if env_id is None and not own:
-        raise UsageError("--env is needed: this subject names no environment.")
+        raise UsageError(
+            "--env is needed, such as --env FlexArm/OneLink-Reach-v0: a controller names no "
+            "environment, and neither does a policy that stores none."
+        )
     try:
         if kwargs is None and env_id is None:
             kwargs = check_keywords(about.get("env_kwargs", {}), "about.env_kwargs")

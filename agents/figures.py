@@ -129,7 +129,11 @@ def film(
     seed: int,
     height: int = GIF_HEIGHT,
 ) -> Film:
-    """Run one episode on one environment, with pictures of a height [px]; terminals show a bar."""
+    """Run one episode on one environment, with pictures of a height [px]; terminals show a bar.
+
+    The episode is stepped a second time by its own actions to draw it, so that the view of a
+    spatial arm is known to hold all of its motion.
+    """
     import flexarm_env  # noqa: F401  (registers the ids)
 
     env: Any = gym.make(env_id, **{name: x for name, x in kwargs.items() if name != "threads"})
@@ -137,12 +141,10 @@ def film(
         base: Any = env.unwrapped
         observation, info = env.reset(seed=seed)
         renderer = Renderer(base.core, height)
-        every = max(1, round(GIF_SECONDS_PER_FRAME / base.control_dt))
-        frames: list[AnyArray] = [renderer.draw(base.core)]
         forms = [renderer.forms(base.core)]
-        bar = progress("film", env.spec.max_episode_steps)
         samples: dict[str, list[Any]] = {name: [info[name]] for name in SAMPLED}
         actions = [np.zeros(base.action_space.shape, np.float32)]
+        bar = progress("film", env.spec.max_episode_steps)
         state, ended, failed, step = None, False, False, 0
         while not ended:
             action, state = controller.predict(observation, state)
@@ -150,14 +152,15 @@ def film(
             observation, _, terminated, truncated, info = env.step(action)
             actions.append(action)
             ended, failed, step = terminated or truncated, terminated, step + 1
-            renderer.follow(base.core)
             forms.append(renderer.forms(base.core))
             bar.update()
             for name, values in samples.items():
                 values.append(info[name])
-            if step % every == 0:
-                frames.append(renderer.draw(base.core))
         bar.close()
+        if not renderer.planar:
+            seen = [np.concatenate([*bent, target[None]]) for bent, _, target in forms]
+            renderer.close_up(np.concatenate(seen))
+        frames = drawn(env, renderer, actions[1:], seed)
         columns = {name: np.array(values, float)[:, None] for name, values in samples.items()}
         for name in ("root_curvature", "torque"):
             columns[name] = columns[name].reshape(step + 1, 1, -1)
@@ -175,6 +178,22 @@ def film(
         return Film(frames, recording, bent, straight, target, renderer.planar)
     finally:
         env.close()
+
+
+def drawn(env: Any, renderer: Renderer, actions: Sequence[AnyArray], seed: int) -> list[AnyArray]:
+    """Pictures of the episode of these actions, every GIF_SECONDS_PER_FRAME."""
+    core = env.unwrapped.core
+    every = max(1, round(GIF_SECONDS_PER_FRAME / env.unwrapped.control_dt))
+    env.reset(seed=seed)
+    renderer.clear()
+    renderer.follow(core)
+    frames = [renderer.draw(core)]
+    for step, action in enumerate(actions, start=1):
+        env.step(action)
+        renderer.follow(core)
+        if step % every == 0:
+            frames.append(renderer.draw(core))
+    return frames
 
 
 SAMPLED = ("tip_error", "tip_deflection", "root_curvature", "torque")

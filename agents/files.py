@@ -5,7 +5,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from filelock import FileLock, Timeout
+try:
+    from filelock import FileLock, Timeout
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        f"agents needs {error.name}, which is not installed; run in the folder of flexarm: "
+        "pip install -c constraints.txt -e '.[train]'",
+        name=error.name,
+    ) from None
 
 LOCK = ".lock"  # stays in the folder when the operating system releases the lock
 

@@ -2,10 +2,13 @@
 
     python -m benchmarks.training --config configs/one_link_reach_ppo.yaml --seeds 0 1 2 3 4
     python -m benchmarks.training --charts
+    python -m benchmarks.training --film configs/one_link_reach_ppo.yaml
 
 Writes docs/results/NAME.json, NAME.md and NAME.png (learning curves), with --gif also NAME.gif (the
 first seed and joint PD), and experiments.md with experiments.png, an overview of all stored
-experiments, which `--charts` makes again. The tables in the documentation are made here.
+experiments. Without training, `--charts` draws the overview and the learning curves of stored
+results again, and `--film` makes NAME.gif with the shipped policy. The tables in the documentation
+are made here.
 """
 
 import json
@@ -36,7 +39,7 @@ from agents.figures import (
     write_gif,
 )
 from agents.hybrid.controller import acting
-from agents.leaderboard.shipped import ship
+from agents.leaderboard.shipped import ship, shipped
 from agents.leaderboard.tracks import track_of
 from agents.metrics import (
     METRICS,
@@ -182,6 +185,43 @@ def summarise_experiments(out: Path) -> None:
     experiments = stored(out)
     (out / "experiments.md").write_text(overview(experiments), encoding="utf-8")
     save_figure(learning_curves(experiments), out / "experiments.png")
+    for data in experiments:
+        plot_learning_curve(out / f"{data['name']}.png", stored_curves(data), curves_title(data))
+
+
+def stored_curves(data: Mapping[str, Any]) -> dict[str, list[dict[str, float | None]]]:
+    """Rows of the learning curves of a stored experiment, by training seed."""
+    return {
+        name: [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        for name, columns in data["curves"].items()
+    }
+
+
+def curves_title(data: Mapping[str, Any]) -> str:
+    """Algorithm, environment and hardware of a stored experiment."""
+    config = data["config"]
+    return f"{config['agent']['name']} on {titled(data['env'], config['env']['kwargs'])}"
+
+
+def film_shipped(config: Config, out: Path) -> None:
+    """Film the shipped policy of the first seed and joint PD with the stored gains as NAME.gif."""
+    env_id, kwargs = config.env.id, config.env.kwargs
+    track = track_of(config.agent.name, env_id, kwargs)
+    policies = {} if track is None else shipped(env_id, track)
+    if config.agent.name not in policies:
+        raise SystemExit(
+            f"No policy of {config.name} is shipped, but {sorted(policies)} of {env_id}; train it "
+            f"with --config configs/{config.name}.yaml --gif."
+        )
+    gains = json.loads((out / f"{config.name}.json").read_text(encoding="utf-8"))["pd"]
+    envs = make_batch(env_id, 1, kwargs)
+    pair: dict[str, Controller] = {
+        "trained policy": acting(policies[config.agent.name][0], envs),
+        "joint PD": joint_pd(envs, gains["frequency_ratio"], gains["damping_ratio"]),
+    }
+    envs.close()
+    films = {name: film(env_id, kwargs, c, config.evaluation.seed) for name, c in pair.items()}
+    write_gif(out / f"{config.name}.gif", films, titled(env_id, kwargs))
 
 
 def band(curves: Mapping[str, Mapping[str, Any]]) -> tuple[AnyArray, AnyArray]:
@@ -312,7 +352,6 @@ def benchmark(config: Config, seeds: Sequence[int], work: Path, out: Path, gif: 
     text = page(data)
     (out / f"{config.name}.md").write_text(text, encoding="utf-8")
     what = titled(env_id, kwargs)
-    plot_learning_curve(out / f"{config.name}.png", curves, f"{config.agent.name} on {what}")
     shown = {f"policy, seed {seeds[0]}": recordings[f"seed {seeds[0]}"]}
     shown |= {name: recordings[name] for name in ("joint PD", "untrained policy")}
     title = f"{what}, {episodes} episodes"
@@ -330,7 +369,8 @@ def main() -> None:
     parser = argument_parser("training", __doc__)
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument("--config", type=Path, help="experiment file")
-    task.add_argument("--charts", action="store_true", help="only the overview of stored results")
+    task.add_argument("--charts", action="store_true", help="only pictures of stored results")
+    task.add_argument("--film", type=Path, help="only NAME.gif of an experiment file")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
     parser.add_argument("--out", type=Path, default=RESULTS)
@@ -340,6 +380,9 @@ def main() -> None:
     a = parser.parse_args()
     if a.charts:
         summarise_experiments(a.out)
+        return
+    if a.film:
+        film_shipped(load_config(a.film), a.out)
         return
     config = load_config(a.config)
     if a.steps is not None:

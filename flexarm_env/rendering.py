@@ -36,6 +36,7 @@ ORANGE = (230, 126, 34)
 GREEN = (39, 144, 96)
 VIEW = np.array([[0.80, -0.60, 0.0], [0.24, 0.32, 0.9165]])  # (2, 3) oblique, z upward
 STRIP_HEIGHT = 64  # [px]
+SIDE, TOP = 40, 52  # [px] margins of a close-up; texts are above it
 
 
 class Renderer:
@@ -63,6 +64,21 @@ class Renderer:
         self._window: Any = None
         self.follow(core)
         self._fonts = {size: ImageFont.load_default(size=size * self.fine) for size in (12, 14)}
+
+    def close_up(self, points: Array) -> None:
+        """Choose scale and place so that points (., 3) [m], the base and their feet fill the view.
+
+        The picture never gets smaller than it is.
+        """
+        shown = np.concatenate([points, points * (1.0, 1.0, 0.0), np.zeros((1, 3))])
+        flat = shown @ self.view.T * (1.0, -1.0)
+        low, high = flat.min(axis=0), flat.max(axis=0)
+        corner = np.array([SIDE, TOP])  # [px]
+        free = np.array([SIZE[0] - SIDE, SIZE[1] - STRIP_HEIGHT - 54.0]) - corner
+        scale = float((free / np.maximum(high - low, 1e-9)).min())
+        if scale > self.scale:
+            self.scale = scale
+            self.centre = corner + free / 2 - scale * (low + high) / 2
 
     def clear(self) -> None:
         """Clear the trail and the deflections, for a new episode."""

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -124,4 +125,22 @@ def test_a_missing_extra_is_named(
 
     monkeypatch.setattr(flexarm, "import_module", refused)
     assert flexarm.main(["train"]) == 2
-    assert "train needs filelock" in capsys.readouterr().err
+    assert "train needs filelock" in (error := capsys.readouterr().err)
+    assert "pip install -c constraints.txt -e '.[train]'" in error
+    assert flexarm.main(["sweep"]) == 2
+    assert "-e '.[scale]'" in capsys.readouterr().err
+
+
+def test_modules_name_a_missing_extra_too(tmp_path: Path) -> None:
+    ran = python(
+        "sys.modules['filelock'] = None; import agents.evaluate",
+        folder=tmp_path,
+    )
+    assert ran.stderr.endswith("pip install -c constraints.txt -e '.[train]'\n")
+
+
+def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        flexarm.main(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out == f"flexarm {version('flexarm')}\n"

@@ -1,7 +1,7 @@
 """Pictures of a leaderboard, each with a panel per task.
 
 Controllers differ in marker and dashes as well as in colour; where colours stand for tracks, the
-place or the marker tells controllers apart.
+place or the marker tells controllers apart. No two controllers share a marker and its filling.
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from agents.figures import COLOURS, look, new_figure, tidy
+from agents.figures import COLOURS, MARKERS, look, new_figure, tidy
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.statistics import Entry, profile
@@ -30,6 +30,12 @@ TRACK_LOOKS = {  # colour, marker and place
 COLUMNS = 4
 UNRANKED = ("zero", "random", YARDSTICK)  # not drawn
 BEST = 5  # lines in a panel
+FILLINGS: tuple[dict[str, Any], ...] = (  # of markers, the next where all markers are used
+    {},
+    {"markerfacecolor": "white"},
+    {"fillstyle": "bottom", "markerfacecoloralt": "white"},
+    {"fillstyle": "left", "markerfacecoloralt": "white"},
+)
 LEVELS = np.linspace(0.0, 1.0, 51)  # [-] scores of a profile
 
 
@@ -145,25 +151,29 @@ def settling(results: Results) -> Figure:
     """Settling time against residual vibration, medians with quartiles, of all that settle."""
     shown = resting(results)
     figure, axes = panels([title(env_id) for env_id in shown])
-    looks = looks_of(results)
+    points = points_of(results)
     drawn: dict[str, Any] = {}
     for axis, env_id in zip(axes, shown, strict=True):
         longest = IDS[env_id]["max_episode_steps"] * IDS[env_id]["kwargs"]["control_dt"]
         for track, found in results[env_id].items():
-            for name in [x for x in looks if x in found and settles(found[x])]:
+            for name in [x for x in points if x in found and settles(found[x])]:
                 x, left, right = _middle(found[name], "settling")
                 y, low, high = _middle(found[name], "residual_vibration", 1e3)
-                marker = drawn[name] = looks[name]["marker"]
+                drawn[name] = points[name]
                 axis.errorbar(
                     x, y, xerr=beside(x, left, min(right, longest)), yerr=beside(y, low, high),
-                    color=TRACK_LOOKS[track][0], marker=marker, markersize=6, linewidth=1.0,
+                    color=TRACK_LOOKS[track][0], linewidth=1.0, **points[name],
                 )  # fmt: skip
         axis.set(yscale="log", xlim=(0.0, longest))
     markers = {
-        name: Line2D([], [], color="black", marker=marker, linestyle="")
-        for name, marker in drawn.items()
+        name: Line2D([], [], color="black", linestyle="", **drawn[name])
+        for name in points
+        if name in drawn
     }
-    legend(figure, track_handles(results) | markers)
+    tracks = track_handles(results)
+    for handle in tracks.values():
+        handle.set_marker("")  # a marker stands for a controller
+    legend(figure, tracks | markers)
     figure.supxlabel("settling time [s]: median and quartiles")
     figure.supylabel("residual vibration [mm]")
     return figure
@@ -242,6 +252,18 @@ def looks_of(results: Results) -> dict[str, dict[str, Any]]:
     every = (name for tracks in results.values() for found in tracks.values() for name in found)
     names = [name for name in dict.fromkeys(every) if name not in UNRANKED]
     return {name: look(k) for k, name in enumerate(names)}
+
+
+def points_of(results: Results) -> dict[str, dict[str, Any]]:
+    """Marker and filling of every controller, which no other has."""
+    return {
+        name: {
+            "marker": MARKERS[k % len(MARKERS)],
+            "markersize": 6,
+            **FILLINGS[k // len(MARKERS) % len(FILLINGS)],
+        }
+        for k, name in enumerate(looks_of(results))
+    }
 
 
 def beside(x: float, low: float, high: float) -> AnyArray:

@@ -60,18 +60,42 @@ def built(name: str, env: Any, env_id: str, track: str) -> list[Controller]:
         parameters = parameters_of(name, env_id, track) if CONTROLLERS[name].ranges else {}
         return [controller(name, env, parameters)]
     if ":" in name:
-        return [users_class(name)(env)]
+        return [heeded(name, users_class(name)(env), env)]
     return [acting(policy, env) for policy in shipped(env_id, TRACKS[track].design)[name]]
 
 
 def users_class(name: str) -> Callable[[Any], Controller]:
     """The class that a user names on the command line as mymodule:MyController."""
     module, _, attribute = name.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:  # `flexarm leaderboard` is a script of another folder
+        sys.path.append(here)
     try:
         found: Callable[[Any], Controller] = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"--controllers {name} cannot be imported: {error}.") from None
+        raise ValueError(
+            f"--controllers {name} cannot be imported: {error}. Write module:Class, the module "
+            f"without .py and in {here} or installed."
+        ) from None
     return found
+
+
+def heeded(name: str, subject: Controller, env: Any) -> Controller:
+    """A user's controller, after one call as every episode makes it."""
+    observation, _ = env.reset(seed=[SEED])
+    wanted = "it is called as predict(observation, state, episode_start) and returns action, state"
+    try:
+        result = subject.predict(observation, None, np.ones(1, dtype=bool))
+        action, _ = result
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"--controllers {name} failed in predict: {error}; {wanted}.") from error
+    shape = np.shape(action)
+    if shape != env.action_space.shape:
+        raise ValueError(
+            f"--controllers {name} gave actions of shape {shape}, expected "
+            f"{env.action_space.shape}: a row per environment; {wanted}."
+        )
+    return subject
 
 
 def ranked(
@@ -193,7 +217,13 @@ def _check(options: argparse.Namespace) -> None:
         if ":" in name:
             users_class(name)
         else:
-            validate.known(name, "controller", sorted({*CONTROLLERS, *shipped_names, YARDSTICK}))
+            known = sorted({*CONTROLLERS, *shipped_names, YARDSTICK})
+            if name not in known and (Path(name).exists() or Path(f"{name}.py").exists()):
+                raise ValueError(
+                    f"{name!r} is a file or a folder; --controllers takes a name of {known}, or a "
+                    "class or function of yours as module:Class, which may load a policy."
+                )
+            validate.known(name, "controller", known)
     validate.integer(options.jobs, "--jobs", 1, 1024)
     validate.integer(options.episodes, "--episodes", 2, 100_000)  # an interval needs two
     validate.integer(options.seed, "--seed", 0, 2**31)

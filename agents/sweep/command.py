@@ -16,6 +16,7 @@ import numpy as np
 import yaml
 
 from agents.config import Config, ConfigError, config_from_dict, load_config
+from agents.experiments import find_experiment
 from agents.files import FolderError, atomic_write, folder_lock
 from agents.learners.algorithms import settings
 from agents.learners.ranges import DEFAULTS, drawn
@@ -23,6 +24,7 @@ from agents.run_folder.folder import check_out, refuse_used
 from agents.sentences import one_line
 from agents.sweep.trial import POLICY, REPORTS, train_trial
 from agents.training import prepare
+from dynamics.arms import ARMS
 
 MOST_TRIALS = 10_000
 RETRIES = 3  # of a trial whose worker was lost
@@ -35,10 +37,15 @@ class SweepError(ValueError):
     """A sweep that cannot be carried out; the message is one sentence for the user."""
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, prog: str = "python -m agents.sweep") -> int:
     """Run the command line; returns the exit status (2 and one sentence for unusable input)."""
-    parser = argparse.ArgumentParser(prog="python -m agents.sweep", description=__doc__)
-    parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="experiment file")
+    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
+    parser.add_argument(
+        "config",
+        nargs="?",
+        metavar="CONFIG",
+        help="experiment: a file, or the name of a shipped one",
+    )
     parser.add_argument("--trials", type=int, default=20, metavar="N")
     parser.add_argument("--seed", type=int, default=0, help="of the drawn values")
     parser.add_argument("--steps", type=int, help="of every trial (the experiment's)")
@@ -74,7 +81,7 @@ def start(a: argparse.Namespace) -> None:
             raise SweepError(
                 f"--{name} must be between {low} and {high:_}, got {getattr(a, name)}."
             )
-    config = load_config(a.config)
+    config = located(load_config(find_experiment(a.config)))
     if a.steps is not None:
         config = config_from_dict(config.to_dict() | {"total_steps": a.steps})
     trials = plan(config, a.trials, a.seed)
@@ -86,6 +93,15 @@ def start(a: argparse.Namespace) -> None:
         refuse_used(out)
         write_yaml(out / "config.yaml", config)
         run(out.absolute(), a.address, trials, a.keep_all)
+
+
+def located(config: Config) -> Config:
+    """The experiment with the absolute path of its arm file; workers run in other folders."""
+    arm = config.env.kwargs.get("arm")
+    if not isinstance(arm, str) or arm in ARMS or not Path(arm).is_file():
+        return config
+    kwargs = {**config.env.kwargs, "arm": str(Path(arm).absolute())}
+    return replace(config, env=replace(config.env, kwargs=kwargs))
 
 
 def resume(out: Path, address: str | None) -> None:

@@ -52,7 +52,8 @@ def _text(path: Path) -> str:
         with open(path, "rb") as file:
             content = file.read(most + 1)
     except FileNotFoundError:
-        raise ValueError(f"no such file: {path}.") from None
+        where = "" if path.is_absolute() else f" in {Path.cwd()}"
+        raise ValueError(f"no such file: {path}{where}.") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a zero byte
         raise ValueError(f"cannot read {shown(str(path))}: {error}.") from None
     if len(content) > most:

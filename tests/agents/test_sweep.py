@@ -14,7 +14,7 @@ import yaml
 
 from agents.config import load_config
 from agents.policy import load_policy
-from agents.sweep.command import main
+from agents.sweep.command import located, main
 from tests.agents.tiny import one_sentence, write_config
 from tests.paths import ROOT
 
@@ -52,6 +52,7 @@ def wait(process: subprocess.Popen[str], reached: Callable[[], bool]) -> None:
     [
         ([], "an experiment file is needed"),
         (["none.yaml"], "there is no such file"),
+        (["one_link_reach_pp"], "Did you mean 'one_link_reach_ppo'?"),
         (["CONFIG", "--trials", "0"], "--trials must be between 1 and 10_000, got 0"),
         (["CONFIG", "--steps", "0"], "total_steps must be between 1 and"),
         (["--resume", "none"], "none holds no sweep to resume"),
@@ -67,6 +68,23 @@ def test_unusable_requests_are_refused_in_one_sentence(
     assert main([config if x == "CONFIG" else x for x in arguments]) == 2
     assert sentence in one_sentence(capsys)
     assert [path.suffix for path in tmp_path.iterdir()] == [".yaml"]
+
+
+def test_workers_in_other_folders_find_the_arm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.yaml").touch()
+    monkeypatch.chdir(tmp_path)
+    for given, found in (
+        ("mine.yaml", str(tmp_path / "mine.yaml")),
+        (str(tmp_path / "mine.yaml"), str(tmp_path / "mine.yaml")),
+        ("slim", "slim"),
+    ):
+        config = load_config(write_config(tmp_path, "ppo", 256, kwargs={"arm": given}))
+        assert located(config).env.kwargs == {"arm": found}
+        assert located(config).env.id == config.env.id
+    plain = load_config(write_config(tmp_path, "ppo", 256))
+    assert located(plain) == plain
 
 
 def test_a_missing_ray_is_named_with_the_remedy(

@@ -65,7 +65,7 @@ def test_evaluation_is_deterministic(run: RunFolder, tmp_path: Path) -> None:
     [
         (["nothing", "--env", ENV_ID], "neither a run's folder nor a controller"),
         (["pd", "--env", "FlexArm/NoSuch-Reach-v0"], "NoSuch"),
-        (["pd"], "--env is needed"),
+        (["pd"], "--env is needed, such as --env FlexArm/"),
         (
             ["pd", "--env", ENV_ID, "--episodes", "0"],
             "--episodes must be between 1 and 10_000, got 0",
@@ -89,6 +89,19 @@ def test_bad_command_lines_end_with_one_sentence(
     error = capsys.readouterr().err
     assert sentence in error
     assert error.count("\n") == 1
+
+
+def test_a_folder_of_runs_names_one_and_a_file_of_a_policy_stands_for_it(
+    run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ["--out", str(tmp_path), "--episodes", "1"]
+    assert evaluate([str(run.path.parent), *out]) == 2
+    assert (
+        f"holds runs, not a policy; name one of them, such as {run.path}" in capsys.readouterr().err
+    )
+    assert not any(tmp_path.iterdir())
+    assert evaluate([str(run.policy / "policy.json"), *out]) == 0
+    assert (tmp_path / "evaluation.json").is_file()
 
 
 def test_the_output_folder_is_checked_first(

@@ -15,7 +15,16 @@ from dynamics import ARMS
 from flexarm_env import registration
 from flexarm_env.core import Core
 from flexarm_env.pages import common_page, file_name, page
-from flexarm_env.rendering import GHOST, SHADOW, SIZE, STEEL, Renderer
+from flexarm_env.rendering import (
+    GHOST,
+    SHADOW,
+    SIDE,
+    SIZE,
+    STEEL,
+    STRIP_HEIGHT,
+    TOP,
+    Renderer,
+)
 from tests.paths import ROOT
 
 TURNING = [n for n, arm in ARMS.items() if all(k.joint.type == "revolute" for k in arm.links)]
@@ -98,3 +107,20 @@ def test_committed_pages_are_up_to_date(env_id: str) -> None:
     """If not: python -m flexarm_env.pages --out docs/envs"""
     assert (PAGES / file_name(env_id)).read_text(encoding="utf-8") == page(env_id)
     assert (PAGES / "README.md").read_text(encoding="utf-8") == common_page()
+
+
+def test_a_close_up_holds_its_points_and_never_shrinks() -> None:
+    core = Core(task="Reach", arm="six-link")
+    core.q[0, list(core.arm.joint_index)] = 0.4
+    renderer = Renderer(core)
+    wide = renderer.scale
+    points = np.concatenate(renderer.shapes(core, core.q[0], 1.0))
+    renderer.close_up(points)
+    assert renderer.scale > 1.2 * wide
+    pixels = np.array(renderer.pixels(points)) / renderer.fine
+    assert (pixels >= (SIDE - 1e-6, TOP - 1e-6)).all()
+    assert (pixels <= (SIZE[0] - SIDE + 1e-6, SIZE[1] - STRIP_HEIGHT)).all()
+    assert pixels_of(renderer.draw(core), STEEL) > pixels_of(Renderer(core).draw(core), STEEL)
+    close = renderer.scale
+    renderer.close_up(100.0 * points)
+    assert renderer.scale == close

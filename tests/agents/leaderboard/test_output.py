@@ -121,6 +121,23 @@ def test_pictures_show_what_there_is(results: Any) -> None:
     }  # fmt: skip
 
 
+def test_no_two_controllers_share_a_point() -> None:
+    """Thirty controllers differ in the marker or its filling, and tracks have colours alone."""
+    found = {f"c{k}": entry([[0.5, 0.6]]) for k in range(30)}
+    many = {REACH: {"state": found, "laboratory": found}}
+    points = {tuple(sorted(point.items())) for point in charts.points_of(many).values()}
+    assert len(points) == len(found)
+
+    (box,) = charts.settling(many).legends
+    handles = {
+        text.get_text(): handle for text, handle in zip(box.texts, box.legend_handles, strict=True)
+    }
+    assert handles["state"].get_marker() == ""
+    assert handles["state"].get_color() != handles["laboratory"].get_color()
+    assert handles["c0"].get_marker() == handles["c11"].get_marker()
+    assert handles["c0"].get_markerfacecolor() != handles["c11"].get_markerfacecolor()
+
+
 @pytest.fixture
 def told() -> charts.Results:
     """A path, on which the RMS is 0.1 more than the score, and the yardstick in two episodes."""

@@ -204,7 +204,7 @@ def test_any_preset_and_arm_file_is_printed_and_not_stored(
     ("given", "sentence"),
     [
         (["slimm"], "Unknown arm 'slimm'"),
-        (["missing.yaml"], "no such file: missing.yaml"),
+        (["missing.yaml"], "no such file: missing.yaml in /"),
         (["stanford"], "joint 3 is prismatic"),
         (["slim", "--control-dt", "0"], "--control-dt"),
     ],
