@@ -5,6 +5,7 @@ one of our packages is refused with a sentence.
 """
 
 import argparse
+import os
 import sys
 from importlib import import_module
 from importlib.metadata import version
@@ -23,6 +24,7 @@ COMMANDS = {  # module whose `main` runs the command, and its line in the help
 EXTRAS = {"sweep": "scale"}  # other than `train`
 PACKAGES = ("dynamics", "flexarm_env", "agents")
 MISSING = 2  # exit status: something is not installed, or ours is hidden
+UNREAD = 141  # exit status, as a shell has it: nobody reads the output any more
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -44,7 +46,12 @@ def main(arguments: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return MISSING
-    status: int = run(given[1:], prog=f"flexarm {name}")
+    try:
+        status: int = run(given[1:], prog=f"flexarm {name}")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return UNREAD
     return status
 
 

@@ -117,8 +117,9 @@ class BaseConfig:
     """Classical controller on which the policy acts, and the part that is learned."""
 
     controller: str
-    learned: str = "residual"  # of its actions; "alone", instead of them; its "reference"
+    learned: str = "residual"  # of its actions; "advised", "alone": others; its "reference"
     scale: float = 0.3  # largest learned action, of the torque limit; shift of the target [rad]
+    parameters: dict[str, Any] = field(default_factory=dict)  # empty: the tuned ones
 
 
 @dataclass(frozen=True, kw_only=True)

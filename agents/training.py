@@ -88,7 +88,9 @@ def build_model(config: Config) -> Any:
 
 def base_description(base: BaseConfig, env: EnvConfig) -> dict[str, Any]:
     """Description of the controller on which the experiment's policy acts."""
-    return description(base.controller, base.learned, base.scale, env.id, env.kwargs)
+    return description(
+        base.controller, base.learned, base.scale, env.id, env.kwargs, base.parameters
+    )
 
 
 def learner_kwargs(agent: AgentConfig, action_shape: tuple[int, ...]) -> dict[str, Any]:

@@ -2,8 +2,9 @@
 
 Every controller gets the same number of trials of Optuna's TPE sampler on the same tuning episodes,
 whose seeds differ from those of every evaluation. A trial is judged by the mean score, and among
-equal ones by the RMS tip error. The first trial is the middle of the ranges. Results go to
-agents/tuned.json; a search that was interrupted keeps what it has finished.
+equal ones by the RMS tip error. The first trials are the middle of the ranges and the parameters
+that are stored. Results go to agents/tuned.json; a search that was interrupted keeps what it has
+finished.
 """
 
 import argparse
@@ -24,7 +25,7 @@ from dynamics.description import validate
 from dynamics.types import AnyArray
 
 TRIALS = 40
-EPISODES = 16
+EPISODES = 48
 SEED = 500_000  # of the first tuning episode
 SLIGHT = 1e-3  # weight of the RMS error, which decides between equal scores
 STORE = Path(__file__).with_name("tuned.json")
@@ -38,8 +39,9 @@ def tune(
     trials: int = TRIALS,
     episodes: int = EPISODES,
     seed: int = SEED,
+    stored: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """Best parameters of a controller and their mean score."""
+    """Best parameters of a controller and their mean score; `stored` ones are tried too."""
     import optuna
 
     ranges = CONTROLLERS[name].ranges
@@ -62,17 +64,18 @@ def tune(
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=0))
-    study.enqueue_trial(CONTROLLERS[name].middle)
+    for parameters in filter(None, (CONTROLLERS[name].middle, stored)):
+        study.enqueue_trial(dict(parameters))
     try:
         study.optimize(judged, n_trials=trials if ranges else 1)
     finally:
         envs.close()
     best = study.best_trial
-    parameters = {key: float(f"{value:.4g}") for key, value in best.params.items()}
     return {
-        "parameters": parameters,
+        "parameters": {key: float(f"{value:.4g}") for key, value in best.params.items()},
         "score": best.user_attrs["score"],
         "trials": len(study.trials),
+        "episodes": episodes,
     }
 
 
@@ -85,8 +88,7 @@ def objective(metrics: Mapping[str, AnyArray], reach: float) -> float:
 @lru_cache(maxsize=1)
 def tuned() -> dict[str, Any]:
     """Contents of tuned.json: id -> track -> controller -> parameters, score, trials."""
-    result: dict[str, Any] = json.loads(STORE.read_text(encoding="utf-8"))
-    return result
+    return read(STORE)
 
 
 def is_tuned(name: str, env_id: str, track: str) -> bool:
@@ -132,15 +134,27 @@ def main(arguments: list[str] | None = None) -> int:
             for name in options.controllers:
                 if not takes_part(name, env_id, track) or not CONTROLLERS[name].ranges:
                     continue
-                found = tune(name, env_id, keywords(name, track), trials=trials)
+                before = read(options.out).get(env_id, {}).get(track, {}).get(name, {})
+                found = tune(
+                    name, env_id, keywords(name, track), trials=trials,
+                    stored=before.get("parameters"),
+                )  # fmt: skip
                 print(f"{env_id}, {track}, {name}: {_line(found)}", flush=True)
                 store(options.out, env_id, track, name, found)
     return 0
 
 
+def read(path: Path) -> dict[str, Any]:
+    """Contents of a file of results, empty if there is none."""
+    if not path.exists():
+        return {}
+    result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return result
+
+
 def store(path: Path, env_id: str, track: str, name: str, found: Mapping[str, Any]) -> None:
     """Add one result to the file, whatever it has by now."""
-    data = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    data = read(path)
     data.setdefault(env_id, {}).setdefault(track, {})[name] = dict(found)
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(data, indent=1, sort_keys=True) + "\n", encoding="utf-8")

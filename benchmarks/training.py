@@ -7,8 +7,7 @@
 Writes docs/results/NAME.json, NAME.md and NAME.png (learning curves), with --gif also NAME.gif (the
 first seed and joint PD), and experiments.md with experiments.png, an overview of all stored
 experiments. Without training, `--charts` draws the overview and the learning curves of stored
-results again, and `--film` makes NAME.gif with the shipped policy. The tables in the documentation
-are made here.
+results again, and `--film` makes NAME.gif with the shipped policy.
 """
 
 import json
@@ -39,7 +38,7 @@ from agents.figures import (
     write_gif,
 )
 from agents.hybrid.controller import acting
-from agents.leaderboard.shipped import ship, shipped
+from agents.leaderboard.shipped import on_base, ship, shipped
 from agents.leaderboard.tracks import track_of
 from agents.metrics import (
     METRICS,
@@ -198,9 +197,10 @@ def stored_curves(data: Mapping[str, Any]) -> dict[str, list[dict[str, float | N
 
 
 def curves_title(data: Mapping[str, Any]) -> str:
-    """Algorithm, environment and hardware of a stored experiment."""
+    """Algorithm with its base, environment and hardware of a stored experiment."""
     config = data["config"]
-    return f"{config['agent']['name']} on {titled(data['env'], config['env']['kwargs'])}"
+    learner = config["agent"]["name"] + on_base(config.get("base"))
+    return f"{learner} on {titled(data['env'], config['env']['kwargs'])}"
 
 
 def film_shipped(config: Config, out: Path) -> None:
@@ -245,7 +245,7 @@ def learning_curves(experiments: Sequence[Mapping[str, Any]]) -> Figure:
         axis.plot(steps / 1e6, middle, color=COLOURS[0], linewidth=1.4)
         axis.fill_between(steps / 1e6, low, high, color=COLOURS[0], alpha=0.25, linewidth=0.0)
         count = len(data["runs"])
-        axis.set_title(f"{data['name']}, {count} seed{'s' * (count > 1)}", fontsize=9)
+        axis.set_title(f"{data['name']}\n{count} seed{'s' * (count > 1)}", fontsize=9)
         axis.set_xlim(left=0.0)
         tidy(axis)
     for axis in axes[len(experiments) :]:

@@ -101,6 +101,18 @@ def test_the_table_of_arms_has_every_preset_and_every_id() -> None:
         assert task in shown
 
 
+def test_output_that_nobody_reads_ends_a_command_quietly(tmp_path: Path) -> None:
+    command = [sys.executable, str(ROOT / "flexarm.py"), "arms"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path
+    ) as run:
+        assert run.stdout is not None
+        assert run.stderr is not None
+        run.stdout.close()
+        assert run.stderr.read() == b""
+    assert run.returncode == flexarm.UNREAD
+
+
 @pytest.mark.parametrize("package", ["flexarm_env", "agents.evaluate"])
 def test_a_users_own_dynamics_is_named(package: str, tmp_path: Path) -> None:
     (tmp_path / "dynamics.py").write_text("")

@@ -113,6 +113,16 @@ class OutputFeedback(ModelBased):
         """Number of columns of `known`."""
         return int(self.observer.n_known)
 
+    def watched(
+        self, observation: AnyArray, state: Belief | None, episode_start: AnyArray | None
+    ) -> Belief:
+        """The belief after an observation; no torque is noted before `told`."""
+        x = np.atleast_2d(observation)
+        fresh = fresh_of(state, episode_start, len(x))
+        belief: Belief = self.observer.observe(x, state, fresh)[1]
+        self.observer.act(belief, np.zeros((len(x), self.limit.size)))
+        return belief
+
     def known(self, state: Belief) -> AnyArray:
         """(N, n_known) what the filters believe, see `KalmanFilters.known`."""
         return np.asarray(self.observer.known(state))

@@ -131,12 +131,14 @@ class KalmanFilters:
         for row, name in enumerate(("joint_error", "joint_rate")):
             self._scales[row, self.models.joints] = self.read.scales[name]
         self._scales[:, self.models.modal] = core.scales.modal_scale, core.scales.modal_rate
+        self._moving = "target_rate" in self.read
         self._bank = lru_cache(KEPT // len(self.plants))(self._stacked)
 
     @property
     def n_known(self) -> int:
         """Number of columns of `known`."""
-        return self._scales.size + self._traits.shape[1]
+        moving = self.limit.size if self._moving else 0
+        return self._scales.size + moving + self._traits.shape[1]
 
     def observe(
         self, x: AnyArray, belief: Belief | None, fresh: AnyArray
@@ -160,7 +162,8 @@ class KalmanFilters:
     def known(self, belief: Belief) -> AnyArray:
         """(N, k) believed joint errors, rates, modal amplitudes and their rates; plant and delay.
 
-        States are scaled as observations are; a drawn payload, stiffness and delay, from -1 to 1
+        States are scaled as observations are; where the target moves, the torque of the reference,
+        over the torque limit, follows them. A drawn payload, stiffness and delay, from -1 to 1
         over their ranges, are means over the filters, weighted by their probabilities.
         """
         places, speeds = np.zeros((2, len(belief.estimates), self.models.model.n))
@@ -170,6 +173,9 @@ class KalmanFilters:
         likely = np.exp(0.5 * (belief.surprise.min(axis=1, keepdims=True) - belief.surprise))
         means = likely / likely.sum(axis=1, keepdims=True) @ self._traits
         states = np.hstack([places / self._scales[0], speeds / self._scales[1]])
+        if self._moving:
+            forward = np.array([estimate.forward for estimate in belief.estimates])
+            states = np.hstack([states, forward / self.limit])
         return np.hstack([np.clip(states, -BOUND, BOUND), means])
 
     def act(self, belief: Belief, torque: Array) -> None:
@@ -231,7 +237,7 @@ class KalmanFilters:
 
     def _refer(self, belief: Belief) -> None:
         """Move the references to the present; a resting target's stay zero."""
-        if "target_rate" not in self.read:
+        if not self._moving:
             return
         place, belief.forward = self.reference.along(belief.course)
         place[:, :, self.models.joints] += belief.course.way[:, None]

@@ -31,6 +31,10 @@ class Observer(Protocol):
         """Number of estimated quantities."""
         ...
 
+    def watched(self, observation: AnyArray, state: Any, episode_start: AnyArray | None) -> Any:
+        """The state after an observation, for `told`."""
+        ...
+
     def known(self, state: Any) -> AnyArray:
         """(N, n_known) estimates, scaled as observations are."""
         ...
@@ -87,13 +91,39 @@ class Residual:
         return action, state
 
 
-class Alone(Residual):
+class Advised(Residual):
     """The policy's actions alone, on what the controller estimates and would do itself."""
 
     def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
         """The policy's actions, times the scale, of which the controller is told."""
         own, state = begun
         return super().complete((np.zeros_like(own), state), learned)
+
+
+class Alone:
+    """The policy's actions alone, on what the controller estimates."""
+
+    def __init__(self, controller: Controller, scale: float, env: Any) -> None:
+        if not isinstance(controller, Observer):
+            raise ValueError(
+                f"{KEY}.learned: alone shows what a controller estimates; choose one with filters, "
+                "such as lqg, or learned: residual."
+            )
+        self.controller, self.scale = controller, np.float32(scale)
+        self.added = controller.n_known
+
+    def begin(
+        self, observation: AnyArray, state: Any, episode_start: AnyArray | None
+    ) -> tuple[AnyArray, Any]:
+        """The observation with the estimates; the controller's state."""
+        state = self.controller.watched(observation, state, episode_start)
+        known = self.controller.known(state).reshape(*np.shape(observation)[:-1], -1)
+        return np.concatenate([observation, known], axis=-1, dtype=np.float32), state
+
+    def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
+        """The policy's actions, times the scale, of which the controller is told."""
+        action = np.clip(self.scale * learned, -1.0, 1.0)
+        return action, self.controller.told(begun, action)
 
 
 class Reference:
@@ -128,8 +158,9 @@ class Reference:
         return np.asarray(action, np.float32), state
 
 
-LEARNED: dict[str, type[Residual] | type[Reference]] = {
+LEARNED: dict[str, type[Residual] | type[Alone] | type[Reference]] = {
     "residual": Residual,
+    "advised": Advised,
     "alone": Alone,
     "reference": Reference,
 }
@@ -163,13 +194,20 @@ class Hybrid:
 
 
 def description(
-    name: str, learned: str, scale: float, env_id: str, kwargs: Mapping[str, Any]
+    name: str,
+    learned: str,
+    scale: float,
+    env_id: str,
+    kwargs: Mapping[str, Any],
+    parameters: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Description of a base with its tuned parameters; a ValueError if it was not tuned there."""
+    """Description of a base with its parameters, the tuned ones by default.
+
+    Raises ValueError for a controller that was not tuned there.
+    """
     validate.choice(learned, f"{KEY}.learned", LEARNED)
     validate.choice(name, f"{KEY}.controller", CONTROLLERS)
-    parameters: dict[str, float] = {}
-    if CONTROLLERS[name].ranges:
+    if CONTROLLERS[name].ranges and not parameters:
         track = track_of(name, env_id, kwargs)
         if track is None or not takes_part(name, env_id, track):
             raise ValueError(
@@ -178,7 +216,7 @@ def description(
                 "laboratory, or another controller."
             )
         parameters = parameters_of(name, env_id, track)
-    return dict(zip(FIELDS, (name, learned, parameters, scale), strict=True))
+    return dict(zip(FIELDS, (name, learned, dict(parameters or {}), scale), strict=True))
 
 
 def acting(policy: Policy, env: Any) -> Policy | Hybrid:

@@ -1,21 +1,25 @@
 """Trained policies that come with the package: agents/policies/TASK/TRACK/ALGORITHM/seedN."""
 
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from agents.policy import Policy, load_policy, save_policy
 
 FOLDER = Path(__file__).parents[1] / "policies"
+LINKS = {"residual": "on", "advised": "advised-by", "alone": "watching", "reference": "ahead-of"}
 
 
 def name_of(policy: Policy) -> str:
-    """Algorithm of a policy, "-on-BASE" or "-watching-BASE" where it has one, "-stacked"."""
+    """Algorithm of a policy, with its base, and "-stacked"."""
     algorithm: str = policy.about.get("algorithm", "policy")
-    base = policy.about.get("base")
-    on_base = ""
-    if base is not None:
-        on_base = f"-{'watching' if base['learned'] == 'alone' else 'on'}-{base['controller']}"
-    return algorithm + on_base + "-stacked" * (policy.stack > 1)
+    return algorithm + on_base(policy.about.get("base")) + "-stacked" * (policy.stack > 1)
+
+
+def on_base(base: Mapping[str, Any] | None) -> str:
+    """Part of a name that tells the base of a policy, such as "-on-lqg"; empty without one."""
+    return "" if base is None else f"-{LINKS[base['learned']]}-{base['controller']}"
 
 
 def place(env_id: str, track: str) -> Path:

@@ -38,8 +38,8 @@ def test_every_experiment_has_its_curve() -> None:
     assert len(experiments) > 5
     titles = [axis.get_title() for axis in learning_curves(experiments).axes]
     for data in experiments:
-        (title,) = [x for x in titles if x.startswith(f"{data['name']}, ")]
-        assert title.split(", ")[1].split()[0] == str(len(data["runs"]))
+        (title,) = [x for x in titles if x.startswith(f"{data['name']}\n")]
+        assert title.split("\n")[1].split()[0] == str(len(data["runs"]))
 
 
 def test_the_stored_overview_is_that_of_the_stored_experiments() -> None:

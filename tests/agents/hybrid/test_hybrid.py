@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from agents.learners.export import export_policy
 from agents.metrics import make_batch
 from agents.policy import PolicyError, load_policy, save_policy
 from agents.run_folder.folder import RunFolder
+from agents.training import base_description
 from agents.training import main as train
 from flexarm_env import SB3VecEnv
 from tests.agents.tiny import ENV_ID, one_sentence, write_config
@@ -58,13 +60,20 @@ class Constant:
 
 
 @pytest.mark.parametrize(
-    ("name", "learned"), [("lqg", "residual"), ("pd-zv", "residual"), ("pd", "reference")]
+    ("name", "learned"),
+    [
+        ("lqg", "residual"),
+        ("lqg", "advised"),
+        ("lqg", "alone"),
+        ("pd-zv", "residual"),
+        ("pd", "reference"),
+    ],
 )
 def test_a_stored_policy_on_a_base_acts_as_in_training(
     name: str, learned: str, tmp_path: Path
 ) -> None:
     """Over ends of episodes, with stacked observations, in two environments with equal seeds."""
-    scale = 1.0 if learned == "residual" else 50.0
+    scale = 50.0 if learned == "reference" else 1.0
     about: dict[str, Any] = {"stack": 2, "base": described(name, learned, scale)}
     plain, inner = (SB3VecEnv(ENV_ID, 3, **LABORATORY) for _ in range(2))
     learner = VecFrameStack(HybridVecEnv(inner, base_of(about["base"], inner.envs)), 2)
@@ -124,21 +133,64 @@ def test_without_corrections_the_base_acts_alone() -> None:
     envs.close()
 
 
-def test_a_policy_alone_sees_the_base_and_acts_without_it() -> None:
-    """Its inputs are those of a residual; its actions are taken, and the filters are told."""
+def test_a_policy_alone_sees_the_estimates_and_acts_without_the_base() -> None:
+    """It sees what a residual sees but the base's actions; the filters are told of its own."""
     envs = make_batch(ENV_ID, 2, LABORATORY)
     alone, residual = (
         Hybrid(base_of(described("lqg", kind, 0.5), envs), Constant(0.6))
         for kind in ("alone", "residual")
     )
-    assert alone.base.added == residual.base.added > 1 + 4
     observation, _ = envs.reset(seed=0)
-    seen = [hybrid.base.begin(observation, None, None)[0] for hybrid in (alone, residual)]
+    both, states, start = (alone, residual), [None, None], np.ones(2, bool)
+    for _ in range(4):
+        seen = [
+            x.base.begin(observation, deepcopy(y), start)[0]
+            for x, y in zip(both, states, strict=True)
+        ]
+        own = observation.shape[1]
+        np.testing.assert_array_equal(seen[0], np.delete(seen[1], own, axis=1))
+        action, (belief, _) = alone.predict(observation, (states[0], None), start)
+        np.testing.assert_allclose(action, 0.3)
+        torque = belief.torque[:, -1] + belief.forward
+        np.testing.assert_allclose(torque, 0.3 * LABORATORY["torque_limit"], rtol=1e-6)
+        _, states[1] = residual.base.controller.predict(observation, states[1], start)
+        states = [belief, residual.base.controller.told(states[1], action)]
+        observation, start = envs.step(action)[0], np.zeros(2, bool)
+    envs.close()
+
+
+def test_an_experiment_may_fix_the_parameters_of_its_base() -> None:
+    own = {"frequency_ratio": 0.2, "damping_ratio": 0.7}
+    env = {"hardware": {"delay": 1}}  # where nothing was tuned
+    given = description("pd", "residual", 0.2, ENV_ID, env, own)
+    assert given["parameters"] == own
+    data = {"env": {"id": ENV_ID}, "agent": {"name": "ppo"}, "total_steps": 1}
+    config = config_from_dict(data | {"base": {"controller": "pd", "parameters": own}})
+    assert config.base is not None
+    assert base_description(config.base, config.env)["parameters"] == own
+
+
+def test_an_advised_policy_sees_what_a_residual_one_sees() -> None:
+    """Its actions are taken in place of the base's, and the filters are told."""
+    envs = make_batch(ENV_ID, 2, LABORATORY)
+    advised, residual = (
+        Hybrid(base_of(described("lqg", kind, 0.5), envs), Constant(0.6))
+        for kind in ("advised", "residual")
+    )
+    observation, _ = envs.reset(seed=0)
+    seen = [hybrid.base.begin(observation, None, None)[0] for hybrid in (advised, residual)]
     np.testing.assert_array_equal(*seen)
-    action, (belief, _) = alone.predict(observation)
+    action, (belief, _) = advised.predict(observation)
     np.testing.assert_allclose(action, 0.3)
     torque = belief.torque[:, -1] + belief.forward
     np.testing.assert_allclose(torque, 0.3 * LABORATORY["torque_limit"], rtol=1e-6)
+    envs.close()
+
+
+def test_a_policy_alone_needs_a_base_with_estimates() -> None:
+    envs = make_batch(ENV_ID, 1, LABORATORY)
+    with pytest.raises(ValueError, match=r"base\.learned: alone .* such as lqg"):
+        base_of(described("pd", "alone", 0.5), envs)
     envs.close()
 
 
@@ -220,6 +272,11 @@ def test_a_wrong_base_of_an_experiment_is_refused(base: Any, sentence: str) -> N
             {"hardware": "laboratory"},
             "base.learned: reference moves the readings",
         ),
+        (
+            {"controller": "pd", "parameters": {"frequency_ratio": 0.2}},
+            {},
+            "base.parameters.damping_ratio",
+        ),
     ],
 )
 def test_a_base_that_cannot_act_is_refused_before_the_run(
@@ -274,8 +331,9 @@ def test_a_run_on_a_base_is_trained_resumed_and_evaluated_without_torch(
     assert load_policy(run.policy).about["base"] == tuned
     policy = load_policy(run.policy)
     assert name_of(policy) == "ppo-on-lqg-stacked"
-    policy.about["base"]["learned"] = "alone"
-    assert name_of(policy) == "ppo-watching-lqg-stacked"
+    for learned, name in (("alone", "watching"), ("advised", "advised-by")):
+        policy.about["base"]["learned"] = learned
+        assert name_of(policy) == f"ppo-{name}-lqg-stacked"
     code = (
         "import sys; from agents.evaluate import main; "
         f"main([{str(run.path)!r}, '--episodes', '2', '--out', {str(tmp_path / 'seen')!r}]); "
