@@ -8,7 +8,7 @@ Feedback Control of Dynamic Systems, on saturation).
 """
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -79,6 +79,14 @@ class ModelBased:
         self.observer, self.law = observer, law
         self.limit = np.asarray(env.unwrapped.torque_limit, dtype=np.float64)
 
+    def observed(
+        self, observation: AnyArray, state: Any, episode_start: AnyArray | None
+    ) -> tuple[list[Estimate], Any]:
+        """Estimates of N environments, and the memory."""
+        x = np.atleast_2d(observation)
+        fresh = fresh_of(state, episode_start, len(x))
+        return cast(tuple[list[Estimate], Any], self.observer.observe(x, state, fresh))
+
     def predict(
         self,
         observation: AnyArray,
@@ -87,9 +95,7 @@ class ModelBased:
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
         """Actions and the memory."""
-        x = np.atleast_2d(observation)
-        fresh = fresh_of(state, episode_start, len(x))
-        estimates, memory = self.observer.observe(x, state, fresh)
+        estimates, memory = self.observed(observation, state, episode_start)
         wanted = np.array([self.law(estimate) for estimate in estimates])
         torque = np.clip(wanted, -self.limit, self.limit)
         self.observer.act(memory, torque)
@@ -117,11 +123,9 @@ class OutputFeedback(ModelBased):
         self, observation: AnyArray, state: Belief | None, episode_start: AnyArray | None
     ) -> Belief:
         """The belief after an observation; no torque is noted before `told`."""
-        x = np.atleast_2d(observation)
-        fresh = fresh_of(state, episode_start, len(x))
-        belief: Belief = self.observer.observe(x, state, fresh)[1]
-        self.observer.act(belief, np.zeros((len(x), self.limit.size)))
-        return belief
+        estimates, belief = self.observed(observation, state, episode_start)
+        self.observer.act(belief, np.zeros((len(estimates), self.limit.size)))
+        return cast(Belief, belief)
 
     def known(self, state: Belief) -> AnyArray:
         """(N, n_known) what the filters believe, see `KalmanFilters.known`."""

@@ -70,6 +70,27 @@ def test_what_the_filters_know_is_what_exact_states_show(env_id: str) -> None:
         assert np.abs(found[:, columns] - truth).max() < 0.05 * np.abs(truth).max()
 
 
+def test_on_a_path_the_filters_know_the_torque_that_follows_it() -> None:
+    """It turns the straight arm as the target's rate is about to change, extrapolated."""
+    envs = make_batch(TRACK, 8, {"obs": "sensors"})
+    subject: Any = controller("lqg", envs, WEIGHTS)
+    observation, _ = envs.reset(seed=0)
+    state: Any = None
+    rates, shown = [], []
+    for _ in range(60):
+        rates.append(subject.observer.read(observation, "target_rate"))
+        action, state = subject.predict(observation, state)
+        known = subject.known(state)
+        assert known.shape == (8, subject.n_known)
+        shown.append(known[:, -1:])  # nothing is drawn
+        observation = envs.step(action.astype(np.float32))[0]
+    model = subject.observer.models.model
+    inertia = model.mass_matrix(np.zeros(model.n))[0, 0]
+    change = np.diff(rates, axis=0) / envs.unwrapped.control_dt
+    wanted = inertia * (2.0 * change[1:] - change[:-1]) / envs.unwrapped.torque_limit
+    np.testing.assert_allclose(np.array(shown)[2:], wanted, atol=1e-3 * np.abs(wanted).max())
+
+
 def test_the_filters_know_the_payload_the_stiffness_and_the_delay() -> None:
     """Means over the filters go from -1 to 1 with what is drawn."""
     ends = []

@@ -59,6 +59,11 @@ class Constant:
         return np.full((*observation.shape[:-1], 1), self.correction, np.float32), state
 
 
+def on_lqg(learned: str, envs: Any) -> Hybrid:
+    """A constant policy on LQG."""
+    return Hybrid(base_of(described("lqg", learned, 0.5), envs), Constant(0.6))
+
+
 @pytest.mark.parametrize(
     ("name", "learned"),
     [
@@ -136,10 +141,7 @@ def test_without_corrections_the_base_acts_alone() -> None:
 def test_a_policy_alone_sees_the_estimates_and_acts_without_the_base() -> None:
     """It sees what a residual sees but the base's actions; the filters are told of its own."""
     envs = make_batch(ENV_ID, 2, LABORATORY)
-    alone, residual = (
-        Hybrid(base_of(described("lqg", kind, 0.5), envs), Constant(0.6))
-        for kind in ("alone", "residual")
-    )
+    alone, residual = (on_lqg(kind, envs) for kind in ("alone", "residual"))
     observation, _ = envs.reset(seed=0)
     both, states, start = (alone, residual), [None, None], np.ones(2, bool)
     for _ in range(4):
@@ -173,10 +175,7 @@ def test_an_experiment_may_fix_the_parameters_of_its_base() -> None:
 def test_an_advised_policy_sees_what_a_residual_one_sees() -> None:
     """Its actions are taken in place of the base's, and the filters are told."""
     envs = make_batch(ENV_ID, 2, LABORATORY)
-    advised, residual = (
-        Hybrid(base_of(described("lqg", kind, 0.5), envs), Constant(0.6))
-        for kind in ("advised", "residual")
-    )
+    advised, residual = (on_lqg(kind, envs) for kind in ("advised", "residual"))
     observation, _ = envs.reset(seed=0)
     seen = [hybrid.base.begin(observation, None, None)[0] for hybrid in (advised, residual)]
     np.testing.assert_array_equal(*seen)
