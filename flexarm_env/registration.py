@@ -24,7 +24,7 @@ AGILE: dict[str, tuple[float, ...]] = {  # [N m] torque limits of Reach, about t
 THRESHOLDS: dict[str, float] = {
     "OneLink-Reach": 110.0, "OneLink-Track": 145.0, "OneLink-Damp": 95.0,
     "TwoLink-Reach": 175.0, "TwoLink-Track": 225.0, "TwoLink-Damp": 160.0,
-    "SixLink-Reach": 95.0, "SixLink-Track": 110.0, "SixLink-Damp": 75.0,
+    "SixLink-Reach": 95.0, "SixLink-Track": 115.0, "SixLink-Damp": 75.0,
     "OneLink-ReachAgile": 110.0, "TwoLink-ReachAgile": 120.0,
 }  # fmt: skip
 

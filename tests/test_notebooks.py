@@ -54,6 +54,7 @@ def test_a_notebook_runs_in_its_kernel(path: Path, monkeypatch: pytest.MonkeyPat
     nbformat = pytest.importorskip("nbformat", reason=reason)
     pytest.importorskip("ipykernel", reason=reason)
     monkeypatch.delenv("FLEXARM_SHORT", raising=False)
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # a kernel shows pictures by its own
     notebook = nbformat.read(path, as_version=4)
     nbclient.NotebookClient(notebook, timeout=300).execute()
     shown = [out for cell in notebook.cells for out in cell.get("outputs", [])]

@@ -27,7 +27,8 @@ from flexarm_env.observations import curvature_columns
 ROUND = 4  # decimals [rad] within which postures share a model
 FASTEST = 3.0  # [rad] per control step; beyond pi, samples take a mode for a slower one
 KEPT = 4096  # models; the least recently used go
-LEVELS = {"payload_mass": 5, "stiffness": 3}  # evenly over what is drawn, with both ends
+LEVELS = {"payload_mass": 7, "stiffness": 3}  # evenly over what is drawn, with both ends
+BEYOND = 0.5  # share of what is drawn by which plants go beyond it on both sides
 NOMINAL = {"payload_mass": 0.0, "stiffness": 1.0}
 
 Range = tuple[float, float]
@@ -60,6 +61,7 @@ class Plant:
     """An arm with one payload and one stiffness: M a + C v + K q = B tau."""
 
     model: Model
+    factor: float  # of the stiffness
     K: Array  # (n, n)
     C: Array  # (n, n)
 
@@ -69,8 +71,10 @@ class LinearModels:
 
     Attributes
     ----------
-    levels : payloads [kg] and factors of the stiffness, LEVELS of what is drawn.
-    plants : one of each payload and stiffness; `middle` is the index of the middle one.
+    drawn : least and largest payload [kg] and factor of the stiffness.
+    levels : payloads and factors of a grid: LEVELS of what is drawn, and as densely beyond.
+    plants : one of each payload and stiffness; `middle` is the index of the one in the middle of
+        what is drawn.
     joints, modal : indices of the joints' and the modes' coordinates.
     """
 
@@ -80,10 +84,12 @@ class LinearModels:
                 f"Linear controllers take an arm without gravity, got gravity={arm.gravity}; "
                 "use pd."
             )
-        spans = dict(drawn)
-        self.levels = [_levels(*spans.get(x, (NOMINAL[x],) * 2), LEVELS[x]) for x in LEVELS]
+        spans = {name: (value, value) for name, value in NOMINAL.items()} | dict(drawn)
+        self.drawn = [spans[name] for name in LEVELS]
+        self.levels = list(map(_levels, self.drawn, LEVELS.values()))
         self.plants = _plants(arm, *self.levels)
-        self.middle = len(self.plants) // 2
+        payload, factor = map(_middle, self.levels, self.drawn)
+        self.middle = payload * len(self.levels[1]) + factor
         self.model = self.plants[self.middle].model
         self.control_dt = control_dt
         self.joints = list(self.model.arm.joint_index)
@@ -186,23 +192,34 @@ class LinearModels:
 _shared = lru_cache(maxsize=8)(LinearModels)
 
 
-def place_of(posture: Array) -> tuple[float, ...]:
+def place_of(posture: Array, decimals: int = ROUND) -> tuple[float, ...]:
     """Joint angles [rad] by which models are kept: the first is zero, the others are rounded."""
-    return (0.0, *[round(angle, ROUND) for angle in posture[1:].tolist()])
+    return (0.0, *[round(angle, decimals) for angle in posture[1:].tolist()])
 
 
 def _plants(arm: Arm, payloads: list[float], stiffnesses: list[float]) -> tuple[Plant, ...]:
     """Plants of every payload [kg] and factor of the stiffness."""
     models = [compile_arm(_loaded(arm, payload)) for payload in payloads]
     return tuple(
-        Plant(model, factor * stiffness(model.chain), damping(model.chain))
+        Plant(model, factor, factor * stiffness(model.chain), damping(model.chain))
         for model in models
         for factor in stiffnesses
     )
 
 
-def _levels(low: float, high: float, count: int) -> list[float]:
-    return np.linspace(low, high, count).tolist() if high > low else [low]
+def _levels(drawn: Range, count: int) -> list[float]:
+    """Positive values evenly over what is drawn and beyond; the least drawn may be zero."""
+    low, high = drawn
+    if high <= low:
+        return [low]
+    beyond, step = round(BEYOND * (count - 1)), (high - low) / (count - 1)
+    values = [low + k * step for k in range(-beyond, count + beyond)]
+    return [value for value in values if value > 0.0 or value == low]
+
+
+def _middle(levels: list[float], drawn: Range) -> int:
+    """Index of the level in the middle of what is drawn."""
+    return int(np.argmin(np.abs(np.array(levels) - sum(drawn) / 2.0)))
 
 
 def _loaded(arm: Arm, payload: float) -> Arm:

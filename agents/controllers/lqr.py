@@ -13,8 +13,9 @@ from typing import Any, cast
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from agents.controllers.kalman import Belief, KalmanFilters
 from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
-from agents.controllers.observers import Belief, Estimate, ExactState, KalmanFilters, fresh_of
+from agents.controllers.observers import Estimate, ExactState, fresh_of
 from dynamics.types import AnyArray, Array
 from flexarm_env.tasks import SETTLED_BAND
 

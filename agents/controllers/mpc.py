@@ -14,9 +14,10 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import block_diag
 
+from agents.controllers.kalman import KalmanFilters
 from agents.controllers.linear_model import KEPT, LinearModel
 from agents.controllers.lqr import Cost, ModelBased, OutputFeedback, riccati
-from agents.controllers.observers import Estimate, ExactState, KalmanFilters
+from agents.controllers.observers import Estimate, ExactState
 from dynamics.types import Array
 
 BLOCKS = (1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4)  # control steps that share a torque; the last repeats

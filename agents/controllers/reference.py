@@ -69,11 +69,12 @@ class Reference:
         if not moving.size:
             return offset, forward
         forces = lru_cache(lambda model: self._forces(model, course, moving))
-        for p, plant in enumerate(self.plants):
-            coming, now = forces(models.plants[plant].model)
+        bends = np.array([self._bend(models.at(x)) for x in course.posture[moving]])
+        for p, plant in enumerate(models.plants[p] for p in self.plants):
+            coming, now = forces(plant.model)
             forward[moving, p] = coming[:, models.joints]
-            bends = [self._bend(models.at(x, plant)) for x in course.posture[moving]]
-            offset[moving, p] = np.einsum("kij,kj->ki", bends, now[:, models.modal])
+            bent = (bends @ now[:, models.modal, None])[..., 0]
+            offset[moving, p] = bent / plant.factor
         return offset, forward
 
     def _forces(self, model: Model, course: Course, moving: AnyArray) -> list[Array]:
@@ -85,10 +86,14 @@ class Reference:
         return [model.inverse_dynamics(q, v, a) for a in (coming, now)]
 
     def _bending(self, model: LinearModel) -> Array:
-        """(n, modal) offset by forces on the modes: links bend, joints undo it at the tip."""
+        """(n, modal) offset by forces on the modes: links bend, joints undo it at the tip.
+
+        It holds for the nominal stiffness.
+        """
         joints, modal = self.models.joints, self.models.modal
         bend = np.zeros((self.models.model.n, len(modal)))
-        bend[modal] = -np.linalg.inv(model.K[np.ix_(modal, modal)])
+        nominal = model.K / self.models.plants[self.models.middle].factor
+        bend[modal] = -np.linalg.inv(nominal[np.ix_(modal, modal)])
         gap = model.tip_of[:, modal] @ bend[modal]
         bend[joints] = -np.linalg.lstsq(model.tip_of[:, joints], gap, rcond=1e-6)[0]
         return bend

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS, controller
-from agents.controllers.linear_model import LEVELS, LinearModels
+from agents.controllers.linear_model import LinearModels
 from agents.leaderboard.tracks import RANKED, keywords, takes_part
 from agents.metrics import episode_metrics, make_batch, record
 from agents.tune import parameters_of
@@ -37,6 +37,18 @@ def test_every_controller_takes_one_observation_or_a_batch(
     assert alone.shape == envs.single_action_space.shape
 
 
+def _plant(models: LinearModels, *wanted: float) -> int:
+    """Index of the plant with a payload and a factor of the stiffness."""
+    nearest = [
+        int(np.argmin(np.abs(np.array(levels) - value)))
+        for levels, value in zip(models.levels, wanted, strict=True)
+    ]
+    assert [levels[i] for levels, i in zip(models.levels, nearest, strict=True)] == pytest.approx(
+        wanted
+    )
+    return int(np.ravel_multi_index(nearest, [len(levels) for levels in models.levels]))
+
+
 @pytest.mark.parametrize("loaded", [False, True], ids=["plain", "payload and soft"])
 @pytest.mark.parametrize("env_id", [*IDS, SIX])
 def test_a_small_motion_follows_the_linear_model(env_id: str, loaded: bool) -> None:
@@ -52,7 +64,7 @@ def test_a_small_motion_follows_the_linear_model(env_id: str, loaded: bool) -> N
     core: Any = envs.unwrapped.core
     rng = np.random.default_rng(0)
     target = np.array(core.scales.home) + rng.uniform(-0.5, 0.5, core.arm.n_joint)
-    model = models.at(target, len(models.plants) - LEVELS["stiffness"] if loaded else None)
+    model = models.at(target, _plant(models, payload[1], stiffness[0]))
     x = 1e-5 * rng.uniform(-1.0, 1.0, (2, len(model.modes)))
     q, v = x @ model.shapes.T
     q[models.joints] += target

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from agents.controllers import controller, linear_model
-from agents.controllers.linear_model import LinearModels, place_of
-from agents.controllers.observers import KalmanFilters
+from agents.controllers.kalman import KalmanFilters
+from agents.controllers.linear_model import LinearModels
 from agents.controllers.reading import Reading
 from agents.controllers.reference import followed
 from agents.leaderboard.tracks import keywords
@@ -121,7 +121,7 @@ def test_surprises_are_as_large_as_the_covariances_say() -> None:
         torque = np.full((64, 1), 0.1 * (-1) ** (k // 5))
         filters.act(belief, torque)
         observation = envs.step((torque / filters.limit).astype(np.float32))[0]
-    bulk = filters._bank(place_of(belief.course.posture[0])).bulk[:30, 0].sum()
+    bulk = belief.banks[0].bulk[:30, 0].sum()
     squares = (belief.surprise[:, 0] - bulk) / 30
     assert 0.5 * 2 < squares.mean() < 1.5 * 2
 
@@ -174,15 +174,27 @@ def test_an_arm_on_its_reference_stays_there() -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 2e-3 * envs.unwrapped.reach
 
 
-def test_plants_are_spread_evenly_over_what_is_drawn() -> None:
+def test_plants_are_spread_evenly_over_what_is_drawn_and_beyond() -> None:
+    """By half of it on both sides, but no mass is negative; the middle is that of what is drawn."""
     envs = make_batch(REACH, 1, {"hardware": "laboratory"})
-    models = LinearModels.of(envs)
-    masses = sorted({plant.model.arm.payload.mass for plant in models.plants})
-    low, high = envs.unwrapped.core.randomize["payload_mass"]
-    assert masses == pytest.approx(np.linspace(low, high, 5))
+    models, drawn = LinearModels.of(envs), envs.unwrapped.core.randomize
+    masses, factors = models.levels
+    low, high = drawn["payload_mass"]
+    assert masses == pytest.approx(np.linspace(low, low + 1.5 * (high - low), 10))
+    low, high = drawn["stiffness"]
+    assert factors == pytest.approx(np.linspace(1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, 5))
+    assert [plant.factor for plant in models.plants] == factors * 10
+    carried = [plant.model.arm.payload.mass for plant in models.plants]
+    assert carried == pytest.approx(np.repeat(masses, 5))
     middle = models.plants[models.middle]
-    assert middle.model.arm.payload.mass == pytest.approx(0.5 * (low + high))
-    assert len(models.plants) == 5 * 3
+    assert middle.model.arm.payload.mass == pytest.approx(sum(drawn["payload_mass"]) / 2)
+    assert middle.factor == pytest.approx(sum(drawn["stiffness"]) / 2)
+
+
+def test_filters_expect_a_step_more_than_a_drawn_delay() -> None:
+    for delay, expected in (((0, 2), [0, 1, 2, 3]), ((1, 1), [1])):
+        envs = make_batch(REACH, 1, {"hardware": {"preset": "laboratory", "delay": delay}})
+        assert KalmanFilters(envs, "lqg", 0.1).sensors.delays == expected
 
 
 def test_models_of_old_postures_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,373 @@
+"""Kalman filters of angles and curvatures, for all plants and delays that may be drawn.
+
+Coordinates are taken from the reference of `reference.py`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from agents.controllers.linear_model import LinearModel, LinearModels, place_of
+from agents.controllers.observers import Estimate
+from agents.controllers.reading import Reading
+from agents.controllers.reference import Course, Reference, followed
+from dynamics.runtime.jit import outermost
+from dynamics.types import AnyArray, Array
+from flexarm_env.hardware.sensors import Hardware
+from flexarm_env.observations import BOUND
+
+SHARED = 2  # decimals [rad] within which postures share filters
+MEMORY = 5e8  # bytes of filters that wait for other episodes at their postures
+LEARNING = 40  # readings after which the gain of a filter stays
+LATER = 1  # control steps by which filters expect more delay than may be drawn
+EXACT = 1e-4  # [rad], [of the scale] steps that stand for readings without counts
+UNIFORM = 3.0**0.5  # half the width of a uniform distribution over its standard deviation
+
+
+@dataclass(frozen=True, eq=False)
+class _Bank:
+    """Filters of all plants at one posture, stacked; states are (x, gauge biases), S in all.
+
+    Matrices are transposed, so that the compiled loops add to neighbours.
+    """
+
+    models: list[LinearModel]  # P
+    A: Array  # (P, S, S)
+    B: Array  # (P, m, S)
+    C: Array  # (P, S, y)
+    readings: Array  # (y, n) of coordinates, the same for all plants, not transposed
+    gain: Array  # (LEARNING, P, y, S) Kalman gain at the first readings; the last one stays
+    precision: Array  # (LEARNING, P, y, y) of the innovations
+    bulk: Array  # (LEARNING, P) minus twice the logarithm of the likeliest reading's probability
+
+    def __deepcopy__(self, memo: object) -> "_Bank":
+        return self
+
+
+@dataclass
+class Belief:
+    """Memory of `KalmanFilters`: N environments, H hypotheses, D + 1 control steps, P plants."""
+
+    course: Course
+    banks: list[_Bank]  # N
+    steps: AnyArray  # (N,) since the start
+    state: Array  # (N, H, most of S) when the latest reading was taken
+    surprise: Array  # (N, H) minus twice the logarithm of the readings' probability
+    first: Array  # (N, y) first reading
+    torque: Array  # (N, D + 1, P, m) [N m] past torques about the reference's, oldest first
+    place: Array  # (N, D + 1, P, n) past references, from the target at the start
+    forward: Array  # (N, P, m) [N m] torque of the reference
+    estimates: list[Estimate] = field(default_factory=list)  # N, of the likeliest plant
+
+
+class KalmanFilters:
+    """Kalman filters of angles and curvatures: one per delay and plant of a grid.
+
+    The grid reaches beyond what may be drawn: plants as `LinearModels` has them, and delays by
+    LATER control steps where they are drawn at all. A filter estimates modal coordinates, their
+    rates and the biases of the gauges; at the start it knows the first angles and the task's range
+    of vibrations. Joint rates are differences of angles and add nothing. The filter with the
+    smallest innovations since the start is believed (multiple-model estimation, Bar-Shalom, Li and
+    Kirubarajan, Estimation with Applications, 2001, section 11.6); its estimate is predicted to the
+    present with the torques since.
+    """
+
+    def __init__(self, env: Any, name: str, disturbance: float) -> None:
+        core = env.unwrapped.core
+        self.read, self.models = Reading.of(env), LinearModels.of(env)
+        self.read.require(name, "joint_error", "root_curvature")
+        self.limit = np.asarray(core.torque_limit, dtype=np.float64)
+        self.disturbance, self.sensors = disturbance, Sensors.of(core)
+        self.spread = _spread(core, self.models)
+        self.plants = range(len(self.models.plants))
+        self.reference = Reference(self.models, self.plants)
+        self.hypotheses = list(product(self.plants, self.sensors.delays))
+        self._delays = np.array(self.sensors.delays)
+        self._traits = _traits(
+            [*self.models.levels, self.sensors.delays], [*self.models.drawn, self.sensors.delay]
+        )
+        self._scales = np.ones((2, self.models.model.n))
+        for row, part in enumerate(("joint_error", "joint_rate")):
+            self._scales[row, self.models.joints] = self.read.scales[part]
+        self._scales[:, self.models.modal] = core.scales.modal_scale, core.scales.modal_rate
+        self._moving = "target_rate" in self.read
+        y = len(self.sensors.noise)
+        self._most = 2 * self.models.model.n + len(self.sensors.bias)  # of S
+        each = 8 * LEARNING * len(self.plants) * y * (self._most + y)  # bytes
+        self._bank = lru_cache(max(1, int(MEMORY / each)))(self._stacked)
+
+    @property
+    def n_known(self) -> int:
+        """Number of columns of `known`."""
+        moving = self.limit.size if self._moving else 0
+        return self._scales.size + moving + self._traits.shape[1]
+
+    def observe(
+        self, x: AnyArray, belief: Belief | None, fresh: AnyArray
+    ) -> tuple[list[Estimate], Belief]:
+        """Estimates of N environments, and the belief for the next step."""
+        course = followed(
+            self.read, x, belief.course if belief else None, fresh, self.models.control_dt
+        )
+        belief = self._begun(x, course, belief, fresh)
+        self._refer(belief)
+        angle = self.read(x, "joint_error") + course.way
+        readings = np.concatenate([angle, self.read(x, "root_curvature")], axis=1, dtype=np.float64)
+        belief.estimates = self._estimated(belief, readings)
+        belief.steps = belief.steps + 1
+        return belief.estimates, belief
+
+    def known(self, belief: Belief) -> AnyArray:
+        """(N, k) believed joint errors, rates, modal amplitudes and their rates; plant and delay.
+
+        States are scaled as observations are; where the target moves, the torque of the reference,
+        over the torque limit, follows them. A drawn payload, stiffness and delay, -1 and 1 at the
+        ends of what is drawn, are means over the filters, weighted by their probabilities.
+        """
+        places, speeds = np.zeros((2, len(belief.estimates), self.models.model.n))
+        for i, estimate in enumerate(belief.estimates):
+            r, shapes = len(estimate.model.modes), estimate.model.shapes
+            places[i], speeds[i] = shapes @ estimate.x[:r], shapes @ estimate.x[r:]
+        likely = np.exp(0.5 * (belief.surprise.min(axis=1, keepdims=True) - belief.surprise))
+        means = likely / likely.sum(axis=1, keepdims=True) @ self._traits
+        states = np.hstack([places / self._scales[0], speeds / self._scales[1]])
+        if self._moving:
+            forward = np.array([estimate.forward for estimate in belief.estimates])
+            states = np.hstack([states, forward / self.limit])
+        return np.hstack([np.clip(states, -BOUND, BOUND), means])
+
+    def act(self, belief: Belief, torque: Array) -> None:
+        """Note the torques (N, m) [N m] of the coming step."""
+        apart = torque[:, None] - belief.forward
+        belief.torque = np.concatenate([belief.torque[:, 1:], apart[:, None]], axis=1)
+
+    def _estimated(self, belief: Belief, readings: Array) -> list[Estimate]:
+        """Estimates of the likeliest filters after readings (N, y).
+
+        Before its delay, the first reading repeats; filters of longer delays are refuted by
+        readings that change earlier.
+        """
+        first = belief.steps == 0
+        belief.first[first] = readings[first]
+        changed = (np.abs(readings - belief.first) > 0.5 * self.sensors.quantum).any(axis=1)
+        now, best = np.zeros((len(readings), self._most)), np.zeros(len(readings), np.int64)
+        for bank, group in _grouped(belief.banks):
+            _take(
+                group, belief.steps, self._delays, readings, changed, self._moving,
+                bank.A, bank.B, bank.C, bank.readings, bank.gain, bank.precision, bank.bulk,
+                belief.torque, belief.place, belief.state, belief.surprise,
+            )  # fmt: skip
+            _predict(
+                group, belief.steps, self._delays, bank.A, bank.B, belief.torque, belief.state,
+                belief.surprise, best, now,
+            )  # fmt: skip
+        found = []
+        for i, (bank, plant) in enumerate(zip(belief.banks, best, strict=True)):
+            model = bank.models[plant]
+            found.append(Estimate(model, now[i, : len(model.A)], belief.forward[i, plant]))
+        return found
+
+    def _refer(self, belief: Belief) -> None:
+        """Move the references to the present; a resting target's stay zero."""
+        if not self._moving:
+            return
+        place, belief.forward = self.reference.along(belief.course)
+        place[:, :, self.models.joints] += belief.course.way[:, None]
+        belief.place = np.concatenate([belief.place[:, 1:], place[:, None]], axis=1)
+
+    def _begun(self, x: AnyArray, course: Course, belief: Belief | None, fresh: AnyArray) -> Belief:
+        """The belief, begun anew where an episode starts: joints are where they are read."""
+        n, m, count = self.models.model.n, self.limit.size, len(x)
+        if belief is None:
+            past, plants = self.sensors.delays[-1] + 1, len(self.plants)
+            belief = Belief(
+                course=course,
+                banks=[self._at(posture) for posture in course.posture],
+                steps=np.zeros(count, np.int64),
+                state=np.zeros((count, len(self.hypotheses), self._most)),
+                surprise=np.zeros((count, len(self.hypotheses))),
+                first=np.zeros((count, len(self.sensors.noise))),
+                torque=np.zeros((count, past, plants, m)),
+                place=np.zeros((count, past, plants, n)),
+                forward=np.zeros((count, plants, m)),
+            )
+        belief.course = course
+        belief.steps[fresh], belief.surprise[fresh], belief.torque[fresh] = 0, 0.0, 0.0
+        belief.state[fresh], belief.place[fresh], belief.forward[fresh] = 0.0, 0.0, 0.0
+        error, joints = self.read(x, "joint_error"), self.models.joints
+        for i in np.flatnonzero(fresh):
+            bank = belief.banks[i] = self._at(course.posture[i])
+            start = np.array([model.modes[:, joints] @ error[i] for model in bank.models])
+            belief.state[i, :, : start.shape[1]] = np.repeat(start, len(self._delays), axis=0)
+        return belief
+
+    def _at(self, posture: Array) -> _Bank:
+        return self._bank(place_of(posture, SHARED))
+
+    def _stacked(self, place: tuple[float, ...]) -> _Bank:
+        """Filters at joint angles: gains, precisions and bulks of the first readings."""
+        models = [self.models.at(np.array(place), plant) for plant in self.plants]
+        A, B, C, P = map(np.array, zip(*map(self._with_biases, models), strict=True))
+        V, quantum = np.diag(self.sensors.noise**2), self.sensors.quantum
+        W = B @ np.diag((self.disturbance * self.limit) ** 2) @ _turned(B)
+        traces = np.trace(W, axis1=1, axis2=2)[:, None, None]
+        W += 1e-12 * traces / W.shape[1] * np.eye(W.shape[1])
+        P += W
+        learned = []
+        for _ in range(LEARNING):
+            S = C @ P @ _turned(C) + V
+            precision = np.linalg.inv(S)
+            gain = P @ _turned(C) @ precision
+            bulk = np.linalg.slogdet(2.0 * np.pi * S / np.outer(quantum, quantum))[1]
+            learned.append((_turned(gain), precision, bulk))
+            P = A @ (P - gain @ C @ P) @ _turned(A) + W
+            P = 0.5 * (P + _turned(P))
+        gains, precisions, bulks = map(np.array, zip(*learned, strict=True))
+        A, B, C = (np.ascontiguousarray(_turned(matrices)) for matrices in (A, B, C))
+        return _Bank(models, A, B, C, models[0].readings, gains, precisions, bulks)
+
+    def _with_biases(self, model: LinearModel) -> tuple[Array, Array, Array, Array]:
+        """A, B, C of the state with the gauges' biases, and its covariance at the start."""
+        biases, m = len(self.sensors.bias), self.limit.size
+        places, rates = (model.modes @ spread for spread in self.spread)
+        return (
+            block_diag(model.A, np.eye(biases)),
+            np.vstack([model.B, np.zeros((biases, m))]),
+            np.hstack([model.C, np.eye(m + biases)[:, m:]]),
+            block_diag(places @ places.T, rates @ rates.T, np.diag(self.sensors.bias**2)),
+        )
+
+
+@outermost
+def _take(
+    group: Any, steps: Any, delays: Any, readings: Any, changed: Any, moving: bool,
+    A: Any, B: Any, C: Any, seen: Any, gain: Any, precision: Any, bulk: Any,
+    torque: Any, place: Any, state: Any, surprise: Any,
+) -> None:  # fmt: skip
+    """Update the filters of the environments of one bank that new readings reach."""
+    P, m, S = B.shape
+    y, n = seen.shape
+    moved, innovation = np.empty(S), np.empty(y)
+    for i in group:
+        for h in range(P * len(delays)):
+            p, delay = h // len(delays), delays[h % len(delays)]
+            late, ago = steps[i] - delay, torque.shape[1] - 1 - delay
+            if late <= 0 and steps[i] > 0:
+                if changed[i]:
+                    surprise[i, h] = np.inf
+                continue
+            if surprise[i, h] == np.inf:
+                continue
+            x = state[i, h]
+            if steps[i] == 0:
+                moved[:] = x[:S]
+            else:
+                moved[:] = 0.0
+                for b in range(S):
+                    for a in range(S):
+                        moved[a] += A[p, b, a] * x[b]
+                for b in range(m):
+                    for a in range(S):
+                        moved[a] += B[p, b, a] * torque[i, ago, p, b]
+            innovation[:] = readings[i]
+            for b in range(S):
+                for a in range(y):
+                    innovation[a] -= C[p, b, a] * moved[b]
+            if moving:
+                for a in range(y):
+                    for b in range(n):
+                        innovation[a] -= seen[a, b] * place[i, ago, p, b]
+            k = min(max(late, 0), len(bulk) - 1)
+            surprise[i, h] += bulk[k, p]
+            for a in range(y):
+                for b in range(y):
+                    surprise[i, h] += innovation[a] * precision[k, p, a, b] * innovation[b]
+            x[:S] = moved
+            for b in range(y):
+                for a in range(S):
+                    x[a] += gain[k, p, b, a] * innovation[b]
+
+
+@outermost
+def _predict(
+    group: Any, steps: Any, delays: Any, A: Any, B: Any, torque: Any, state: Any, surprise: Any,
+    best: Any, now: Any,
+) -> None:  # fmt: skip
+    """The plants of the likeliest filters, and their states with the torques since the readings."""
+    _, m, S = B.shape
+    for i in group:
+        h = np.argmin(surprise[i])
+        p, delay = h // len(delays), delays[h % len(delays)]
+        x = state[i, h, :S].copy()
+        for age in range(min(delay, steps[i]), 0, -1):
+            moved = np.zeros(S)
+            for b in range(S):
+                moved += A[p, b] * x[b]
+            for b in range(m):
+                moved += B[p, b] * torque[i, torque.shape[1] - age, p, b]
+            x = moved
+        best[i], now[i, :S] = p, x
+
+
+def _grouped(banks: list[_Bank]) -> list[tuple[_Bank, AnyArray]]:
+    """Every bank with the indices of its environments."""
+    places: dict[_Bank, list[int]] = {}
+    for i, bank in enumerate(banks):
+        places.setdefault(bank, []).append(i)
+    return [(bank, np.array(group)) for bank, group in places.items()]
+
+
+def _turned(matrices: Array) -> Array:
+    """(..., b, a) from (..., a, b)."""
+    return np.swapaxes(matrices, -1, -2)
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Errors of the sensors of an environment with m joints and g gauges."""
+
+    delay: tuple[int, int]  # [control steps] least and most that may be drawn
+    delays: list[int]  # [control steps] that filters expect
+    quantum: Array  # (m + g,) steps between readings
+    noise: Array  # (m + g,) standard deviations of the readings
+    bias: Array  # (g,) [1/m] standard deviation of a gauge's bias
+
+    @classmethod
+    def of(cls, core: Any) -> "Sensors":
+        """Sensors of an environment's core; those of ideal hardware are nearly exact."""
+        scale, m = np.asarray(core.gauge_scale), core.arm.n_joint
+        hardware = core.sensing.hardware if core.sensing else Hardware()
+        count = 2.0 * np.pi / hardware.encoder_counts if hardware.encoder_counts else EXACT
+        step = 1.0 / hardware.gauge_counts if hardware.gauge_counts else EXACT
+        noise = np.hypot(hardware.gauge_noise, 0.5 * step / UNIFORM) * scale
+        least, most = hardware.delay
+        return cls(
+            delay=hardware.delay,
+            delays=list(range(least, most + 1 + LATER * (most > least))),
+            quantum=np.array([*[count] * m, *(step * scale)]),
+            noise=np.array([*[0.5 * count / UNIFORM] * m, *noise]),
+            bias=hardware.gauge_bias / UNIFORM * scale,
+        )
+
+
+def _traits(levels: Sequence[Sequence[float]], drawn: Sequence[tuple[float, float]]) -> Array:
+    """(H, k) values of a grid, -1 and 1 at the ends of what is drawn; a column if it is drawn."""
+    values = np.array(list(product(*levels)), dtype=np.float64)
+    low, high = np.array(drawn, dtype=np.float64).T
+    differ = high > low
+    return np.asarray((2.0 * values - low - high)[:, differ] / (high - low)[differ])
+
+
+def _spread(core: Any, models: LinearModels) -> tuple[Array, Array]:
+    """(n, w) standard deviations of the initial coordinates and rates, a column per vibration."""
+    share = core.task.shake[1] / UNIFORM
+    place, rate = np.zeros((2, models.model.n, max(len(core.scales.vibration), 1)))
+    if models.modal and share:
+        place[models.modal] = share * np.array(core.scales.vibration).T
+        rate[models.modal] = share * np.array(core.scales.vibration_rate).T
+    return place, rate
