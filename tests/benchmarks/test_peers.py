@@ -124,7 +124,7 @@ def tips(peers: Any) -> dict[str, Array]:
     """S1's tip by cable elements, chains of hinges and assumed modes, with small steps."""
     engines, scene, fine = peers.engines, SCENES["S1"], Fraction(24)
     cable = engines.cable(scene, 6, scene.axial, explicit=False)
-    model = compiled(Shapes(("clamped-tip-mass",), (3,), True).arm(scene))
+    model = compiled(Shapes(("clamped-tip-mass",), (4,), True).arm(scene))
     result = {
         "cable": engines.follow(cable, scene, engines.Method("GeneralizedAlpha"), fine)[0],
         "ours": our_run(scene, model, "rk4", fine, True)[0],
