@@ -1,6 +1,8 @@
 """Actors of trained learners as stored policies, which need neither torch nor pickle."""
 
 import json
+import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -76,7 +78,7 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
         mean_limit=mean_limit,
         observation_low=space.low.copy(),
         observation_high=space.high.copy(),
-        normalization=normalization(model),
+        normalization=normalization(model.get_vec_normalize_env()),
         about={"algorithm": name_of(type(model))} | about,
     )
     sizes = policy.layer_sizes
@@ -94,9 +96,8 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
     return policy
 
 
-def normalization(model: Any) -> Normalization | None:
-    """Statistics by which the model's observations are normalized; None if they are not."""
-    envs = model.get_vec_normalize_env()
+def normalization(envs: Any) -> Normalization | None:
+    """Statistics by which a VecNormalize normalizes observations; None if it does not."""
     if envs is None or not envs.norm_obs:
         return None
     found = envs.obs_rms
@@ -159,23 +160,30 @@ def array(tensor: Any) -> AnyArray:
 
 
 def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
-    """Load the policy of a stable-baselines3 zip; requires `trust`, because it is unpickled."""
+    """Load the policy of a stable-baselines3 zip; requires `trust`, because it is unpickled.
+
+    Statistics that RL Zoo has put beside NAME.zip, in NAME/vecnormalize.pkl, are loaded with it.
+    """
     path = Path(path)
     if not trust:
         raise PolicyError(
             f"{path}: a stable-baselines3 zip is unpickled when loaded and can run any code; "
             "pass --trust if you trust its author."
         )
+    file = path
     try:
         with ZipFile(path) as archive:
             name = zipped_algorithm(json.loads(archive.read("data")))
-        model = algorithms()[name].load(path, device="cpu")
-        return export_policy(model, {"source": path.name})
+        policy = export_policy(algorithms()[name].load(path, device="cpu"), {"source": path.name})
+        file = path.with_suffix("") / "vecnormalize.pkl"
+        if not file.exists():
+            return policy
+        return replace(policy, normalization=normalization(pickle.loads(file.read_bytes())))
     except PolicyError as error:
-        raise PolicyError(f"{path}: {error}") from None
+        raise PolicyError(f"{file}: {error}") from None
     except Exception as error:  # unpickling can raise anything
         raise PolicyError(
-            f"{path}: cannot be loaded as a stable-baselines3 zip "
+            f"{file}: cannot be loaded as a file of stable-baselines3 "
             f"({type(error).__name__}: {one_line(error)})."
         ) from None
 

@@ -199,10 +199,10 @@ def finish(out: Path, results: Any) -> None:
     with best.checkpoint.as_directory() as folder:
         shutil.copytree(Path(folder) / POLICY, out / POLICY, dirs_exist_ok=True)
     print(f"Best: score {best.metrics['score']:.3f}. Everything is in {out}/")
-    print(f"Train it with: python train.py --config {out / BEST}")
+    print(f"Train it with: flexarm train {out / BEST}")
 
 
 def write_yaml(path: Path, config: Config) -> None:
-    """Write an experiment that train.py accepts."""
+    """Write an experiment that `flexarm train` accepts."""
     with atomic_write(path) as temporary:
         temporary.write_text(yaml.safe_dump(config.to_dict(), sort_keys=False), encoding="utf-8")

@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNorm
 from agents.config import Config, ConfigError, config_from_dict
 from agents.evaluate import main as evaluate
 from agents.hybrid.environment import HybridVecEnv
-from agents.learners.export import export_policy
+from agents.learners.export import export_policy, load_zip
 from agents.learners.normalization import DEFAULTS, restore_statistics, statistics
 from agents.policy import Policy, PolicyError, load_policy, save_policy
 from agents.run_folder.checkpoints import CheckpointError, restore_checkpoint, save_checkpoint
@@ -81,6 +81,20 @@ def test_only_normalized_observations_change_the_stored_policy(tmp_path: Path) -
     save_policy(export_policy(model, {}), tmp_path)
     assert "normalization" not in json.loads((tmp_path / "policy.json").read_text())
     assert largest_difference(model, load_policy(tmp_path)) < ROUND_OFF
+
+
+def test_a_zip_of_rl_zoo_is_loaded_with_the_statistics_beside_it(tmp_path: Path) -> None:
+    model = trained("ppo", normalized_toys("ppo"))
+    model.save(tmp_path / "toy.zip")
+    plain = load_zip(tmp_path / "toy.zip", trust=True)
+    (tmp_path / "toy").mkdir()
+    model.get_vec_normalize_env().save(tmp_path / "toy/vecnormalize.pkl")
+    policy = load_zip(tmp_path / "toy.zip", trust=True)
+    assert largest_difference(model, plain) > 1e-2
+    assert largest_difference(model, policy) < ROUND_OFF
+    (tmp_path / "toy/vecnormalize.pkl").write_bytes(b"no pickle")
+    with pytest.raises(PolicyError, match=r"toy/vecnormalize\.pkl: cannot be loaded"):
+        load_zip(tmp_path / "toy.zip", trust=True)
 
 
 def test_statistics_of_stacked_observations_are_refused() -> None:
