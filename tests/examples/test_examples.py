@@ -35,12 +35,12 @@ def require(*libraries: str) -> None:
 
 
 def finished(command: Sequence[str], folder: Path) -> str:
-    """Output of a command that must succeed within five minutes."""
+    """Output of a command that must succeed within ten minutes."""
     environment = os.environ | {"RAY_USAGE_STATS_ENABLED": "0", "COLUMNS": "120"}
     environment["PYTHONPATH"] = str(ROOT)
     result = subprocess.run(
         [sys.executable, *command], cwd=folder, env=environment, capture_output=True, text=True,
-        timeout=300,
+        timeout=600,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr[-3000:]
     return result.stdout

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from agents.controllers import controller, linear_model
 from agents.controllers.kalman import KalmanFilters
@@ -124,6 +125,49 @@ def test_surprises_are_as_large_as_the_covariances_say() -> None:
     bulk = belief.banks[0].bulk[:30, 0].sum()
     squares = (belief.surprise[:, 0] - bulk) / 30
     assert 0.5 * 2 < squares.mean() < 1.5 * 2
+
+
+def test_the_compiled_filters_are_kalman_filters() -> None:
+    """State and surprise of a late filter of two links, against the textbook's in plain NumPy."""
+    hardware = {"preset": "laboratory", "delay": 2, "payload": (0.2, 0.2), "stiffness": (1, 1)}
+    envs = make_batch("FlexArm/TwoLink-Reach-v0", 3, {"hardware": hardware})
+    filters = KalmanFilters(envs, "lqg", 0.05)
+    rng = np.random.default_rng(0)
+    observation, _ = envs.reset(seed=0)
+    belief: Any = None
+    readings, torques = [], []
+    for _ in range(40):
+        estimates, belief = filters.observe(observation, belief, np.full(3, belief is None))
+        read = filters.read
+        seen = [read(observation, "joint_error"), read(observation, "root_curvature")]
+        readings.append(np.hstack(seen).astype(float))
+        torques.append(rng.uniform(-0.3, 0.3, (3, 2)) * filters.limit)
+        filters.act(belief, torques[-1])
+        observation = envs.step((torques[-1] / filters.limit).astype(np.float32))[0]
+    for i in range(3):
+        model, sensors = belief.banks[i].models[0], filters.sensors
+        r, biases = len(model.modes), len(sensors.bias)
+        A = block_diag(model.A, np.eye(biases))
+        B = np.vstack([model.B, np.zeros((biases, 2))])
+        C = np.hstack([model.C, np.eye(2 + biases)[:, 2:]])
+        W, V = B @ np.diag((0.05 * filters.limit) ** 2) @ B.T, np.diag(sensors.noise**2)
+        W += 1e-12 * np.trace(W) / len(W) * np.eye(len(W))
+        x, surprise = np.zeros(len(A)), 0.0
+        x[:r] = model.modes[:, filters.models.joints] @ readings[0][i, :2]
+        P = block_diag(np.zeros_like(model.A), np.diag(sensors.bias**2)) + W
+        for k in [0, *range(3, 40)]:  # readings 1 and 2 repeat the first
+            if k:
+                x, P = A @ x + B @ torques[k - 3][i], A @ P @ A.T + W
+            gap, S = readings[k][i] - C @ x, C @ P @ C.T + V
+            surprise += gap @ np.linalg.solve(S, gap)
+            surprise += np.linalg.slogdet(2.0 * np.pi * S)[1] - 2.0 * np.log(sensors.quantum).sum()
+            gain = np.linalg.solve(S, C @ P).T
+            x, P = x + gain @ gap, P - gain @ S @ gain.T
+        np.testing.assert_allclose(belief.state[i, 0, : len(x)], x, rtol=1e-6, atol=1e-9)
+        assert belief.surprise[i, 0] == pytest.approx(surprise, rel=1e-6)
+        for torque in torques[37:39]:
+            x = A @ x + B @ torque[i]
+        np.testing.assert_allclose(estimates[i].x, x[: 2 * r], rtol=1e-6, atol=1e-9)
 
 
 def test_the_first_reading_repeats_for_as_long_as_the_delay() -> None:
