@@ -1,4 +1,4 @@
-"""What a model-based controller knows of the arm, here from exact states.
+"""Estimates of the arm's state for model-based controllers, here from exact states.
 
 `kalman.py` has the observer of sensors. Coordinates are taken from the reference of `reference.py`.
 """

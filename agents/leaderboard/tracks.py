@@ -31,7 +31,7 @@ TRACKS = {
     "transfer": Track(
         text=(
             "controllers of `laboratory`, unchanged, on a reference model of the arm with more "
-            "payload, less stiffness and longer delays than they were made for"
+            "payload, less stiffness and longer delays than are drawn there"
         ),
         kwargs={
             "hardware": {
