@@ -89,9 +89,7 @@ def test_any_error_of_unpickling_becomes_a_policy_error(
 
     model.save(tmp_path / "model.zip")
     monkeypatch.setattr("stable_baselines3.common.base_class.load_from_zip_file", fail)
-    with pytest.raises(
-        PolicyError, match="cannot be loaded as a file of stable-"
-    ) as caught:
+    with pytest.raises(PolicyError, match="cannot be loaded as a file of stable-") as caught:
         load_zip(tmp_path / "model.zip", trust=True)
     assert "\n" not in str(caught.value)
 
