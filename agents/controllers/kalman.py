@@ -1,4 +1,4 @@
-"""Kalman filters of angles and curvatures, for all plants and delays that may be drawn.
+"""Kalman filters of angles and curvatures: the observer of sensors.
 
 Coordinates are taken from the reference of `reference.py`.
 """
@@ -54,7 +54,7 @@ class Belief:
     """Memory of `KalmanFilters`: N environments, H hypotheses, D + 1 control steps, P plants."""
 
     course: Course
-    banks: list[_Bank]  # N
+    banks: list[Any]  # N times _Bank
     steps: AnyArray  # (N,) since the start
     state: Array  # (N, H, most of S) when the latest reading was taken
     surprise: Array  # (N, H) minus twice the logarithm of the readings' probability
@@ -187,7 +187,7 @@ class KalmanFilters:
             past, plants = self.sensors.delays[-1] + 1, len(self.plants)
             belief = Belief(
                 course=course,
-                banks=[self._at(posture) for posture in course.posture],
+                banks=[None] * count,
                 steps=np.zeros(count, np.int64),
                 state=np.zeros((count, len(self.hypotheses), self._most)),
                 surprise=np.zeros((count, len(self.hypotheses))),

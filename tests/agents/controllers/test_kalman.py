@@ -1,4 +1,4 @@
-"""Observers against the environment's own state, and references against a motion along them."""
+"""Kalman filters against the environment's own state, and against a textbook's filter."""
 
 from typing import Any
 
@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from agents.controllers import controller, linear_model
+from agents.controllers import controller, kalman
 from agents.controllers.kalman import KalmanFilters
-from agents.controllers.linear_model import LinearModels
 from agents.controllers.reading import Reading
-from agents.controllers.reference import followed
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 
@@ -185,67 +183,20 @@ def test_the_first_reading_repeats_for_as_long_as_the_delay() -> None:
         assert np.mean(np.array(best) == delay) >= 0.75
 
 
-def test_a_course_is_the_path_of_the_target() -> None:
-    """Integrated and extrapolated from observed rates, against the environment's own target."""
-    envs = make_batch(TRACK, 4, {"obs": "state"})
-    read, dt = Reading.of(envs), envs.unwrapped.control_dt
-    observation, _ = envs.reset(seed=3)
-    start, targets, courses = envs.unwrapped.joint_target().copy(), [], []
-    course = None
-    for k in range(80):
-        course = followed(read, observation, course, np.full(4, k == 0), dt)
-        courses.append(course)
-        targets.append(envs.unwrapped.joint_target() - start)
-        observation = envs.step(np.zeros((4, 1), np.float32))[0]
-    path = np.array(targets)
-    curved = (path[2:] - 2.0 * path[1:-1] + path[:-2]) / dt**2
-    assert np.abs(courses[-1].way - path[-1]).max() < 1e-3 * np.abs(path).max()
-    coming = np.array([c.now for c in courses[1:-1]])
-    assert np.median(np.abs(coming - curved)) < 0.005 * np.abs(curved).max()
-
-
-def test_an_arm_on_its_reference_stays_there() -> None:
-    """Weak feedback beside the reference's torque keeps the tip on the path."""
-    envs = make_batch(TRACK, 4, {"obs": "state"})
-    subject: Any = controller("lqr", envs, {"effort": 10.0, "lead": 0.1, "clip": 0.5})
-    observation, _ = envs.reset(seed=0)
-    state: Any = None
-    errors = []
-    for _ in range(100):
-        action, state = subject.predict(observation, state, np.zeros(4, bool))
-        observation, *_, info = envs.step(action.astype(np.float32))
-        errors.append(info["tip_error"])
-    assert np.sqrt(np.mean(np.square(errors))) < 2e-3 * envs.unwrapped.reach
-
-
-def test_plants_are_spread_evenly_over_what_is_drawn_and_beyond() -> None:
-    """By half of it on both sides, but no mass is negative; the middle is that of what is drawn."""
-    envs = make_batch(REACH, 1, {"hardware": "laboratory"})
-    models, drawn = LinearModels.of(envs), envs.unwrapped.core.randomize
-    masses, factors = models.levels
-    low, high = drawn["payload_mass"]
-    assert masses == pytest.approx(np.linspace(low, low + 1.5 * (high - low), 10))
-    low, high = drawn["stiffness"]
-    assert factors == pytest.approx(np.linspace(1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, 5))
-    assert [plant.factor for plant in models.plants] == factors * 10
-    carried = [plant.model.arm.payload.mass for plant in models.plants]
-    assert carried == pytest.approx(np.repeat(masses, 5))
-    middle = models.plants[models.middle]
-    assert middle.model.arm.payload.mass == pytest.approx(sum(drawn["payload_mass"]) / 2)
-    assert middle.factor == pytest.approx(sum(drawn["stiffness"]) / 2)
-
-
 def test_filters_expect_a_step_more_than_a_drawn_delay() -> None:
     for delay, expected in (((0, 2), [0, 1, 2, 3]), ((1, 1), [1])):
         envs = make_batch(REACH, 1, {"hardware": {"preset": "laboratory", "delay": delay}})
         assert KalmanFilters(envs, "lqg", 0.1).sensors.delays == expected
 
 
-def test_models_of_old_postures_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Long trainings meet a new posture in every episode."""
-    monkeypatch.setattr(linear_model, "KEPT", 2)
-    core = make_batch("FlexArm/TwoLink-Reach-v0", 1).unwrapped.core
-    models = LinearModels(core.arm, core.control_dt, ())
-    for angle in range(5):
-        models.at(np.array([0.0, float(angle)]))
-    assert models._model.cache_info().currsize == 2
+def test_filters_of_a_posture_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the start of an episode, even where no filters wait for the next one."""
+    monkeypatch.setattr(kalman, "MEMORY", 0)
+    envs = make_batch("FlexArm/TwoLink-Reach-v0", 4, {"obs": "sensors"})
+    filters = KalmanFilters(envs, "lqg", 0.1)
+    observation, _ = envs.reset(seed=0)
+    belief: Any = None
+    for _ in range(3):
+        _, belief = filters.observe(observation, belief, np.full(4, belief is None))
+        filters.act(belief, np.zeros((4, 2)))
+    assert filters._bank.cache_info().misses == 4

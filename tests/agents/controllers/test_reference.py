@@ -1,0 +1,63 @@
+"""References along a path against the environment's own target, and a motion along them."""
+
+from typing import Any
+
+import numpy as np
+
+from agents.controllers import controller
+from agents.controllers.linear_model import LinearModels
+from agents.controllers.reading import Reading
+from agents.controllers.reference import Course, Reference, followed
+from agents.leaderboard.tracks import keywords
+from agents.metrics import make_batch
+
+TRACK = "FlexArm/OneLink-Track-v0"
+
+
+def test_a_course_is_the_path_of_the_target() -> None:
+    """Integrated and extrapolated from observed rates, against the environment's own target."""
+    envs = make_batch(TRACK, 4, {"obs": "state"})
+    read, dt = Reading.of(envs), envs.unwrapped.control_dt
+    observation, _ = envs.reset(seed=3)
+    start, targets, courses = envs.unwrapped.joint_target().copy(), [], []
+    course = None
+    for k in range(80):
+        course = followed(read, observation, course, np.full(4, k == 0), dt)
+        courses.append(course)
+        targets.append(envs.unwrapped.joint_target() - start)
+        observation = envs.step(np.zeros((4, 1), np.float32))[0]
+    path = np.array(targets)
+    curved = (path[2:] - 2.0 * path[1:-1] + path[:-2]) / dt**2
+    assert np.abs(courses[-1].way - path[-1]).max() < 1e-3 * np.abs(path).max()
+    coming = np.array([c.now for c in courses[1:-1]])
+    assert np.median(np.abs(coming - curved)) < 0.005 * np.abs(curved).max()
+
+
+def test_an_arm_on_its_reference_stays_there() -> None:
+    """Weak feedback beside the reference's torque keeps the tip on the path."""
+    envs = make_batch(TRACK, 4, {"obs": "state"})
+    subject: Any = controller("lqr", envs, {"effort": 10.0, "lead": 0.1, "clip": 0.5})
+    observation, _ = envs.reset(seed=0)
+    state: Any = None
+    errors = []
+    for _ in range(100):
+        action, state = subject.predict(observation, state, np.zeros(4, bool))
+        observation, *_, info = envs.step(action.astype(np.float32))
+        errors.append(info["tip_error"])
+    assert np.sqrt(np.mean(np.square(errors))) < 2e-3 * envs.unwrapped.reach
+
+
+def test_every_plant_bends_by_its_own_stiffness() -> None:
+    """The links' elastic forces balance their inertial ones, and the tip stays on the path."""
+    models = LinearModels.of(make_batch(TRACK, 1, keywords("lqg", "laboratory")))
+    assert len({plant.factor for plant in models.plants}) > 1
+    still, pushed = np.zeros((1, 1)), np.full((1, 1), 5.0)
+    course = Course(still, still, still, pushed, pushed)
+    offset, _ = Reference(models, range(len(models.plants))).along(course)
+    straight, acceleration = np.zeros((2, models.model.n))
+    acceleration[models.joints] = 5.0
+    for p, plant in enumerate(models.plants):
+        inertial = plant.model.inverse_dynamics(straight, straight, acceleration)
+        elastic = plant.K @ offset[0, p]
+        np.testing.assert_allclose(elastic[models.modal], -inertial[models.modal], rtol=1e-9)
+        assert np.abs(models.at(straight[:1], p).tip_of @ offset[0, p]).max() < 1e-12
