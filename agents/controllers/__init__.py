@@ -9,13 +9,14 @@ from functools import partial
 from typing import Any
 
 from agents.controllers.inverse import InverseDynamics
-from agents.controllers.lqr import LQG, LQR
+from agents.controllers.lqr import LQG, LQR, PlannedLQG, PlannedLQR
 from agents.controllers.mpc import MPC, KalmanMPC
 from agents.controllers.pd import JointPD, joint_pd, tune_pd
 from agents.controllers.shaped import ShapedPD, ei, zv, zvd
 from agents.controllers.simple import Random, Zero
 from agents.controllers.strain import PID, IntegralResonant, PositivePosition, StrainFeedback
 from agents.policy import Controller
+from flexarm_env import TASKS
 
 __all__ = ["CONTROLLERS", "JointPD", "Kind", "controller", "joint_pd", "tune_pd"]
 
@@ -30,7 +31,7 @@ class Kind:
     # searched on a logarithmic scale where both ends are positive
     ranges: Mapping[str, Range] = field(default_factory=dict)
     obs: tuple[str, ...] = ("state", "sensors")  # kinds of observation that it can use
-    follows: bool = True  # it can follow a moving target
+    tasks: tuple[str, ...] = tuple(TASKS)  # in which it takes part
 
     @property
     def middle(self) -> dict[str, float]:
@@ -41,10 +42,14 @@ class Kind:
         }
 
 
+_RESTING = tuple(name for name, task in TASKS.items() if not task.moving)
 _PD = {"frequency_ratio": (0.05, 1.5), "damping_ratio": (0.15, 3.0)}
 _SHAPED = _PD | {"rise": (0.05, 2.0)}
-_LQR = {"effort": (1e-4, 1e3), "lead": (0.003, 1.0), "clip": (0.05, 2.0)}
-_MPC = {"effort": (1e-4, 1e3), "lead": (0.003, 1.0), "horizon": (0.3, 1.5), "margin": (0.5, 1.0)}
+_PLAN = {"load": (0.03, 2.0)}
+_COST = {"effort": (1e-4, 1e3), "lead": (0.003, 1.0)}
+_LQR = _COST | {"clip": (0.05, 2.0)}
+_PLANNED = _COST | _PLAN
+_MPC = _COST | {"horizon": (0.3, 1.5), "margin": (0.5, 1.0)}
 _FILTER = {"disturbance": (1e-5, 1.0)}
 CONTROLLERS: dict[str, Kind] = {
     "pd": Kind(build=joint_pd, ranges=_PD),
@@ -66,7 +71,7 @@ CONTROLLERS: dict[str, Kind] = {
         f"pd-{shaper.__name__}": Kind(
             build=partial(ShapedPD, shaper=shaper),
             ranges=_SHAPED,
-            follows=False,
+            tasks=_RESTING,
         )
         for shaper in (zv, zvd, ei)
     },
@@ -74,18 +79,23 @@ CONTROLLERS: dict[str, Kind] = {
         f"pd-{shaper.__name__}-2": Kind(
             build=partial(ShapedPD, shaper=shaper, modes=2),
             ranges=_SHAPED,
-            follows=False,
+            tasks=_RESTING,
         )
         for shaper in (zv, zvd)
     },
-    "inverse": Kind(build=InverseDynamics, ranges=_SHAPED),
+    "inverse": Kind(build=InverseDynamics, ranges=_PD | _PLAN),
     "lqr": Kind(build=LQR, ranges=_LQR, obs=("state",)),
     "lqg": Kind(
         build=LQG, obs=("sensors",),
         ranges=_LQR | _FILTER,
     ),
-    "mpc": Kind(build=MPC, follows=False, ranges=_MPC, obs=("state",)),
-    "mpc-kalman": Kind(build=KalmanMPC, follows=False, ranges=_MPC | _FILTER, obs=("sensors",)),
+    "lqr-planned": Kind(build=PlannedLQR, ranges=_PLANNED, obs=("state",), tasks=("Reach",)),
+    "lqg-planned": Kind(
+        build=PlannedLQG, obs=("sensors",), tasks=("Reach",),
+        ranges=_PLANNED | _FILTER,
+    ),
+    "mpc": Kind(build=MPC, ranges=_MPC, obs=("state",)),
+    "mpc-kalman": Kind(build=KalmanMPC, ranges=_MPC | _FILTER, obs=("sensors",)),
     "zero": Kind(build=lambda env: Zero(n_joint=env.unwrapped.n_joint)),
     "random": Kind(build=lambda env: Random(env.unwrapped.n_joint)),
 }  # fmt: skip

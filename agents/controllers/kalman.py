@@ -13,9 +13,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from agents.controllers.linear_model import LinearModel, LinearModels, place_of
-from agents.controllers.observers import Estimate
+from agents.controllers.observers import NEVER, Estimate
+from agents.controllers.plan import Plan, Planner
+from agents.controllers.preview import Preview
 from agents.controllers.reading import Reading
-from agents.controllers.reference import Course, Reference, followed
+from agents.controllers.reference import Reference
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
 from flexarm_env.hardware.sensors import Hardware
@@ -53,7 +55,8 @@ class _Bank:
 class Belief:
     """Memory of `KalmanFilters`: N environments, H hypotheses, D + 1 control steps, P plants."""
 
-    course: Course
+    plan: Plan
+    seen: Array  # of the targets' paths, see `Preview`
     banks: list[Any]  # N times _Bank
     steps: AnyArray  # (N,) since the start
     state: Array  # (N, H, most of S) when the latest reading was taken
@@ -77,7 +80,10 @@ class KalmanFilters:
     present with the torques since.
     """
 
-    def __init__(self, env: Any, name: str, disturbance: float) -> None:
+    def __init__(
+        self, env: Any, name: str, disturbance: float, planner: Planner | None = None,
+        times: Array = NEVER,
+    ) -> None:  # fmt: skip
         core = env.unwrapped.core
         self.read, self.models = Reading.of(env), LinearModels.of(env)
         self.read.require(name, "joint_error", "root_curvature")
@@ -85,7 +91,9 @@ class KalmanFilters:
         self.disturbance, self.sensors = disturbance, Sensors.of(core)
         self.spread = _spread(core, self.models)
         self.plants = range(len(self.models.plants))
+        self.planner = planner or Planner(env, self.models)
         self.reference = Reference(self.models, self.plants)
+        self.preview = Preview(env, self.models, times)
         self.hypotheses = list(product(self.plants, self.sensors.delays))
         self._delays = np.array(self.sensors.delays)
         self._traits = _traits(
@@ -95,7 +103,7 @@ class KalmanFilters:
         for row, part in enumerate(("joint_error", "joint_rate")):
             self._scales[row, self.models.joints] = self.read.scales[part]
         self._scales[:, self.models.modal] = core.scales.modal_scale, core.scales.modal_rate
-        self._moving = "target_rate" in self.read
+        self._moving = planner is not None or "target_rate" in self.read
         y = len(self.sensors.noise)
         self._most = 2 * self.models.model.n + len(self.sensors.bias)  # of S
         each = 8 * LEARNING * len(self.plants) * y * (self._most + y)  # bytes
@@ -111,12 +119,10 @@ class KalmanFilters:
         self, x: AnyArray, belief: Belief | None, fresh: AnyArray
     ) -> tuple[list[Estimate], Belief]:
         """Estimates of N environments, and the belief for the next step."""
-        course = followed(
-            self.read, x, belief.course if belief else None, fresh, self.models.control_dt
-        )
-        belief = self._begun(x, course, belief, fresh)
-        self._refer(belief)
-        angle = self.read(x, "joint_error") + course.way
+        plan = self.planner.follow(x, belief.plan if belief else None, fresh)
+        belief = self._begun(x, plan, belief, fresh)
+        self._refer(belief, fresh)
+        angle = self.read(x, "joint_error") + plan.target.way
         readings = np.concatenate([angle, self.read(x, "root_curvature")], axis=1, dtype=np.float64)
         belief.estimates = self._estimated(belief, readings)
         belief.steps = belief.steps + 1
@@ -125,9 +131,9 @@ class KalmanFilters:
     def known(self, belief: Belief) -> AnyArray:
         """(N, k) believed joint errors, rates, modal amplitudes and their rates; plant and delay.
 
-        States are scaled as observations are; where the target moves, the torque of the reference,
-        over the torque limit, follows them. A drawn payload, stiffness and delay, -1 and 1 at the
-        ends of what is drawn, are means over the filters, weighted by their probabilities.
+        States are scaled as observations are; where the reference moves, they are about it, and its
+        torque, over the torque limit, follows them. A drawn payload, stiffness and delay, -1 and 1
+        at the ends of what is drawn, are means over the filters, weighted by their probabilities.
         """
         places, speeds = np.zeros((2, len(belief.estimates), self.models.model.n))
         for i, estimate in enumerate(belief.estimates):
@@ -169,24 +175,28 @@ class KalmanFilters:
         found = []
         for i, (bank, plant) in enumerate(zip(belief.banks, best, strict=True)):
             model = bank.models[plant]
-            found.append(Estimate(model, now[i, : len(model.A)], belief.forward[i, plant]))
+            ahead = self.preview.torques(belief.plan.target, belief.seen, i, int(plant))
+            found.append(Estimate(model, now[i, : len(model.A)], belief.forward[i, plant], ahead))
         return found
 
-    def _refer(self, belief: Belief) -> None:
-        """Move the references to the present; a resting target's stay zero."""
+    def _refer(self, belief: Belief, fresh: AnyArray) -> None:
+        """Move the references to the present; a resting target's stay zero without a plan."""
         if not self._moving:
             return
-        place, belief.forward = self.reference.along(belief.course)
-        place[:, :, self.models.joints] += belief.course.way[:, None]
+        place, belief.forward = self.reference.along(belief.plan.motion)
+        place[:, :, self.models.joints] += belief.plan.motion.way[:, None]
         belief.place = np.concatenate([belief.place[:, 1:], place[:, None]], axis=1)
+        belief.place[fresh] = place[fresh, None]
 
-    def _begun(self, x: AnyArray, course: Course, belief: Belief | None, fresh: AnyArray) -> Belief:
+    def _begun(self, x: AnyArray, plan: Plan, belief: Belief | None, fresh: AnyArray) -> Belief:
         """The belief, begun anew where an episode starts: joints are where they are read."""
         n, m, count = self.models.model.n, self.limit.size, len(x)
+        seen = self.preview.see(x, plan.target, belief.seen if belief else None, fresh)
         if belief is None:
             past, plants = self.sensors.delays[-1] + 1, len(self.plants)
             belief = Belief(
-                course=course,
+                plan=plan,
+                seen=seen,
                 banks=[None] * count,
                 steps=np.zeros(count, np.int64),
                 state=np.zeros((count, len(self.hypotheses), self._most)),
@@ -196,12 +206,12 @@ class KalmanFilters:
                 place=np.zeros((count, past, plants, n)),
                 forward=np.zeros((count, plants, m)),
             )
-        belief.course = course
+        belief.plan, belief.seen = plan, seen
         belief.steps[fresh], belief.surprise[fresh], belief.torque[fresh] = 0, 0.0, 0.0
         belief.state[fresh], belief.place[fresh], belief.forward[fresh] = 0.0, 0.0, 0.0
-        error, joints = self.read(x, "joint_error"), self.models.joints
+        error, joints = self.read(x, "joint_error") - plan.left, self.models.joints
         for i in np.flatnonzero(fresh):
-            bank = belief.banks[i] = self._at(course.posture[i])
+            bank = belief.banks[i] = self._at(plan.target.posture[i])
             start = np.array([model.modes[:, joints] @ error[i] for model in bank.models])
             belief.state[i, :, : start.shape[1]] = np.repeat(start, len(self._delays), axis=0)
         return belief

@@ -129,7 +129,7 @@ class LinearModels:
         return LinearModel(
             A=step[: 2 * kept, : 2 * kept], B=step[: 2 * kept, 2 * kept :],
             C=np.hstack([seen, np.zeros_like(seen)]), tip=tip @ shapes, shapes=shapes,
-            modes=modes, K=plant.K, tip_of=tip, readings=readings, bend=self._bends @ shapes,
+            modes=modes, K=plant.K, tip_of=tip, readings=readings, bend=self.bends @ shapes,
         )  # fmt: skip
 
     def _straight(self, place: tuple[float, ...]) -> Array:
@@ -158,7 +158,7 @@ class LinearModels:
         return model.mass_matrix(rest) @ np.column_stack(columns)
 
     @cached_property
-    def _bends(self) -> Array:
+    def bends(self) -> Array:
         """(2 links, n) deflections of the links' tips along y and z over their lengths."""
         model, rows = self.model, []
         for link, place in zip(model.arm.links, model.bodies, strict=True):

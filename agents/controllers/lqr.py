@@ -16,6 +16,7 @@ from scipy.linalg import solve_discrete_are
 from agents.controllers.kalman import Belief, KalmanFilters
 from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
 from agents.controllers.observers import Estimate, ExactState, fresh_of
+from agents.controllers.plan import TimedMoves
 from dynamics.types import AnyArray, Array
 from flexarm_env.tasks import SETTLED_BAND
 
@@ -45,7 +46,7 @@ class Cost:
 class Gain:
     """tau = forward - K x, with the joint errors in x clipped to `clip` [rad]."""
 
-    def __init__(self, cost: Cost, clip: float) -> None:
+    def __init__(self, cost: Cost, clip: float = np.inf) -> None:
         self.cost, self.clip = cost, clip
         self.of = lru_cache(KEPT)(self._gain)
 
@@ -112,6 +113,16 @@ class LQR(ModelBased):
         super().__init__(env, observer, Gain(cost, clip))
 
 
+class PlannedLQR(ModelBased):
+    """State feedback about planned moves; needs obs="state"."""
+
+    def __init__(self, env: Any, *, effort: float, lead: float, load: float) -> None:
+        moves = TimedMoves(env, LinearModels.of(env), load)
+        observer = ExactState(env, "lqr-planned", moves)
+        cost = Cost(env, observer.models, effort=effort, lead=lead)
+        super().__init__(env, observer, Gain(cost))
+
+
 class OutputFeedback(ModelBased):
     """Control on Kalman filters, which remember the torques."""
 
@@ -148,3 +159,15 @@ class LQG(OutputFeedback):
         observer = KalmanFilters(env, "lqg", disturbance)
         cost = Cost(env, observer.models, effort=effort, lead=lead)
         super().__init__(env, observer, Gain(cost, clip))
+
+
+class PlannedLQG(OutputFeedback):
+    """Output feedback about planned moves; needs obs="sensors"."""
+
+    def __init__(
+        self, env: Any, *, effort: float, lead: float, load: float, disturbance: float
+    ) -> None:
+        moves = TimedMoves(env, LinearModels.of(env), load)
+        observer = KalmanFilters(env, "lqg-planned", disturbance, moves)
+        cost = Cost(env, observer.models, effort=effort, lead=lead)
+        super().__init__(env, observer, Gain(cost))

@@ -3,7 +3,8 @@
 Every control step solves a quadratic program over a horizon, behind which LQR's cost-to-go counts:
 deviations of the torques from the reference's are held for BLOCKS of control steps, and no link may
 bend beyond a share of its limit, which yields at a price where that cannot be kept (soft rows; see
-Maciejowski, Predictive Control with Constraints, 2002, section 3.4). The solver is OSQP.
+Maciejowski, Predictive Control with Constraints, 2002, section 3.4). Where the target moves, what
+`preview.py` knows of its path leaves each block its share of the torque. The solver is OSQP.
 """
 
 from dataclasses import dataclass
@@ -34,28 +35,27 @@ class _Program:
     bends: Array  # (b, 2r) deflections at the ends of the blocks per state, over their limit
 
 
-class Planner:
+class Predictive:
     """Law of `ModelBased`: the first torque of the best sequence."""
 
     def __init__(self, env: Any, cost: Cost, *, horizon: float, margin: float) -> None:
         core = env.unwrapped.core
         self.cost, self.margin = cost, margin
         self.deflection_limit = core.arguments["deflection_limit"]
-        self.steps = max(2, round(horizon * core.move_time / core.control_dt))
+        self.blocks = _blocks(_steps(core, horizon))
         self._program = lru_cache(KEPT)(self._made)
 
     def __call__(self, estimate: Estimate) -> Array:
         """(m,) [N m] torque."""
         program, limit = self._program(estimate.model), self.cost.limit
-        bent, count = program.bends @ estimate.x, len(program.linear) // limit.size
+        bent = program.bends @ estimate.x
         free = np.full(bent.size, -np.inf)
-        least, most = (np.tile(x - estimate.forward / limit, count) for x in (-1.0, 1.0))
+        torques = np.vstack([estimate.forward, estimate.ahead]) / limit
+        least, most = ((x - torques).ravel() for x in (-1.0, 1.0))
         program.solver.update(
             q=np.append(program.linear @ estimate.x, 0.0),
-            l=np.concatenate([np.minimum(least, 0.0), [0.0], free, free]),
-            u=np.concatenate(
-                [np.maximum(most, 0.0), [np.inf], self.margin - bent, self.margin + bent]
-            ),
+            l=np.concatenate([least, [0.0], free, free]),
+            u=np.concatenate([most, [np.inf], self.margin - bent, self.margin + bent]),
         )
         first = program.solver.solve(raise_error=False).x[: limit.size]
         return estimate.forward + limit * np.nan_to_num(np.asarray(first, dtype=np.float64))
@@ -65,7 +65,7 @@ class Planner:
         (Q, R), B = self.cost.of(model), model.B * limit
         P = riccati(model.A, model.B, Q, R)
         D = model.bend[np.any(model.bend, axis=1)] / self.deflection_limit
-        blocks = _blocks(self.steps)
+        blocks = self.blocks
         size, states = m * (blocks[-1] + 1), len(model.A)
         by_torque, by_state = np.zeros((states, size)), np.eye(states)
         H, F, rows, bends = np.zeros((size, size)), np.zeros((size, states)), [], []
@@ -103,6 +103,11 @@ def _solver(H: Array, rows: Array, price: float) -> Any:
     return solver
 
 
+def _steps(core: Any, horizon: float) -> int:
+    """Control steps of a horizon over the move time."""
+    return max(2, round(horizon * core.move_time / core.control_dt))
+
+
 def _blocks(steps: int) -> list[int]:
     """Index of the block of every control step of the horizon."""
     found: list[int] = []
@@ -111,15 +116,23 @@ def _blocks(steps: int) -> list[int]:
     return found[:steps]
 
 
+def _times(env: Any, horizon: float) -> Array:
+    """(K,) [s] middles of the blocks after the first, from now."""
+    core = env.unwrapped.core
+    blocks = np.array(_blocks(_steps(core, horizon)))
+    middles = [np.flatnonzero(blocks == k).mean() + 0.5 for k in range(1, blocks[-1] + 1)]
+    return core.control_dt * np.array(middles)
+
+
 class MPC(ModelBased):
     """Predictive control on exact states; needs obs="state"."""
 
     def __init__(
         self, env: Any, *, effort: float, lead: float, horizon: float, margin: float
     ) -> None:
-        observer = ExactState(env, "mpc")
+        observer = ExactState(env, "mpc", times=_times(env, horizon))
         cost = Cost(env, observer.models, effort=effort, lead=lead)
-        super().__init__(env, observer, Planner(env, cost, horizon=horizon, margin=margin))
+        super().__init__(env, observer, Predictive(env, cost, horizon=horizon, margin=margin))
 
 
 class KalmanMPC(OutputFeedback):
@@ -129,6 +142,6 @@ class KalmanMPC(OutputFeedback):
         self, env: Any, *, effort: float, lead: float, horizon: float, margin: float,
         disturbance: float,
     ) -> None:  # fmt: skip
-        observer = KalmanFilters(env, "mpc-kalman", disturbance)
+        observer = KalmanFilters(env, "mpc-kalman", disturbance, times=_times(env, horizon))
         cost = Cost(env, observer.models, effort=effort, lead=lead)
-        super().__init__(env, observer, Planner(env, cost, horizon=horizon, margin=margin))
+        super().__init__(env, observer, Predictive(env, cost, horizon=horizon, margin=margin))

@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 
 from agents.controllers.linear_model import LinearModel, LinearModels
+from agents.controllers.plan import Plan, Planner
+from agents.controllers.preview import Preview
 from agents.controllers.reading import Reading
-from agents.controllers.reference import Course, Reference, followed
+from agents.controllers.reference import Reference
 from dynamics.types import AnyArray, Array
+
+NEVER: Array = np.empty(0)  # [s] times of a preview that is not wanted
 
 
 @dataclass(frozen=True)
@@ -21,14 +25,16 @@ class Estimate:
     model: LinearModel
     x: Array  # (2r,) modal coordinates and rates
     forward: Array  # (m,) [N m] torque of the reference
+    ahead: Array  # (K, m) [N m] torques of the reference at the times of the preview
 
 
 @dataclass
 class _Sight:
     """Memory of `ExactState`."""
 
-    course: Course
+    plan: Plan
     offset: Array  # (N, n) of the reference at the last step
+    seen: Array  # of the target's path, see `Preview`
 
 
 class ExactState:
@@ -36,31 +42,37 @@ class ExactState:
 
     parts = ("joint_error", "joint_rate", "modal_amplitude", "modal_rate")
 
-    def __init__(self, env: Any, name: str) -> None:
+    def __init__(
+        self, env: Any, name: str, planner: Planner | None = None, times: Array = NEVER
+    ) -> None:
         self.read, self.models = Reading.of(env), LinearModels.of(env)
         self.read.require(name, *self.parts)
+        self.planner = planner or Planner(env, self.models)
         self.reference = Reference(self.models, [self.models.middle])
+        self.preview = Preview(env, self.models, times)
 
     def observe(
         self, x: AnyArray, memory: _Sight | None, fresh: AnyArray
     ) -> tuple[list[Estimate], _Sight]:
         """Estimates of N environments, and the memory for the next step."""
         models, dt, count = self.models, self.models.control_dt, len(x)
-        course = followed(self.read, x, memory.course if memory else None, fresh, dt)
+        plan = self.planner.follow(x, memory.plan if memory else None, fresh)
         place, speed = np.zeros((2, count, models.model.n))
-        place[:, models.joints] = self.read(x, "joint_error")
+        place[:, models.joints] = self.read(x, "joint_error") - plan.left
         place[:, models.modal] = self.read(x, "modal_amplitude")
-        speed[:, models.joints] = self.read(x, "joint_rate") - course.rate
+        speed[:, models.joints] = self.read(x, "joint_rate") - plan.motion.rate
         speed[:, models.modal] = self.read(x, "modal_rate")
-        offset, forward = (x[:, 0] for x in self.reference.along(course))
+        offset, forward = (x[:, 0] for x in self.reference.along(plan.motion))
         before = offset if memory is None else np.where(fresh[:, None], offset, memory.offset)
         speed -= (offset - before) / dt
+        seen = self.preview.see(x, plan.target, memory.seen if memory else None, fresh)
         estimates = []
         for i in range(count):
-            model = models.at(course.posture[i])
+            model = models.at(plan.target.posture[i])
             state = np.concatenate([model.modes @ (place[i] - offset[i]), model.modes @ speed[i]])
-            estimates.append(Estimate(model, state, forward[i]))
-        return estimates, _Sight(course, offset)
+            ahead = self.preview.torques(plan.target, seen, i, models.middle)
+            estimates.append(Estimate(model, state, forward[i], ahead))
+        return estimates, _Sight(plan, offset, seen)
 
     def act(self, memory: _Sight, torque: Array) -> None:
         """Nothing to note: torques (N, m) show in the next state."""

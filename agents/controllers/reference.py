@@ -42,7 +42,8 @@ def followed(
         still = np.zeros_like(rate)
         return Course(posture, still, rate, still, still)
     new = fresh[:, None]
-    way = before.way + 0.5 * dt * (before.rate + rate)
+    earlier = before.rate - dt * before.acceleration
+    way = before.way + dt / 12.0 * (5.0 * rate + 8.0 * before.rate - earlier)  # Adams-Moulton
     acceleration = np.where(new, 0.0, (rate - before.rate) / dt)
     return Course(
         posture=np.where(new, posture, before.posture),
@@ -68,7 +69,7 @@ class Reference:
         moving = np.flatnonzero(course.rate.any(axis=1) | course.now.any(axis=1))
         if not moving.size:
             return offset, forward
-        forces = lru_cache(lambda model: self._forces(model, course, moving))
+        forces = lru_cache(lambda model: _forces(models, model, course, moving))
         bends = np.array([self._bend(models.at(x)) for x in course.posture[moving]])
         for p, plant in enumerate(models.plants[p] for p in self.plants):
             coming, now = forces(plant.model)
@@ -76,14 +77,6 @@ class Reference:
             bent = (bends @ now[:, models.modal, None])[..., 0]
             offset[moving, p] = bent / plant.factor
         return offset, forward
-
-    def _forces(self, model: Model, course: Course, moving: AnyArray) -> list[Array]:
-        """(k, n) forces on the straight arm that accelerates as it soon will, and as it does."""
-        joints = self.models.joints
-        q, v, coming, now = np.zeros((4, len(moving), model.n))
-        q[:, joints], v[:, joints] = (course.posture + course.way)[moving], course.rate[moving]
-        coming[:, joints], now[:, joints] = course.coming[moving], course.now[moving]
-        return [model.inverse_dynamics(q, v, a) for a in (coming, now)]
 
     def _bending(self, model: LinearModel) -> Array:
         """(n, modal) offset by forces on the modes: links bend, joints undo it at the tip.
@@ -97,6 +90,25 @@ class Reference:
         gap = model.tip_of[:, modal] @ bend[modal]
         bend[joints] = -np.linalg.lstsq(model.tip_of[:, joints], gap, rcond=1e-6)[0]
         return bend
+
+
+def torques(models: LinearModels, course: Course, plant: int) -> Array:
+    """(N, m) [N m] torques of one plant."""
+    found = np.zeros_like(course.way)
+    moving = np.flatnonzero(course.rate.any(axis=1) | course.coming.any(axis=1))
+    if moving.size:
+        coming, _ = _forces(models, models.plants[plant].model, course, moving)
+        found[moving] = coming[:, models.joints]
+    return found
+
+
+def _forces(models: LinearModels, model: Model, course: Course, moving: AnyArray) -> list[Array]:
+    """(k, n) forces on the straight arm that accelerates as it soon will, and as it does."""
+    joints = models.joints
+    q, v, coming, now = np.zeros((4, len(moving), model.n))
+    q[:, joints], v[:, joints] = (course.posture + course.way)[moving], course.rate[moving]
+    coming[:, joints], now[:, joints] = course.coming[moving], course.now[moving]
+    return [model.inverse_dynamics(q, v, a) for a in (coming, now)]
 
 
 def posture_of(read: Reading, x: AnyArray) -> Array:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agents.controllers import CONTROLLERS
-from flexarm_env import IDS, TASKS
+from flexarm_env import IDS
 
 # a floating arm holds its tip on the target in many postures, of which the classical controllers
 # know one
@@ -52,8 +52,8 @@ def keywords(name: str, track: str) -> dict[str, Any]:
 
 def takes_part(name: str, env_id: str, track: str) -> bool:
     """True if a controller can act on a task and a track."""
-    moving = TASKS[IDS[env_id]["kwargs"]["task"]].moving
-    return _observed(name, track) is not None and (CONTROLLERS[name].follows or not moving)
+    task = IDS[env_id]["kwargs"]["task"]
+    return _observed(name, track) is not None and task in CONTROLLERS[name].tasks
 
 
 def _observed(name: str, track: str) -> str | None:

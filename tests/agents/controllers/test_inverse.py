@@ -36,25 +36,12 @@ def test_torques_fed_forward_move_the_inertia_to_the_target() -> None:
     observation, _ = envs.reset(seed=[1, 2, 3])
     at = envs.unwrapped.observation_slices["joint_error"]
     move = -observation[:, at] * envs.unwrapped.observation_scales["joint_error"]
-    torques, left = played(envs, InverseDynamics(envs, **BLIND, rise=2.0), [1, 2, 3])
+    torques, left = played(envs, InverseDynamics(envs, **BLIND, load=0.3), [1, 2, 3])
     inertia = model.mass_matrix(np.zeros(model.n))[0, 0]
     rate = np.cumsum(torques, axis=0) * dt / inertia
     assert rate[-1] == pytest.approx(np.zeros((3, 1)), abs=1e-6)
     assert rate.sum(axis=0) * dt == pytest.approx(move, rel=1e-3)
     assert np.abs(left).max() < 0.05 * np.abs(move).min()
-
-
-def test_a_move_takes_the_root_of_its_share_of_the_rise() -> None:
-    """Of 0.5 rad; the plan is at its middle after half of it."""
-    envs = make_batch(REACH, 1, {"obs": "state"})
-    subject = InverseDynamics(envs, **BLIND, rise=2.0)
-    whole = 2.0 * envs.unwrapped.core.move_time
-    for move, rise in ((0.5, whole), (-0.125, 0.5 * whole)):
-        start = np.array([[move]])
-        here, rate = subject._away(np.array([0.5 * rise]), start)
-        assert here == pytest.approx(0.5 * start)
-        assert rate == pytest.approx(-start * 1.875 / rise)
-        assert subject._away(np.array([rise]), start)[0] == pytest.approx(np.zeros((1, 1)))
 
 
 @pytest.mark.parametrize(("scene", "track"), [("OneLink", "state"), ("TwoLink", "laboratory")])
@@ -71,15 +58,14 @@ def test_bent_links_are_expected_on_a_path(scene: str, track: str) -> None:
 def test_the_plan_bends_the_links_as_the_environment_does() -> None:
     """Without feedback, far below the first frequency: joints run ahead of the tip as planned."""
     envs = make_batch(REACH, 1, {"obs": "state"})
-    base, subject = envs.unwrapped, InverseDynamics(envs, **BLIND, rise=4.0)
+    base, subject = envs.unwrapped, InverseDynamics(envs, **BLIND, load=0.05)
     at, scale = base.observation_slices["joint_error"], base.observation_scales["joint_error"]
     observation, _ = envs.reset(seed=[1])
     state, gaps, tips = None, [], []
     for _ in range(base.core.max_steps // 2):
         action, state = subject.predict(observation, state, np.zeros(1, bool))
-        here = subject._away(subject.models.control_dt * (state.steps - 1.0), state.start)[0]
-        error = (observation[:, at] * scale)[0, 0]
-        gaps.append([error - here[0, 0], (state.offset - here)[0, 0]])
+        error, left = (observation[:, at] * scale)[0, 0], state.plan.left
+        gaps.append([error - left[0, 0], (state.offset - left)[0, 0]])
         observation, _, _, _, info = envs.step(action.astype(np.float32))
         tips.append(info["tip_deflection"][0])
     true, planned = np.array(gaps).T
@@ -91,7 +77,7 @@ def test_feedback_is_joint_pd_about_the_plan() -> None:
     """At the end of a plan nothing is left of it but joint PD about the target."""
     envs = make_batch("FlexArm/TwoLink-Reach-v0", 2, {"obs": "sensors"})
     gains = {"frequency_ratio": 0.2, "damping_ratio": 0.7}
-    subject, pd = InverseDynamics(envs, **gains, rise=3.0), joint_pd(envs, *gains.values())
+    subject, pd = InverseDynamics(envs, **gains, load=0.5), joint_pd(envs, *gains.values())
     observation, _ = envs.reset(seed=[1, 2])
     state, fresh = None, np.ones(2, bool)
     for _ in range(240):
@@ -106,8 +92,8 @@ def test_feedback_is_joint_pd_about_the_plan() -> None:
 def test_joints_that_turn_as_planned_are_not_damped() -> None:
     """The planned rate is that of the bent plan's angles; any other rate is damped."""
     envs = make_batch(REACH, 1, {"obs": "state"})
-    base, blind = envs.unwrapped, InverseDynamics(envs, **BLIND, rise=2.0)
-    damping = InverseDynamics(envs, frequency_ratio=1e-6, damping_ratio=3e5, rise=2.0)
+    base, blind = envs.unwrapped, InverseDynamics(envs, **BLIND, load=0.3)
+    damping = InverseDynamics(envs, frequency_ratio=1e-6, damping_ratio=3e5, load=0.3)
     x, state, other, before = envs.reset(seed=[1])[0].astype(float), None, None, None
     for _ in range(20):
         wanted, state = blind.predict(x, state, np.zeros(1, bool))

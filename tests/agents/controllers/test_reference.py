@@ -28,7 +28,7 @@ def test_a_course_is_the_path_of_the_target() -> None:
         observation = envs.step(np.zeros((4, 1), np.float32))[0]
     path = np.array(targets)
     curved = (path[2:] - 2.0 * path[1:-1] + path[:-2]) / dt**2
-    assert np.abs(courses[-1].way - path[-1]).max() < 1e-3 * np.abs(path).max()
+    assert np.abs(courses[-1].way - path[-1]).max() < 1e-5 * np.abs(path).max()
     coming = np.array([c.now for c in courses[1:-1]])
     assert np.median(np.abs(coming - curved)) < 0.005 * np.abs(curved).max()
 

@@ -1,0 +1,155 @@
+"""Overview of the experiments that `benchmarks.training` has stored, without training.
+
+    python -m benchmarks.experiments
+
+Writes docs/results/experiments.md and experiments.png, and draws the learning curves again.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from agents.comparison import titled
+from agents.figures import COLOURS, new_figure, plot_learning_curve, save_figure, tidy
+from agents.leaderboard.shipped import on_base
+from benchmarks.output import RESULTS, argument_parser, table
+from dynamics.types import AnyArray
+
+SMALLEST = 0.001  # smaller values are printed as "< 0.001"
+CURVES_BESIDE = 4  # learning curves in a row of the overview
+FASTER = 4  # joint PD is also shown at this multiple of the control rate, without a verdict
+COLUMNS = {  # metric: (header, factor, format)
+    "success_rate": ("success [%]", 100.0, ".0f"),
+    "settling_time": ("settling [s]", 1.0, ".2f"),
+    "tip_error_final": ("tip error, end [mm]", 1e3, ".3g"),
+    "tip_error_rms": ("tip error, RMS [mm]", 1e3, ".3g"),
+    "residual_vibration": ("residual vibration [mm]", 1e3, ".2g"),
+    "peak_root_curvature": ("peak root curvature [1/m]", 1.0, ".2g"),
+    "effort": ("effort [N²m²s]", 1.0, ".2g"),
+}
+
+
+def cells(summary: Mapping[str, float]) -> list[str]:
+    """Texts of the summary's COLUMNS."""
+    texts = []
+    for name, (_, factor, style) in COLUMNS.items():
+        value = factor * summary[name]
+        tiny = 0.0 < value < SMALLEST
+        text = f"< {SMALLEST}" if tiny else f"{value:{style}}"
+        missing = "never" if name == "settling_time" else "failed"
+        texts.append(text if math.isfinite(value) else missing)
+    return texts
+
+
+def number(value: float | None) -> float:
+    """A number read from JSON; null (an infinite value) and NaN become infinity."""
+    return math.inf if value is None or math.isnan(value) else float(value)
+
+
+def stored(out: Path) -> list[dict[str, Any]]:
+    """Experiments whose JSON files are in the folder."""
+    found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("*.json"))]
+    return [data for data in found if "references" in data and "runs" in data]
+
+
+def summarise_experiments(out: Path) -> None:
+    """Write experiments.md and experiments.png from all experiments of the folder."""
+    experiments = stored(out)
+    (out / "experiments.md").write_text(overview(experiments), encoding="utf-8")
+    save_figure(learning_curves(experiments), out / "experiments.png")
+    for data in experiments:
+        plot_learning_curve(out / f"{data['name']}.png", stored_curves(data), curves_title(data))
+
+
+def stored_curves(data: Mapping[str, Any]) -> dict[str, list[dict[str, float | None]]]:
+    """Rows of the learning curves of a stored experiment, by training seed."""
+    return {
+        name: [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        for name, columns in data["curves"].items()
+    }
+
+
+def curves_title(data: Mapping[str, Any]) -> str:
+    """Algorithm with its base, environment and hardware of a stored experiment."""
+    config = data["config"]
+    learner = config["agent"]["name"] + on_base(config.get("base"))
+    return f"{learner} on {titled(data['env'], config['env']['kwargs'])}"
+
+
+def band(curves: Mapping[str, Mapping[str, Any]]) -> tuple[AnyArray, AnyArray]:
+    """(k,) steps, and (3, k) least, median and largest return over the training seeds."""
+    known = [[(x, y) for x, y in zip(c["steps"], c["return"], strict=True) if y is not None]
+             for c in curves.values()]  # fmt: skip
+    lines = [np.array(points).T for points in known]
+    steps = lines[0][0]
+    returns = [np.interp(steps, *line) for line in lines]
+    return steps, np.quantile(returns, (0.0, 0.5, 1.0), axis=0)
+
+
+def learning_curves(experiments: Sequence[Mapping[str, Any]]) -> Figure:
+    """Median return over the training seeds, and the range of all seeds, by experiment."""
+    columns = min(CURVES_BESIDE, len(experiments))
+    rows = math.ceil(len(experiments) / columns)
+    figure = new_figure(3.4 * columns, 2.4 * rows, dpi=110)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis, data in zip(axes, experiments, strict=False):
+        steps, (low, middle, high) = band(data["curves"])
+        axis.plot(steps / 1e6, middle, color=COLOURS[0], linewidth=1.4)
+        axis.fill_between(steps / 1e6, low, high, color=COLOURS[0], alpha=0.25, linewidth=0.0)
+        count = len(data["runs"])
+        axis.set_title(f"{data['name']}\n{count} seed{'s' * (count > 1)}", fontsize=9)
+        axis.set_xlim(left=0.0)
+        tidy(axis)
+    for axis in axes[len(experiments) :]:
+        axis.set_axis_off()
+    figure.supxlabel("environment steps [millions]")
+    figure.supylabel("episode return: median and range of the training seeds")
+    return figure
+
+
+def overview(experiments: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown page with all experiments."""
+    rows = []
+    for data in experiments:
+        seeds = [run["summary"] for run in data["runs"]]
+        own = f"{len(seeds)} seeds" if len(seeds) > 1 else "1 seed"
+        summaries = {own: median_of(seeds), **data["references"]}
+        steps, seconds = data["runs"][0]["steps"], data["runs"][0]["seconds"]
+        first = f"[{data['name']}]({data['name']}.md), {steps / 1e6:.2g} M steps, {seconds:.0f} s"
+        for name, summary in summaries.items():
+            numbers = {k: number(v) for k, v in summary.items()}
+            rows.append([first, name, *cells(numbers)])
+            first = ""
+    header = ["experiment", "controller", *(h for h, _, _ in COLUMNS.values())]
+    return f"""# Experiments
+
+Medians over 100 episodes (and over seeds), made by `python -m benchmarks.training`; details behind
+each name. Joint PD has the best gains of a grid and acts at the policy's control rate. On a light
+hub that rate limits it, not the control law, so it is also shown at {FASTER} times the rate.
+
+{table(header, rows, "llr")}
+
+![Learning curves](experiments.png)
+"""
+
+
+def median_of(summaries: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
+    """Median over seeds of every metric, with null as infinity."""
+    return {name: median(number(s[name]) for s in summaries) for name in summaries[0]}
+
+
+def main() -> None:
+    """Parse the command line and write the overview."""
+    parser = argument_parser("experiments", __doc__)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results")
+    summarise_experiments(parser.parse_args().out)
+
+
+if __name__ == "__main__":
+    main()
