@@ -22,7 +22,7 @@ class Preview:
         self.read, self.models, self.times = Reading.of(env), models, times
         self.half = 0.5 * env.unwrapped.core.move_time
         useful = times.size and "target_near" in self.read
-        self._kept = int(self.half / models.control_dt) if useful else 0
+        self._kept = max(1, int(self.half / models.control_dt)) if useful else 0
 
     def see(self, x: AnyArray, course: Course, before: Array | None, fresh: AnyArray) -> Array:
         """(N, L, 2, m) [rad] ways of the target half a move time and one ahead, latest first."""

@@ -81,6 +81,19 @@ def test_an_episode_that_starts_remembers_no_other_path() -> None:
     assert np.isfinite(after[1, :, 0, 0]).sum() == 11
 
 
+def test_a_control_step_may_be_longer_than_half_a_move() -> None:
+    """The two angles that are shown are the path."""
+    envs = make_batch("FlexArm/OneLink-Track-v0", 1, {"obs": "state", "control_dt": 0.4})
+    models = LinearModels.of(envs)
+    preview, planner = Preview(envs, models, np.array([0.5])), Planner(envs, models)
+    observation, _ = envs.reset(seed=0)
+    fresh = np.ones(1, bool)
+    target = planner.follow(observation, None, fresh).target
+    path = preview._path(target, preview.see(observation, target, None, fresh), 0)
+    near, far = (preview.read(observation, f"target_{name}")[0] for name in ("near", "far"))
+    assert path([preview.half, 2.0 * preview.half]) == pytest.approx(np.array([near, far]))
+
+
 def test_nothing_is_seen_of_a_resting_target() -> None:
     envs = make_batch("FlexArm/TwoLink-Reach-v0", 2, {"obs": "state"})
     models = LinearModels.of(envs)
