@@ -103,7 +103,6 @@ class KalmanFilters:
         for row, part in enumerate(("joint_error", "joint_rate")):
             self._scales[row, self.models.joints] = self.read.scales[part]
         self._scales[:, self.models.modal] = core.scales.modal_scale, core.scales.modal_rate
-        self._moving = planner is not None or "target_rate" in self.read
         y = len(self.sensors.noise)
         self._most = 2 * self.models.model.n + len(self.sensors.bias)  # of S
         each = 8 * LEARNING * len(self.plants) * y * (self._most + y)  # bytes
@@ -112,7 +111,7 @@ class KalmanFilters:
     @property
     def n_known(self) -> int:
         """Number of columns of `known`."""
-        moving = self.limit.size if self._moving else 0
+        moving = self.limit.size if self.planner.moving else 0
         return self._scales.size + moving + self._traits.shape[1]
 
     def observe(
@@ -142,7 +141,7 @@ class KalmanFilters:
         likely = np.exp(0.5 * (belief.surprise.min(axis=1, keepdims=True) - belief.surprise))
         means = likely / likely.sum(axis=1, keepdims=True) @ self._traits
         states = np.hstack([places / self._scales[0], speeds / self._scales[1]])
-        if self._moving:
+        if self.planner.moving:
             forward = np.array([estimate.forward for estimate in belief.estimates])
             states = np.hstack([states, forward / self.limit])
         return np.hstack([np.clip(states, -BOUND, BOUND), means])
@@ -164,7 +163,7 @@ class KalmanFilters:
         now, best = np.zeros((len(readings), self._most)), np.zeros(len(readings), np.int64)
         for bank, group in _grouped(belief.banks):
             _take(
-                group, belief.steps, self._delays, readings, changed, self._moving,
+                group, belief.steps, self._delays, readings, changed, self.planner.moving,
                 bank.A, bank.B, bank.C, bank.readings, bank.gain, bank.precision, bank.bulk,
                 belief.torque, belief.place, belief.state, belief.surprise,
             )  # fmt: skip
@@ -181,7 +180,7 @@ class KalmanFilters:
 
     def _refer(self, belief: Belief, fresh: AnyArray) -> None:
         """Move the references to the present; a resting target's stay zero without a plan."""
-        if not self._moving:
+        if not self.planner.moving:
             return
         place, belief.forward = self.reference.along(belief.plan.motion)
         place[:, :, self.models.joints] += belief.plan.motion.way[:, None]

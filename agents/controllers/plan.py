@@ -34,6 +34,7 @@ class Planner:
 
     def __init__(self, env: Any, models: LinearModels) -> None:
         self.read, self.models = Reading.of(env), models
+        self.moving = "target_rate" in self.read
 
     def follow(self, x: AnyArray, before: Plan | None, fresh: AnyArray) -> Plan:
         """The plan after another observation (N, n); `fresh` (N,) marks new episodes."""
@@ -62,7 +63,7 @@ class TimedMoves(Planner):
 
     def __init__(self, env: Any, models: LinearModels, load: float) -> None:
         super().__init__(env, models)
-        self.load, core = load, env.unwrapped.core
+        self.moving, self.load, core = True, load, env.unwrapped.core
         self.limit = np.asarray(core.torque_limit, dtype=np.float64)
         self.deflection_limit = core.arguments["deflection_limit"]
         self.reference = Reference(models, [models.middle])
