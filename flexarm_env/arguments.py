@@ -5,6 +5,7 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics import Arm
 from dynamics.description import validate
@@ -132,3 +133,12 @@ def whole_seed(seed: Any) -> int | None:
     if seed is None:
         return None
     return validate.integer(seed, "seed", 0, MOST_SEED)
+
+
+def not_finite(actions: NDArray[np.float32]) -> ValueError:
+    """Error for actions (N, n_torque) of which some are not finite."""
+    bad = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
+    return ValueError(
+        f"Actions must be finite numbers (clipped to [-1, 1]), got {actions[bad].tolist()} for "
+        f"environment {bad}."
+    )

@@ -13,6 +13,7 @@ from dynamics.description import validate
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
 from dynamics.model import Model, compile_arm
+from dynamics.runtime.jit import aligned_zeros
 from dynamics.runtime.numba_internals import compiled_for
 from dynamics.runtime.thread_pool import ThreadPool, in_use, useful_threads
 from dynamics.runtime.work_queue import shares
@@ -87,6 +88,7 @@ class Core:
     lock : locked while a thread steps or resets, see `claim`.
     shares : chunk counters of a step, see `dynamics.runtime.work_queue.shares`.
     workspaces : one per thread.
+    action : (1, n_torque) action that `alone` takes.
     parameters : (N, n_free) values of the randomized parameters, a view.
     """
 
@@ -240,7 +242,7 @@ class Core:
         blocks = -(-n_env // lanes)
         self._width = lanes * (blocks | 1)  # an odd number of blocks spreads rows over the cache
         self._kept: list[Outputs] = []
-        self.state = np.zeros((self.signals.state.total, self._width), self.model.dtype)
+        self.state = aligned_zeros((self.signals.state.total, self._width), self.model.dtype)
         self.state[rows["free"]] = self.model.nominal_parameters[:, None]
         self.streams = np.zeros(n_env, dtype=np.int64)
         self.q, self.v = self.state[rows["q"], :n_env].T, self.state[rows["v"], :n_env].T
@@ -248,7 +250,8 @@ class Core:
         threads = useful_threads(self.threads, blocks, n_env * self._operations())
         self.shares = shares(n_env, lanes, threads)
         self.workspaces = [self._workspace() for _ in range(threads)]
-        self._no_actions = np.zeros((0, self.arm.n_torque), np.float32)
+        self.action = np.zeros((1, self.arm.n_torque), np.float32)
+        self._no_actions = self.action[:0]
         self._pool = ThreadPool(threads)
         self.lock = Lock()
 
@@ -286,43 +289,44 @@ class Core:
 
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, int]:
         """Advance all by one control step; return outputs and the number of ended episodes."""
-        out = self.outputs()
-        if len(self.workspaces) == 1:  # as `_turn`; inlined for the single environment
-            ended = self._control_step(
-                self.shares, 0, self.substeps, self.dt, actions, self.state, self.workspaces[0],
-                out.obs, out.info, out.flags,
-            )  # fmt: skip
+        out, compiled = self.outputs(), self._control_step  # compiled in this thread
+        if len(self.workspaces) == 1:
+            ended = compiled(*self._bound(self.shares, 0, actions, out))
         elif not np.isfinite((actions.min(), actions.max())).all():
             ended = -1  # refuse before any environment is stepped
         else:
-            self._control_step  # compile in one thread before several call it  # noqa: B018
-            ended = sum(self._pool.run(partial(self._turn, self.shares.copy(), actions, out)))
+            rows = self.shares.copy()
+            turns = self._pool.run(lambda k: compiled(*self._bound(rows, k, actions, out)))
+            ended = sum(turns)
         if ended < 0:
-            bad = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
-            raise ValueError(
-                f"Actions must be finite numbers (clipped to [-1, 1]), got "
-                f"{actions[bad].tolist()} for environment {bad}."
-            )
+            raise arguments.not_finite(actions)
         return out, ended
 
-    def _turn(
-        self, rows: NDArray[np.int64], actions: NDArray[np.float32], out: Outputs, thread: int
-    ) -> int:
-        """Step the chunks that one thread takes; return its number of ended episodes."""
-        ended: int = self._control_step(
+    @cached_property
+    def alone(self) -> tuple[Callable[[], int], Any]:
+        """Step of a single environment by `action`, all arguments bound, and what it fills.
+
+        It returns a negative number if the action is not finite. Gain: docs/results/tricks.md.
+        """
+        out = self.outputs()
+        return partial(self._control_step, *self._bound(self.shares, 0, self.action, out)), out
+
+    def _bound(
+        self, rows: NDArray[np.int64], thread: int, actions: NDArray[np.float32], out: Outputs
+    ) -> tuple[Any, ...]:
+        """Arguments of the compiled step of the chunks that one thread takes."""
+        return (
             rows, thread, self.substeps, self.dt, actions, self.state, self.workspaces[thread],
             out.obs, out.info, out.flags,
         )  # fmt: skip
-        return ended
 
     @cached_property
     def _control_step(self) -> Callable[..., Any]:
         """Compiled step of all environments; it returns the number of ended episodes."""
         out = self.outputs()
         return compiled_for(
-            self._program.control_step, self.shares, 0, self.substeps, self.dt, self._no_actions,
-            self.state, self.workspaces[0], out.obs, out.info, out.flags,
-        )  # fmt: skip
+            self._program.control_step, *self._bound(self.shares, 0, self._no_actions, out)
+        )
 
     def restart(
         self, rows: NDArray[np.int64], out: Outputs, options: Mapping[str, Any] | None = None

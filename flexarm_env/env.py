@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.description.validate import choice, shown
+from dynamics.runtime.thread_pool import in_use
 from dynamics.types import Array
-from flexarm_env.arguments import whole_seed
+from flexarm_env.arguments import not_finite, whole_seed
 from flexarm_env.core import Core
 from flexarm_env.observations import GOALS, Layout
 from flexarm_env.rewards import goal_reward
@@ -72,7 +73,6 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
         self.metadata = {**self.metadata, "render_fps": frames_per_second(self.core)}
         self.observation_space = observation_space(self.core.layout)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.core.arm.n_torque,), np.float32)
-        self._action = np.zeros((1, self.core.arm.n_torque), np.float32)
         self._several = self.core.arm.n_torque > 1
         self._observed, self._goal = self.core.layout.observed, bool(self.core.layout.goal)
         self._seeded = False
@@ -114,13 +114,17 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by one control step."""
-        self.core.claim()
+        core = self.core
+        if not core.lock.acquire(blocking=False):  # `core.claim`, without the cost of a call
+            raise in_use()
+        advance, out = core.alone
         try:
-            self._store(action)
-            out, _ = self.core.step(self._action)
+            self._store(core.action, action)
+            if advance() < 0:
+                raise not_finite(core.action)
             values, marks = out.values.tolist(), out.marks.tolist()
         finally:
-            self.core.lock.release()
+            core.lock.release()
         if self._renderer is not None:
             self._renderer.follow(self.core)
         if self.render_mode == "human":
@@ -133,14 +137,14 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
             return observation, reward, marks[0], marks[1], info
         return out.observation.copy(), values[0], marks[0], marks[1], info
 
-    def _store(self, action: Any) -> None:
+    def _store(self, place: NDArray[np.float32], action: Any) -> None:
         try:
-            if self._several and len(action) != self._action.size:  # NumPy broadcasts one
+            if self._several and len(action) != place.size:  # NumPy broadcasts one
                 raise ValueError
-            self._action[...] = action
+            place[...] = action
         except (TypeError, ValueError):
             raise ValueError(
-                f"An action must be {self._action.size} numbers in [-1, 1], got {shown(action)}."
+                f"An action must be {place.size} numbers in [-1, 1], got {shown(action)}."
             ) from None
 
     def render(self) -> NDArray[np.uint8] | None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.runtime.jit import aligned_zeros
 from dynamics.types import AnyArray
 from flexarm_env.compiled.rows import Rows
 from flexarm_env.compiled.termination import FLAGS
@@ -32,9 +33,9 @@ class Outputs:
     unused: Any = True
 
     def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
-        self.obs = np.empty((n_env, size), np.float32)
-        self.info = np.empty((names.total, width), dtype)
-        self.flags = np.empty((len(FLAGS), width), np.bool_)
+        self.obs = aligned_zeros((n_env, size), np.float32)
+        self.info = aligned_zeros((names.total, width), dtype)
+        self.flags = aligned_zeros((len(FLAGS), width), np.bool_)
 
 
 class SingleOutputs(Outputs):
@@ -51,7 +52,7 @@ class SingleOutputs(Outputs):
         super().__init__(n_env, size, width, dtype, names)
         self.observation, column, self.marks = self.obs[0], self.info[:, 0], self.flags[:, 0]
         self.values = column[: names.slices["reward_terms"].stop]
-        wide = {name: column[names.slices[name]] for name in WIDE if name in names.slices}
+        wide = {name: column[names.slices[name]].copy for name in WIDE if name in names.slices}
         self.described = _describer(names, wide)
 
 
@@ -65,7 +66,9 @@ class BatchOutputs(Outputs):
 
     def __init__(self, n_env: int, size: int, width: int, dtype: Any, names: Rows) -> None:
         super().__init__(n_env, size, width, dtype, names)
-        self._arrays = [self.obs, self.info, self.flags, *self._views(n_env, names)]
+        self._arrays: list[Any] = [self.obs, self.info, self.flags, *self._views(n_env, names)]
+        # views that a caller makes of these refer to the memory below them
+        self._arrays += [array.base for array in self._arrays[:3]]
         self._own_references = sum(map(getrefcount, self._arrays))
 
     @property
@@ -100,8 +103,8 @@ class BatchOutputs(Outputs):
         return marked
 
 
-def _describer(names: Rows, wide: Mapping[str, AnyArray]) -> Callable[..., dict[str, Any]]:
-    """Function from values and marks to the info dict, with copies of vector-valued entries.
+def _describer(names: Rows, wide: Mapping[str, Callable[[], AnyArray]]) -> Callable[..., Any]:
+    """Function from values and marks to the info dict; `wide` makes the vector-valued entries.
 
     The dict is generated as one literal, because building it takes a notable part of a single
     environment's step.
@@ -112,7 +115,7 @@ def _describer(names: Rows, wide: Mapping[str, AnyArray]) -> Callable[..., dict[
 
     text = ", ".join([
         entries(scalars(names), "values", 1),
-        *(f"{name!r}: {name}.copy()" for name in wide),
+        *(f"{name!r}: {name}()" for name in wide),
         entries(FLAGS[SETTLED:], "marks", SETTLED),
         f"'reward_terms': {{{entries(TERMS, 'values', names.slices['reward_terms'].start)}}}",
     ])  # fmt: skip

@@ -17,6 +17,8 @@ state before the step and is reported there.
 ENTRIES = """
 take, put, expect = lane_moves(int(LANES))
 gather, scatter = row_moves(int(LANES))
+take_actions, _ = block_moves(int(LANES), int(N_ACTION))
+_, put_observations = block_moves(int(LANES), int(N_OBSERVATION))
 
 
 #sensors
@@ -59,20 +61,20 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
         return np.int64(0)
 
     ended = np.int64(0)
+    given = actions.reshape(actions.size)
     #steps
     start, stop = first_chunk(rows, thread)
     while start < stop:
-        for i in range(start, stop):
-            for j in range(N_ACTION):
-                ended -= actions[i, j] - actions[i, j] != 0.0
+        for k in range(start * N_ACTION, stop * N_ACTION):
+            ended -= given[k] - given[k] != 0.0
         if ended < 0:
             return ended
         for column in range(start, stop, LANES):
-            if column + LANES < stop:
-                for k in range(N_STATE + N_MEMORY):
-                    expect(state, k * width + column + LANES)
-                for k in range(N_INFO):
-                    expect(info, k * width + column + LANES)
+            whole = column + LANES <= stop
+            for k in range(N_INFO):
+                expect(info, k * width + column)
+            for k in range(N_OBSERVATION):
+                expect(obs, column * N_OBSERVATION + k * LANES)
             for k in range(N_STATE):
                 take(w, Q + k * LANES, state, k * width + column)
             for k in range(N_MEMORY):
@@ -82,21 +84,27 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
             for k in range(N_DRAWN):
                 row = N_STATE + N_MEMORY + N_FREE + k
                 take(w, DRAWN + k * LANES, state, row * width + column)
-            gather(w, GIVEN, actions, column)
+            if whole:
+                take_actions(w, GIVEN, actions, column)
+            else:
+                gather(w, GIVEN, actions, column)
             command(w)
             #noise
             #advance
             report(w)
+            for k in range(N_STATE + N_MEMORY):
+                expect(state, k * width + column + LANES)
             check(w)
-            again = False
+            lost = 0
             for b in range(LANES):
-                if w[LOST + b] > 0.0:
-                    again = True
-                    for k in range(N_STATE):
-                        w[Q + k * LANES + b] = state[k, column + b]
-                    for k in range(N_ACTUATOR):
-                        w[ACTUATOR + k * LANES + b] = state[FIRST_ACTUATOR + k, column + b]
-            if again:
+                lost += w[LOST + b] > 0.0
+            if lost > 0:
+                for b in range(LANES):
+                    if w[LOST + b] > 0.0:
+                        for k in range(N_STATE):
+                            w[Q + k * LANES + b] = state[k, column + b]
+                        for k in range(N_ACTUATOR):
+                            w[ACTUATOR + k * LANES + b] = state[FIRST_ACTUATOR + k, column + b]
                 report(w)
             for k in range(N_JOINT):
                 put(w, TARGET_NOW + k * LANES, w, TARGET + k * LANES)
@@ -110,10 +118,13 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
                 put(w, FLAGS + k * LANES, flags, k * width + column)
             for k in range(N_INFO):
                 put(w, INFO + k * LANES, info, k * width + column)
-            for b in range(min(LANES, stop - column)):
-                for k in range(N_OBSERVATION):
-                    obs[column + b, k] = w[OBSERVATION + k * LANES + b]
-                ended += flags[0, column + b] | flags[1, column + b]
+            if whole:
+                put_observations(w, OBSERVATION, obs, column)
+            else:
+                for b in range(stop - column):
+                    scatter(w, OBSERVATION + b, obs, column + b)
+        for i in range(start, stop):
+            ended += flags[0, i] | flags[1, i]
         start, stop = take_chunk(rows, thread)
     return ended
 """

@@ -1,6 +1,6 @@
 """Compiled moves of values between the workspace and a caller's arrays."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from llvmlite import ir
@@ -122,6 +122,112 @@ def row_moves(lanes: int) -> tuple[Any, Any]:
         return rows_moved
 
     return move(gathered), move(scattered)
+
+
+def block_moves(lanes: int, columns: int) -> tuple[Any, Any]:
+    """Functions `take_rows` and `put_rows` on consecutive rows of a C-ordered array.
+
+    `take_rows(w, at, rows, first)` copies rows first ... first + lanes, which must exist, to the
+    slots from offset `at` on, a slot per column and a lane per row; `put_rows(w, at, rows, first)`
+    copies them back. Both transpose in vector registers. Numbers are converted. Gain:
+    docs/results/tricks.md.
+    """
+
+    def address(builder, data, offset, kind):  # type: ignore[no-untyped-def]
+        return builder.bitcast(builder.gep(data, [offset]), kind.as_pointer())
+
+    def runs(builder, data, row, at, width):  # type: ignore[no-untyped-def]
+        """Addresses of `width` columns: one per row, or one in all if there are no others."""
+        start = builder.mul(row, WORD(columns))
+        count, size = (1, lanes * width) if width == columns else (lanes, width)
+        kind = ir.VectorType(data.type.pointee, size)
+        offsets = [builder.add(start, WORD(b * columns + at)) for b in range(count)]
+        return [address(builder, data, offset, kind) for offset in offsets]
+
+    def slots_of(builder, slots, at, width):  # type: ignore[no-untyped-def]
+        kind = ir.VectorType(slots.type.pointee, lanes)
+        return [address(builder, slots, WORD(k * lanes), kind) for k in range(at, at + width)]
+
+    def taken(builder, slots, data, size, first):  # type: ignore[no-untyped-def]
+        for at, width in _chunks(columns, size):
+            places = runs(builder, data, first, at, width)
+            block = _joined(builder, [builder.load(x, align=size) for x in places])
+            for k, slot in enumerate(slots_of(builder, slots, at, width)):
+                column = _picked(builder, block, range(k, lanes * width, width))
+                builder.store(_converted(builder, column, slot.type.pointee), slot, align=4)
+
+    def put(builder, slots, data, size, first):  # type: ignore[no-untyped-def]
+        kind = ir.VectorType(data.type.pointee, lanes)
+        for at, width in _chunks(columns, size):
+            values = [builder.load(x, align=4) for x in slots_of(builder, slots, at, width)]
+            block = _zipped(builder, [_converted(builder, value, kind) for value in values])
+            places = runs(builder, data, first, at, width)
+            each = lanes * width // len(places)
+            for b, place in enumerate(places):
+                part = _picked(builder, block, range(b * each, (b + 1) * each))
+                builder.store(part, place, align=size)
+
+    def move(body: Callable[..., None]) -> Any:
+        @intrinsic
+        def rows_moved(typingctx, w, at, rows, first):  # type: ignore[no-untyped-def]
+            def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+                kinds = signature.args
+                slots = data_pointer(context, builder, kinds[0], args[0])
+                data = data_pointer(context, builder, kinds[2], args[2])
+                size = context.get_abi_sizeof(data.type.pointee)
+                given = [builder.gep(slots, [args[1]]), data, args[3]]
+                name = f"{body.__name__}_{columns}_{slots.type.pointee}_{data.type.pointee}"
+                made = once(
+                    builder.module, name, given,
+                    lambda builder, slots, data, first: body(builder, slots, data, size, first),
+                )  # fmt: skip
+                builder.call(made, given)
+                return context.get_dummy_value()
+
+            return types.void(w, at, rows, first), codegen
+
+        return rows_moved
+
+    return move(taken), move(put)
+
+
+def _chunks(columns: int, size: int) -> Iterator[tuple[int, int]]:
+    """First column and width of chunks, powers of two of at most a cache line."""
+    at = 0
+    while at < columns:
+        width = min(CACHE_LINE // size, 1 << ((columns - at).bit_length() - 1))
+        yield at, width
+        at += width
+
+
+def _picked(builder: ir.IRBuilder, values: ir.Value, order: Iterable[int]) -> ir.Value:
+    """The elements of a vector with these numbers."""
+    return _shuffled(builder, values, ir.Constant(values.type, ir.Undefined), order)
+
+
+def _shuffled(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, order: Iterable[int]) -> ir.Value:
+    """The elements of two vectors with these numbers, counted through both."""
+    numbers = list(order)
+    kind = ir.VectorType(ir.IntType(32), len(numbers))
+    return builder.shuffle_vector(a, b, ir.Constant(kind, numbers))
+
+
+def _joined(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
+    """Vectors one after the other; their number is a power of two."""
+    while len(parts) > 1:
+        count = 2 * parts[0].type.count
+        pairs = zip(parts[::2], parts[1::2], strict=True)
+        parts = [_shuffled(builder, a, b, range(count)) for a, b in pairs]
+    return parts[0]
+
+
+def _zipped(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
+    """First elements of all vectors, then the second ones, ...; as many as a power of two."""
+    if len(parts) == 1:
+        return parts[0]
+    a, b = _zipped(builder, parts[::2]), _zipped(builder, parts[1::2])
+    count = a.type.count
+    return _shuffled(builder, a, b, (k for i in range(count) for k in (i, count + i)))
 
 
 def _element(builder: ir.IRBuilder, data: ir.Value, offset: ir.Value) -> ir.Value:

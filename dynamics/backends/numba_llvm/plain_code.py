@@ -81,3 +81,21 @@ def row_moves(lanes: int) -> tuple[Any, Any]:
             rows[np.int64(row), k] = w[np.int64(at) + k * lanes]
 
     return gather, scatter
+
+
+def block_moves(lanes: int, columns: int) -> tuple[Any, Any]:
+    """`take_rows` and `put_rows` of moves.py."""
+
+    @register_jitable
+    def take_rows(w, at, rows, first):  # type: ignore[no-untyped-def]
+        for k in range(columns):
+            for b in range(lanes):
+                w[np.int64(at) + k * lanes + b] = rows[np.int64(first) + b, k]
+
+    @register_jitable
+    def put_rows(w, at, rows, first):  # type: ignore[no-untyped-def]
+        for k in range(columns):
+            for b in range(lanes):
+                rows[np.int64(first) + b, k] = w[np.int64(at) + k * lanes + b]
+
+    return take_rows, put_rows

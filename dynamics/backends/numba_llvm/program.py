@@ -100,7 +100,9 @@ def stepping(arm: TracedArm) -> Addition:
         ]
 
     sizes = {"CHECK": 1, "GOOD": 1, "MEASURED": arm.n_measure}
-    return Addition(key="stepper", sizes=sizes, functions=functions, entries=ENTRIES)
+    columns = [f"N_TORQUE = {arm.n_torque}", f"N_MEASURED = {arm.n_measure}"]
+    entries = "\n".join([*columns, ENTRIES])
+    return Addition(key="stepper", sizes=sizes, functions=functions, entries=entries)
 
 
 def _renewal(arm: TracedArm, at: Mapping[str, int]) -> list[Function]:

@@ -19,6 +19,9 @@ STEPS = {
 # #steps: above; #prepare, #start, #step: integrator_text.py; #enter and others: FREE_BASE
 ENTRIES = """
 gather, scatter = row_moves(int(LANES))
+take_states, put_states = block_moves(int(LANES), int(N // LANES))
+take_torques, _ = block_moves(int(LANES), N_TORQUE)
+_, put_measured = block_moves(int(LANES), N_MEASURED)
 
 
 @outermost
@@ -27,9 +30,15 @@ def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, mea
     start, stop = first_chunk(rows, thread)
     while start < stop:
         for first in range(start, stop, LANES):
-            gather(w, Q, q, first)
-            gather(w, V, v, first)
-            gather(w, TAU, torque, first)
+            whole = first + LANES <= stop
+            if whole:
+                take_states(w, Q, q, first)
+                take_states(w, V, v, first)
+                take_torques(w, TAU, torque, first)
+            else:
+                gather(w, Q, q, first)
+                gather(w, V, v, first)
+                gather(w, TAU, torque, first)
             gather(w, PARAMETERS, parameters, first)
             #enter
             for b in range(LANES):
@@ -42,6 +51,15 @@ def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, mea
                 check(w)
             measure(w)
             #leave
+            kept = 0
+            for b in range(LANES):
+                kept += np.int64(w[GOOD + b]) == substeps
+            if whole and kept == LANES:
+                put_states(w, Q, q, first)
+                put_states(w, V, v, first)
+                put_measured(w, MEASURED, measured, first)
+                status[first : first + LANES] = 0
+                continue
             for b in range(min(LANES, stop - first)):
                 row = first + b
                 good = np.int64(w[GOOD + b])

@@ -84,6 +84,51 @@ def test_rows_move_between_workspace_and_arrays(
     np.testing.assert_array_equal(target[[0, 1, 3]], 7.0)
 
 
+BLOCKS = """
+from dynamics.backends.numba_llvm.{file} import block_moves
+from dynamics.runtime.jit import outermost
+take_rows, put_rows = block_moves({lanes}, {columns})
+
+@outermost
+def there_and_back(source, first, w, target, row):
+    take_rows(w, {lanes}, source, first)
+    put_rows(w, {lanes}, target, row)
+"""
+
+
+@pytest.mark.parametrize("lanes", [1, LANES, 2 * LANES])
+@pytest.mark.parametrize("columns", [1, 2, 3, 16, 23])
+@pytest.mark.parametrize(
+    ("held", "given"),
+    [("float64", "float32"), ("float32", "float64"), ("float64", "float64")],
+)
+@pytest.mark.parametrize("file", ["moves", "plain_code"])
+def test_blocks_of_rows_are_transposed(
+    lanes: int,
+    columns: int,
+    held: str,
+    given: str,
+    file: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Just those rows, a lane each, also where the array begins anywhere in memory."""
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
+    text = BLOCKS.format(lanes=lanes, columns=columns, file=file)
+    module = cached_module(f"blocks_{lanes}_{columns}_{held}_{given}_{file}", lambda: text)
+    memory = np.arange((lanes + 4) * columns + 1.0).astype(given)
+    source = memory[1:].reshape(-1, columns)
+    w, target = np.zeros((columns + 2) * lanes, held), np.full((lanes + 2, columns), -7.0, given)
+
+    module.there_and_back(source, 3, w, target, 1)
+
+    expected = source[3 : 3 + lanes]
+    np.testing.assert_array_equal(w[lanes:-lanes].reshape(columns, lanes), expected.T)
+    np.testing.assert_array_equal(w[[*range(lanes), *range(-lanes, 0)]], 0.0)
+    np.testing.assert_array_equal(target[1:-1], expected)
+    np.testing.assert_array_equal(target[[0, -1]], -7.0)
+
+
 LONG = """
 from dynamics.backends.numba_llvm.vector_code import straight_line
 from dynamics.runtime.jit import outermost

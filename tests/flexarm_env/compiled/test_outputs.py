@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import flexarm_env  # noqa: F401
+from dynamics.runtime.jit import CACHE_LINE
 from flexarm_env.compiled.outputs import SPARE
+from flexarm_env.core import Core
 
 STEPS = 8
 KEPT_PARTS: dict[str, Callable[[tuple[Any, ...]], Any]] = {
@@ -56,6 +58,17 @@ def test_arrays_that_nobody_refers_to_are_reused(batch: Any) -> None:
         result = batch.step(np.zeros((7, 1)))
         places.add(result[0].ctypes.data)
     assert len(places) <= SPARE < STEPS
+
+
+@pytest.mark.parametrize("n_env", [1, 7, 64])
+def test_state_and_outputs_begin_at_a_cache_line(n_env: int) -> None:
+    """Every row of a batch's state and info too."""
+    core = Core(task="Reach", arm="two-link", n_env=n_env)
+    out = core.outputs()
+    for array in (core.state, out.obs, out.info, out.flags):
+        assert array.ctypes.data % CACHE_LINE == 0
+    if n_env > 1:
+        assert core.state.strides[0] % CACHE_LINE == out.info.strides[0] % CACHE_LINE == 0
 
 
 def test_a_single_environment_returns_arrays_of_its_own() -> None:
