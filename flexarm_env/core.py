@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -85,7 +84,7 @@ class Core:
     dt : [s] integration step.
     rate_scale : [rad/s] peak joint rate of a bang-bang move by `scales.MOVE` at full torque.
     move_time : [s] duration of this move.
-    lock : locked while a thread steps or resets, see `claim`.
+    busy : whether a thread steps or resets, see `claim`.
     shares : chunk counters of a step, see `dynamics.runtime.work_queue.shares`.
     workspaces : one per thread.
     action : (1, n_torque) action that `alone` takes.
@@ -253,7 +252,7 @@ class Core:
         self.action = np.zeros((1, self.arm.n_torque), np.float32)
         self._no_actions = self.action[:0]
         self._pool = ThreadPool(threads)
-        self.lock = Lock()
+        self.busy = False
 
     def _operations(self) -> int:
         """Operations of a control step of one environment, without the integrator's own."""
@@ -283,9 +282,10 @@ class Core:
     # ---- stepping ----------------------------------------------------------------------------
 
     def claim(self) -> None:
-        """Take the lock; a RuntimeError if another thread steps or resets this batch."""
-        if not self.lock.acquire(blocking=False):
+        """Mark the batch as busy; a RuntimeError if another thread steps or resets it."""
+        if self.busy:  # CPython lets threads and signals in at calls, not between these lines
             raise in_use()
+        self.busy = True
 
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, int]:
         """Advance all by one control step; return outputs and the number of ended episodes."""

@@ -101,41 +101,47 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
                 self.core.seed(0, self.np_random)
                 self._seeded = True
             out = self.core.reset(_ONE, options)
+            observation = self._observed(out.observation.copy())
+            info = out.described(out.values.tolist(), out.marks.tolist())
         finally:
-            self.core.lock.release()
+            self.core.busy = False
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        observation = self._observed(out.observation.copy())
-        return observation, out.described(out.values.tolist(), out.marks.tolist())
+        return observation, info
 
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by one control step."""
         core = self.core
-        if not core.lock.acquire(blocking=False):  # `core.claim`, without the cost of a call
+        if core.busy:  # `core.claim`, without the cost of a call
             raise in_use()
-        advance, out = core.alone
+        core.busy = True
         try:
+            advance, out = core.alone
             self._store(core.action, action)
             if advance() < 0:
                 raise not_finite(core.action)
             values, marks = out.values.tolist(), out.marks.tolist()
+            info, flat = out.described(values, marks), out.observation.copy()
         finally:
-            core.lock.release()
+            core.busy = False
+        if self.render_mode is not None:
+            self._follow()
+        if self._goal:
+            observation = self._observed(flat)
+            achieved, desired = (observation[name] for name in GOALS)
+            reward = self.compute_reward(achieved, desired, info)
+            return observation, reward, marks[0], marks[1], info
+        return flat, values[0], marks[0], marks[1], info
+
+    def _follow(self) -> None:
         if self._renderer is not None:
             self._renderer.follow(self.core)
         if self.render_mode == "human":
             self.render()
-        info = out.described(values, marks)
-        if self._goal:
-            observation = self._observed(out.observation.copy())
-            achieved, desired = (observation[name] for name in GOALS)
-            reward = self.compute_reward(achieved, desired, info)
-            return observation, reward, marks[0], marks[1], info
-        return out.observation.copy(), values[0], marks[0], marks[1], info
 
     def _store(self, place: NDArray[np.float32], action: Any) -> None:
         try:

@@ -54,7 +54,7 @@ class SB3VecEnv(VecEnv):
                 if options:
                     self.core.restart(np.array([i]), out, options)
         finally:
-            self.core.lock.release()
+            self.core.busy = False
         self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
@@ -70,7 +70,7 @@ class SB3VecEnv(VecEnv):
         try:
             return self._stepped()
         finally:
-            self.core.lock.release()
+            self.core.busy = False
 
     def _stepped(self) -> Any:
         out, ended = self.core.step(self._actions)

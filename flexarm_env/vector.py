@@ -145,7 +145,7 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
             self._pending = np.setdiff1d(self._pending, rows)
             self._keep(out)
         finally:
-            self.core.lock.release()
+            self.core.busy = False
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":
@@ -188,7 +188,7 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         try:
             result = self._stepped(array)
         finally:
-            self.core.lock.release()
+            self.core.busy = False
         if self._renderer is not None:
             self._renderer.follow(self.core)
         if self.render_mode == "human":

@@ -1,6 +1,5 @@
 """Compilation of functions, and memory for compiled code."""
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -36,9 +35,10 @@ outermost = on_disk(**_FAST, **ENTRY_OPTIONS)
 def aligned_zeros(shape: int | tuple[int, ...], dtype: Any) -> NDArray[Any]:
     """Zeros that begin at a cache line, as a view of a larger array.
 
-    Otherwise every other vector would cross a line, which costs up to a fifth of the speed.
+    Otherwise every other vector would cross a line. Gain for states and outputs:
+    docs/results/tricks.md.
     """
-    size, each = math.prod(np.atleast_1d(shape).tolist()), np.dtype(dtype).itemsize
+    size, each = int(np.prod(shape)), np.dtype(dtype).itemsize
     memory = np.zeros(size + CACHE_LINE // each, dtype)
     first = -memory.ctypes.data % CACHE_LINE // each
     return memory[first : first + size].reshape(shape)

@@ -16,7 +16,7 @@ state before the step and is reported there.
 
 ENTRIES = """
 take, put, expect = lane_moves(int(LANES))
-gather, scatter = row_moves(int(LANES))
+_, scatter = row_moves(int(LANES))
 take_actions, _ = block_moves(int(LANES), int(N_ACTION))
 _, put_observations = block_moves(int(LANES), int(N_OBSERVATION))
 
@@ -61,16 +61,15 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
         return np.int64(0)
 
     ended = np.int64(0)
-    given = actions.reshape(actions.size)
+    flat = actions.reshape(actions.size)
     #steps
     start, stop = first_chunk(rows, thread)
     while start < stop:
         for k in range(start * N_ACTION, stop * N_ACTION):
-            ended -= given[k] - given[k] != 0.0
+            ended -= flat[k] - flat[k] != 0.0
         if ended < 0:
             return ended
         for column in range(start, stop, LANES):
-            whole = column + LANES <= stop
             for k in range(N_INFO):
                 expect(info, k * width + column)
             for k in range(N_OBSERVATION):
@@ -84,10 +83,7 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
             for k in range(N_DRAWN):
                 row = N_STATE + N_MEMORY + N_FREE + k
                 take(w, DRAWN + k * LANES, state, row * width + column)
-            if whole:
-                take_actions(w, GIVEN, actions, column)
-            else:
-                gather(w, GIVEN, actions, column)
+            take_actions(w, GIVEN, actions, column)
             command(w)
             #noise
             #advance
@@ -118,11 +114,7 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
                 put(w, FLAGS + k * LANES, flags, k * width + column)
             for k in range(N_INFO):
                 put(w, INFO + k * LANES, info, k * width + column)
-            if whole:
-                put_observations(w, OBSERVATION, obs, column)
-            else:
-                for b in range(stop - column):
-                    scatter(w, OBSERVATION + b, obs, column + b)
+            put_observations(w, OBSERVATION, obs, column)
         for i in range(start, stop):
             ended += flags[0, i] | flags[1, i]
         start, stop = take_chunk(rows, thread)

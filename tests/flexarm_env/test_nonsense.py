@@ -1,7 +1,9 @@
 """For any input, an environment gives finite numbers or refuses the input with a sentence."""
 
 import math
+import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -135,6 +137,12 @@ def test_actions_are_used_or_refused_and_change_nothing_then(env: Any, envs: Any
 
 @pytest.mark.parametrize("bad", [math.inf, -math.inf, math.nan])
 def test_an_action_that_is_not_finite_is_refused_for_every_size_and_thread(bad: float) -> None:
+    env: Any = gym.make(ONE).unwrapped
+    env.reset(seed=0)
+    before = env.core.state.copy()
+    with pytest.raises(ValueError, match="Actions must be finite"):
+        env.step(np.array([bad], np.float32))
+    np.testing.assert_array_equal(env.core.state, before)
     for keywords in ({"num_envs": 2}, {"num_envs": 20_000, "threads": 2}):
         envs: Any = gym.make_vec(ONE, **keywords)
         envs.reset(seed=0)
@@ -278,11 +286,62 @@ def test_an_environment_in_use_by_another_thread_refuses_to_step() -> None:
         (sb3, sb3.step_wait),
     ):
         each.reset()
-        with each.core.lock:
-            for call in (step, each.reset):
-                with pytest.raises(RuntimeError, match="in use by another thread"):
-                    call()
+        each.core.claim()
+        for call in (step, each.reset):
+            with pytest.raises(RuntimeError, match="in use by another thread"):
+                call()
+        each.core.busy = False
         step()
+
+
+def test_an_interrupted_first_step_leaves_the_environment_usable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Compiling takes seconds, and a user may stop it."""
+
+    def stopped(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    env: Any = gym.make(ONE).unwrapped
+    env.reset(seed=0)
+    with monkeypatch.context() as patch:
+        patch.setattr("flexarm_env.core.partial", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            env.step(np.zeros(1))
+    env.step(np.zeros(1))
+
+
+def test_a_single_environment_stepped_from_four_threads_returns_every_step_once() -> None:
+    """Every step that is not refused returns its own observation, reward and info."""
+    env, alone = (gym.make(ONE).unwrapped for _ in range(2))
+    outcomes: list[Any] = []
+
+    def step() -> None:
+        for _ in range(500):
+            try:
+                observation, reward, *_, info = env.step(np.ones(1, np.float32))
+                outcomes.append((*observation.tolist(), reward, *info["torque"], info["tip_error"]))
+            except RuntimeError:
+                time.sleep(0)
+
+    for each in (env, alone):
+        each.reset(seed=0)
+    often = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        threads = [threading.Thread(target=step) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        sys.setswitchinterval(often)
+    expected = []
+    for _ in outcomes:
+        observation, reward, *_, info = alone.step(np.ones(1, np.float32))
+        expected.append((*observation.tolist(), reward, *info["torque"], info["tip_error"]))
+    assert len(set(expected)) > 100
+    assert sorted(outcomes) == sorted(expected)
 
 
 def test_a_batch_stepped_from_four_threads_is_right_or_refuses() -> None:

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic, register_jitable
 
-from dynamics.backends.numba_llvm.vector_code import WORD, once, vector
+from dynamics.backends.numba_llvm.vector_code import WORD, bytes_of, once, vector
 from dynamics.runtime.jit import CACHE_LINE
 from dynamics.runtime.numba_internals import array_struct, data_pointer, for_range, unpack_tuple
 
@@ -26,8 +27,7 @@ def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
 
     def pointer(context, builder, kind, array, offset):  # type: ignore[no-untyped-def]
         data = data_pointer(context, builder, kind, array)
-        address = builder.gep(data, [offset])
-        return builder.bitcast(address, vector(address.type.pointee, lanes).as_pointer())
+        return _place(builder, data, offset, vector(data.type.pointee, lanes))
 
     def convert(builder, value, number):  # type: ignore[no-untyped-def]
         kind = vector(number, lanes)
@@ -60,7 +60,7 @@ def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
             data = data_pointer(context, builder, signature.args[0], args[0])
             size = context.get_abi_sizeof(data.type.pointee)
-            place = builder.bitcast(builder.gep(data, [args[1]]), _BYTES)
+            place = _place(builder, data, args[1], ir.IntType(8))
             kind = ir.FunctionType(ir.VoidType(), [_BYTES, *3 * [ir.IntType(32)]])
             fetch = builder.module.globals.get(_FETCH) or ir.Function(builder.module, kind, _FETCH)
             for byte in range(0, lanes * size, CACHE_LINE):
@@ -127,14 +127,10 @@ def row_moves(lanes: int) -> tuple[Any, Any]:
 def block_moves(lanes: int, columns: int) -> tuple[Any, Any]:
     """Functions `take_rows` and `put_rows` on consecutive rows of a C-ordered array.
 
-    `take_rows(w, at, rows, first)` copies rows first ... first + lanes, which must exist, to the
-    slots from offset `at` on, a slot per column and a lane per row; `put_rows(w, at, rows, first)`
-    copies them back. Both transpose in vector registers. Numbers are converted. Gain:
-    docs/results/tricks.md.
+    `take_rows(w, at, rows, first)` copies rows first ... first + lanes to the slots from offset
+    `at` on, as `gather` does; `put_rows(w, at, rows, first)` copies them back, as far as there are
+    such rows. Whole blocks are transposed in vector registers. Gain: docs/results/tricks.md.
     """
-
-    def address(builder, data, offset, kind):  # type: ignore[no-untyped-def]
-        return builder.bitcast(builder.gep(data, [offset]), kind.as_pointer())
 
     def runs(builder, data, row, at, width):  # type: ignore[no-untyped-def]
         """Addresses of `width` columns: one per row, or one in all if there are no others."""
@@ -142,53 +138,69 @@ def block_moves(lanes: int, columns: int) -> tuple[Any, Any]:
         count, size = (1, lanes * width) if width == columns else (lanes, width)
         kind = ir.VectorType(data.type.pointee, size)
         offsets = [builder.add(start, WORD(b * columns + at)) for b in range(count)]
-        return [address(builder, data, offset, kind) for offset in offsets]
+        return [_place(builder, data, offset, kind) for offset in offsets]
 
     def slots_of(builder, slots, at, width):  # type: ignore[no-untyped-def]
         kind = ir.VectorType(slots.type.pointee, lanes)
-        return [address(builder, slots, WORD(k * lanes), kind) for k in range(at, at + width)]
+        return [_place(builder, slots, WORD(k * lanes), kind) for k in range(at, at + width)]
 
-    def taken(builder, slots, data, size, first):  # type: ignore[no-untyped-def]
-        for at, width in _chunks(columns, size):
+    def taken(builder, slots, data, first):  # type: ignore[no-untyped-def]
+        own, other = (bytes_of(x.type.pointee) for x in (slots, data))
+        for at, width in _chunks(columns, other):
             places = runs(builder, data, first, at, width)
-            block = _joined(builder, [builder.load(x, align=size) for x in places])
+            block = _joined(builder, [builder.load(x, align=other) for x in places])
             for k, slot in enumerate(slots_of(builder, slots, at, width)):
                 column = _picked(builder, block, range(k, lanes * width, width))
-                builder.store(_converted(builder, column, slot.type.pointee), slot, align=4)
+                builder.store(_converted(builder, column, slot.type.pointee), slot, align=own)
 
-    def put(builder, slots, data, size, first):  # type: ignore[no-untyped-def]
+    def put(builder, slots, data, first):  # type: ignore[no-untyped-def]
+        own, other = (bytes_of(x.type.pointee) for x in (slots, data))
         kind = ir.VectorType(data.type.pointee, lanes)
-        for at, width in _chunks(columns, size):
-            values = [builder.load(x, align=4) for x in slots_of(builder, slots, at, width)]
+        for at, width in _chunks(columns, other):
+            values = [builder.load(x, align=own) for x in slots_of(builder, slots, at, width)]
             block = _zipped(builder, [_converted(builder, value, kind) for value in values])
             places = runs(builder, data, first, at, width)
             each = lanes * width // len(places)
             for b, place in enumerate(places):
                 part = _picked(builder, block, range(b * each, (b + 1) * each))
-                builder.store(part, place, align=size)
+                builder.store(part, place, align=other)
 
     def move(body: Callable[..., None]) -> Any:
         @intrinsic
-        def rows_moved(typingctx, w, at, rows, first):  # type: ignore[no-untyped-def]
+        def block_moved(typingctx, w, at, rows, first):  # type: ignore[no-untyped-def]
             def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-                kinds = signature.args
-                slots = data_pointer(context, builder, kinds[0], args[0])
-                data = data_pointer(context, builder, kinds[2], args[2])
-                size = context.get_abi_sizeof(data.type.pointee)
+                slots = data_pointer(context, builder, signature.args[0], args[0])
+                data = data_pointer(context, builder, signature.args[2], args[2])
                 given = [builder.gep(slots, [args[1]]), data, args[3]]
                 name = f"{body.__name__}_{columns}_{slots.type.pointee}_{data.type.pointee}"
-                made = once(
-                    builder.module, name, given,
-                    lambda builder, slots, data, first: body(builder, slots, data, size, first),
-                )  # fmt: skip
-                builder.call(made, given)
+                builder.call(once(builder.module, name, given, body), given)
                 return context.get_dummy_value()
 
             return types.void(w, at, rows, first), codegen
 
-        return rows_moved
+        return block_moved
 
-    return move(taken), move(put)
+    take_block, put_block = move(taken), move(put)
+    gather, scatter = row_moves(lanes)
+    whole = np.uint64(lanes)
+
+    @register_jitable
+    def take_rows(w, at, rows, first):  # type: ignore[no-untyped-def]
+        if first + whole <= np.uint64(rows.shape[0]):
+            take_block(w, at, rows, first)
+        else:
+            gather(w, at, rows, first)
+
+    @register_jitable
+    def put_rows(w, at, rows, first):  # type: ignore[no-untyped-def]
+        count = np.uint64(rows.shape[0])
+        if first + whole <= count:
+            put_block(w, at, rows, first)
+        else:
+            for b in range(count - first):
+                scatter(w, at + b, rows, first + b)
+
+    return take_rows, put_rows
 
 
 def _chunks(columns: int, size: int) -> Iterator[tuple[int, int]]:
@@ -228,6 +240,11 @@ def _zipped(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
     a, b = _zipped(builder, parts[::2]), _zipped(builder, parts[1::2])
     count = a.type.count
     return _shuffled(builder, a, b, (k for i in range(count) for k in (i, count + i)))
+
+
+def _place(builder: ir.IRBuilder, data: ir.Value, offset: ir.Value, kind: ir.Type) -> ir.Value:
+    """Address of an element by its number, as one of another type."""
+    return builder.bitcast(builder.gep(data, [offset]), kind.as_pointer())
 
 
 def _element(builder: ir.IRBuilder, data: ir.Value, offset: ir.Value) -> ir.Value:

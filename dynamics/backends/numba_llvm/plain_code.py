@@ -85,17 +85,11 @@ def row_moves(lanes: int) -> tuple[Any, Any]:
 
 def block_moves(lanes: int, columns: int) -> tuple[Any, Any]:
     """`take_rows` and `put_rows` of moves.py."""
-
-    @register_jitable
-    def take_rows(w, at, rows, first):  # type: ignore[no-untyped-def]
-        for k in range(columns):
-            for b in range(lanes):
-                w[np.int64(at) + k * lanes + b] = rows[np.int64(first) + b, k]
+    gather, scatter = row_moves(lanes)
 
     @register_jitable
     def put_rows(w, at, rows, first):  # type: ignore[no-untyped-def]
-        for k in range(columns):
-            for b in range(lanes):
-                rows[np.int64(first) + b, k] = w[np.int64(at) + k * lanes + b]
+        for b in range(min(lanes, rows.shape[0] - np.int64(first))):
+            scatter(w, np.int64(at) + b, rows, np.int64(first) + b)
 
-    return take_rows, put_rows
+    return gather, put_rows

@@ -30,15 +30,9 @@ def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, mea
     start, stop = first_chunk(rows, thread)
     while start < stop:
         for first in range(start, stop, LANES):
-            whole = first + LANES <= stop
-            if whole:
-                take_states(w, Q, q, first)
-                take_states(w, V, v, first)
-                take_torques(w, TAU, torque, first)
-            else:
-                gather(w, Q, q, first)
-                gather(w, V, v, first)
-                gather(w, TAU, torque, first)
+            take_states(w, Q, q, first)
+            take_states(w, V, v, first)
+            take_torques(w, TAU, torque, first)
             gather(w, PARAMETERS, parameters, first)
             #enter
             for b in range(LANES):
@@ -54,7 +48,7 @@ def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, mea
             kept = 0
             for b in range(LANES):
                 kept += np.int64(w[GOOD + b]) == substeps
-            if whole and kept == LANES:
+            if kept == LANES:
                 put_states(w, Q, q, first)
                 put_states(w, V, v, first)
                 put_measured(w, MEASURED, measured, first)

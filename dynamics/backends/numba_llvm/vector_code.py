@@ -54,8 +54,7 @@ def straight_line(name: str, lanes: int, text: str, loose: bool = False) -> Any:
     def body(builder: ir.IRBuilder, data: ir.Value) -> None:
         if lanes > 1 or length > LONG:
             _lay_out_stack(builder, data)
-        size = 4 if isinstance(data.type.pointee, ir.FloatType) else 8
-        register = _register()
+        register, size = _register(), bytes_of(data.type.pointee)
         least = (NARROW_LOOSE if loose else NARROW)[register]
         width = lanes if length < least else min(lanes, register // size)
         pieces = _pieces(text)
@@ -79,6 +78,11 @@ def _register() -> int:
     told = config.CPU_FEATURES
     features = get_host_cpu_features() if told is None else told
     return 64 if "+avx512f" in features.split(",") else 32
+
+
+def bytes_of(number: ir.Type) -> int:
+    """Size of a floating-point number."""
+    return 4 if isinstance(number, ir.FloatType) else 8
 
 
 def vector(number: ir.Type, width: int) -> ir.Type:

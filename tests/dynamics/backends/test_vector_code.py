@@ -85,12 +85,14 @@ def test_rows_move_between_workspace_and_arrays(
 
 
 BLOCKS = """
+import numpy as np
 from dynamics.backends.numba_llvm.{file} import block_moves
 from dynamics.runtime.jit import outermost
 take_rows, put_rows = block_moves({lanes}, {columns})
 
 @outermost
 def there_and_back(source, first, w, target, row):
+    first, row = np.uint64(first), np.uint64(row)
     take_rows(w, {lanes}, source, first)
     put_rows(w, {lanes}, target, row)
 """
@@ -103,30 +105,33 @@ def there_and_back(source, first, w, target, row):
     [("float64", "float32"), ("float32", "float64"), ("float64", "float64")],
 )
 @pytest.mark.parametrize("file", ["moves", "plain_code"])
+@pytest.mark.parametrize("missing", [0, 1])
 def test_blocks_of_rows_are_transposed(
     lanes: int,
     columns: int,
     held: str,
     given: str,
     file: str,
+    missing: int,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Just those rows, a lane each, also where the array begins anywhere in memory."""
+    """Just those rows, a lane each, wherever the array begins; the last stands for missing ones."""
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
     text = BLOCKS.format(lanes=lanes, columns=columns, file=file)
     module = cached_module(f"blocks_{lanes}_{columns}_{held}_{given}_{file}", lambda: text)
     memory = np.arange((lanes + 4) * columns + 1.0).astype(given)
     source = memory[1:].reshape(-1, columns)
     w, target = np.zeros((columns + 2) * lanes, held), np.full((lanes + 2, columns), -7.0, given)
+    count = lanes - missing  # of the rows from 3 and 1 on
 
-    module.there_and_back(source, 3, w, target, 1)
+    module.there_and_back(source[: 3 + count], 3, w, target[: 1 + count], 1)
 
-    expected = source[3 : 3 + lanes]
+    expected = source[np.minimum(3 + np.arange(lanes), 2 + count)]
     np.testing.assert_array_equal(w[lanes:-lanes].reshape(columns, lanes), expected.T)
     np.testing.assert_array_equal(w[[*range(lanes), *range(-lanes, 0)]], 0.0)
-    np.testing.assert_array_equal(target[1:-1], expected)
-    np.testing.assert_array_equal(target[[0, -1]], -7.0)
+    np.testing.assert_array_equal(target[1 : 1 + count], expected[:count])
+    np.testing.assert_array_equal(np.delete(target, np.s_[1 : 1 + count], axis=0), -7.0)
 
 
 LONG = """
