@@ -67,11 +67,16 @@ class Gain:
 
 
 def riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
-    """Solution of the discrete Riccati equation; a LinAlgError where the weights allow none."""
-    try:
-        return np.asarray(solve_discrete_are(A, B, Q, R), dtype=np.float64)
-    except ValueError as error:
-        raise np.linalg.LinAlgError(str(error)) from None
+    """Solution of the discrete Riccati equation; a LinAlgError where the weights allow none.
+
+    Balancing, which SciPy tries first, can fail by round-off that depends on the processor.
+    """
+    for balanced in (True, False):
+        try:
+            return np.asarray(solve_discrete_are(A, B, Q, R, balanced=balanced), dtype=np.float64)
+        except (ValueError, np.linalg.LinAlgError) as error:
+            reason = str(error)
+    raise np.linalg.LinAlgError(reason)
 
 
 class ModelBased:

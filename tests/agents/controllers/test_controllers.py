@@ -5,8 +5,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are
 
-from agents.controllers import CONTROLLERS, controller
+from agents.controllers import CONTROLLERS, controller, lqr
 from agents.controllers.linear_model import LinearModels
 from agents.leaderboard.tracks import RANKED, keywords, takes_part
 from agents.metrics import episode_metrics, make_batch, record
@@ -35,6 +36,29 @@ def test_every_controller_takes_one_observation_or_a_batch(
         observations = envs.step(actions.astype(np.float32))[0]
     alone = subject.predict(observations[0])[0]
     assert alone.shape == envs.single_action_space.shape
+
+
+@pytest.mark.parametrize("failing", [True, False], ids=["balanced", "unbalanced"])
+def test_a_riccati_equation_is_solved_where_one_of_both_forms_fails(
+    failing: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On some processors SciPy cannot reorder a balanced pencil that others can."""
+
+    def solve(*matrices: Any, balanced: bool) -> Any:
+        if balanced is failing:
+            raise np.linalg.LinAlgError("Reordering failed")
+        return solve_discrete_are(*matrices, balanced=balanced)
+
+    monkeypatch.setattr(lqr, "solve_discrete_are", solve)
+    A, B, Q, R = np.array([[1.0, 0.1], [-0.2, 0.9]]), np.array([[0.0], [1.0]]), np.eye(2), np.eye(1)
+    P = lqr.riccati(A, B, Q, R)
+    gain = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+    assert A.T @ P @ (A - B @ gain) + Q == pytest.approx(P)
+
+
+def test_weights_without_a_gain_are_a_linear_algebra_error() -> None:
+    with pytest.raises(np.linalg.LinAlgError):
+        lqr.riccati(2.0 * np.eye(1), np.zeros((1, 1)), np.eye(1), np.eye(1))
 
 
 def _plant(models: LinearModels, *wanted: float) -> int:
