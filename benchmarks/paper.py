@@ -73,8 +73,8 @@ def speed(stored: dict[str, Any]) -> str:
         )
         for scene, words in SCENES.items()
     ]
-    header = ("arm", "coordinates", "right-hand side [ns]", "share of peak", f"steps per second, {SIZE}",
-              "error [thousandths of the reach]")  # fmt: skip
+    header = ("arm", "coordinates", "right-hand side [ns]", "share of peak",
+              f"steps per second, {SIZE}", "error [thousandths of the reach]")  # fmt: skip
     return table(header, rows, "lr")
 
 
