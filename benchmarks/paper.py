@@ -15,7 +15,8 @@ from benchmarks.output import RESULTS, ROOT, argument_parser, table
 
 PAGE = ROOT / "docs" / "paper.md"
 SCENES = {"OneLink": "one link", "TwoLink": "two links", "SixLink": "six links, spatial"}
-BATCH = "batch of 16384, 1 thread, float64 [steps/s]"
+SIZE = "batch of 16384"
+BATCH = f"{SIZE}, 1 thread, float64 [steps/s]"
 ERROR = "error in all at full torque [reach]"
 REFERENCES = ("zero", "random")  # controllers that rank nothing
 
@@ -48,7 +49,7 @@ def summary(stored: dict[str, Any]) -> str:
         if name not in ("steps", "time out", "invalid", "diverged")
     )
     return (
-        f"On one core, a batch takes {_count(rates[0])}, {_count(rates[1])} and "
+        f"On one core, a {SIZE} takes {_count(rates[0])}, {_count(rates[1])} and "
         f"{_count(rates[2])} control steps per second for one, two and six links, with tip errors "
         f"of at most {1e3 * worst:.2g} thousandths of the reach. At equal error it needs "
         f"{min(ratios):.0f} to {max(ratios):.0f} times less processor time than the cheapest runs "
@@ -72,8 +73,8 @@ def speed(stored: dict[str, Any]) -> str:
         )
         for scene, words in SCENES.items()
     ]
-    header = ("arm", "coordinates", "right-hand side [ns]", "share of peak", "steps per second",
-              "error [thousandths of the reach]")  # fmt: skip
+    header = ("arm", "coordinates", "right-hand side [ns]", "share of peak",
+              f"steps per second, {SIZE}", "error [thousandths of the reach]")  # fmt: skip
     return table(header, rows, "lr")
 
 

@@ -1,14 +1,19 @@
 """Configuration of the documentation: `python -m sphinx -W --keep-going docs site`."""
 
 import re
+import tomllib
 from importlib.resources import files
+from pathlib import Path
 from posixpath import dirname
 
 from docutils.nodes import SkipNode
 from latex2mathml.converter import convert
 from sphinx.ext.napoleon import Config, NumpyDocstring
 
+PACKAGE = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text("utf-8"))
+
 project = "flexarm"
+version = release = PACKAGE["project"]["version"]
 author = copyright = "flexarm contributors"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_copybutton"]
 root_doc = "index"

@@ -49,14 +49,25 @@ def test_the_workflow_tests_every_python_that_the_package_names() -> None:
 
 
 def test_the_workflow_runs_scripts_that_are_there() -> None:
-    """On two systems, from wheels alone."""
+    """On two systems, from wheels; at night all tests, for which one library has no wheel."""
     runs = [s["run"] for job in WORKFLOW["jobs"].values() for s in job["steps"] if "run" in s]
     scripts = [ROOT / run for run in runs if run.startswith(".ci/")]
-    assert {script.name for script in scripts} == {"run", "oldest"}
+    assert {script.name for script in scripts} == {"run", "nightly", "oldest"}
     assert all(os.access(script, os.X_OK) for script in scripts)
     systems = WORKFLOW["jobs"]["readme"]["strategy"]["matrix"]["os"]
     assert [name.partition("-")[0] for name in systems] == ["ubuntu", "macos"]
     assert WORKFLOW["env"]["PIP_ONLY_BINARY"] == ":all:"
+    assert [name for name, job in WORKFLOW["jobs"].items() if "env" in job] == ["nightly"]
+
+
+def test_the_nightly_tests_run_by_the_clock_and_nothing_else_does() -> None:
+    assert WORKFLOW[True]["schedule"]  # YAML reads the key `on` as true
+    clock = {
+        name: job["if"] == "github.event_name == 'schedule'"
+        for name, job in WORKFLOW["jobs"].items()
+    }
+    assert [name for name, nightly in clock.items() if nightly] == ["nightly"]
+    assert WORKFLOW["jobs"]["nightly"]["steps"][-1]["run"] == ".ci/nightly"
 
 
 @pytest.mark.parametrize("name", ["run", "nightly", "oldest"])

@@ -57,7 +57,9 @@ def test_the_wheel_holds_every_package_and_its_data(wheel: Path) -> None:
         for path in (ROOT / part).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    wanted |= {f"agents/configs/{path.name}" for path in (ROOT / "configs").glob("*.yaml")}
+    configs = ROOT / "configs"
+    files = [*configs.glob("*.yaml"), *configs.glob("rl_zoo/*.yml")]
+    wanted |= {f"agents/configs/{path.relative_to(configs).as_posix()}" for path in files}
     assert held == wanted
 
 
