@@ -37,6 +37,7 @@ def test_every_command_says_what_it_takes(name: str, capsys: pytest.CaptureFixtu
     [
         ("train", ["--config", "none.yaml"], "train.py"),
         ("evaluate", ["nothing", "--out", "nowhere"], "agents.evaluate"),
+        ("sweep", [], "agents.sweep"),
         ("leaderboard", ["--tasks", "nothing"], "agents.leaderboard"),
         ("certify", ["nothing"], "flexarm_env.certify"),
         (

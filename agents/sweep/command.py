@@ -22,7 +22,7 @@ from agents.files import FolderError, atomic_write, check_folder, folder_lock
 from agents.learners.algorithms import settings
 from agents.learners.ranges import DEFAULTS, drawn
 from agents.run_folder.folder import refuse_used
-from agents.sentences import one_line
+from agents.sentences import one_line, speaker
 from agents.sweep.trial import POLICY, REPORTS, train_trial
 from agents.training import prepare
 from dynamics.arms import ARMS
@@ -71,10 +71,10 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.sweep
         else:
             start(a)
     except (SweepError, ConfigError, FolderError) as error:
-        print(f"agents.sweep: {one_line(error)}", file=sys.stderr)
+        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
     except ConnectionError as error:
-        print(f"agents.sweep: no cluster at {a.address} ({one_line(error)}).", file=sys.stderr)
+        print(f"{speaker(prog)}: no cluster at {a.address} ({one_line(error)}).", file=sys.stderr)
         return 1
     return 0
 
