@@ -12,7 +12,7 @@ from agents.comparison import compare
 from agents.config import LIMITS
 from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
 from agents.environments import REFUSALS, check_keywords
-from agents.files import FolderError, check_folder, folder_lock
+from agents.files import FolderError, check_folder
 from agents.hybrid.controller import acting
 from agents.leaderboard.replay import YARDSTICK, optimal
 from agents.leaderboard.tracks import takes_part, track_of
@@ -27,6 +27,7 @@ from agents.policy import (
     load_policy,
 )
 from agents.run_folder.folder import versions
+from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, speaker
 from agents.signals import Interrupted, signals_to, stop_at_once
 from agents.tune import parameters_of

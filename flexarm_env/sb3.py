@@ -8,10 +8,15 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
 
+from dynamics.extras import missing
 from flexarm_env.compiled.outputs import BatchOutputs
 from flexarm_env.vector import FlexArmVectorEnv
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError as error:
+    raise missing(error, "SB3VecEnv", "train") from None
 
 
 class SB3VecEnv(VecEnv):

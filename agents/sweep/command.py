@@ -18,15 +18,17 @@ import yaml
 
 from agents.config import Config, ConfigError, config_from_dict, load_config
 from agents.experiments import find_experiment
-from agents.files import FolderError, atomic_write, check_folder, folder_lock
+from agents.files import FolderError, atomic_write, check_folder
 from agents.learners.algorithms import settings
 from agents.learners.ranges import DEFAULTS, drawn
 from agents.run_folder.folder import refuse_used
+from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, speaker
 from agents.sweep.trial import POLICY, REPORTS, train_trial
 from agents.training import prepare
 from dynamics.arms import ARMS
 from dynamics.description import validate
+from dynamics.extras import installation
 
 TRIALS, SEED = 20, 0  # where the command line says none
 MOST_TRIALS = 10_000
@@ -177,7 +179,7 @@ def require_ray() -> None:
     try:
         import ray.tune  # noqa: F401
     except ImportError:
-        raise SweepError("Ray is missing; pip install -c constraints.txt -e '.[scale]'.") from None
+        raise SweepError(f"Ray is missing; {installation('scale')}") from None
 
 
 def plan(config: Config, n: int, seed: int) -> list[Config]:

@@ -151,7 +151,7 @@ def test_a_missing_ray_is_named_with_the_remedy(
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray.tune", None)
     assert main([str(write_config(tmp_path, "ppo", 256))]) == 2
-    assert "pip install -c constraints.txt -e '.[scale]'" in one_sentence(capsys)
+    assert 'pip install -c constraints.txt -e ".[scale]"' in one_sentence(capsys)
 
 
 @pytest.mark.slow
