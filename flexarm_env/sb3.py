@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from dynamics.description import validate
 from dynamics.extras import missing
 from flexarm_env.compiled.outputs import BatchOutputs
 from flexarm_env.vector import FlexArmVectorEnv
@@ -37,6 +38,11 @@ class SB3VecEnv(VecEnv):
             raise ValueError(
                 f"Give the number of environments once, as n_envs or num_envs, got n_envs={n_envs} "
                 f"and num_envs={num_envs}."
+            )
+        if "autoreset_mode" in kwargs:
+            raise ValueError(
+                "autoreset_mode of SB3VecEnv is always SAME_STEP, got "
+                f"{validate.shown(kwargs['autoreset_mode'])}; leave it out."
             )
         n_envs = given[0]
         envs = gym.make_vec(id, num_envs=n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
