@@ -179,7 +179,8 @@ def test_modules_name_a_missing_extra_too(
 def test_policies_and_fits_need_no_extra(module: str, tmp_path: Path) -> None:
     extra = ("filelock", "optuna", "osqp", "rich", "sb3_contrib", "stable_baselines3")
     ran = python(
-        f"sys.modules.update(dict.fromkeys({extra})); import {module}; print('torch' in sys.modules)",
+        f"sys.modules.update(dict.fromkeys({extra}))\n"
+        f"import {module}\nprint('torch' in sys.modules)",
         folder=tmp_path,
     )
     assert ran.stdout == "False\n", ran.stderr

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
+from agents.environments import look_in_present_folder
 from agents.figures import save_figure
 from agents.hybrid.controller import acting
 from agents.leaderboard.bound import PLANTS, best_of, compute
@@ -67,9 +68,7 @@ def built(name: str, env: Any, env_id: str, track: str) -> list[Controller]:
 def users_class(name: str) -> Callable[[Any], Controller]:
     """The class that a user names on the command line as mymodule:MyController."""
     module, _, attribute = name.partition(":")
-    here = str(Path.cwd())
-    if here not in sys.path:  # `flexarm leaderboard` is a script of another folder
-        sys.path.append(here)
+    here = look_in_present_folder()
     try:
         found: Callable[[Any], Controller] = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
