@@ -41,8 +41,8 @@ def main(arguments: list[str] | None = None) -> int:
         run = import_module(COMMANDS[name][0]).main
     except ModuleNotFoundError as error:
         print(
-            f"flexarm: {name} needs {error.name}, which is not installed; run in the folder of "
-            f"flexarm: pip install -c constraints.txt -e '.[{EXTRAS.get(name, 'train')}]'",
+            f"flexarm: {name} needs {error.name}, which is not installed; "
+            f"{installation(EXTRAS.get(name, 'train'))}",
             file=sys.stderr,
         )
         return MISSING
@@ -53,6 +53,13 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNREAD
     return status
+
+
+def installation(extra: str) -> str:
+    """Advice of `dynamics.extras.installation`, which cannot be imported without its libraries."""
+    if (Path(__file__).resolve().parent / "constraints.txt").is_file():
+        return f'run in the folder of flexarm: pip install -c constraints.txt -e ".[{extra}]"'
+    return f'run: pip install "flexarm[{extra}]"'
 
 
 def parser() -> argparse.ArgumentParser:

@@ -2,6 +2,8 @@
 
 import inspect
 import json
+import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -16,6 +18,14 @@ KEYWORDS = sorted(
 # Errors with which Gymnasium, an environment or a learner refuses its arguments.
 REFUSALS: tuple[type[Exception], ...] = (TypeError, ValueError, ArithmeticError, AssertionError)
 REFUSALS += (MemoryError, RuntimeError, ImportError, gym.error.Error)
+
+
+def look_in_present_folder() -> Path:
+    """Find a user's modules in the present folder too; `flexarm` is a script of another one."""
+    here = Path.cwd()
+    if str(here) not in sys.path:
+        sys.path.append(str(here))
+    return here
 
 
 def check_keywords(kwargs: Any, where: str) -> dict[str, Any]:

@@ -11,8 +11,8 @@ import yaml
 from agents.comparison import compare
 from agents.config import LIMITS
 from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
-from agents.environments import REFUSALS, check_keywords
-from agents.files import FolderError, check_folder, folder_lock
+from agents.environments import REFUSALS, check_keywords, look_in_present_folder
+from agents.files import FolderError, check_folder
 from agents.hybrid.controller import acting
 from agents.leaderboard.replay import YARDSTICK, optimal
 from agents.leaderboard.tracks import takes_part, track_of
@@ -27,13 +27,15 @@ from agents.policy import (
     load_policy,
 )
 from agents.run_folder.folder import versions
+from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, speaker
 from agents.signals import Interrupted, signals_to, stop_at_once
-from agents.tune import parameters_of
+from agents.tune import is_tuned, parameters_of
 from dynamics.description import validate
 from flexarm_env import registered
 
 KNOWN = sorted({*CONTROLLERS, YARDSTICK})
+SENSING = "lqg"  # advice for imperfect hardware
 
 
 class UsageError(ValueError):
@@ -149,8 +151,10 @@ def find_env(
     """Environment id and keywords from the command line, by default those of the training.
 
     With an id on the command line, the keywords of the training do not count. A policy file may
-    name only environments of this package; the command line may name any.
+    name only environments of this package; the command line may name any, also of a user's module.
     """
+    if env_id is not None and ":" in env_id:
+        look_in_present_folder()
     about: Mapping[str, Any] = {} if policy is None else policy.about
     own: str = about.get("env_id", "")
     if env_id is None and not own:
@@ -222,9 +226,12 @@ def classical(name: str, env: Any, env_id: str, kwargs: dict[str, Any]) -> Contr
     if name == "pd":
         gains = tune_pd(env_id, kwargs)
         return joint_pd(env, gains.frequency_ratio, gains.damping_ratio)
+    track = track_of(SENSING, env_id, kwargs)
+    there = track and takes_part(SENSING, env_id, track) and is_tuned(SENSING, env_id, track)
     raise UsageError(
-        f"{name} was not tuned for {env_id} with {validate.shown(kwargs)}; use pd, whose gains are "
-        "searched here, or agents.tune.tune from Python."
+        f"{name} was not tuned for {env_id} with {validate.shown(kwargs)}; use "
+        f"{f'{SENSING}, which was, or ' if there else ''}pd, whose gains are searched here, or "
+        "agents.tune.tune from Python."
     )
 
 

@@ -1,20 +1,9 @@
-"""Atomic file writes, and locks of folders that one process at a time may use."""
+"""Atomic file writes, and checks of folders to write to."""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-
-try:
-    from filelock import FileLock, Timeout
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        f"agents needs {error.name}, which is not installed; run in the folder of flexarm: "
-        "pip install -c constraints.txt -e '.[train]'",
-        name=error.name,
-    ) from None
-
-LOCK = ".lock"  # stays in the folder when the operating system releases the lock
 
 
 class FolderError(ValueError):
@@ -63,23 +52,3 @@ def check_folder(folder: Path) -> None:
             f"{folder}: cannot be written to, because {existing} is not a writable folder; choose "
             "another --out."
         )
-
-
-@contextmanager
-def folder_lock(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock, which the system releases however the process ends."""
-    lock = FileLock(folder / LOCK, timeout=0)
-    try:
-        if (folder / LOCK).is_symlink():
-            raise FolderError(f"{folder / LOCK}: is a link; remove it.")
-        lock.acquire()
-    except Timeout:
-        raise FolderError(
-            f"{folder}: is in use by another process; wait for its end or choose another folder."
-        ) from None
-    except OSError as error:
-        raise FolderError(f"{folder}: cannot be locked ({error.strerror}).") from None
-    try:
-        yield
-    finally:
-        lock.release()

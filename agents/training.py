@@ -25,7 +25,7 @@ from agents.controllers import controller, joint_pd, tune_pd
 from agents.environments import REFUSALS
 from agents.experiments import find_experiment, shipped_experiments
 from agents.figures import plot_learning_curve
-from agents.files import FolderError, folder_lock
+from agents.files import FolderError
 from agents.hybrid.controller import KEY, acting, base_of, description
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
@@ -37,6 +37,7 @@ from agents.policy import Controller, PolicyError, load_policy, save_policy
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
+from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, speaker
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 from agents.tune import parameters_of

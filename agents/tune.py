@@ -22,6 +22,7 @@ from agents.files import atomic_write
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import episode_metrics, make_batch, record
 from dynamics.description import validate
+from dynamics.extras import missing
 from dynamics.types import AnyArray
 
 TRIALS = 40
@@ -42,7 +43,10 @@ def tune(
     stored: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Best parameters of a controller and their mean score; `stored` ones are tried too."""
-    import optuna
+    try:
+        import optuna
+    except ModuleNotFoundError as error:
+        raise missing(error, "agents.tune", "train") from None
 
     ranges = CONTROLLERS[name].ranges
     envs = make_batch(env_id, episodes, kwargs)

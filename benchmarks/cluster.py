@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.output import RESULTS, ROOT, argument_parser, provenance, save_results, table
+from dynamics.extras import installation
 
 CONFIG = Path("configs") / "one_link_reach_ppo.yaml"
 NODES = (1, 2)
@@ -107,7 +108,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "cluster.json")
     a = parser.parse_args()
     if importlib.util.find_spec("ray") is None:
-        sys.exit('The cluster needs ray, which is not installed: pip install "flexarm[scale]".')
+        sys.exit(f"benchmarks.cluster needs ray, which is not installed; {installation('scale')}")
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     measured(1, trials=1, steps=CALL_STEPS)  # compiles and fills the caches
     runs = [measured(nodes, a.trials, a.steps) for nodes in NODES]

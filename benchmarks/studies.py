@@ -22,13 +22,13 @@ import numpy as np
 
 from agents.config import Config, load_config
 from agents.controllers import controller
-from agents.files import folder_lock
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.statistics import interquartile_mean, interval
 from agents.leaderboard.tracks import keywords
 from agents.metrics import evaluated, make_batch, regrets
 from agents.policy import load_policy
 from agents.run_folder.folder import RunFolder
+from agents.run_folder.lock import folder_lock
 from agents.training import learn
 from agents.tune import parameters_of
 from benchmarks.output import (

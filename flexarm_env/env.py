@@ -1,5 +1,6 @@
 """One environment with the Gymnasium interface."""
 
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -7,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.description.validate import choice, shown
+from dynamics.description.validate import choice, mapping, shown
 from dynamics.runtime.thread_pool import in_use
 from dynamics.types import Array
 from flexarm_env.arguments import not_finite, whole_seed
@@ -16,6 +17,9 @@ from flexarm_env.observations import GOALS, Layout
 from flexarm_env.rewards import goal_reward
 
 RENDER_MODES = ("human", "rgb_array")
+SET_HERE = ("n_env", "single", "max_steps")  # keywords of `Core` that its environments set
+KEYWORDS = frozenset(inspect.signature(Core).parameters) - {*SET_HERE}
+OF_BATCHES = ("threads", "autoreset_mode", "num_envs", "n_envs")
 Observation = Any  # an array of float32, or with goals a dict of such arrays
 _ONE = np.zeros(1, np.int64)
 
@@ -60,14 +64,8 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         check_render_mode(render_mode)
-        if "threads" in arguments:
-            raise ValueError(
-                "threads is for a batch; leave it out, or use gymnasium.make_vec(id, num_envs=N, "
-                f"threads={shown(arguments['threads'])})."
-            )
-        for name in ("n_env", "single", "max_steps"):
-            if name in arguments:
-                raise ValueError(f"{name} is for a batch; this is a single environment.")
+        refuse_of_batches(arguments)
+        check_keywords(arguments, "render_mode")
         self.render_mode = render_mode
         self.core = Core(single=True, **arguments)
         self.metadata = {**self.metadata, "render_fps": frames_per_second(self.core)}
@@ -179,6 +177,29 @@ def check_render_mode(mode: str | None) -> None:
     """Raise a ValueError for an unknown render mode."""
     if mode is not None:
         choice(mode, "render_mode", RENDER_MODES)
+
+
+def check_keywords(arguments: Mapping[str, Any], *others: str) -> None:
+    """Raise a ValueError for a keyword that neither `Core` has nor is one of `others`."""
+    mapping(arguments, "the keywords of an environment", KEYWORDS | {*others})
+
+
+def refuse_of_batches(arguments: Mapping[str, Any]) -> None:
+    """Raise a ValueError with the remedy for a keyword of a batch."""
+    for name in set(arguments) & {*OF_BATCHES}:
+        given = shown(arguments[name])
+        count = name in ("num_envs", "n_envs")
+        batch = f"num_envs={given}" if count else f"num_envs=N, {name}={given}"
+        raise ValueError(
+            f"{name} is for a batch; leave it out, or use gymnasium.make_vec(id, {batch})."
+        )
+    for name in set(arguments) & {*SET_HERE}:
+        raise ValueError(f"{name} is for a batch; this is a single environment.")
+    if "max_episode_steps" in arguments:
+        raise ValueError(
+            "max_episode_steps is for gymnasium.make and for a batch; leave it out, or use "
+            f"gymnasium.make(id, max_episode_steps={shown(arguments['max_episode_steps'])})."
+        )
 
 
 def frames_per_second(core: Core) -> int:

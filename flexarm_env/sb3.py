@@ -8,10 +8,16 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
 
+from dynamics.description import validate
+from dynamics.extras import missing
 from flexarm_env.compiled.outputs import BatchOutputs
 from flexarm_env.vector import FlexArmVectorEnv
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError as error:
+    raise missing(error, "SB3VecEnv", "train") from None
 
 
 class SB3VecEnv(VecEnv):
@@ -32,6 +38,11 @@ class SB3VecEnv(VecEnv):
             raise ValueError(
                 f"Give the number of environments once, as n_envs or num_envs, got n_envs={n_envs} "
                 f"and num_envs={num_envs}."
+            )
+        if "autoreset_mode" in kwargs:
+            raise ValueError(
+                "autoreset_mode of SB3VecEnv is always SAME_STEP, got "
+                f"{validate.shown(kwargs['autoreset_mode'])}; leave it out."
             )
         n_envs = given[0]
         envs = gym.make_vec(id, num_envs=n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)

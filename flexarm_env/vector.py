@@ -19,6 +19,7 @@ from flexarm_env.core import Core
 from flexarm_env.env import (
     RENDER_MODES,
     CoreAttributes,
+    check_keywords,
     check_render_mode,
     frames_per_second,
     observation_space,
@@ -27,6 +28,7 @@ from flexarm_env.observations import GOALS
 from flexarm_env.rewards import goal_reward
 
 Flags = NDArray[np.bool_]
+OWN_KEYWORDS = ("num_envs", "max_episode_steps", "autoreset_mode", "render_mode")
 
 
 class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
@@ -59,6 +61,7 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         **arguments: Any,
     ) -> None:
         check_render_mode(render_mode)
+        check_keywords(arguments, *OWN_KEYWORDS)
         known = {mode.value: mode for mode in AutoresetMode}
         given = getattr(autoreset_mode, "value", autoreset_mode)
         mode = known[validate.choice(given, "autoreset_mode", known)]

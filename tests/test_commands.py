@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import flexarm
+from dynamics import extras
 from dynamics.arms import ARMS
 from flexarm_env import IDS
 from flexarm_env.__main__ import environments, table
@@ -37,6 +38,7 @@ def test_every_command_says_what_it_takes(name: str, capsys: pytest.CaptureFixtu
     [
         ("train", ["--config", "none.yaml"], "train.py"),
         ("evaluate", ["nothing", "--out", "nowhere"], "agents.evaluate"),
+        ("sweep", [], "agents.sweep"),
         ("leaderboard", ["--tasks", "nothing"], "agents.leaderboard"),
         ("certify", ["nothing"], "flexarm_env.certify"),
         (
@@ -138,17 +140,50 @@ def test_a_missing_extra_is_named(
     monkeypatch.setattr(flexarm, "import_module", refused)
     assert flexarm.main(["train"]) == 2
     assert "train needs filelock" in (error := capsys.readouterr().err)
-    assert "pip install -c constraints.txt -e '.[train]'" in error
+    assert 'pip install -c constraints.txt -e ".[train]"' in error
     assert flexarm.main(["sweep"]) == 2
-    assert "-e '.[scale]'" in capsys.readouterr().err
+    assert '-e ".[scale]"' in capsys.readouterr().err
 
 
-def test_modules_name_a_missing_extra_too(tmp_path: Path) -> None:
+def test_outside_a_checkout_the_advice_installs_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the command and by its modules alike; a user of the wheel has no folder of ours."""
+    assert flexarm.installation("peers") == extras.installation("peers")
+    assert extras.installation("peers").endswith('pip install -c constraints.txt -e ".[peers]"')
+    monkeypatch.setattr(flexarm, "__file__", str(tmp_path / "flexarm.py"))
+    monkeypatch.setattr(extras, "ROOT", tmp_path)
+    assert flexarm.installation("peers") == 'run: pip install "flexarm[peers]"'
+    assert extras.installation("peers") == 'run: pip install "flexarm[peers]"'
+
+
+@pytest.mark.parametrize(
+    ("missing", "line", "needed_by"),
+    [
+        ("filelock", "import agents.evaluate", "agents"),
+        ("rich", "import agents.training", "agents"),
+        ("stable_baselines3", "from flexarm_env import SB3VecEnv", "SB3VecEnv"),
+        ("exudyn", "import benchmarks.peers.engines", "benchmarks.peers"),
+    ],
+)
+def test_modules_name_a_missing_extra_too(
+    missing: str, line: str, needed_by: str, tmp_path: Path
+) -> None:
+    ran = python(f"sys.modules[{missing!r}] = None; {line}", folder=tmp_path)
+    extra = "peers" if missing == "exudyn" else "train"
+    assert f"Error: {needed_by} needs {missing}" in ran.stderr
+    assert ran.stderr.endswith(f'pip install -c constraints.txt -e ".[{extra}]"\n')
+
+
+@pytest.mark.parametrize("module", ["agents.policy", "agents.fit"])
+def test_policies_and_fits_need_no_extra(module: str, tmp_path: Path) -> None:
+    extra = ("filelock", "optuna", "osqp", "rich", "sb3_contrib", "stable_baselines3")
     ran = python(
-        "sys.modules['filelock'] = None; import agents.evaluate",
+        f"sys.modules.update(dict.fromkeys({extra}))\n"
+        f"import {module}\nprint('torch' in sys.modules)",
         folder=tmp_path,
     )
-    assert ran.stderr.endswith("pip install -c constraints.txt -e '.[train]'\n")
+    assert ran.stdout == "False\n", ran.stderr
 
 
 def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:

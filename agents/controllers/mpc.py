@@ -19,6 +19,7 @@ from agents.controllers.kalman import KalmanFilters
 from agents.controllers.linear_model import KEPT, LinearModel
 from agents.controllers.lqr import Cost, ModelBased, OutputFeedback, riccati
 from agents.controllers.observers import Estimate, ExactState
+from dynamics.extras import missing
 from dynamics.types import Array
 
 BLOCKS = (1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4)  # control steps that share a torque; the last repeats
@@ -87,7 +88,10 @@ class Predictive:
 
 def _solver(H: Array, rows: Array, price: float) -> Any:
     """Solver of torques within [-1, 1], and a slack in units of which bending costs `price`."""
-    import osqp
+    try:
+        import osqp
+    except ModuleNotFoundError as error:
+        raise missing(error, "predictive control", "train") from None
 
     size, count = len(H), len(rows)
     slack = np.full((count, 1), -1.0 / price)

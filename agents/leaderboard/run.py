@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
+from agents.environments import look_in_present_folder
 from agents.figures import save_figure
 from agents.hybrid.controller import acting
 from agents.leaderboard.bound import PLANTS, best_of, compute
@@ -32,7 +33,7 @@ from agents.leaderboard.statistics import Entry, compared, figures, spectrum
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
-from agents.sentences import speaker
+from agents.sentences import one_line, speaker
 from agents.tune import is_tuned, parameters_of
 from dynamics.description import validate
 from dynamics.types import AnyArray
@@ -60,16 +61,14 @@ def built(name: str, env: Any, env_id: str, track: str) -> list[Controller]:
         parameters = parameters_of(name, env_id, track) if CONTROLLERS[name].ranges else {}
         return [controller(name, env, parameters)]
     if ":" in name:
-        return [heeded(name, users_class(name)(env), env)]
+        return [users_controller(name, env)]
     return [acting(policy, env) for policy in shipped(env_id, TRACKS[track].design)[name]]
 
 
 def users_class(name: str) -> Callable[[Any], Controller]:
     """The class that a user names on the command line as mymodule:MyController."""
     module, _, attribute = name.partition(":")
-    here = str(Path.cwd())
-    if here not in sys.path:  # `flexarm leaderboard` is a script of another folder
-        sys.path.append(here)
+    here = look_in_present_folder()
     try:
         found: Callable[[Any], Controller] = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
@@ -80,8 +79,14 @@ def users_class(name: str) -> Callable[[Any], Controller]:
     return found
 
 
-def heeded(name: str, subject: Controller, env: Any) -> Controller:
+def users_controller(name: str, env: Any) -> Controller:
     """A user's controller, after one call as every episode makes it."""
+    try:
+        subject = users_class(name)(env)
+    except (AttributeError, TypeError) as error:
+        raise ValueError(
+            f"--controllers {name} cannot be made: {error}; it is called with the environment."
+        ) from error
     observation, _ = env.reset(seed=[SEED])
     wanted = "it is called as predict(observation, state, episode_start) and returns action, state"
     try:
@@ -96,6 +101,15 @@ def heeded(name: str, subject: Controller, env: Any) -> Controller:
             f"{env.action_space.shape}: a row per environment; {wanted}."
         )
     return subject
+
+
+def try_users_controller(name: str, env_id: str, track: str) -> None:
+    """Refuse a user's class that cannot be made or called under the track's design conditions."""
+    env = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
+    try:
+        users_controller(name, env)
+    finally:
+        env.close()
 
 
 def ranked(
@@ -166,7 +180,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     try:
         _check(options)
     except ValueError as error:
-        print(f"{speaker(prog)}: {error}", file=sys.stderr)
+        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
     seeds = list(range(options.seed, options.seed + options.episodes))
     options.out.mkdir(parents=True, exist_ok=True)
@@ -240,6 +254,8 @@ def _check(options: argparse.Namespace) -> None:
     for name, *place in found:
         if name in CONTROLLERS and CONTROLLERS[name].ranges:
             parameters_of(name, *place)
+        elif ":" in name:
+            try_users_controller(name, *place)
     if not found:
         raise ValueError(f"None of {options.controllers} acts on these tasks and tracks.")
 

@@ -8,13 +8,18 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from agents.config import Config
 from agents.run_folder.checkpoints import save_checkpoint
 from agents.run_folder.folder import RunFolder
 from agents.signals import StopLater
+from dynamics.extras import missing
 from dynamics.types import AnyArray
+
+try:
+    from rich.console import Console
+except ModuleNotFoundError as error:
+    raise missing(error, "agents", "train") from None
 
 CHECKPOINT_SHARE = 0.05  # largest share of the training time that goes into checkpoints
 ROWS = 250  # approximate number of rows in the log of a run

@@ -7,6 +7,7 @@ machine is lost starts again from its newest checkpoint, on another machine if t
 import argparse
 import os
 import shutil
+import socket
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,20 +18,26 @@ import yaml
 
 from agents.config import Config, ConfigError, config_from_dict, load_config
 from agents.experiments import find_experiment
-from agents.files import FolderError, atomic_write, folder_lock
+from agents.files import FolderError, atomic_write, check_folder
 from agents.learners.algorithms import settings
 from agents.learners.ranges import DEFAULTS, drawn
-from agents.run_folder.folder import check_out, refuse_used
-from agents.sentences import one_line
+from agents.run_folder.folder import refuse_used
+from agents.run_folder.lock import folder_lock
+from agents.sentences import one_line, speaker
 from agents.sweep.trial import POLICY, REPORTS, train_trial
 from agents.training import prepare
 from dynamics.arms import ARMS
+from dynamics.description import validate
+from dynamics.extras import installation
 
+TRIALS, SEED = 20, 0  # where the command line says none
 MOST_TRIALS = 10_000
 RETRIES = 3  # of a trial whose worker was lost
 REDUCTION = 3  # ASHA goes on with this part of the trials at each of its steps
 SNAPSHOT_SECONDS = "2"  # between Ray Tune's notes of which trials are done
-RESULTS, BEST, TUNE = "sweep.json", "best.yaml", "tune"
+RESULTS, BEST, TUNE, CONFIG = "sweep.json", "best.yaml", "tune", "config.yaml"
+CONNECT_SECONDS = 5.0  # within which something at the address of a cluster must answer
+RAYS_OWN = ("auto", "local")  # addresses that name no machine
 
 
 class SweepError(ValueError):
@@ -46,8 +53,8 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.sweep
         metavar="CONFIG",
         help="experiment: a file, or the name of a shipped one",
     )
-    parser.add_argument("--trials", type=int, default=20, metavar="N")
-    parser.add_argument("--seed", type=int, default=0, help="of the drawn values")
+    parser.add_argument("--trials", type=int, metavar="N", help=f"in all ({TRIALS})")
+    parser.add_argument("--seed", type=int, help=f"of the drawn values ({SEED})")
     parser.add_argument("--steps", type=int, help="of every trial (the experiment's)")
     parser.add_argument("--address", metavar="A", help="of a Ray cluster (started on this machine)")
     parser.add_argument(
@@ -59,16 +66,17 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.sweep
     a = parser.parse_args(arguments)
     try:
         if a.resume is not None:
+            refuse_beside_resume(a)
             resume(a.resume, a.address)
         elif a.config is None:
             raise SweepError("an experiment file is needed, such as configs/one_link_damp_ppo.yaml")
         else:
             start(a)
     except (SweepError, ConfigError, FolderError) as error:
-        print(f"agents.sweep: {one_line(error)}", file=sys.stderr)
+        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
     except ConnectionError as error:
-        print(f"agents.sweep: no cluster at {a.address} ({one_line(error)}).", file=sys.stderr)
+        print(f"{speaker(prog)}: no cluster at {a.address} ({one_line(error)}).", file=sys.stderr)
         return 1
     return 0
 
@@ -76,22 +84,23 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.sweep
 def start(a: argparse.Namespace) -> None:
     """Check and draw everything, then begin the sweep in a new folder."""
     require_ray()
-    for name, low, high in (("trials", 1, MOST_TRIALS), ("seed", 0, 2**31 - 1)):
-        if not low <= getattr(a, name) <= high:
-            raise SweepError(
-                f"--{name} must be between {low} and {high:_}, got {getattr(a, name)}."
-            )
+    count, seed = TRIALS if a.trials is None else a.trials, SEED if a.seed is None else a.seed
+    for name, value, low, high in (("trials", count, 1, MOST_TRIALS), ("seed", seed, 0, 2**31 - 1)):
+        if not low <= value <= high:
+            raise SweepError(f"--{name} must be between {low} and {high:_}, got {value}.")
     config = located(load_config(find_experiment(a.config)))
     if a.steps is not None:
         config = config_from_dict(config.to_dict() | {"total_steps": a.steps})
-    trials = plan(config, a.trials, a.seed)
+    trials = plan(config, count, seed)
     out = a.out or Path("runs") / config.name / "sweep"
-    check_out(out)
+    check_folder(out)
+    refuse_begun(out)
+    require_cluster(a.address)
     prepare(config)
     out.mkdir(parents=True, exist_ok=True)
     with folder_lock(out):
-        refuse_used(out)
-        write_yaml(out / "config.yaml", config)
+        refuse_begun(out)
+        write_yaml(out / CONFIG, config)
         run(out.absolute(), a.address, trials, a.keep_all)
 
 
@@ -108,9 +117,61 @@ def resume(out: Path, address: str | None) -> None:
     """Continue a sweep whose command was ended; finished trials are kept."""
     require_ray()
     if not (out / TUNE).is_dir():
-        raise SweepError(f"{out} holds no sweep to resume.")
+        raise SweepError(f"{out} holds no sweep to resume; begin one by CONFIG --out {out}.")
+    require_cluster(address)
     with folder_lock(out):
         run(out.absolute(), address, None)
+
+
+def refuse_beside_resume(a: argparse.Namespace) -> None:
+    """Refuse arguments of a new sweep beside `--resume`."""
+    given = {
+        "CONFIG": a.config, "--trials": a.trials, "--seed": a.seed, "--steps": a.steps,
+        "--out": a.out, "--keep-all": a.keep_all or None,
+    }  # fmt: skip
+    for name, value in given.items():
+        if value is not None:
+            shown = name if value is True else f"{name} {value}"
+            raise SweepError(
+                f"{shown} is for a new sweep, and --resume goes on with the plan in {a.resume}; "
+                "leave it out."
+            )
+
+
+def refuse_begun(out: Path) -> None:
+    """Refuse a folder with a sweep or other files; one of a sweep that never began is free."""
+    if (out / TUNE).is_dir():
+        refuse_used(out)
+    names = [p.name for p in out.iterdir() if not p.name.startswith(".")] if out.is_dir() else []
+    if names and not (names == [CONFIG] and is_ours(out / CONFIG)):
+        raise FolderError(f"{out}: is not empty and holds no sweep; choose another --out.")
+
+
+def is_ours(path: Path) -> bool:
+    """True for an experiment as `write_yaml` writes it, which no hand has written."""
+    try:
+        return path.read_text(encoding="utf-8") == as_yaml(load_config(path))
+    except (OSError, ValueError):
+        return False
+
+
+def require_cluster(address: str | None) -> None:
+    """Refuse an address HOST:PORT at which nothing listens; Ray itself would try for minutes."""
+    if address is None or address in RAYS_OWN or "://" in address:
+        return
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 2**16:
+        raise SweepError(
+            f"--address must be HOST:PORT or auto, got {validate.shown(address)}; `ray start "
+            "--head` prints that of its cluster."
+        )
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), CONNECT_SECONDS).close()
+    except (OSError, UnicodeError) as error:
+        raise SweepError(
+            f"nothing listens at --address {address} ({one_line(error)}); start a cluster there by "
+            "`ray start --head`, or leave --address out."
+        ) from None
 
 
 def require_ray() -> None:
@@ -118,7 +179,7 @@ def require_ray() -> None:
     try:
         import ray.tune  # noqa: F401
     except ImportError:
-        raise SweepError("Ray is missing; pip install -c constraints.txt -e '.[scale]'.") from None
+        raise SweepError(f"Ray is missing; {installation('scale')}") from None
 
 
 def plan(config: Config, n: int, seed: int) -> list[Config]:
@@ -205,4 +266,9 @@ def finish(out: Path, results: Any) -> None:
 def write_yaml(path: Path, config: Config) -> None:
     """Write an experiment that `flexarm train` accepts."""
     with atomic_write(path) as temporary:
-        temporary.write_text(yaml.safe_dump(config.to_dict(), sort_keys=False), encoding="utf-8")
+        temporary.write_text(as_yaml(config), encoding="utf-8")
+
+
+def as_yaml(config: Config) -> str:
+    """Text of an experiment's file."""
+    return yaml.safe_dump(config.to_dict(), sort_keys=False)

@@ -17,6 +17,7 @@ import numpy as np
 
 from benchmarks.peers.lines import Run
 from benchmarks.peers.scenes import HEAVY, PeerScene
+from dynamics.extras import missing
 from dynamics.types import Array
 
 setattr(sys, "exudynFast", True)  # Exudyn's build without range checks  # noqa: B010
@@ -27,9 +28,7 @@ try:
     from exudyn import symbolic
     from mujoco.rollout import rollout
 except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        f'The peers need {error.name}, which is not installed: pip install "flexarm[peers]".'
-    ) from error
+    raise missing(error, "benchmarks.peers", "peers") from None
 
 exudyn.config.printToConsole = False
 exudyn.config.suppressWarnings = True

@@ -96,9 +96,11 @@ def instance(value: object, name: str, kind: type[T]) -> T:
 
 
 def known(value: object, noun: str, names: Collection[str]) -> str:
-    """Return a name if it is in a table; the message names the kind of entry."""
+    """Return a name if it is in a table; the message names the kind of entry, and a near name."""
     if not isinstance(value, str) or value not in names:
-        raise ValueError(f"Unknown {noun} {shown(value)}. Known: {sorted(names)}.")
+        near = difflib.get_close_matches(str(value)[:80], sorted(names), n=1)
+        guess = f"; did you mean {near[0]!r}?" if near else "."
+        raise ValueError(f"Unknown {noun} {shown(value)}{guess} Known: {sorted(names)}.")
     return value
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -55,7 +56,13 @@ def wait(process: subprocess.Popen[str], reached: Callable[[], bool]) -> None:
         (["one_link_reach_pp"], "Did you mean 'one_link_reach_ppo'?"),
         (["CONFIG", "--trials", "0"], "--trials must be between 1 and 10_000, got 0"),
         (["CONFIG", "--steps", "0"], "total_steps must be between 1 and"),
-        (["--resume", "none"], "none holds no sweep to resume"),
+        (["--resume", "none"], "none holds no sweep to resume; begin one by CONFIG --out none"),
+        (["--resume", "none", "--trials", "9"], "--trials 9 is for a new sweep, and --resume"),
+        (["--resume", "none", "--trials", "20"], "--trials 20 is for a new sweep"),
+        (["--resume", "none", "--keep-all"], "--keep-all is for a new sweep"),
+        (["CONFIG", "--resume", "none"], "is for a new sweep"),
+        (["CONFIG", "--address", "first"], "--address must be HOST:PORT or auto, got 'first'"),
+        (["CONFIG", "--address", "first:99999"], "--address must be HOST:PORT or auto"),
     ],
 )
 def test_unusable_requests_are_refused_in_one_sentence(
@@ -68,6 +75,58 @@ def test_unusable_requests_are_refused_in_one_sentence(
     assert main([config if x == "CONFIG" else x for x in arguments]) == 2
     assert sentence in one_sentence(capsys)
     assert [path.suffix for path in tmp_path.iterdir()] == [".yaml"]
+
+
+@pytest.fixture
+def planned(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Folders in which a sweep would begin, without Ray and without compiling."""
+    begun: list[Path] = []
+    monkeypatch.setattr("agents.sweep.command.require_ray", lambda: None)
+    monkeypatch.setattr("agents.sweep.command.prepare", lambda config: None)
+    monkeypatch.setattr("agents.sweep.command.run", lambda out, *more: begun.append(out))
+    return begun
+
+
+def test_a_sweep_with_no_cluster_at_its_address_ends_within_seconds_and_leaves_no_folder(
+    planned: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, config = tmp_path / "out", str(write_config(tmp_path, "ppo", 256))
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{listener.getsockname()[1]}"  # bound, and nobody listens
+        begin = time.monotonic()
+        assert main([config, "--address", address, "--out", str(out)]) == 2
+        assert time.monotonic() - begin < 10.0
+        assert f"nothing listens at --address {address}" in one_sentence(capsys)
+        assert not out.exists()
+        listener.listen()
+        assert main([config, "--address", address, "--out", str(out)]) == 0
+    assert planned == [out]
+    for rays_own in ("auto", "ray://127.0.0.1:1"):
+        assert main([config, "--address", rays_own, "--out", str(tmp_path / rays_own[:4])]) == 0
+
+
+def test_a_folder_is_free_until_its_sweep_began(
+    planned: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A refused --out points to --resume where that would go on, and there alone."""
+    out, config = tmp_path / "out", str(write_config(tmp_path, "ppo", 256))
+    arguments = [config, "--out", str(out)]
+    assert main(arguments) == 0
+    assert [path.name for path in out.glob("[a-z]*")] == ["config.yaml"]
+    assert main(["--resume", str(out)]) == 2
+    assert f"begin one by CONFIG --out {out}" in one_sentence(capsys)
+    assert main([*arguments, "--steps", "512"]) == 0
+    assert planned == [out, out]
+    (out / "config.yaml").write_text(Path(config).read_text() + "# mine\n")
+    assert main(arguments) == 2
+    assert "is not empty and holds no sweep; choose another --out." in one_sentence(capsys)
+    assert (out / "config.yaml").read_text().endswith("# mine\n")
+    (out / "tune").mkdir()
+    assert main(arguments) == 2
+    assert f"is not empty; choose another --out, or --resume {out}" in one_sentence(capsys)
+    assert main(["--resume", str(out)]) == 0
+    assert planned == [out, out, out]
 
 
 def test_workers_in_other_folders_find_the_arm(
@@ -92,7 +151,7 @@ def test_a_missing_ray_is_named_with_the_remedy(
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray.tune", None)
     assert main([str(write_config(tmp_path, "ppo", 256))]) == 2
-    assert "pip install -c constraints.txt -e '.[scale]'" in one_sentence(capsys)
+    assert 'pip install -c constraints.txt -e ".[scale]"' in one_sentence(capsys)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -76,7 +77,10 @@ def test_evaluation_is_deterministic(run: RunFolder, tmp_path: Path) -> None:
         (["pd", "--env", ENV_ID, "--env-kwargs", "{obs: sensor}"], "sensor"),
         (["pd", "--env", ENV_ID, "--env-kwargs", "[" * 9999], "--env-kwargs must be a YAML table"),
         (["lqr", "--env", ENV_ID, "--env-kwargs", "{torque_limit: 0.5}"], "lqr was not tuned"),
-        (["lqr", "--env", ENV_ID, "--env-kwargs", "{hardware: laboratory}"], "lqr was not tuned"),
+        (
+            ["lqr", "--env", ENV_ID, "--env-kwargs", "{hardware: laboratory}"],
+            "{'hardware': 'laboratory'}; use lqg, which was, or pd, whose gains are searched here",
+        ),
         (["lqg", "--env", ENV_ID.replace("Reach", "Track")], "lqg was not tuned"),
         ([str(ROOT / "configs"), "--env", ENV_ID], "holds no policy.json"),
         ([str(ROOT / "train.py"), "--env", ENV_ID], "--trust"),
@@ -89,6 +93,25 @@ def test_bad_command_lines_end_with_one_sentence(
     error = capsys.readouterr().err
     assert sentence in error
     assert error.count("\n") == 1
+
+
+def test_environments_of_a_users_module_in_the_present_folder_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also by the script `flexarm`, which has no present folder among its places of modules."""
+    (tmp_path / "my_lab.py").write_text(
+        "import gymnasium as gym\nimport flexarm_env\n"
+        "keywords = flexarm_env.IDS['FlexArm/OneLink-Reach-v0']['kwargs']\n"
+        "gym.register('MyLab/Slim-v0', vector_entry_point=flexarm_env.FlexArmVectorEnv,\n"
+        "             entry_point=flexarm_env.FlexArmEnv, max_episode_steps=9, kwargs=keywords)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [x for x in sys.path if x not in ("", ".")])
+    arguments = ["--episodes", "1", "--out", "out"]
+    assert evaluate(["zero", "--env", "my_lab:MyLab/Slim-v0", *arguments]) == 0
+    assert (tmp_path / "out" / "evaluation.json").is_file()
+    assert evaluate(["zero", "--env", "no_lab:MyLab/Slim-v0", *arguments]) == 2
+    assert "no_lab" in capsys.readouterr().err
 
 
 def test_a_folder_of_runs_names_one_and_a_file_of_a_policy_stands_for_it(

@@ -4,6 +4,7 @@ import pickle
 import subprocess
 import sys
 import warnings
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -155,11 +156,37 @@ def test_any_arm_can_be_given(tmp_path: Any) -> None:
         ({"arm": FLYING}, r"Base\.type must be 'fixed' or 'planar' for an environment, got 'free'"),
         ({"task": "Juggle"}, r"Unknown task 'Juggle'"),
         ({"n_env": 2}, r"n_env is for a batch"),
+        ({"num_envs": 8}, r"num_envs is for a batch; .*make_vec\(id, num_envs=8\)"),
+        ({"n_envs": 8}, r"n_envs is for a batch; .*make_vec\(id, num_envs=8\)"),
+        ({"autoreset_mode": "Disabled"}, r"make_vec\(id, num_envs=N, autoreset_mode='Disabled'\)"),
+        ({"max_episode_steps": 9}, r"use gymnasium\.make\(id, max_episode_steps=9\)"),
+        ({"hardwre": "ideal"}, r"Unknown key 'hardwre' .* nearest known: 'hardware'"),
+        ({"rendermode": "human"}, r"Unknown key 'rendermode' .* nearest known: 'render_mode'"),
     ],
 )
 def test_bad_keywords_get_a_sentence(keywords: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         flexarm_env.FlexArmEnv(**({"task": "Reach", "arm": "slim"} | keywords))
+
+
+def test_misspelt_keywords_of_ids_are_answered_with_the_nearest() -> None:
+    """For one environment, for a batch and for that of stable-baselines3."""
+    one = "FlexArm/OneLink-Reach-v0"
+    makers: list[Any] = [gym.make, partial(gym.make_vec, num_envs=2)]
+    makers.append(partial(flexarm_env.SB3VecEnv, n_envs=2))
+    for make in makers:
+        with pytest.raises(ValueError, match=r"'hardwre' .* nearest known: 'hardware'"):
+            make(one, hardwre="laboratory")
+    for make, given, near in (
+        (makers[1], "max_steps", "max_episode_steps"),
+        (makers[1], "n_env", "num_envs"),
+        (makers[1], "autoreset", "autoreset_mode"),
+        (makers[2], "thread", "threads"),
+    ):
+        with pytest.raises(ValueError, match=f"'{given}' .* nearest known: '{near}'"):
+            make(one, **{given: 2})
+    with pytest.raises(ValueError, match="autoreset_mode of SB3VecEnv is always SAME_STEP"):
+        makers[2](one, autoreset_mode="Disabled")
 
 
 @pytest.mark.parametrize(

@@ -58,11 +58,18 @@ def test_a_users_class_is_ranked_beside_ours(tmp_path: Path) -> None:
     assert page.index("| pd |") < page.index(":Still |")  # best first
 
 
+HERE = ["--tasks", ONE, "--tracks", "state", "--controllers"]
+
+
 class Forgetful(Still):
     """Does not return its memory."""
 
     def predict(self, *given: Any, **more: Any) -> Any:
         return super().predict(*given, **more)[0]
+
+
+class Mute:
+    """Takes no environment."""
 
 
 class Short(Still):
@@ -166,9 +173,12 @@ def test_the_yardstick_is_evaluated_where_bounds_are_stored(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--tasks", "FlexArm/OneLink-Reech-v0"], "OneLink-Reach"),
+        (["--tasks", "FlexArm/OneLink-Reech-v0"], "did you mean 'FlexArm/OneLink-Reach-v0'?"),
         (["--tracks", "lab"], "laboratory"),
-        (["--controllers", "lqq"], "lqr"),
+        (["--tracks", "labratory"], "did you mean 'laboratory'?"),
+        (["--controllers", "lqq"], "did you mean 'lqr'?"),
+        ([*HERE, f"{__name__}:Forgetful"], "failed in predict: not enough values"),
+        ([*HERE, f"{__name__}:Mute"], "cannot be made"),
         (["--controllers", "nomodule:X"], "cannot be imported"),
         (["--controllers", "math:X"], "cannot be imported"),
         (["--tasks", ONE, "--tracks", "laboratory", "--controllers", "lqr"], "None of ['lqr']"),

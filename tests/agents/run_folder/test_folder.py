@@ -14,10 +14,11 @@ import yaml
 
 from agents.config import load_config
 from agents.evaluate import main as evaluate
-from agents.files import FolderError, folder_lock
+from agents.files import FolderError
 from agents.policy import PolicyError, load_policy
 from agents.run_folder.checkpoints import list_checkpoints, newest_intact
 from agents.run_folder.folder import RunFolder, new_run, versions
+from agents.run_folder.lock import folder_lock
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, one_sentence, train_py, wait_for_steps, write_config
 from tests.paths import ROOT
