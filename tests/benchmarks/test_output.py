@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from benchmarks.output import command, table
+from dynamics.extras import installation
 from tests.paths import ROOT
 
 BENCHMARKS = sorted(
@@ -48,7 +49,7 @@ runpy.run_module("benchmarks.peers", run_name="__main__")
 """
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 1
-    sentence = 'The peers need exudyn, which is not installed: pip install "flexarm[peers]".'
+    sentence = f"benchmarks.peers needs exudyn, which is not installed; {installation('peers')}"
     assert result.stderr.strip() == sentence
 
 

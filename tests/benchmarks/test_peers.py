@@ -26,6 +26,7 @@ from benchmarks.peers.lines import (
 )
 from benchmarks.peers.models import Shapes, compiled, our_run
 from benchmarks.peers.scenes import SCENES
+from dynamics.extras import installation
 from dynamics.types import Array
 from tests.paths import ROOT
 
@@ -97,7 +98,8 @@ import benchmarks.peers.engines
 """
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 1
-    assert f'need {missing}, which is not installed: pip install "flexarm[peers]"' in result.stderr
+    sentence = f"needs {missing}, which is not installed; {installation('peers')}"
+    assert sentence in result.stderr
 
 
 def test_steps_end_where_the_torque_jumps() -> None:
