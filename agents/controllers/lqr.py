@@ -69,7 +69,7 @@ class Gain:
 def riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
     """Solution of the discrete Riccati equation; a LinAlgError where the weights allow none.
 
-    Balancing, which SciPy tries first, can fail by round-off that depends on the processor.
+    Balancing, which is tried first, can fail by round-off that depends on the processor.
     """
     for balanced in (True, False):
         try:
