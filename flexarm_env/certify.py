@@ -41,7 +41,7 @@ from flexarm_env.registration import SCENES
 from flexarm_env.scales import SAFE, scales
 
 ACCURACY = 1e-4  # [of the reach] of the reference
-METHODS = ("rk4", "numerov", "exponential", "midpoint")
+METHODS = ("rk4", "numerov", "exponential", "midpoint", "relaxed-midpoint")
 TIP_ERROR = 1e-3  # [of the reach] of model and step together
 SLACK = 1.1  # [-] error with a step over that of a model that errs by more than TIP_ERROR itself
 MOST_STEPS = 24  # per control step; more than that is never the cheapest

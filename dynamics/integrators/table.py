@@ -33,9 +33,11 @@ from dynamics.integrators.newmark import (
     midpoint,
     numerov,
     prepare_numerov,
+    relaxed_midpoint,
     start_generalized_alpha,
     start_midpoint,
     start_numerov,
+    start_relaxed_midpoint,
 )
 from dynamics.integrators.rosenbrock import factorize, rosenbrock, solve
 
@@ -129,4 +131,7 @@ INTEGRATORS = {
         scratch=lambda n: 10 * n + 3 * n * n, helpers=(factorize, solve),
     ),
     "euler": Integrator(euler, start_nothing, order=1, limit=2.0),
+    "relaxed-midpoint": Integrator(
+        relaxed_midpoint, start_relaxed_midpoint, order=1, implicit=True, limit=UNLIMITED
+    ),
 }  # fmt: skip

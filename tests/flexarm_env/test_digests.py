@@ -138,22 +138,18 @@ def test_pinned_starts_succeed_and_fail(env_id: str) -> None:
 
 
 def pin() -> None:
-    """Store the digests of this processor; keep those of others if the numbers still agree."""
-    found = {env_id: pinned(env_id) for env_id in flexarm_env.IDS}
+    """Store the digests of this processor; of others, those of ids whose numbers still agree."""
     stored = json.loads(STORE.read_text(encoding="utf-8"))
-    numbers, digests = (
-        {env_id: {kind: x[name] for kind, x in kinds.items()} for env_id, kinds in found.items()}
-        for name in ("numbers", "digest")
-    )
-    agree = all(
-        close(kind, x, stored["numbers"][env_id].get(kind, [np.nan]))
-        for env_id, kinds in numbers.items()
-        if env_id in stored["numbers"]  # a new id leaves the others as they are
-        for kind, x in kinds.items()
-    )
-    kept = {"numbers": numbers, "digests": stored["digests"] if agree else {}}
-    kept["digests"][processor()] = digests
-    STORE.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    for env_id in flexarm_env.IDS:
+        found, before = pinned(env_id), stored["numbers"].get(env_id, {})
+        numbers = {kind: entry["numbers"] for kind, entry in found.items()}
+        if not all(close(kind, x, before.get(kind, [np.nan])) for kind, x in numbers.items()):
+            stored["numbers"][env_id] = numbers
+            for digests in stored["digests"].values():
+                digests.pop(env_id, None)
+        own = stored["digests"].setdefault(processor(), {})
+        own[env_id] = {kind: entry["digest"] for kind, entry in found.items()}
+    STORE.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -86,6 +86,22 @@ def test_free_motion_keeps_the_order_too(integrator: str) -> None:
     assert_allclose(orders(errors), order, atol=0.15)
 
 
+def test_a_relaxed_guess_leaves_linear_motion_as_it_is() -> None:
+    """The guess reaches forces of second order in the motion alone: those of rates and posture."""
+    arm, rest = compiled(replace(DAMPED, gravity=(0.0, 0.0, 0.0))), np.zeros(6)
+
+    def differ(size: float) -> float:
+        """Largest relative difference of the coordinates after a torque of this size."""
+        whole, relaxed = (
+            simulate(arm, rest, rest, size * TORQUE, [0.0, 0.2], integrator=name, dt=2e-3).q[-1]
+            for name in ("midpoint", "relaxed-midpoint")
+        )
+        return float(np.abs(relaxed / whole - 1.0).max())
+
+    assert differ(1e-6) < 1e-12
+    assert differ(1.0) > 1e-6
+
+
 class Jump:
     """A torque that reverses at `time`, which is on no grid of equal steps."""
 
