@@ -12,8 +12,9 @@ the better result is kept, and both are stored. The result is the best known, no
     python -m agents.leaderboard.bound --tasks FlexArm/OneLink-Reach-v0 --episodes 100
     python -m agents.leaderboard.bound --tasks FlexArm/OneLink-Reach-v0 --replay
 
-Every finished episode is stored at once; episodes that are stored are not searched again.
-`--replay` steps the stored actions through the environment and compares.
+Every finished episode is stored at once; episodes that are stored are not searched again, unless
+`--again` asks for it: then their stored actions are a third start. `--replay` steps the stored
+actions through the environment and compares.
 """
 
 import argparse
@@ -151,20 +152,23 @@ def starts_of(env_id: str) -> tuple[str, str]:
 
 
 def bounded(
-    env_id: str, track: str, seed: int, batches: dict[int, Any]
+    env_id: str, track: str, seed: int, batches: dict[int, Any], before: Array | None = None
 ) -> tuple[Motion, list[float]]:
     """Best motion that was found, and what was reached from every start.
 
-    `batches` keeps environments for the next episode of the same task and track.
+    Actions `before`, (T, m), are the last start. `batches` keeps environments for the next episode
+    of the same task and track.
     """
     episode, found = Episode(env_id, plant(env_id, track), seed, batches), []
+    search = partial(improved, aim=Aim()) if is_moving(env_id) else shortest
     for name in starts_of(env_id):
         subject = controller(name, episode.batch(1)[0], parameters_of(name, env_id, "state"))
         first = episode.follow(episode.acted(subject)[None])[0]
         if not first.valid:
             first = episode.follow(np.zeros((1, *first.actions.shape)))[0]
-        search = partial(improved, aim=Aim()) if is_moving(env_id) else shortest
         found.append(search(episode, first))
+    if before is not None:
+        found.append(search(episode, episode.follow(before[None].astype(np.float64))[0]))
     best = [reached(episode, motion) for motion in found]
     return found[int(np.argmin(best))], best
 
@@ -178,7 +182,7 @@ class Bounds:
 
     seeds: Array  # (n,) of the episodes
     best: Array  # (n,) [s] settling time, or [m] RMS tip error
-    starts: Array  # (n, starts) the same from every start
+    starts: Array  # (n, starts) the same from every controller that the search began with
     actions: Array  # (n, T, m)
 
 
@@ -249,8 +253,9 @@ def add(
     folder: Path | None = None,
 ) -> None:
     """Store one more episode, in place of an earlier bound; the file is replaced as a whole."""
+    both = [starts[: len(starts_of(env_id))]]
     new = Bounds(
-        np.array([seed]), np.array([min(starts)]), np.array([starts]),
+        np.array([seed]), np.array([min(starts)]), np.array(both),
         motion.actions[None].astype(np.float32),
     )  # fmt: skip
     stored.cache_clear()  # another process may have added episodes
@@ -268,21 +273,31 @@ def add(
 
 
 def compute(
-    env_id: str, track: str, seeds: Iterable[int], jobs: int = 1, folder: Path | None = None
+    env_id: str,
+    track: str,
+    seeds: Iterable[int],
+    jobs: int = 1,
+    folder: Path | None = None,
+    again: bool = False,
 ) -> None:
-    """Search the bounds of the episodes that have none; store them in the package or a folder."""
+    """Search the bounds of the episodes that have none, or of all; store them.
+
+    They go to the package or to a folder.
+    """
     there = known(env_id, track, folder)
-    missing = [seed for seed in seeds if seed not in there]
+    wanted = [seed for seed in seeds if again or seed not in there]
+    before = [there[seed][1] if seed in there else None for seed in wanted]
+    names = (*starts_of(env_id), "stored")
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        results = pool.map(partial(_searched, env_id, track), missing)
-        for done, (seed, (motion, starts)) in enumerate(zip(missing, results, strict=True), 1):
+        results = pool.map(partial(_searched, env_id, track), wanted, before)
+        for done, (seed, (motion, starts)) in enumerate(zip(wanted, results, strict=True), 1):
             add(env_id, track, seed, motion, starts, folder)
             line = ", ".join(
-                f"{name} {value:.4g}" for name, value in zip(starts_of(env_id), starts, strict=True)
+                f"{name} {value:.4g}" for name, value in zip(names, starts, strict=False)
             )
             print(
-                f"{env_id}, {track}, bound {done} of {len(missing)}, seed {seed}: from {line}",
+                f"{env_id}, {track}, bound {done} of {len(wanted)}, seed {seed}: from {line}",
                 flush=True,
             )
 
@@ -290,8 +305,10 @@ def compute(
 _BATCHES: dict[tuple[str, str], dict[int, Any]] = {}  # of a worker
 
 
-def _searched(env_id: str, track: str, seed: int) -> tuple[Motion, list[float]]:
-    return bounded(env_id, track, seed, _BATCHES.setdefault((env_id, track), {}))
+def _searched(
+    env_id: str, track: str, seed: int, before: Array | None
+) -> tuple[Motion, list[float]]:
+    return bounded(env_id, track, seed, _BATCHES.setdefault((env_id, track), {}), before)
 
 
 def replay(env_id: str, track: str) -> tuple[Array, Array]:
@@ -312,6 +329,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=10_000, help="of the first episode")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--again", action="store_true", help="search what is stored once more")
     parser.add_argument("--replay", action="store_true", help="check what is stored")
     options = parser.parse_args(arguments)
     try:
@@ -327,7 +345,7 @@ def main(arguments: list[str] | None = None) -> int:
     seeds, passed = range(options.seed, options.seed + options.episodes), True
     for env_id in options.tasks:
         if not options.replay:
-            compute(env_id, options.track, seeds, options.jobs)
+            compute(env_id, options.track, seeds, options.jobs, again=options.again)
         found = stored(env_id, options.track)
         summary = "no bounds are stored" if found is None else _summary(env_id, found)
         print(f"{env_id}, {options.track}: {summary}")

@@ -311,3 +311,6 @@ def test_every_start_is_improved_and_the_best_is_kept(
     rms = [np.sqrt((50.0**2 + STEPS * x**2) / (STEPS + 1)) * BAND for x in (20.0, 10.0)]
     assert starts == pytest.approx(rms if env_id == TRACK else [2.1, 1.1])
     assert found.settled == 10
+    _, starts = bound.bounded(env_id, "state", 7, batches, np.full((STEPS, 1), -0.25))
+    assert [force for force, *_ in seen[2:]] == [0.0, -0.5, -0.25]
+    assert len(starts) == 3

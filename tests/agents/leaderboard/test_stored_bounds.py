@@ -130,7 +130,8 @@ def test_only_episodes_without_a_bound_are_searched(
         workers.append((jobs, mp_context.get_start_method()))
         return ThreadPoolExecutor(jobs)
 
-    def search(env_id: str, track: str, seed: int) -> Any:
+    def search(env_id: str, track: str, seed: int, before: Any) -> Any:
+        assert before is None
         searched.append((env_id, track, seed))
         return pushed(0.125 * seed), [0.25 * seed, np.inf]
 
@@ -146,6 +147,23 @@ def test_only_episodes_without_a_bound_are_searched(
     assert found.best.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
     assert found.actions[:, 0, 0].tolist() == [0.0, 0.125, 0.25, 0.375, 0.5]
     assert f"{REACH}, state, bound 2 of 2, seed 2: from mpc 0.5, pd inf" in capsys.readouterr().out
+
+
+def test_a_search_again_starts_from_what_is_stored_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def search(env_id: str, track: str, seed: int, before: Any) -> Any:
+        return (pushed(0.0), [3.0, 2.0]) if before is None else (pushed(0.5), [3.0, 2.0, 1.0])
+
+    monkeypatch.setattr(bound, "ProcessPoolExecutor", lambda jobs, **_: ThreadPoolExecutor(jobs))
+    monkeypatch.setattr(bound, "_searched", search)
+    add(REACH, "state", 1, pushed(0.25), [0.5, np.inf])
+    assert bound.main(["--tasks", REACH, "--seed", "1", "--episodes", "2", "--again"]) == 0
+    found = read(REACH, "state")
+    assert (found.seeds.tolist(), found.best.tolist()) == ([1, 2], [1.0, 2.0])
+    assert found.starts.tolist() == [[3.0, 2.0], [3.0, 2.0]]
+    assert found.actions[:, 0, 0].tolist() == [0.5, 0.0]
+    assert "seed 1: from mpc 3, pd 2, stored 1" in capsys.readouterr().out
 
 
 @pytest.fixture
