@@ -39,6 +39,7 @@ def summary(stored: dict[str, Any]) -> str:
     """Sentences with the figures that matter most."""
     rates = [stored["speed"][scene][BATCH]["median"] for scene in SCENES]
     worst = max(stored["speed"][scene][ERROR] for scene in SCENES)
+    peak = stored["speed"]["machine"]["peak, one core [GFLOP/s]"]["median"]
     ratios = [entry["steady"] for entry in stored["peers"]["comparisons"]]
     verdicts = _verdicts(stored["validation"])
     steps = sum(counts["steps"] for counts in stored["soak"]["counts"].values())
@@ -49,12 +50,12 @@ def summary(stored: dict[str, Any]) -> str:
         if name not in ("steps", "time out", "invalid", "diverged")
     )
     return (
-        f"On one core, a {SIZE} takes {_count(rates[0])}, {_count(rates[1])} and "
-        f"{_count(rates[2])} control steps per second for one, two and six links, with tip errors "
-        f"of at most {1e3 * worst:.2g} thousandths of the reach. At equal error it needs "
-        f"{min(ratios):.0f} to {max(ratios):.0f} times less processor time than the cheapest runs "
-        f"of other engines. Of {verdicts.total()} published numbers {verdicts['reproduced']} are "
-        f"reproduced and {verdicts['error in print']} are errors in print. In "
+        f"On one core with a peak of {peak:.0f} GFLOP/s, a {SIZE} takes {_count(rates[0])}, "
+        f"{_count(rates[1])} and {_count(rates[2])} control steps per second for one, two and six "
+        f"links, with tip errors of at most {1e3 * worst:.2g} thousandths of the reach. At equal "
+        f"error it needs {min(ratios):.0f} to {max(ratios):.0f} times less processor time than "
+        f"the cheapest runs of other engines. Of {verdicts.total()} published numbers "
+        f"{verdicts['reproduced']} are reproduced and {verdicts['error in print']} are errors in print. In "
         f"{_count(steps)} random and bang-bang steps {wrong} observations, rewards or flags were "
         "wrong."
     )

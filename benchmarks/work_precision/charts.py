@@ -233,21 +233,22 @@ def _default(scene: Row, error: str) -> tuple[float, float]:
 
 def page(results: Row) -> str:
     """Markdown page: the cheapest runs of every scene within each target, and the default."""
-    machine = results["machine"]
     lines = [
         "# Speed against accuracy: the cheapest runs",
         "",
-        f"Made by `{results['command']}` on {machine['cores']} cores ({machine['processor']}), "
-        f"commit {results['commit']}. Errors are distances of the tip over the reach, the largest "
-        "of the motion; cost is CPU time per simulated second of one environment in a batch of "
+        "Errors are distances of the tip over the reach, the largest of the motion; cost is CPU "
+        "time per simulated second of one environment in a batch of "
         f"{results['batch']}, one thread. The error of a run is the sum of its model's and its "
         "step's, and at least the measured distance from the truth.",
         "",
     ]
     for scene in results["scenes"].values():
+        made, machine = scene["made"], scene["made"]["machine"]
         lines += [
             f"## {scene['title']}", "",
-            f"Truth good to {scene['floor']:.1e} of the reach ({scene['reach [m]']:.4g} m).", "",
+            f"Made by `{made['command']}` on {machine['cores']} cores ({machine['processor']}), "
+            f"commit {made['commit']}. Truth good to {scene['floor']:.1e} of the reach "
+            f"({scene['reach [m]']:.4g} m).", "",
         ]  # fmt: skip
         default = next(p for p in scene["points"] if p["default"])
         wanted = {f"{target:.0e}": cheapest(scene, target) for target in TARGETS}

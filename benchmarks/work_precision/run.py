@@ -10,8 +10,9 @@ error is that of the converged integration from the truth. Runs are charted and 
 both, because the two may cancel by chance; the total error, that of the run from the truth, is
 stored too. The method of highest order runs on every model; the other methods run on the default
 model and on each model that is more accurate than all cheaper ones.
-`--truth` recomputes the truths in tests/reference/, which takes many minutes. `--charts` draws the
-stored results, and the peers' lines of docs/results/peers.json.
+`--only` keeps the stored results of the other scenes. `--truth` recomputes the truths in
+tests/reference/, which takes many minutes. `--charts` draws the stored results, and the peers'
+lines of docs/results/peers.json.
 """
 
 import json
@@ -339,10 +340,11 @@ def main() -> None:
                 make_truth(setting)
         return
     if options.charts:
-        text = options.out.read_text().replace('"diverged"', "Infinity")
-        precision_charts.draw(json.loads(text), options.images)
+        precision_charts.draw(stored_results(options.out), options.images)
         return
     results = quick() if options.quick else run(chosen, options.jobs)
+    if len(chosen) < len(SETTINGS) and options.out.exists():
+        results["scenes"] = stored_results(options.out)["scenes"] | results["scenes"]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.images.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(plain(results)) + "\n")
@@ -350,6 +352,12 @@ def main() -> None:
     options.out.with_suffix(".md").write_text(text)
     print(text)
     precision_charts.draw(results, options.images)
+
+
+def stored_results(file: Path) -> dict[str, Any]:
+    """Results that a file holds."""
+    found: dict[str, Any] = json.loads(file.read_text().replace('"diverged"', "Infinity"))
+    return found
 
 
 def quick() -> dict[str, Any]:
@@ -361,7 +369,7 @@ def quick() -> dict[str, Any]:
 def run(settings: list[Setting], jobs: int = 1) -> dict[str, Any]:
     """Results of the scenes, compiled by `jobs` processes."""
     origin = provenance("numpy", "scipy", "numba", "casadi")
-    results: dict[str, Any] = {**origin, "batch": BATCH, "scenes": {}}
+    results: dict[str, Any] = {"batch": BATCH, "scenes": {}}
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
 
         def compile_all(programs: list[tuple[Arm, str]]) -> None:
@@ -373,7 +381,7 @@ def run(settings: list[Setting], jobs: int = 1) -> dict[str, Any]:
         for setting in settings:
             begin = time.perf_counter()
             scene = measured(setting, compile_all)
-            results["scenes"][setting.name] = scene
+            results["scenes"][setting.name] = {"made": origin, **scene}
             seconds = time.perf_counter() - begin
             print(f"{setting.title}: {len(scene['points'])} runs, {seconds:.0f} s", flush=True)
     return results

@@ -149,7 +149,7 @@ def test_results_are_plain_json_with_a_table_and_pictures(
     text = json.dumps(work_precision.plain(results))
     assert json.loads(text, parse_constant=refuse)["scenes"]["S1"]["points"]
     assert "diverged" in text
-    assert {"machine", "versions", "commit"} <= set(results)
+    assert {"machine", "versions", "commit", "command"} == set(results["scenes"]["S1"]["made"])
     precision_charts.draw(results, tmp_path)
     for name in ("work_precision", "work_precision_S1"):
         assert (tmp_path / name).with_suffix(".png").stat().st_size > 10_000
@@ -157,6 +157,22 @@ def test_results_are_plain_json_with_a_table_and_pictures(
     for target in precision_charts.TARGETS:
         found = precision_charts.cheapest(results["scenes"]["S1"], target)
         assert f"| {target:.0e} | " + ("none" if found is None else found["model"]) in table
+
+
+def test_scenes_that_are_not_measured_stay_as_they_are_stored(
+    results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, file = results["scenes"]["S1"], tmp_path / "stored.json"
+    before = {"batch": 1, "scenes": {"S1": scene | {"floor": 1.0}, "S3": scene}}
+    file.write_text(json.dumps(work_precision.plain(before)))
+    monkeypatch.setattr(work_precision, "run", lambda chosen, jobs: results)
+    arguments = ["", "--only", "S1", "--out", str(file), "--images", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", arguments)
+    work_precision.main()
+    found = work_precision.stored_results(file)["scenes"]
+    assert list(found) == ["S1", "S3"]
+    assert found["S1"]["floor"] == pytest.approx(scene["floor"])
+    assert found["S3"]["points"] == found["S1"]["points"]
 
 
 def test_a_truth_at_other_times_is_refused() -> None:
