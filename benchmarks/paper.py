@@ -55,9 +55,9 @@ def summary(stored: dict[str, Any]) -> str:
         f"links, with tip errors of at most {1e3 * worst:.2g} thousandths of the reach. At equal "
         f"error it needs {min(ratios):.0f} to {max(ratios):.0f} times less processor time than "
         f"the cheapest runs of other engines. Of {verdicts.total()} published numbers "
-        f"{verdicts['reproduced']} are reproduced and {verdicts['error in print']} are errors in print. In "
-        f"{_count(steps)} random and bang-bang steps {wrong} observations, rewards or flags were "
-        "wrong."
+        f"{verdicts['reproduced']} are reproduced and {verdicts['error in print']} are errors "
+        f"in print. In {_count(steps)} random and bang-bang steps {wrong} observations, rewards or "
+        "flags were wrong."
     )
 
 
