@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from llvmlite.binding import get_host_cpu_name
 
 from agents.run_folder.folder import revision
 
+FOLDERS = ("--out", "--images", "--keep")  # options that say where results go, not what they are
 COLOURS = 256  # of a picture, a third of the size of one in true colours
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -38,10 +40,12 @@ def provenance(*packages: str) -> dict[str, Any]:
 
 
 def command() -> str:
-    """Command line of this process, as `python -m MODULE ARGUMENTS`."""
+    """Command line of this process, as `python -m MODULE ARGUMENTS`, without those of FOLDERS."""
     spec = sys.modules["__main__"].__spec__
     module = spec.name.removesuffix(".__main__") if spec else Path(sys.argv[0]).name
-    return " ".join(["python", "-m", module, *sys.argv[1:]])
+    pairs = pairwise(["", *sys.argv[1:]])
+    given = [x for before, x in pairs if before not in FOLDERS and x not in FOLDERS]
+    return " ".join(["python", "-m", module, *given])
 
 
 def processor() -> str:

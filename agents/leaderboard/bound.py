@@ -253,9 +253,9 @@ def add(
     folder: Path | None = None,
 ) -> None:
     """Store one more episode, in place of an earlier bound; the file is replaced as a whole."""
-    both = [starts[: len(starts_of(env_id))]]
+    from_controllers = starts[: len(starts_of(env_id))]
     new = Bounds(
-        np.array([seed]), np.array([min(starts)]), np.array(both),
+        np.array([seed]), np.array([min(starts)]), np.array([from_controllers]),
         motion.actions[None].astype(np.float32),
     )  # fmt: skip
     stored.cache_clear()  # another process may have added episodes
@@ -329,7 +329,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=10_000, help="of the first episode")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--again", action="store_true", help="search what is stored once more")
+    parser.add_argument("--again", action="store_true", help="search what is stored, and from it")
     parser.add_argument("--replay", action="store_true", help="check what is stored")
     options = parser.parse_args(arguments)
     try:

@@ -36,7 +36,7 @@ def test_help_names_the_command(
 def test_the_command_is_that_of_the_process(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
     main = SimpleNamespace(__spec__=SimpleNamespace(name=module))
     monkeypatch.setitem(sys.modules, "__main__", main)  # type: ignore[arg-type]
-    monkeypatch.setattr(sys, "argv", ["file", "--quick"])
+    monkeypatch.setattr(sys, "argv", ["file", "--keep", "runs", "--quick", "--out", "x"])
     assert command() == f"python -m {module.removesuffix('.__main__')} --quick"
 
 
