@@ -153,7 +153,10 @@ def test_a_search_again_starts_from_what_is_stored_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def search(env_id: str, track: str, seed: int, before: Any) -> Any:
-        return (pushed(0.0), [3.0, 2.0]) if before is None else (pushed(0.5), [3.0, 2.0, 1.0])
+        if before is None:
+            return pushed(0.0), [3.0, 2.0]
+        assert before.tolist() == pushed(0.25).actions.tolist()
+        return pushed(0.5), [3.0, 2.0, 1.0]
 
     monkeypatch.setattr(bound, "ProcessPoolExecutor", lambda jobs, **_: ThreadPoolExecutor(jobs))
     monkeypatch.setattr(bound, "_searched", search)
