@@ -61,6 +61,7 @@ class Plant:
     """An arm with one payload and one stiffness: M a + C v + K q = B tau."""
 
     model: Model
+    payload: float  # [kg]
     factor: float  # of the stiffness
     K: Array  # (n, n)
     C: Array  # (n, n)
@@ -201,8 +202,8 @@ def _plants(arm: Arm, payloads: list[float], stiffnesses: list[float]) -> tuple[
     """Plants of every payload [kg] and factor of the stiffness."""
     models = [compile_arm(_loaded(arm, payload)) for payload in payloads]
     return tuple(
-        Plant(model, factor, factor * stiffness(model.chain), damping(model.chain))
-        for model in models
+        Plant(model, payload, factor, factor * stiffness(model.chain), damping(model.chain))
+        for model, payload in zip(models, payloads, strict=True)
         for factor in stiffnesses
     )
 

@@ -55,7 +55,11 @@ def followed(
 
 
 class Reference:
-    """References of some of an arm's plants along the course of a target."""
+    """References of some of an arm's plants, in order, along the course of a target.
+
+    The forces are those of the lightest and the heaviest payload, and in proportion between them:
+    inverse dynamics is affine in a mass.
+    """
 
     def __init__(self, models: LinearModels, plants: Sequence[int]) -> None:
         self.models, self.plants = models, plants
@@ -69,10 +73,15 @@ class Reference:
         moving = np.flatnonzero(course.rate.any(axis=1) | course.now.any(axis=1))
         if not moving.size:
             return offset, forward
-        forces = lru_cache(lambda model: _forces(models, model, course, moving))
+        plants = [models.plants[p] for p in self.plants]
+        first, last = plants[0], plants[-1]
+        light = heavy = _forces(models, first.model, course, moving)
+        if last.model is not first.model:
+            heavy = _forces(models, last.model, course, moving)
         bends = np.array([self._bend(models.at(x)) for x in course.posture[moving]])
-        for p, plant in enumerate(models.plants[p] for p in self.plants):
-            coming, now = forces(plant.model)
+        for p, plant in enumerate(plants):
+            share = (plant.payload - first.payload) / (last.payload - first.payload or 1.0)
+            coming, now = light + share * (heavy - light)
             forward[moving, p] = coming[:, models.joints]
             bent = (bends @ now[:, models.modal, None])[..., 0]
             offset[moving, p] = bent / plant.factor
@@ -102,13 +111,13 @@ def torques(models: LinearModels, course: Course, plant: int) -> Array:
     return found
 
 
-def _forces(models: LinearModels, model: Model, course: Course, moving: AnyArray) -> list[Array]:
-    """(k, n) forces on the straight arm that accelerates as it soon will, and as it does."""
-    joints = models.joints
-    q, v, coming, now = np.zeros((4, len(moving), model.n))
-    q[:, joints], v[:, joints] = (course.posture + course.way)[moving], course.rate[moving]
-    coming[:, joints], now[:, joints] = course.coming[moving], course.now[moving]
-    return [model.inverse_dynamics(q, v, a) for a in (coming, now)]
+def _forces(models: LinearModels, model: Model, course: Course, moving: AnyArray) -> Array:
+    """(2, k, n) forces on the straight arm that accelerates as it soon will, and as it does."""
+    q, v, a = np.zeros((3, 2, len(moving), model.n))
+    q[..., models.joints] = (course.posture + course.way)[moving]
+    v[..., models.joints] = course.rate[moving]
+    a[..., models.joints] = course.coming[moving], course.now[moving]
+    return model.inverse_dynamics(*(x.reshape(-1, model.n) for x in (q, v, a))).reshape(a.shape)
 
 
 def posture_of(read: Reading, x: AnyArray) -> Array:

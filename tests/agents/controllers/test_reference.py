@@ -7,7 +7,7 @@ import numpy as np
 from agents.controllers import controller
 from agents.controllers.linear_model import LinearModels
 from agents.controllers.reading import Reading
-from agents.controllers.reference import Course, Reference, followed
+from agents.controllers.reference import Course, Reference, followed, torques
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 
@@ -61,3 +61,16 @@ def test_every_plant_bends_by_its_own_stiffness() -> None:
         elastic = plant.K @ offset[0, p]
         np.testing.assert_allclose(elastic[models.modal], -inertial[models.modal], rtol=1e-9)
         assert np.abs(models.at(straight[:1], p).tip_of @ offset[0, p]).max() < 1e-12
+
+
+def test_every_plant_has_its_own_torques() -> None:
+    """Those between two payloads, against each plant's inverse dynamics, on a moving arm."""
+    models = LinearModels.of(
+        make_batch("FlexArm/TwoLink-Track-v0", 1, keywords("lqg", "laboratory"))
+    )
+    assert len({plant.payload for plant in models.plants}) > 2
+    rng = np.random.default_rng(0)
+    course = Course(*rng.normal(size=(5, 3, 2)))
+    _, forward = Reference(models, range(len(models.plants))).along(course)
+    for p in range(len(models.plants)):
+        np.testing.assert_allclose(forward[:, p], torques(models, course, p), rtol=1e-9)
