@@ -120,6 +120,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--tracks", nargs="+", default=["state", "laboratory"], metavar="TRACK")
     parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), metavar="NAME")
     parser.add_argument("--trials", type=int, default=TRIALS)
+    parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--out", type=Path, default=STORE)
     options = parser.parse_args(arguments)
     try:
@@ -130,6 +131,7 @@ def main(arguments: list[str] | None = None) -> int:
         for env_id in options.tasks:
             validate.known(env_id, "task", RANKED)
         trials = validate.integer(options.trials, "--trials", 1, 100_000)
+        episodes = validate.integer(options.episodes, "--episodes", 1, 100_000)
     except ValueError as error:
         print(f"agents.tune: {error}", file=sys.stderr)
         return 2
@@ -140,7 +142,7 @@ def main(arguments: list[str] | None = None) -> int:
                     continue
                 before = read(options.out).get(env_id, {}).get(track, {}).get(name, {})
                 found = tune(
-                    name, env_id, keywords(name, track), trials=trials,
+                    name, env_id, keywords(name, track), trials=trials, episodes=episodes,
                     stored=before.get("parameters"),
                 )  # fmt: skip
                 print(f"{env_id}, {track}, {name}: {_line(found)}", flush=True)

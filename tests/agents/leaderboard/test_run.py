@@ -216,8 +216,9 @@ def test_tuning_is_repeatable_and_no_worse_than_its_start(tmp_path: Path) -> Non
     assert first["trials"] == 4
     out = tmp_path / "tuned.json"
     arguments = ["--tasks", ONE, "--tracks", "state", "--controllers", "pd", "--trials", "2"]
-    assert tune_main([*arguments, "--out", str(out)]) == 0
-    assert json.loads(out.read_text())[ONE]["state"]["pd"]["trials"] == 2
+    assert tune_main([*arguments, "--episodes", "4", "--out", str(out)]) == 0
+    kept = json.loads(out.read_text())[ONE]["state"]["pd"]
+    assert (kept["trials"], kept["episodes"]) == (2, 4)
 
 
 def test_tracks_are_recognised_by_their_keywords() -> None:
