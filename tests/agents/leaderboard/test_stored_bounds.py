@@ -118,7 +118,7 @@ def test_a_folder_adds_its_bounds_to_those_of_the_package(folder: Path, tmp_path
 
 def test_searches_begin_with_predictive_control_where_it_was_tuned() -> None:
     assert bound.starts_of(REACH) == bound.starts_of(TRACK) == ("mpc", "pd")
-    assert bound.starts_of("FlexArm/SixLink-Reach-v0") == ("lqr", "pd")
+    assert bound.starts_of("FlexArm/SixLink-Track-v0") == ("lqr", "pd")
 
 
 def test_only_episodes_without_a_bound_are_searched(
