@@ -64,7 +64,7 @@ def test_every_plant_bends_by_its_own_stiffness() -> None:
 
 
 def test_every_plant_has_its_own_torques() -> None:
-    """Those between two payloads, against each plant's inverse dynamics, on a moving arm."""
+    """Payloads between the two, against each plant's inverse dynamics, on a moving arm."""
     models = LinearModels.of(
         make_batch("FlexArm/TwoLink-Track-v0", 1, keywords("lqg", "laboratory"))
     )
