@@ -60,10 +60,10 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--single", action="store_true", help="single environments, no batch")
     parser.add_argument("--runners", type=int, default=1, help="processes that step arms")
-    parser.add_argument("--address", help="of a Ray cluster (one is started on this machine)")
+    parser.add_argument("--address", default="local", help="of a Ray cluster (this machine alone)")
     arguments = parser.parse_args()
 
-    ray.init(address=arguments.address, include_dashboard=False if not arguments.address else None)
+    ray.init(arguments.address, include_dashboard=False if arguments.address == "local" else None)
     batch = min(4096, max(128, arguments.steps))
     learner = configured(arguments.single, arguments.runners, batch).build_algo()
     steps = 0

@@ -37,7 +37,8 @@ REDUCTION = 3  # ASHA goes on with this part of the trials at each of its steps
 SNAPSHOT_SECONDS = "2"  # between Ray Tune's notes of which trials are done
 RESULTS, BEST, TUNE, CONFIG = "sweep.json", "best.yaml", "tune", "config.yaml"
 CONNECT_SECONDS = 5.0  # within which something at the address of a cluster must answer
-RAYS_OWN = ("auto", "local")  # addresses that name no machine
+LOCAL = "local"  # Ray would join any cluster that happens to run here
+RAYS_OWN = ("auto", LOCAL)  # addresses that name no machine
 
 
 class SweepError(ValueError):
@@ -207,7 +208,8 @@ def run(
 
     os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")
     os.environ.setdefault("TUNE_GLOBAL_CHECKPOINT_S", SNAPSHOT_SECONDS)
-    more = {} if address else {"include_dashboard": False}
+    address = address or os.environ.get("RAY_ADDRESS", LOCAL)
+    more = {"include_dashboard": False} if address == LOCAL else {}
     ray.init(address=address, log_to_driver=False, logging_level="ERROR", **more)
     try:
         if trials is None:

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,7 +16,7 @@ import yaml
 
 from agents.config import load_config
 from agents.policy import load_policy
-from agents.sweep.command import located, main
+from agents.sweep.command import located, main, run
 from tests.agents.tiny import one_sentence, write_config
 from tests.paths import ROOT
 
@@ -152,6 +153,28 @@ def test_a_missing_ray_is_named_with_the_remedy(
     monkeypatch.setitem(sys.modules, "ray.tune", None)
     assert main([str(write_config(tmp_path, "ppo", 256))]) == 2
     assert 'pip install -c constraints.txt -e ".[scale]"' in one_sentence(capsys)
+
+
+def test_without_an_address_a_sweep_joins_no_cluster_that_happens_to_run_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ray itself would join it; only RAY_ADDRESS, as in jobs of a cluster, stands for --address."""
+    joined = []
+
+    def init(address: str, **_: Any) -> None:
+        joined.append(address)
+        raise ConnectionError
+
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(init=init, tune=None))
+    monkeypatch.setitem(sys.modules, "agents.sweep.progress", SimpleNamespace(Ranking=None))
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    for address in (None, "cluster:6379"):
+        with pytest.raises(ConnectionError):
+            run(tmp_path, address, [])
+    monkeypatch.setenv("RAY_ADDRESS", "job:6379")
+    with pytest.raises(ConnectionError):
+        run(tmp_path, None, [])
+    assert joined == ["local", "cluster:6379", "job:6379"]
 
 
 @pytest.mark.slow

@@ -38,6 +38,7 @@ def finished(command: Sequence[str], folder: Path) -> str:
     """Output of a command that must succeed within ten minutes."""
     environment = os.environ | {"RAY_USAGE_STATS_ENABLED": "0", "COLUMNS": "120"}
     environment["PYTHONPATH"] = str(ROOT)
+    environment["RAY_ADDRESS"] = "local"  # not the cluster of another test
     result = subprocess.run(
         [sys.executable, *command], cwd=folder, env=environment, capture_output=True, text=True,
         timeout=600,
