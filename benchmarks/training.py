@@ -10,13 +10,13 @@ makes NAME.gif with the shipped policy.
 
 import json
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import gymnasium as gym
@@ -38,7 +38,7 @@ from agents.metrics import (
     write_json,
 )
 from agents.policy import Controller, load_policy
-from agents.run_folder.folder import RunFolder, versions
+from agents.run_folder.folder import FINISHED, RunFolder, versions
 from agents.training import learn
 from benchmarks.experiments import COLUMNS, FASTER, cells, number, summarise_experiments
 from benchmarks.output import RESULTS, argument_parser, command, table
@@ -69,13 +69,18 @@ def verdict(
 
 
 def run_seed(config: Config, work: Path, seed: int) -> tuple[RunFolder, float]:
-    """Train one seed; returns its run and the training time [s], compiling not included."""
+    """Train one seed, unless its run is kept; returns the run and the training time [s]."""
     config, folder = replace(config, seed=seed), work / f"seed{seed}"
-    folder.mkdir(parents=True)
     run = RunFolder(folder)
-    begin = time.monotonic()
-    learn(run, config)
-    return run, time.monotonic() - begin
+    if not run.finished_at():
+        rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        learn(run, config)
+        run.write_config(config)
+        run.write_versions({FINISHED: run.curve()[-1]["steps"]})
+    elif run.read_config() != config:
+        raise SystemExit(f"{folder} holds a run of another experiment; give another --keep.")
+    return run, run.curve()[-1]["seconds"]
 
 
 def faster_pd(env_id: str, kwargs: Mapping[str, Any], tasks: Sequence[int]) -> dict[str, float]:
@@ -249,7 +254,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="seeds that are trained side by side")
     parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
     parser.add_argument("--out", type=Path, default=RESULTS)
-    parser.add_argument("--keep", type=Path, help="folder that keeps the runs")
+    parser.add_argument("--keep", type=Path, help="folder of the runs, which are not trained again")
     parser.add_argument("--ship", action="store_true", help="keep the policies in agents/policies")
     a = parser.parse_args()
     if a.film:

@@ -1,15 +1,17 @@
-"""Film of a shipped policy."""
+"""Film of a shipped policy, and runs that are kept."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from agents.config import load_config
+from agents.config import Config, load_config
 from agents.figures import Film
 from agents.metrics import episode_metrics
+from agents.run_folder.folder import RunFolder
 from benchmarks.output import RESULTS
-from benchmarks.training import film_shipped
+from benchmarks.training import film_shipped, run_seed
 from tests.paths import ROOT
 
 
@@ -34,3 +36,26 @@ def test_the_stored_gif_is_that_of_the_shipped_policy_and_the_stored_gains(
         assert settled < latest
     with pytest.raises(SystemExit, match=r"No policy of one_link_reach_laboratory_ppo .*--gif"):
         film_shipped(load_config(ROOT / "configs" / "one_link_reach_laboratory_ppo.yaml"), tmp_path)
+
+
+def test_a_kept_run_is_not_trained_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that was interrupted is, and one of another experiment is refused."""
+    trained = []
+
+    def learn(run: RunFolder, config: Config) -> None:
+        trained.append(config.seed)
+        if len(trained) == 1:
+            run.append({"session": 0, "steps": 5, "seconds": 1.0, "episodes": 0})
+            raise KeyboardInterrupt
+        run.append({"session": 0, "steps": 10, "seconds": 2.5, "episodes": 0})
+
+    monkeypatch.setattr("benchmarks.training.learn", learn)
+    config = load_config(ROOT / "configs" / "one_link_reach_ppo.yaml")
+    with pytest.raises(KeyboardInterrupt):
+        run_seed(config, tmp_path, 3)
+    for _ in range(2):
+        run, seconds = run_seed(config, tmp_path, 3)
+        assert (len(run.curve()), seconds) == (1, 2.5)
+    assert trained == [3, 3]
+    with pytest.raises(SystemExit, match="seed3 holds a run of another experiment"):
+        run_seed(replace(config, total_steps=7), tmp_path, 3)
