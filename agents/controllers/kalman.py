@@ -65,7 +65,7 @@ class Belief:
     torque: Array  # (N, D + 1, P, m) [N m] past torques about the reference's, oldest first
     place: Array  # (N, D + 1, P, n) past references, from the target at the start
     forward: Array  # (N, P, m) [N m] torque of the reference
-    estimates: list[Estimate] = field(default_factory=list)  # N, of the likeliest plant
+    estimates: list[Estimate] = field(default_factory=list)  # N, of the believed plant
 
 
 class KalmanFilters:
@@ -78,11 +78,14 @@ class KalmanFilters:
     smallest innovations since the start is believed (multiple-model estimation, Bar-Shalom, Li and
     Kirubarajan, Estimation with Applications, 2001, section 11.6); its estimate is predicted to the
     present with the torques since.
+
+    With `caution`, the heaviest plant is believed whose filter is at most so much more surprised;
+    among plants of one payload the softest, and of one stiffness the longest delay.
     """
 
     def __init__(
         self, env: Any, name: str, disturbance: float, planner: Planner | None = None,
-        times: Array = NEVER,
+        times: Array = NEVER, caution: float = 0.0,
     ) -> None:  # fmt: skip
         core = env.unwrapped.core
         self.read, self.models = Reading.of(env), LinearModels.of(env)
@@ -96,6 +99,9 @@ class KalmanFilters:
         self.preview = Preview(env, self.models, times)
         self.hypotheses = list(product(self.plants, self.sensors.delays))
         self._delays = np.array(self.sensors.delays)
+        self.caution, self._order = caution, np.arange(len(self.hypotheses))
+        if caution:
+            self._order = np.array(sorted(self._order, key=self._mildness))
         self._traits = _traits(
             [*self.models.levels, self.sensors.delays], [*self.models.drawn, self.sensors.delay]
         )
@@ -169,7 +175,7 @@ class KalmanFilters:
             )  # fmt: skip
             _predict(
                 group, belief.steps, self._delays, bank.A, bank.B, belief.torque, belief.state,
-                belief.surprise, best, now,
+                belief.surprise, self._order, self.caution, best, now,
             )  # fmt: skip
         found = []
         for i, (bank, plant) in enumerate(zip(belief.banks, best, strict=True)):
@@ -214,6 +220,12 @@ class KalmanFilters:
             start = np.array([model.modes[:, joints] @ error[i] for model in bank.models])
             belief.state[i, :, : start.shape[1]] = np.repeat(start, len(self._delays), axis=0)
         return belief
+
+    def _mildness(self, hypothesis: int) -> tuple[float, float, int]:
+        """Sorts the filters by what they expect, the worst first."""
+        plant, delay = self.hypotheses[hypothesis]
+        expected = self.models.plants[plant]
+        return -expected.payload, expected.factor, -delay
 
     def _at(self, posture: Array) -> _Bank:
         return self._bank(place_of(posture, SHARED))
@@ -305,12 +317,15 @@ def _take(
 @outermost
 def _predict(
     group: Any, steps: Any, delays: Any, A: Any, B: Any, torque: Any, state: Any, surprise: Any,
-    best: Any, now: Any,
+    order: Any, caution: float, best: Any, now: Any,
 ) -> None:  # fmt: skip
-    """The plants of the likeliest filters, and their states with the torques since the readings."""
+    """The plants that are believed in, and their states with the torques since the readings.
+
+    They are the first of `order` whose surprise exceeds the least by no more than `caution`.
+    """
     _, m, S = B.shape
     for i in group:
-        h = np.argmin(surprise[i])
+        h = order[np.argmax(surprise[i][order] <= surprise[i].min() + caution)]
         p, delay = h // len(delays), delays[h % len(delays)]
         x = state[i, h, :S].copy()
         for age in range(min(delay, steps[i]), 0, -1):

@@ -24,6 +24,7 @@ from dynamics.types import Array
 
 BLOCKS = (1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4)  # control steps that share a torque; the last repeats
 PRICE = 1e7  # of bending beyond the share, over that of a tip error as wide as the settled band
+CAUTION = 4.0  # surprise by which a heavier plant may exceed the likeliest: seven times less likely
 ACCURACY, ITERATIONS = 1e-4, 500  # of the solver, whose last iterate counts in any case
 
 
@@ -140,12 +141,18 @@ class MPC(ModelBased):
 
 
 class KalmanMPC(OutputFeedback):
-    """Predictive control on the Kalman filters of LQG; needs obs="sensors"."""
+    """Predictive control on the Kalman filters of LQG; needs obs="sensors".
+
+    It believes in the heaviest plant that its readings allow, so that the links of none of them
+    bend too far; on a path, whose torques are the plant's own, in the likeliest.
+    """
 
     def __init__(
         self, env: Any, *, effort: float, lead: float, horizon: float, margin: float,
         disturbance: float,
     ) -> None:  # fmt: skip
-        observer = KalmanFilters(env, "mpc-kalman", disturbance, times=_times(env, horizon))
+        caution = 0.0 if env.unwrapped.core.task.moving else CAUTION
+        times = _times(env, horizon)
+        observer = KalmanFilters(env, "mpc-kalman", disturbance, times=times, caution=caution)
         cost = Cost(env, observer.models, effort=effort, lead=lead)
         super().__init__(env, observer, Predictive(env, cost, horizon=horizon, margin=margin))

@@ -168,6 +168,29 @@ def test_the_compiled_filters_are_kalman_filters() -> None:
         np.testing.assert_allclose(estimates[i].x, x[: 2 * r], rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("caution", [0.0, 4.0])
+def test_a_careful_belief_is_the_heaviest_that_readings_allow(caution: float) -> None:
+    """Among plants of one payload the softest; without caution the likeliest, by a plain search."""
+    lab = make_batch(REACH, 16, keywords("lqg", "laboratory"))
+    filters = KalmanFilters(lab, "lqg", 0.1, caution=caution)
+    observation, _ = lab.reset(seed=0)
+    belief: Any = None
+    torque = np.full((16, 1), 0.3) * filters.limit
+    for k in range(6):
+        estimates, belief = filters.observe(observation, belief, np.full(16, k == 0))
+        filters.act(belief, torque)
+        observation = lab.step((torque / filters.limit).astype(np.float32))[0]
+    differ = 0
+    for i, estimate in enumerate(estimates):
+        allowed = np.flatnonzero(belief.surprise[i] <= belief.surprise[i].min() + caution)
+        plants = [filters.models.plants[filters.hypotheses[k][0]] for k in allowed]
+        wanted = max(plants, key=lambda plant: (plant.payload, -plant.factor))
+        index = filters.models.plants.index(wanted)
+        assert estimate.model is belief.banks[i].models[index]
+        differ += index != filters.hypotheses[belief.surprise[i].argmin()][0]
+    assert (differ > 0) == (caution > 0.0)
+
+
 def test_the_first_reading_repeats_for_as_long_as_the_delay() -> None:
     """Filters of a shorter delay are ruled out by readings that change too early, or too late."""
     for delay in (0, 1, 2):

@@ -65,6 +65,18 @@ def test_links_bend_no_further_than_the_share_of_their_limit() -> None:
     assert found[0.8] == pytest.approx(0.8, abs=0.06)
 
 
+def test_a_payload_beyond_those_of_the_laboratory_does_not_break_the_arm() -> None:
+    """At three times the torque, which bends a heavy arm too far before its payload shows."""
+    lab = make_batch(AGILE, 1, {"hardware": "laboratory"})
+    heavy = {"preset": "laboratory", "payload": (0.6, 0.75), "stiffness": (0.8, 0.9), "delay": 3}
+    envs = make_batch(AGILE, 32, {"hardware": heavy})
+    weights = {"effort": 0.0034, "lead": 0.27, "horizon": 1.3, "margin": 0.65}
+    subject = mpc.KalmanMPC(lab, **weights, disturbance=0.01)
+    assert record(subject, envs, range(32)).failed.mean() < 0.1
+    subject.observer.caution = 0.0
+    assert record(subject, envs, range(32)).failed.mean() > 0.3
+
+
 def test_torques_are_held_for_whole_blocks() -> None:
     assert mpc._blocks(9) == [0, 1, 2, 3, 4, 5, 6, 6, 7]
     assert max(np.bincount(mpc._blocks(60))) == mpc.BLOCKS[-1]
