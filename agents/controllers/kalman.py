@@ -101,7 +101,7 @@ class KalmanFilters:
         self._delays = np.array(self.sensors.delays)
         self.caution, self._order = caution, np.arange(len(self.hypotheses))
         if caution:
-            self._order = np.array(sorted(self._order, key=self._mildness))
+            self._order = np.array(sorted(range(len(self.hypotheses)), key=self._mildness))
         self._traits = _traits(
             [*self.models.levels, self.sensors.delays], [*self.models.drawn, self.sensors.delay]
         )
