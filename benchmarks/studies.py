@@ -27,9 +27,6 @@ from agents.leaderboard.statistics import interquartile_mean, interval
 from agents.leaderboard.tracks import keywords
 from agents.metrics import evaluated, make_batch, regrets
 from agents.policy import load_policy
-from agents.run_folder.folder import RunFolder
-from agents.run_folder.lock import folder_lock
-from agents.training import learn
 from agents.tune import parameters_of
 from benchmarks.output import (
     RESULTS,
@@ -41,6 +38,7 @@ from benchmarks.output import (
     table,
 )
 from benchmarks.style import pyplot, series
+from benchmarks.training import run_seed
 from dynamics.types import AnyArray
 
 LEARNER = ROOT / "configs" / "one_link_reach_laboratory_ppo.yaml"
@@ -109,10 +107,7 @@ STUDIES = {"limits": limits, "memory": memory}
 def trained(training: Training, seed: int, work: Path) -> dict[str, AnyArray]:
     """Metrics (episodes,) of one policy; a run that was stopped continues."""
     name = "_".join("".join(x for x in part if x.isalnum()) for part in training.place if part)
-    run = RunFolder(work / name / f"seed{seed}")
-    run.path.mkdir(parents=True, exist_ok=True)
-    with folder_lock(run.path):
-        learn(run, replace(training.config, seed=seed))
+    run, _ = run_seed(training.config, work / name, seed)
     return judged(training, load_policy(run.policy))
 
 

@@ -16,7 +16,6 @@ from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from shutil import rmtree
 from typing import Any
 
 import gymnasium as gym
@@ -38,7 +37,8 @@ from agents.metrics import (
     write_json,
 )
 from agents.policy import Controller, load_policy
-from agents.run_folder.folder import FINISHED, RunFolder, versions
+from agents.run_folder.folder import RunFolder, versions
+from agents.run_folder.lock import folder_lock
 from agents.training import learn
 from benchmarks.experiments import COLUMNS, FASTER, cells, number, summarise_experiments
 from benchmarks.output import RESULTS, argument_parser, command, table
@@ -69,17 +69,17 @@ def verdict(
 
 
 def run_seed(config: Config, work: Path, seed: int) -> tuple[RunFolder, float]:
-    """Train one seed, unless its run is kept; returns the run and the training time [s]."""
-    config, folder = replace(config, seed=seed), work / f"seed{seed}"
-    run = RunFolder(folder)
-    if not run.finished_at():
-        rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        learn(run, config)
+    """Train one seed in a folder; returns its run and the training time [s].
+
+    A run that was stopped continues, a finished one stays as it is.
+    """
+    config, run = replace(config, seed=seed), RunFolder(work / f"seed{seed}")
+    run.path.mkdir(parents=True, exist_ok=True)
+    with folder_lock(run.path):
+        if run.config.exists() and run.read_config() != config:
+            raise SystemExit(f"{run.path} holds a run of another experiment; give another --keep.")
         run.write_config(config)
-        run.write_versions({FINISHED: run.curve()[-1]["steps"]})
-    elif run.read_config() != config:
-        raise SystemExit(f"{folder} holds a run of another experiment; give another --keep.")
+        learn(run, config)
     return run, run.curve()[-1]["seconds"]
 
 
@@ -254,7 +254,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="seeds that are trained side by side")
     parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
     parser.add_argument("--out", type=Path, default=RESULTS)
-    parser.add_argument("--keep", type=Path, help="folder of the runs, which are not trained again")
+    parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
     parser.add_argument("--ship", action="store_true", help="keep the policies in agents/policies")
     a = parser.parse_args()
     if a.film:

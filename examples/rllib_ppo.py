@@ -4,6 +4,7 @@ RLlib's workers are other processes, so the id carries the module that registers
 """
 
 import argparse
+import os
 from typing import Any
 
 import gymnasium as gym
@@ -60,7 +61,8 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--single", action="store_true", help="single environments, no batch")
     parser.add_argument("--runners", type=int, default=1, help="processes that step arms")
-    parser.add_argument("--address", default="local", help="of a Ray cluster (this machine alone)")
+    here = os.environ.get("RAY_ADDRESS", "local")  # else Ray joins any cluster that happens to run
+    parser.add_argument("--address", default=here, help="of a Ray cluster (this machine alone)")
     arguments = parser.parse_args()
 
     ray.init(arguments.address, include_dashboard=False if arguments.address == "local" else None)

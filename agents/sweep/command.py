@@ -37,7 +37,7 @@ REDUCTION = 3  # ASHA goes on with this part of the trials at each of its steps
 SNAPSHOT_SECONDS = "2"  # between Ray Tune's notes of which trials are done
 RESULTS, BEST, TUNE, CONFIG = "sweep.json", "best.yaml", "tune", "config.yaml"
 CONNECT_SECONDS = 5.0  # within which something at the address of a cluster must answer
-LOCAL = "local"  # Ray would join any cluster that happens to run here
+LOCAL = "local"  # without an address Ray joins any cluster that happens to run here
 RAYS_OWN = ("auto", LOCAL)  # addresses that name no machine
 
 

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from agents.config import Config, load_config
+from agents.config import load_config
 from agents.figures import Film
 from agents.metrics import episode_metrics
-from agents.run_folder.folder import RunFolder
 from benchmarks.output import RESULTS
 from benchmarks.training import film_shipped, run_seed
+from tests.agents.tiny import write_config
 from tests.paths import ROOT
 
 
@@ -38,24 +38,12 @@ def test_the_stored_gif_is_that_of_the_shipped_policy_and_the_stored_gains(
         film_shipped(load_config(ROOT / "configs" / "one_link_reach_laboratory_ppo.yaml"), tmp_path)
 
 
-def test_a_kept_run_is_not_trained_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that was interrupted is, and one of another experiment is refused."""
-    trained = []
-
-    def learn(run: RunFolder, config: Config) -> None:
-        trained.append(config.seed)
-        if len(trained) == 1:
-            run.append({"session": 0, "steps": 5, "seconds": 1.0, "episodes": 0})
-            raise KeyboardInterrupt
-        run.append({"session": 0, "steps": 10, "seconds": 2.5, "episodes": 0})
-
-    monkeypatch.setattr("benchmarks.training.learn", learn)
-    config = load_config(ROOT / "configs" / "one_link_reach_ppo.yaml")
-    with pytest.raises(KeyboardInterrupt):
-        run_seed(config, tmp_path, 3)
-    for _ in range(2):
-        run, seconds = run_seed(config, tmp_path, 3)
-        assert (len(run.curve()), seconds) == (1, 2.5)
-    assert trained == [3, 3]
+def test_a_kept_run_is_not_trained_again(tmp_path: Path) -> None:
+    """One of another experiment is refused."""
+    config = load_config(write_config(tmp_path, "ppo", 256))
+    run, seconds = run_seed(config, tmp_path, 3)
+    before = run.rows(), run.policy.joinpath("weights.npz").read_bytes()
+    assert run_seed(config, tmp_path, 3) == (run, seconds)
+    assert (run.rows(), run.policy.joinpath("weights.npz").read_bytes()) == before
     with pytest.raises(SystemExit, match="seed3 holds a run of another experiment"):
-        run_seed(replace(config, total_steps=7), tmp_path, 3)
+        run_seed(replace(config, total_steps=512), tmp_path, 3)
