@@ -85,6 +85,7 @@ def page(tables: Tables, files: Sequence[str], seeds: Sequence[int]) -> str:
     )
     parts = ["# Leaderboard", about, *(f"![{name.split('.')[0]}]({name})" for name in files)]
     parts += ["## Best and runner-up", leaders(tables)]
+    parts += ["## Learned and classical", rivals(tables)]
     for env_id, tracks in tables.items():
         parts.append(f"## {env_id}")
         for track, found in tracks.items():
@@ -123,6 +124,39 @@ def leaders(tables: Tables) -> str:
     return "\n".join(lines)
 
 
+def rivals(tables: Tables) -> str:
+    """Table of the best learned and the best classical controller of every task and track.
+
+    One leads where the intervals of both scores are apart. Controllers of users, whose names hold
+    a colon, are neither.
+    """
+    lines = [
+        "Score of the best of either kind, IQM [95 %]; one leads where the intervals are apart.",
+        "",
+        "| task | track | learned | training seeds | score | classical | score | leads |",
+        "|---|---|---|---:|---:|---|---:|---|",
+    ]
+    for env_id, tracks in tables.items():
+        for track, found in tracks.items():
+            names = [name for name in order(found) if name not in UNRANKED and ":" not in name]
+            learned = next((name for name in names if found[name]["training_seeds"]), None)
+            classical = next((name for name in names if not found[name]["training_seeds"]), None)
+            if learned is None or classical is None:
+                continue
+            ours, theirs = found[learned], found[classical]
+            apart = {
+                "learned": ours["score_ci"][0] > theirs["score_ci"][1],
+                "classical": theirs["score_ci"][0] > ours["score_ci"][1],
+            }
+            leads = next((kind for kind, holds in apart.items() if holds), "neither")
+            lines.append(
+                f"| {env_id.removeprefix('FlexArm/')} | {track} | {learned} | "
+                f"{ours['training_seeds']} | {score(ours)} | {classical} | {score(theirs)} | "
+                f"{leads} |"
+            )
+    return "\n".join(lines)
+
+
 def order(found: Mapping[str, Figures]) -> list[str]:
     """Controllers, best first, and the yardstick behind them."""
     return sorted(found, key=lambda name: (found[name]["privileged"], -found[name]["score_iqm"]))
@@ -130,14 +164,19 @@ def order(found: Mapping[str, Figures]) -> list[str]:
 
 def row(name: str, x: Figures) -> str:
     """Row of a controller in the table of a task and track."""
-    low, high = x["score_ci"]
     settling = x["settling_median"]
     return (
-        f"| {name} | {100.0 * x['success_rate']:.0f} % | {x['score_iqm']:.3f} "
-        f"[{low:.3f}, {high:.3f}] | {over_best(x)} | {_number(settling, '.2f', 'never')} | "
+        f"| {name} | {100.0 * x['success_rate']:.0f} % | {score(x)} | {over_best(x)} | "
+        f"{_number(settling, '.2f', 'never')} | "
         f"{_number(1e3 * x['tip_error_rms_median'], '.3g', 'failed')} | "
         f"{x['ms_per_action']:.2g}, {x['ms_per_action_p99']:.2g} | {x['ms_control_step']:g} |"
     )
+
+
+def score(x: Figures) -> str:
+    """Interquartile mean of the score with its interval."""
+    low, high = x["score_ci"]
+    return f"{x['score_iqm']:.3f} [{low:.3f}, {high:.3f}]"
 
 
 def over_best(x: Figures) -> str:

@@ -135,8 +135,11 @@ def ranked(
         metrics = {key: np.stack([found[key] for found in each]) for key in METRICS}
         milliseconds = decision_times(subjects[0], single, seeds[0])
         best = best_of(env_id, track, seeds, bounds)
-        dt, privileged = envs.unwrapped.control_dt, name == YARDSTICK
-        found = figures(metrics, milliseconds, dt, best, privileged)
+        found = figures(
+            metrics, milliseconds, envs.unwrapped.control_dt, best,
+            privileged=name == YARDSTICK,
+            learned=name in shipped(env_id, TRACKS[track].design),
+        )  # fmt: skip
         return Entry(found, metrics, spectrum(recordings), seeds)
     finally:
         for env in (design, envs, single):

@@ -54,9 +54,13 @@ def figures(
     milliseconds: AnyArray,
     control_dt: float,
     best: Best | None,
+    *,
     privileged: bool = False,
+    learned: bool = False,
 ) -> Figures:
     """Figures of one controller from metrics (runs, episodes) and the times of its decisions.
+
+    The runs of a learned one are its training seeds; other controllers have none, and one run.
 
     Without the best that is known of the episodes there is no regret; with a resting target there
     is no excess of the RMS tip error [m] over the smallest known.
@@ -66,6 +70,7 @@ def figures(
     excess = None if best is None or not best.of_path else excesses(metrics, best)
     return {
         "privileged": privileged,
+        "training_seeds": score.shape[0] if learned else 0,
         "episodes": score.shape[-1],
         "success_rate": float(metrics["success"].mean()),
         "score_iqm": interquartile_mean(score),

@@ -175,7 +175,7 @@ def test_figures_of_known_metrics() -> None:
     metrics["tip_error_rms"] = 2.0 * metrics["score"]
     metrics["residual_vibration"] = 3.0 * metrics["score"]
     best = Best("settling_time", np.array([1.0, 1.0, 1.0, 0.5]))
-    found = figures(metrics, np.array([1.0, 3.0, 2.0]), 0.02, best)
+    found = figures(metrics, np.array([1.0, 3.0, 2.0]), 0.02, best, learned=True)
     regret = [0.0, 0.2, 4.0, 1.8, 0.0, 0.6, 0.5, 1.6]
     middle = sorted(regret)[2:-2]
     intervals = {"score_ci": "score_iqm", "regret_ci": "regret_iqm"}
@@ -184,6 +184,7 @@ def test_figures_of_known_metrics() -> None:
         assert low < found[centre] < high
     assert found == {
         "privileged": False,
+        "training_seeds": 2,
         "episodes": 4,
         "excess_iqm": None,
         "excess_ci": None,
