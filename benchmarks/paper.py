@@ -10,7 +10,7 @@ import json
 from collections import Counter
 from typing import Any
 
-from agents.controllers import CONTROLLERS
+from agents.leaderboard.output import rivals
 from benchmarks.output import RESULTS, ROOT, argument_parser, table
 
 PAGE = ROOT / "docs" / "paper.md"
@@ -18,7 +18,6 @@ SCENES = {"OneLink": "one link", "TwoLink": "two links", "SixLink": "six links, 
 SIZE = "batch of 16384"
 BATCH = f"{SIZE}, 1 thread, float64 [steps/s]"
 ERROR = "error in all at full torque [reach]"
-REFERENCES = ("zero", "random")  # controllers that rank nothing
 
 
 def blocks() -> dict[str, str]:
@@ -118,17 +117,12 @@ def validation(stored: dict[str, Any]) -> str:
 
 def control(stored: dict[str, Any]) -> str:
     """Best classical and best learned controller of every task of two tracks."""
-    rows = []
-    for track in ("state", "laboratory"):
-        for env_id, tracks in stored.items():
-            found = tracks.get(track, {}).items()
-            entries = {k: v for k, v in found if not (k in REFERENCES or v["privileged"])}
-            classical = {name: entry for name, entry in entries.items() if name in CONTROLLERS}
-            learned = {name: x for name, x in entries.items() if name not in CONTROLLERS}
-            if classical and learned:
-                task = env_id.removeprefix("FlexArm/").removesuffix("-v0")
-                rows.append((track, task, _best(classical), _best(learned)))
-    return table(("track", "task", "best classical", "best learned"), rows)
+    return rivals(
+        {
+            env_id: {track: tracks[track] for track in ("state", "laboratory") if track in tracks}
+            for env_id, tracks in stored.items()
+        }
+    )
 
 
 def measured(stored: dict[str, Any]) -> str:
@@ -141,12 +135,6 @@ def measured(stored: dict[str, Any]) -> str:
         f"{100 * friction['held'][0]:.0f} % and {100 * friction['held'][1]:.0f} %, and the command "
         "says so."
     )
-
-
-def _best(entries: dict[str, Any]) -> str:
-    name = max(entries, key=lambda name: entries[name]["score_iqm"])
-    low, high = entries[name]["score_ci"]
-    return f"{name} {entries[name]['score_iqm']:.3f} [{low:.3f}, {high:.3f}]"
 
 
 def _count(number: float) -> str:

@@ -85,7 +85,7 @@ def page(tables: Tables, files: Sequence[str], seeds: Sequence[int]) -> str:
     )
     parts = ["# Leaderboard", about, *(f"![{name.split('.')[0]}]({name})" for name in files)]
     parts += ["## Best and runner-up", leaders(tables)]
-    parts += ["## Learned and classical", rivals(tables)]
+    parts += ["## Classical and learned", rivals(tables)]
     for env_id, tracks in tables.items():
         parts.append(f"## {env_id}")
         for track, found in tracks.items():
@@ -125,16 +125,16 @@ def leaders(tables: Tables) -> str:
 
 
 def rivals(tables: Tables) -> str:
-    """Table of the best learned and the best classical controller of every task and track.
+    """Table of the best classical and the best learned controller of every task and track.
 
     One leads where the intervals of both scores are apart. Controllers of users, whose names hold
     a colon, are neither.
     """
     lines = [
-        "Score of the best of either kind, IQM [95 %]; one leads where the intervals are apart.",
+        "Scores of the best of either kind, IQM [95 %]; one leads where the intervals are apart.",
         "",
-        "| task | track | learned | training seeds | score | classical | score | leads |",
-        "|---|---|---|---:|---:|---|---:|---|",
+        "| task | track | best classical | best learned | training seeds | leads |",
+        "|---|---|---|---|---:|---|",
     ]
     for env_id, tracks in tables.items():
         for track, found in tracks.items():
@@ -143,16 +143,15 @@ def rivals(tables: Tables) -> str:
             classical = next((name for name in names if not found[name]["training_seeds"]), None)
             if learned is None or classical is None:
                 continue
-            ours, theirs = found[learned], found[classical]
-            apart = {
-                "learned": ours["score_ci"][0] > theirs["score_ci"][1],
-                "classical": theirs["score_ci"][0] > ours["score_ci"][1],
-            }
-            leads = next((kind for kind, holds in apart.items() if holds), "neither")
+            one, other = found[classical], found[learned]
+            leads = "neither"
+            if one["score_ci"][0] > other["score_ci"][1]:
+                leads = "classical"
+            elif other["score_ci"][0] > one["score_ci"][1]:
+                leads = "learned"
             lines.append(
-                f"| {env_id.removeprefix('FlexArm/')} | {track} | {learned} | "
-                f"{ours['training_seeds']} | {score(ours)} | {classical} | {score(theirs)} | "
-                f"{leads} |"
+                f"| {env_id.removeprefix('FlexArm/')} | {track} | {classical} {score(one)} | "
+                f"{learned} {score(other)} | {other['training_seeds']} | {leads} |"
             )
     return "\n".join(lines)
 
