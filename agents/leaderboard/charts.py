@@ -7,6 +7,7 @@ place or the marker tells controllers apart. No two controllers share a marker a
 import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ TRACK_LOOKS = {  # colour, marker and place
     "transfer": (COLOURS[3], "^", -0.22),
 }
 COLUMNS = 4
+LINE = 0.21  # [in] of a controller in a panel
 UNRANKED = ("zero", "random", YARDSTICK)  # not drawn
 BEST = 5  # lines in a panel
 FILLINGS: tuple[dict[str, Any], ...] = (  # of markers, the next where all markers are used
@@ -56,10 +58,13 @@ def pictures(results: Results) -> dict[str, Callable[[], Figure]]:
 
 def scores(results: Results) -> Figure:
     """Interquartile means of the score with their intervals, by track."""
-    figure, axes = panels([title(env_id) for env_id in results])
-    for axis, tracks in zip(axes, results.values(), strict=True):
-        every = dict.fromkeys(name for found in tracks.values() for name in found)
-        names = [name for name in every if name not in UNRANKED][::-1]
+    ranked = [
+        [name for name in dict.fromkeys(chain(*tracks.values())) if name not in UNRANKED][::-1]
+        for tracks in results.values()
+    ]
+    tallest = max(3.2, LINE * max(map(len, ranked)))
+    figure, axes = panels([title(env_id) for env_id in results], tallest)
+    for axis, names, tracks in zip(axes, ranked, results.values(), strict=True):
         for track, found in tracks.items():
             color, marker, off = TRACK_LOOKS[track]
             for name in [name for name in names if name in found]:
@@ -69,7 +74,7 @@ def scores(results: Results) -> Figure:
                     marker=marker, markersize=6, linewidth=1.5,
                 )  # fmt: skip
         axis.set_yticks(range(len(names)), names)
-        axis.set(xlim=(-0.02, 1.0), ylim=(-0.5, len(names) - 0.5))
+        axis.set(xlim=(-0.02, 1.0), ylim=(-0.7, len(names) - 0.3))
     legend(figure, track_handles(results))
     figure.supxlabel("score: mean of the middle half of the test episodes, 95 % interval")
     return figure
@@ -233,11 +238,11 @@ def title(env_id: str) -> str:
     return env_id.removeprefix("FlexArm/")
 
 
-def panels(titles: list[str]) -> tuple[Figure, list[Any]]:
-    """A figure with a panel per title."""
+def panels(titles: list[str], height: float = 3.2) -> tuple[Figure, list[Any]]:
+    """A figure with a panel per title; their height [in]."""
     columns = min(COLUMNS, len(titles))
     rows = math.ceil(len(titles) / columns)
-    figure = new_figure(4.2 * columns, 3.2 * rows, dpi=110)
+    figure = new_figure(4.2 * columns, height * rows, dpi=110)
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axis, text in zip(axes, titles, strict=False):
         axis.set_title(text)
