@@ -86,7 +86,8 @@ def test_the_pareto_line_falls_and_nothing_lies_below_it(scene: dict[str, Any]) 
     assert len(line) > 2
     assert np.all(np.diff([p["cpu"] for p in line]) > 0.0)
     assert np.all(np.diff([p["error"] for p in line]) < 0.0)
-    for point in scene["points"]:
+    finite = [p for p in scene["points"] if np.isfinite(p["error"])]  # the cheapest run may diverge
+    for point in finite:
         assert any(p["cpu"] <= point["cpu"] and p["error"] <= point["error"] for p in line)
 
 
