@@ -111,16 +111,14 @@ def leaders(tables: Tables) -> str:
         "| task | track | best | runner-up | probability |",
         "|---|---|---|---|---:|",
     ]
-    for env_id, tracks in tables.items():
-        for track, found in tracks.items():
-            names = [name for name in order(found) if name not in UNRANKED]
-            for first, second in pairwise(names[:2]):
-                x = found[first]["improvement"][second]
-                low, high = x["ci"]
-                lines.append(
-                    f"| {env_id.removeprefix('FlexArm/')} | {track} | {first} | {second} | "
-                    f"{100.0 * x['p']:.0f} % [{100.0 * low:.0f}, {100.0 * high:.0f}] |"
-                )
+    for place, found in places(tables):
+        for first, second in pairwise(list(found)[:2]):
+            x = found[first]["improvement"][second]
+            low, high = x["ci"]
+            lines.append(
+                f"{place} | {first} | {second} | "
+                f"{100.0 * x['p']:.0f} % [{100.0 * low:.0f}, {100.0 * high:.0f}] |"
+            )
     return "\n".join(lines)
 
 
@@ -136,24 +134,34 @@ def rivals(tables: Tables) -> str:
         "| task | track | best classical | best learned | training seeds | leads |",
         "|---|---|---|---|---:|---|",
     ]
+    for place, found in places(tables):
+        ours = {name: x for name, x in found.items() if ":" not in name}
+        learned = next((name for name, x in ours.items() if x["training_seeds"]), None)
+        classical = next((name for name, x in ours.items() if not x["training_seeds"]), None)
+        if learned is None or classical is None:
+            continue
+        one, other = found[classical], found[learned]
+        leads = "neither"
+        if one["score_ci"][0] > other["score_ci"][1]:
+            leads = "classical"
+        elif other["score_ci"][0] > one["score_ci"][1]:
+            leads = "learned"
+        lines.append(
+            f"{place} | {classical} {score(one)} | {learned} {score(other)} | "
+            f"{other['training_seeds']} | {leads} |"
+        )
+    return "\n".join(lines)
+
+
+def places(tables: Tables) -> Iterator[tuple[str, dict[str, Figures]]]:
+    """Cells of every task and track, and its ranked controllers, best first."""
     for env_id, tracks in tables.items():
         for track, found in tracks.items():
-            names = [name for name in order(found) if name not in UNRANKED and ":" not in name]
-            learned = next((name for name in names if found[name]["training_seeds"]), None)
-            classical = next((name for name in names if not found[name]["training_seeds"]), None)
-            if learned is None or classical is None:
-                continue
-            one, other = found[classical], found[learned]
-            leads = "neither"
-            if one["score_ci"][0] > other["score_ci"][1]:
-                leads = "classical"
-            elif other["score_ci"][0] > one["score_ci"][1]:
-                leads = "learned"
-            lines.append(
-                f"| {env_id.removeprefix('FlexArm/')} | {track} | {classical} {score(one)} | "
-                f"{learned} {score(other)} | {other['training_seeds']} | {leads} |"
+            names = [name for name in order(found) if name not in UNRANKED]
+            yield (
+                f"| {env_id.removeprefix('FlexArm/')} | {track}",
+                {name: found[name] for name in names},
             )
-    return "\n".join(lines)
 
 
 def order(found: Mapping[str, Figures]) -> list[str]:
