@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from dynamics.backends.numba_llvm.module_text import Addition
-from dynamics.backends.numba_llvm.program import program
-from dynamics.backends.numba_llvm.stepper_entries import LANES_OF
+from dynamics.backends.numba_llvm.program import inverse_dynamics, program
+from dynamics.backends.numba_llvm.stepper_entries import LANES, LANES_OF
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.description.deflection import curvature
@@ -240,6 +240,10 @@ class Model:
     # ---- expression graphs ---------------------------------------------------------------------
 
     @cached_property
+    def _forces_program(self) -> ModuleType:
+        return program(self.traced, "float64", LANES, "rk4", inverse_dynamics(self.traced))
+
+    @cached_property
     def _state_functions(self) -> dict[str, Any]:
         return graphs.state_functions(self.traced)
 
@@ -259,9 +263,11 @@ class Model:
         """(N, n) M a + h at N states."""
         self._require_fixed_base("inverse_dynamics of many states")
         shape = (np.shape(q)[0], self.n)
-        q, v, a = (validate.array(*x, shape) for x in ((q, "q"), (v, "v"), (a, "a")))
-        M, h = (np.array(self._state_functions[x](q.T, v.T)) for x in ("mass_matrix", "bias"))
-        forces = np.einsum("ikj,kj->ki", M.reshape(self.n, *shape), a) + h.T
+        given = (validate.array(*x, shape) for x in ((q, "q"), (v, "v"), (a, "a")))
+        q, v, a = map(np.ascontiguousarray, given)
+        module, forces = self._forces_program, np.empty(shape)
+        workspace = aligned_zeros(module.SLOTS * LANES, "float64")
+        module.forces_of_states(q, v, a, workspace, forces)
         return validate.finite(forces, "inverse_dynamics")
 
     def _measure(self, q: Array, v: Array) -> Array:

@@ -83,6 +83,17 @@ def state_functions(traced: TracedArm) -> dict[str, Any]:
     return {name: ca.Function(name, s.inputs, [value]) for name, value in values.items()}
 
 
+def generalized_forces(traced: TracedArm) -> Any:
+    """CasADi Function (q, v, a) -> M a + h of an arm whose base does not turn in space."""
+    import casadi as ca
+
+    s, a = _state(traced), ca.SX.sym("a", traced.n)
+    equations = traced.formed.equations
+    M, h = equations.mass_matrix(s.chain, s.x), equations.bias(s.chain, s.x, s.rates)
+    inertial = ca.vertcat(*(ca.horzcat(*row) for row in M)) @ a
+    return ca.Function("M_a_h", [*s.inputs, a], [ca.cse(inertial + ca.vertcat(*h))])
+
+
 @lru_cache(maxsize=8)
 def measure(traced: TracedArm) -> Any:
     """CasADi Function (q, v) -> measurements in the columns of `TracedArm.measurements`."""

@@ -21,7 +21,7 @@ from dynamics.backends.numba_llvm.module_text import (
     module_text,
     straight_line_text,
 )
-from dynamics.backends.numba_llvm.stepper_entries import ENTRIES, FREE_BASE, STEPS
+from dynamics.backends.numba_llvm.stepper_entries import ENTRIES, FORCES, FREE_BASE, STEPS
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.runtime.numba_internals import DIGEST
 from dynamics.tracing import graphs
@@ -103,6 +103,18 @@ def stepping(arm: TracedArm) -> Addition:
     columns = [f"N_TORQUE = {arm.n_torque}", f"N_MEASURED = {arm.n_measure}"]
     entries = "\n".join([*columns, ENTRIES])
     return Addition(key="stepper", sizes=sizes, functions=functions, entries=entries)
+
+
+def inverse_dynamics(arm: TracedArm) -> Addition:
+    """Generalized forces at many states, in place of a stepper."""
+
+    def functions(at: Mapping[str, int]) -> list[Function]:
+        inputs = [at[name] for name in ("Q", "V", "ACC")]
+        graph = graphs.generalized_forces(arm)
+        return [traced("generalized_forces", graph, inputs, at["FORCES"])]
+
+    sizes = {"FORCES": arm.n}
+    return Addition(key="inverse dynamics", sizes=sizes, functions=functions, entries=FORCES)
 
 
 def _renewal(arm: TracedArm, at: Mapping[str, int]) -> list[Function]:

@@ -103,6 +103,23 @@ def evaluate_often(w, times):
     for _ in range(times):
         accelerations(w)
 """
+# of an addition without steps: `generalized_forces(w)` at many states
+FORCES = """
+gather, scatter = row_moves(int(LANES))
+
+
+@outermost
+def forces_of_states(q, v, a, w, out):
+    rows = np.uint64(q.shape[0])
+    for block in range((rows + LANES - np.uint64(1)) // LANES):
+        first = block * LANES
+        gather(w, Q, q, first)
+        gather(w, V, v, first)
+        gather(w, ACC, a, first)
+        generalized_forces(w)
+        for b in range(min(LANES, rows - first)):
+            scatter(w, FORCES + b, out, first + b)
+"""
 # the marks of an arm with a free base; see formulations/free_base.py
 FREE_BASE = {
     "#enter": ["enter(w, LANES, Q, V, ATTITUDE)", "renew(w)"],

@@ -58,7 +58,7 @@ def test_questions_of_inertia_and_forces_fit_together(model: Model) -> None:
     drive = np.zeros(ARM.n)
     drive[list(ARM.joint_index)] = tau
     assert_allclose(model.inverse_dynamics(q, v, a), drive, atol=1e-10 * np.abs(h).max())
-    many = [np.array([x, 0.0 * x, -x]) for x in (q, v, v)]
+    many = [np.outer(np.linspace(-1.0, 1.0, LANES + 3), x) for x in (q, v, v)]
     each = [model.inverse_dynamics(*state) for state in zip(*many, strict=True)]
     assert_allclose(model.inverse_dynamics(*many), each, atol=1e-12 * np.abs(h).max())
     kinetic, elastic, _ = model.energy(q, v)
