@@ -30,7 +30,7 @@ from agents.run_folder.folder import versions
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, speaker
 from agents.signals import Interrupted, signals_to, stop_at_once
-from agents.tune import is_tuned, parameters_of
+from agents.tuned import is_tuned, parameters_of
 from dynamics.description import validate
 from flexarm_env import registered
 

@@ -40,7 +40,7 @@ from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, re
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, speaker
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
-from agents.tune import parameters_of
+from agents.tuned import parameters_of
 from dynamics.description import validate
 
 BESIDE = ("pd-zv", "lqr", "lqg")  # tuned controllers that a policy is compared with

@@ -27,7 +27,7 @@ from agents.leaderboard.statistics import interquartile_mean, interval
 from agents.leaderboard.tracks import keywords
 from agents.metrics import evaluated, make_batch, regrets
 from agents.policy import load_policy
-from agents.tune import parameters_of
+from agents.tuned import parameters_of
 from benchmarks.output import (
     RESULTS,
     ROOT,

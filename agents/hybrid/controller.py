@@ -14,7 +14,7 @@ from agents.controllers import CONTROLLERS, controller
 from agents.controllers.reading import Reading
 from agents.leaderboard.tracks import takes_part, track_of
 from agents.policy import Controller, Policy, PolicyError
-from agents.tune import parameters_of
+from agents.tuned import parameters_of
 from dynamics.description import validate
 from dynamics.types import AnyArray, Array
 

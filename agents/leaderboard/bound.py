@@ -36,7 +36,7 @@ from agents.files import atomic_write
 from agents.leaderboard.motions import Episode, Motion, effects, plant
 from agents.leaderboard.tracks import RANKED
 from agents.metrics import Best
-from agents.tune import is_tuned, parameters_of
+from agents.tuned import is_tuned, parameters_of
 from dynamics.description import validate
 from dynamics.types import Array
 from flexarm_env import IDS, TASKS

@@ -34,7 +34,7 @@ from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
 from agents.sentences import one_line, speaker
-from agents.tune import is_tuned, parameters_of
+from agents.tuned import is_tuned, parameters_of
 from dynamics.description import validate
 from dynamics.types import AnyArray
 

@@ -13,12 +13,17 @@ LINKS = {"residual": "on", "advised": "advised-by", "alone": "watching", "refere
 
 def name_of(policy: Policy) -> str:
     """Algorithm of a policy, with its base, and "-stacked"."""
-    algorithm: str = policy.about.get("algorithm", "policy")
-    return algorithm + on_base(policy.about.get("base")) + "-stacked" * (policy.stack > 1)
+    about = policy.about
+    return ranked_as(about.get("algorithm", "policy"), about.get("base"), policy.stack)
+
+
+def ranked_as(algorithm: str, base: Mapping[str, Any] | None, stack: int) -> str:
+    """Algorithm with the base on which the policy acts, such as "-on-lqg", and "-stacked"."""
+    return algorithm + on_base(base) + "-stacked" * (stack > 1)
 
 
 def on_base(base: Mapping[str, Any] | None) -> str:
-    """Part of a name that tells the base of a policy, such as "-on-lqg"; empty without one."""
+    """Part of a name that tells the base of a policy; empty without one."""
     return "" if base is None else f"-{LINKS[base['learned']]}-{base['controller']}"
 
 

@@ -19,8 +19,8 @@ import yaml
 from agents.config import Config, ConfigError, config_from_dict, load_config
 from agents.experiments import find_experiment
 from agents.files import FolderError, atomic_write, check_folder
-from agents.learners.algorithms import settings
-from agents.learners.ranges import DEFAULTS, drawn
+from agents.learners.ranges import at_random, drawn
+from agents.learners.tuning import ranges_of
 from agents.run_folder.folder import refuse_used
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, speaker
@@ -185,14 +185,12 @@ def require_ray() -> None:
 
 def plan(config: Config, n: int, seed: int) -> list[Config]:
     """The experiment itself and n - 1 others with drawn keywords; an unusable one is refused."""
-    known = settings(config.agent.name)
-    ranges = config.sweep or {key: table for key, table in DEFAULTS.items() if key in known}
-    rng = np.random.default_rng(seed)
+    ranges, draw = ranges_of(config), at_random(np.random.default_rng(seed))
     plain = replace(config, sweep={})
     trials = [plain]
     while len(trials) < n:
         data = plain.to_dict()
-        data["agent"]["kwargs"] |= drawn(ranges, config.agent.kwargs, rng)
+        data["agent"]["kwargs"] |= drawn(ranges, config.agent.kwargs, draw)
         trials.append(config_from_dict(data))
     return trials
 

@@ -4,16 +4,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from agents.config import Config, config_from_dict
-from agents.hybrid.controller import acting
+from agents.config import config_from_dict
 from agents.learners.export import export_policy
-from agents.metrics import episode_metrics, make_batch, record
+from agents.learners.tuning import judged
 from agents.policy import save_policy
 from agents.run_folder.checkpoints import newest_intact, restore_checkpoint, save_checkpoint
 from agents.training import about_policy, build_model
-from agents.tune import SEED, objective
 
 REPORTS = 9  # of a trial that is not stopped early
 EPISODES = 32  # judged at every report, other ones than those of an evaluation
@@ -50,7 +46,7 @@ def train_trial(settings: dict[str, Any]) -> None:
             save_checkpoint(model, folder, progress)
             policy = export_policy(model, about_policy(config) | {"steps": model.num_timesteps})
             save_policy(policy, folder / POLICY)
-            entry = judged(config, policy)
+            entry = judged(config, policy, EPISODES)
             entry |= {"steps": model.num_timesteps, "restarts": progress["session"], "node": node}
             tune.report(entry, checkpoint=tune.Checkpoint.from_directory(folder))
 
@@ -71,15 +67,3 @@ def train_trial(settings: dict[str, Any]) -> None:
         model.learn(remaining, Reports(), log_interval=None, reset_num_timesteps=checkpoint is None)
     report()
     model.env.close()
-
-
-def judged(config: Config, policy: Any) -> dict[str, Any]:
-    """Mean score, success rate and objective of a policy on the tuning episodes."""
-    envs = make_batch(config.env.id, EPISODES, config.env.kwargs)
-    try:
-        metrics = episode_metrics(record(acting(policy, envs), envs, range(SEED, SEED + EPISODES)))
-        reach = float(envs.unwrapped.reach)
-    finally:
-        envs.close()
-    means = {name: float(np.mean(metrics[name])) for name in ("score", "success")}
-    return means | {"objective": objective(metrics, reach)}

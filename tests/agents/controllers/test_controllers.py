@@ -11,7 +11,7 @@ from agents.controllers import CONTROLLERS, controller, lqr
 from agents.controllers.linear_model import LinearModels
 from agents.leaderboard.tracks import RANKED, keywords, takes_part
 from agents.metrics import episode_metrics, make_batch, record
-from agents.tune import parameters_of
+from agents.tuned import parameters_of
 
 IDS = [f"FlexArm/{scene}-Reach-v0" for scene in ("OneLink", "TwoLink")]
 SIX = pytest.param("FlexArm/SixLink-Reach-v0", marks=pytest.mark.slow)

@@ -10,7 +10,7 @@ from agents.controllers.inverse import InverseDynamics
 from agents.controllers.pd import joint_pd
 from agents.leaderboard.tracks import keywords
 from agents.metrics import episode_metrics, make_batch, record
-from agents.tune import parameters_of
+from agents.tuned import parameters_of
 
 REACH = "FlexArm/OneLink-Reach-v0"
 BLIND = {"frequency_ratio": 1e-6, "damping_ratio": 1e-6}  # feedback that does nothing

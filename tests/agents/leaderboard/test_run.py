@@ -21,7 +21,8 @@ from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part, track_of
 from agents.metrics import episode_metrics, make_batch, record
 from agents.tune import main as tune_main
-from agents.tune import parameters_of, tune, tuned
+from agents.tune import tune
+from agents.tuned import parameters_of, tuned
 from dynamics.types import AnyArray
 from tests.paths import ROOT
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.config import Config, ConfigError, config_from_dict
-from agents.learners.ranges import drawn
+from agents.learners.ranges import Draw, at_random, drawn, suggested
 from agents.sweep.command import plan
 
 PPO: dict[str, Any] = {"name": "ppo", "kwargs": {"learning_rate": "lin_1.0e-3", "n_steps": 64}}
@@ -17,15 +17,32 @@ def experiment(sweep: Any, agent: Any = PPO) -> Config:
     return config_from_dict({"env": env, "agent": agent, "total_steps": 1000, "sweep": sweep})
 
 
-def test_drawn_values_lie_in_their_ranges_and_fill_them() -> None:
+def random_draw() -> Draw:
+    return at_random(np.random.default_rng(0))
+
+
+def optunas_draw() -> Draw:
+    """Suggestions of trials without a history."""
+    optuna = pytest.importorskip("optuna")
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
+
+    def draw(key: str, table: Any) -> Any:
+        return suggested(study.ask())(key, table)
+
+    return draw
+
+
+@pytest.mark.parametrize("source", [random_draw, optunas_draw])
+def test_drawn_values_lie_in_their_ranges_and_fill_them(source: Any) -> None:
     ranges = {
         "learning_rate": {"between": [1e-4, 1e-2], "log": True},
         "n_epochs": {"between": [2, 4]},
         "batch_size": {"among": [32, 64]},
         "gamma": {"between": [0.9, 0.99]},
     }
-    rng = np.random.default_rng(0)
-    found = [drawn(ranges, {}, rng) for _ in range(400)]
+    draw = source()
+    found = [drawn(ranges, {}, draw) for _ in range(400)]
     assert {x["n_epochs"] for x in found} == {2, 3, 4}
     assert {x["batch_size"] for x in found} == {32, 64}
     rates = np.array([x["learning_rate"] for x in found])
@@ -37,13 +54,9 @@ def test_drawn_values_lie_in_their_ranges_and_fill_them() -> None:
 
 
 def test_a_falling_number_stays_falling() -> None:
-    value = drawn({"clip_range": {"between": [0.1, 0.3]}}, {"clip_range": "lin_0.2"}, _rng())
+    value = drawn({"clip_range": {"between": [0.1, 0.3]}}, {"clip_range": "lin_0.2"}, random_draw())
     assert 0.1 <= float(value["clip_range"].removeprefix("lin_")) <= 0.3
     assert value["clip_range"].startswith("lin_")
-
-
-def _rng() -> np.random.Generator:
-    return np.random.default_rng(0)
 
 
 def test_the_first_trial_is_the_experiment_and_equal_seeds_draw_equal_trials() -> None:

@@ -1,0 +1,56 @@
+"""Parameters that `python -m agents.tune` has found, in agents/tuned.json.
+
+The file has id -> track -> name of a controller -> parameters, score, trials and episodes.
+"""
+
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from agents.controllers import CONTROLLERS
+from agents.files import atomic_write
+from agents.leaderboard.tracks import TRACKS
+
+STORE = Path(__file__).with_name("tuned.json")
+
+
+@lru_cache(maxsize=1)
+def tuned() -> dict[str, Any]:
+    """Contents of tuned.json."""
+    return read(STORE)
+
+
+def is_tuned(name: str, env_id: str, track: str) -> bool:
+    """True if a controller has nothing to tune, or its parameters are stored."""
+    stored = tuned().get(env_id, {}).get(TRACKS[track].design, {})
+    return not CONTROLLERS[name].ranges or name in stored
+
+
+def parameters_of(name: str, env_id: str, track: str) -> dict[str, float]:
+    """Stored parameters of a controller; a ValueError if it was not tuned there."""
+    found = tuned().get(env_id, {}).get(TRACKS[track].design, {}).get(name)
+    if found is None:
+        raise ValueError(
+            f"{name} was not tuned for {env_id} on the track {track!r}; run python -m agents.tune "
+            f"--tasks {env_id} --controllers {name}."
+        )
+    result: dict[str, float] = found["parameters"]
+    return result
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Contents of a file of results, empty if there is none."""
+    if not path.exists():
+        return {}
+    result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return result
+
+
+def store(path: Path, env_id: str, track: str, name: str, found: Mapping[str, Any]) -> None:
+    """Add one result to the file, whatever it has by now."""
+    data = read(path)
+    data.setdefault(env_id, {}).setdefault(track, {})[name] = dict(found)
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(data, indent=1, sort_keys=True) + "\n", encoding="utf-8")
