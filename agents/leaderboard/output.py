@@ -113,12 +113,7 @@ def leaders(tables: Tables) -> str:
     ]
     for place, found in places(tables):
         for first, second in pairwise(list(found)[:2]):
-            x = found[first]["improvement"][second]
-            low, high = x["ci"]
-            lines.append(
-                f"{place} | {first} | {second} | "
-                f"{100.0 * x['p']:.0f} % [{100.0 * low:.0f}, {100.0 * high:.0f}] |"
-            )
+            lines.append(f"{place} | {first} | {second} | {above(found[first], second)} |")
     return "\n".join(lines)
 
 
@@ -129,10 +124,11 @@ def rivals(tables: Tables) -> str:
     a colon, are neither.
     """
     lines = [
-        "Scores of the best of either kind, IQM [95 %]; one leads where the intervals are apart.",
+        "Scores of the best of either kind, IQM [95 %]; one leads where the intervals are apart. "
+        "Above: the probability that the learned one scores higher in an episode; ties count half.",
         "",
-        "| task | track | best classical | best learned | training seeds | leads |",
-        "|---|---|---|---|---:|---|",
+        "| task | track | best classical | best learned | training seeds | leads | above |",
+        "|---|---|---|---|---:|---|---:|",
     ]
     for place, found in places(tables):
         ours = {name: x for name, x in found.items() if ":" not in name}
@@ -148,7 +144,7 @@ def rivals(tables: Tables) -> str:
             leads = "learned"
         lines.append(
             f"{place} | {classical} {score(one)} | {learned} {score(other)} | "
-            f"{other['training_seeds']} | {leads} |"
+            f"{other['training_seeds']} | {leads} | {above(other, classical)} |"
         )
     return "\n".join(lines)
 
@@ -184,6 +180,13 @@ def score(x: Figures) -> str:
     """Interquartile mean of the score with its interval."""
     low, high = x["score_ci"]
     return f"{x['score_iqm']:.3f} [{low:.3f}, {high:.3f}]"
+
+
+def above(x: Figures, other: str) -> str:
+    """Probability that a controller scores above another in an episode, with its interval."""
+    better = x["improvement"][other]
+    p, low, high = (100.0 * value for value in (better["p"], *better["ci"]))
+    return f"{p:.0f} % [{low:.0f}, {high:.0f}]"
 
 
 def over_best(x: Figures) -> str:

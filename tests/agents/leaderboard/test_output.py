@@ -99,12 +99,14 @@ def test_one_kind_leads_where_the_intervals_are_apart() -> None:
 
     def leader(trained: Any, classical: Any) -> str:
         found = {"pd": low, "lqr": classical, "my:Own": high}
-        found["ppo"] = trained | {"training_seeds": 5}
+        better = {"p": 0.25, "ci": [0.2, 0.31]}
+        found["ppo"] = trained | {"training_seeds": 5, "improvement": {"lqr": better}}
         (line,) = rivals({REACH: {"state": found}}).splitlines()[4:]
         cells = line.strip("| ").split(" | ")
         assert cells[:2] == ["OneLink-Reach-v0", "state"]
         assert cells[2] == f"lqr {score(classical)}"
         assert cells[3:5] == [f"ppo {score(trained)}", "5"]
+        assert cells[6] == "25 % [20, 31]"
         return str(cells[5])
 
     assert leader(high, middle) == "learned"
