@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator
 
 from agents.figures import COLOURS, MARKERS, look, new_figure, tidy
 from agents.leaderboard.bound import is_moving
@@ -136,6 +137,9 @@ def excess_points(axis: Any, found: Mapping[str, Entry], colour: str) -> None:
     axis.set(xscale="log", xlabel="excess [mm]")
     low, high = axis.get_xlim()
     axis.set_xlim(low, 3.0 * high)
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter("")
 
 
 def _sorted(
