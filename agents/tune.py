@@ -8,7 +8,8 @@ finished.
 
 With --experiments the keywords of learners are searched in the same way, and a trial is a training
 with one seed. The first is the experiment itself. At a ninth and a third of its steps a trial ends
-unless it is in the best third of those so far (successive halving).
+unless it is in the best third of those so far (successive halving). The best three and the
+experiment itself are then trained with two more seeds, and the best mean wins.
 """
 
 import argparse

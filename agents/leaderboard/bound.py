@@ -36,13 +36,14 @@ from agents.files import atomic_write
 from agents.leaderboard.motions import Episode, Motion, effects, plant
 from agents.leaderboard.tracks import RANKED
 from agents.metrics import Best
-from agents.tuned import is_tuned, parameters_of
+from agents.tuned import parameters_of
 from dynamics.description import validate
 from dynamics.types import Array
 from flexarm_env import IDS, TASKS
 from flexarm_env.tasks import SETTLED_BAND
 
 FOLDER = Path(__file__).parents[1] / "bounds"
+STARTS = ("mpc", "pd")  # controllers whose actions the search begins with
 PLANTS = ("state", "laboratory")  # tracks whose plants differ in free parameters alone
 TRUST = (0.5, 0.01)  # [-] first and last largest change of an action
 ROUNDS = 12  # programs per aim
@@ -146,11 +147,6 @@ def reached(episode: Episode, motion: Motion) -> float:
     return (motion.settled + 1) * episode.dt if motion.settled <= episode.held else np.inf
 
 
-def starts_of(env_id: str) -> tuple[str, str]:
-    """Controllers whose actions the search begins with, the best that were tuned for the task."""
-    return ("mpc" if is_tuned("mpc", env_id, "state") else "lqr", "pd")
-
-
 def bounded(
     env_id: str, track: str, seed: int, batches: dict[int, Any], before: Array | None = None
 ) -> tuple[Motion, list[float]]:
@@ -161,7 +157,7 @@ def bounded(
     """
     episode, found = Episode(env_id, plant(env_id, track), seed, batches), []
     search = partial(improved, aim=Aim()) if is_moving(env_id) else shortest
-    for name in starts_of(env_id):
+    for name in STARTS:
         subject = controller(name, episode.batch(1)[0], parameters_of(name, env_id, "state"))
         first = episode.follow(episode.acted(subject)[None])[0]
         if not first.valid:
@@ -253,7 +249,7 @@ def add(
     folder: Path | None = None,
 ) -> None:
     """Store one more episode, in place of an earlier bound; the file is replaced as a whole."""
-    from_controllers = starts[: len(starts_of(env_id))]
+    from_controllers = starts[: len(STARTS)]
     new = Bounds(
         np.array([seed]), np.array([min(starts)]), np.array([from_controllers]),
         motion.actions[None].astype(np.float32),
@@ -287,7 +283,7 @@ def compute(
     there = known(env_id, track, folder)
     wanted = [seed for seed in seeds if again or seed not in there]
     before = [there[seed][1] if seed in there else None for seed in wanted]
-    names = (*starts_of(env_id), "stored")
+    names = (*STARTS, "stored")
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
         results = pool.map(partial(_searched, env_id, track), wanted, before)

@@ -21,7 +21,9 @@ from agents.tune import EPISODES, SEED, TRIALS, objective, searched
 REDUCTION = 3  # of so many trials one goes on
 RUNGS = (1, 3)  # ninths of the steps after which a trial may end
 NINTHS = REDUCTION * RUNGS[-1]
-SCALES = {"between": [0.03, 1.0], "log": True}  # of what is learned beside a base
+SCALE = "scale"  # field of an experiment's base, among the keywords of the learner
+SCALES = {"between": [0.03, 1.0], "log": True}
+FINALISTS, SEEDS = 3, 3  # best trials beside the experiment itself; seeds of each in the final
 
 
 def place_of(config: Config) -> tuple[str, str, str]:
@@ -40,39 +42,47 @@ def tune_experiment(
     config: Config, *, trials: int = TRIALS, episodes: int = EPISODES, seed: int = SEED
 ) -> dict[str, Any]:
     """Best keywords of an experiment's learner, their mean score, and that of its own."""
-    plain = replace(config, sweep={})
-    ranges = ranges_of(config)
-    scales = {} if config.base is None else {"scale": SCALES}
+    ranges = ranges_of(config) | ({} if config.base is None else {SCALE: SCALES})
 
-    def score(trial: Any) -> float:
-        draw, own = suggested(trial), config.agent.kwargs
-        kwargs, base = (drawn(x, own, draw) if trial.number else {} for x in (ranges, scales))
-        trial.set_user_attr("parameters", kwargs | base)
+    def judge(policy: Policy) -> dict[str, float]:
+        return judged(config, policy, episodes, seed)
 
-        def judge(policy: Policy) -> float:
-            means = judged(config, policy, episodes, seed)
-            trial.set_user_attr("score", means["score"])
-            return means["objective"]
+    def tried(trial: Any) -> float:
+        found = drawn(ranges, config.agent.kwargs, suggested(trial)) if trial.number else {}
+        trial.set_user_attr("parameters", found)
 
         def poor(policy: Policy, rung: int) -> bool:
-            trial.report(judge(policy), rung)
+            trial.report(judge(policy)["objective"], rung)
             return bool(trial.should_prune())
 
-        policy = trained(changed(plain, kwargs, base), poor)
+        policy = trained(changed(config, found), poor)
         if policy is None:
             from optuna import TrialPruned
 
             raise TrialPruned
-        return judge(policy)
+        trial.set_user_attr("means", judge(policy))
+        return float(trial.user_attrs["means"]["objective"])
 
-    study = searched(score, trials, reduction=REDUCTION)
-    best = study.best_trial.user_attrs
+    def again(trial: Any) -> dict[str, float]:
+        """Means over the seeds of a trial that is in the final."""
+        own = changed(config, trial.user_attrs["parameters"])
+        seeds = range(config.seed + 1, config.seed + SEEDS)
+        policies = [trained(replace(own, seed=x)) for x in seeds]
+        means = [trial.user_attrs["means"], *(judge(x) for x in policies if x is not None)]
+        return {name: float(np.mean([x[name] for x in means])) for name in means[0]}
+
+    study = searched(tried, trials, reduction=REDUCTION)
+    first, *others = (trial for trial in study.trials if "means" in trial.user_attrs)
+    others.sort(key=lambda trial: -trial.value)
+    final = {trial.number: again(trial) for trial in (first, *others[:FINALISTS])}
+    best = max(final, key=lambda number: final[number]["objective"])
     return {
-        "parameters": best["parameters"],
-        "score": best["score"],
-        "untuned": study.trials[0].user_attrs["score"],
+        "parameters": study.trials[best].user_attrs["parameters"],
+        "score": final[best]["score"],
+        "untuned": final[first.number]["score"],
         "trials": len(study.trials),
         "episodes": episodes,
+        "seeds": SEEDS,
         "steps": config.total_steps,
     }
 
@@ -83,16 +93,18 @@ def ranges_of(config: Config) -> dict[str, Any]:
     return config.sweep or {key: table for key, table in DEFAULTS.items() if key in known}
 
 
-def changed(config: Config, kwargs: dict[str, Any], base: dict[str, Any]) -> Config:
-    """An experiment with other keywords of the learner and fields of the base."""
-    data = config.to_dict()
-    data["agent"]["kwargs"] |= kwargs
-    if base:
-        data["base"] |= base
+def changed(config: Config, found: dict[str, Any]) -> Config:
+    """An experiment with other keywords of the learner, or another scale of what it adds."""
+    data = replace(config, sweep={}).to_dict()
+    data["agent"]["kwargs"] |= {key: value for key, value in found.items() if key != SCALE}
+    if SCALE in found:
+        data["base"][SCALE] = found[SCALE]
     return config_from_dict(data)
 
 
-def trained(config: Config, poor: Callable[[Policy, int], bool]) -> Policy | None:
+def trained(
+    config: Config, poor: Callable[[Policy, int], bool] = lambda policy, rung: False
+) -> Policy | None:
     """The policy after a training; None if `poor`, asked at a rung, has ended it."""
     from stable_baselines3.common.callbacks import BaseCallback
 

@@ -116,11 +116,6 @@ def test_a_folder_adds_its_bounds_to_those_of_the_package(folder: Path, tmp_path
     assert [path.name for path in own.iterdir()] == ["OneLink-Reach-v0.state.npz"]
 
 
-def test_searches_begin_with_predictive_control_where_it_was_tuned() -> None:
-    assert bound.starts_of(REACH) == bound.starts_of(TRACK) == ("mpc", "pd")
-    assert bound.starts_of("FlexArm/SixLink-Track-v0") == ("lqr", "pd")
-
-
 def test_only_episodes_without_a_bound_are_searched(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,17 +1,23 @@
 """Keywords of learners: searched by trials that are trainings, on the tuning episodes."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from agents.config import Config, load_config
+from agents.controllers import CONTROLLERS
+from agents.experiments import shipped_experiments
+from agents.leaderboard.tracks import RANKED
 from agents.learners.export import export_policy
 from agents.learners.tuning import NINTHS, judged, place_of, trained, tune_experiment
 from agents.policy import Policy
 from agents.training import build_model
 from agents.tune import SEED, main
+from agents.tuned import tuned
 from tests.agents.tiny import ENV_ID, one_sentence, write_config
 
 STEPS = 1152  # nine rollouts
@@ -38,13 +44,16 @@ def test_a_training_is_asked_at_a_ninth_and_a_third_of_its_steps(tmp_path: Path)
 
 
 def test_the_first_trial_is_the_experiment_and_the_search_is_repeatable(tmp_path: Path) -> None:
-    """The score of the first is that of a plain training, judged on the same episodes."""
+    """Its score is that of plain trainings with three seeds, judged on the same episodes."""
     config = experiment(tmp_path, reward={"precision": 1.0})
     alone, first, again = (tune_experiment(config, trials=n, episodes=4) for n in (1, 5, 5))
-    model = build_model(config)
-    model.learn(config.total_steps)
-    expected = judged(config, export_policy(model, {}), 4, SEED)["score"]
-    model.env.close()
+    scores = []
+    for seed in range(3):
+        model = build_model(replace(config, seed=seed))
+        model.learn(config.total_steps)
+        scores.append(judged(config, export_policy(model, {}), 4, SEED)["score"])
+        model.env.close()
+    expected = np.mean(scores)
     assert first == again
     assert alone["parameters"] == {}
     assert alone["score"] == alone["untuned"] == first["untuned"] == expected
@@ -52,32 +61,38 @@ def test_the_first_trial_is_the_experiment_and_the_search_is_repeatable(tmp_path
     assert first["trials"] == 5
 
 
-def test_what_a_base_adds_is_searched_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whichever trial wins, its keywords and scale are those that it was trained with."""
+def test_the_best_mean_over_seeds_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A trial that is best with its first seed alone does not win; the scale is searched too."""
     path = write_config(tmp_path, "ppo", STEPS)
     path.write_text(path.read_text() + "base: {controller: lqr, scale: 0.3}\n")
     seen: list[Config] = []
 
-    def record(config: Config, poor: Any) -> Any:
+    def train(config: Config, poor: Any = None) -> Config:
         seen.append(config)
-        return trained(config, poor)
+        return config
 
-    monkeypatch.setattr("agents.learners.tuning.trained", record)
-    monkeypatch.setattr(
-        "agents.learners.tuning.judged",
-        lambda *_: {"score": float(len(seen)), "objective": float(len(seen))},
-    )
-    found = tune_experiment(load_config(path), trials=3, episodes=2)
-    own, *_, last = seen
-    assert own.base is not None
-    assert last.base is not None
-    assert own.base.scale == 0.3
-    assert (found["untuned"], found["score"]) == (1.0, 3.0)
+    def judge(config: Config, policy: Any, *more: Any) -> dict[str, float]:
+        """With the first seed the last trial is the best one, with others the fourth."""
+        own = [x for x in seen if x.seed == 0].index(replace(policy, seed=0))
+        value = float(own) if policy.seed == 0 else 6.0 - 3.0 * abs(own - 3)
+        return {"score": value, "objective": value}
+
+    monkeypatch.setattr("agents.learners.tuning.trained", train)
+    monkeypatch.setattr("agents.learners.tuning.judged", judge)
+    config = load_config(path)
+    found = tune_experiment(config, trials=6, episodes=2)
+    trials = [x for x in seen if x.seed == 0]
+    assert trials[0] == config
+    assert [x.seed for x in seen] == 6 * [0] + 4 * [1, 2]
+    assert {trials.index(replace(x, seed=0)) for x in seen[6:]} == {0, 3, 4, 5}
+    assert found["score"] == (3.0 + 6.0 + 6.0) / 3.0
+    assert found["untuned"] == (0.0 - 3.0 - 3.0) / 3.0
     assert set(found["parameters"]) == {"learning_rate", "gamma", "gae_lambda", "scale"}
-    assert last.agent.kwargs | {"scale": last.base.scale} == (
-        own.agent.kwargs | found["parameters"]
+    assert trials[3].base is not None
+    assert trials[3].agent.kwargs | {"scale": trials[3].base.scale} == (
+        config.agent.kwargs | found["parameters"]
     )
-    assert 0.03 <= last.base.scale <= 1.0
+    assert 0.03 <= trials[3].base.scale <= 1.0
 
 
 def test_a_command_stores_what_it_finds_where_the_policy_is_ranked(
@@ -101,6 +116,29 @@ def test_experiments_that_cannot_be_ranked_are_refused(
     assert main(["--experiments", "none.yaml", "--out", str(out)]) == 2
     assert "there is no such file" in one_sentence(capsys)
     assert not out.exists()
+
+
+def test_shipped_experiments_have_the_keywords_that_were_found() -> None:
+    experiments = {place_of(config): config for config in map(load_config, ranked())}
+    found = {
+        (env_id, track, name): entry
+        for env_id, tracks in tuned().items()
+        for track, entries in tracks.items()
+        for name, entry in entries.items()
+        if name not in CONTROLLERS
+    }
+    assert found
+    for place, entry in found.items():
+        config = experiments[place]
+        have = config.agent.kwargs | ({"scale": config.base.scale} if config.base else {})
+        assert have | entry["parameters"] == have, place
+        assert config.total_steps == entry["steps"], place
+
+
+def ranked() -> list[Path]:
+    """Shipped experiments on a track."""
+    experiments = shipped_experiments().values()
+    return [x for x in experiments if load_config(x).env.id in RANKED]
 
 
 def test_policies_are_named_as_they_are_ranked(tmp_path: Path) -> None:
