@@ -16,13 +16,14 @@ from scipy import sparse
 from scipy.linalg import block_diag
 
 from agents.controllers.kalman import KalmanFilters
-from agents.controllers.linear_model import KEPT, LinearModel
+from agents.controllers.linear_model import LinearModel
 from agents.controllers.lqr import Cost, ModelBased, OutputFeedback, riccati
 from agents.controllers.observers import Estimate, ExactState
 from dynamics.extras import missing
 from dynamics.types import Array
 
 BLOCKS = (1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4)  # control steps that share a torque; the last repeats
+PROGRAMS = 512  # kept; one of six links takes five megabytes
 PRICE = 1e7  # of bending beyond the share, over that of a tip error as wide as the settled band
 CAUTION = 4.0  # surprise by which a heavier plant may exceed the likeliest: seven times less likely
 ACCURACY, ITERATIONS = 1e-4, 500  # of the solver, whose last iterate counts in any case
@@ -45,7 +46,7 @@ class Predictive:
         self.cost, self.margin = cost, margin
         self.deflection_limit = core.arguments["deflection_limit"]
         self.blocks = _blocks(_steps(core, horizon))
-        self._program = lru_cache(KEPT)(self._made)
+        self._program = lru_cache(PROGRAMS)(self._made)
 
     def __call__(self, estimate: Estimate) -> Array:
         """(m,) [N m] torque."""
