@@ -231,7 +231,7 @@ def classical(name: str, env: Any, env_id: str, kwargs: dict[str, Any]) -> Contr
     raise UsageError(
         f"{name} was not tuned for {env_id} with {validate.shown(kwargs)}; use "
         f"{f'{SENSING}, which was, or ' if there else ''}pd, whose gains are searched here, or "
-        "agents.tune.tune from Python."
+        "agents.tune.controllers.tune from Python."
     )
 
 

@@ -20,12 +20,12 @@ from agents.config import Config, ConfigError, config_from_dict, load_config
 from agents.experiments import find_experiment
 from agents.files import FolderError, atomic_write, check_folder
 from agents.learners.ranges import at_random, drawn
-from agents.learners.tuning import ranges_of
 from agents.run_folder.folder import refuse_used
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, speaker
 from agents.sweep.trial import POLICY, REPORTS, train_trial
 from agents.training import prepare
+from agents.tune.learners import ranges_of
 from dynamics.arms import ARMS
 from dynamics.description import validate
 from dynamics.extras import installation

@@ -6,10 +6,10 @@ from typing import Any
 
 from agents.config import config_from_dict
 from agents.learners.export import export_policy
-from agents.learners.tuning import judged
 from agents.policy import save_policy
 from agents.run_folder.checkpoints import newest_intact, restore_checkpoint, save_checkpoint
 from agents.training import about_policy, build_model
+from agents.tune.learners import judged
 
 REPORTS = 9  # of a trial that is not stopped early
 EPISODES = 32  # judged at every report, other ones than those of an evaluation

@@ -20,8 +20,8 @@ from agents.leaderboard.run import main, ranked, users_class
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part, track_of
 from agents.metrics import episode_metrics, make_batch, record
-from agents.tune import main as tune_main
-from agents.tune import tune
+from agents.tune.__main__ import main as tune_main
+from agents.tune.controllers import tune
 from agents.tuned import parameters_of, tuned
 from dynamics.types import AnyArray
 from tests.paths import ROOT

@@ -16,7 +16,7 @@ from agents.learners.ranges import DEFAULTS, drawn, suggested
 from agents.metrics import episode_metrics, make_batch, record
 from agents.policy import Policy
 from agents.training import about_policy, build_model
-from agents.tune import EPISODES, SEED, TRIALS, objective, searched
+from agents.tune.controllers import EPISODES, SEED, TRIALS, objective, searched
 
 REDUCTION = 3  # of so many trials one goes on
 RUNGS = (1, 3)  # ninths of the steps after which a trial may end

@@ -13,10 +13,11 @@ from agents.controllers import CONTROLLERS
 from agents.experiments import shipped_experiments
 from agents.leaderboard.tracks import RANKED
 from agents.learners.export import export_policy
-from agents.learners.tuning import NINTHS, judged, place_of, trained, tune_experiment
 from agents.policy import Policy
 from agents.training import build_model
-from agents.tune import SEED, main
+from agents.tune.__main__ import main
+from agents.tune.controllers import SEED
+from agents.tune.learners import NINTHS, judged, place_of, trained, tune_experiment
 from agents.tuned import tuned
 from tests.agents.tiny import ENV_ID, one_sentence, write_config
 
@@ -77,8 +78,8 @@ def test_the_best_mean_over_seeds_wins(tmp_path: Path, monkeypatch: pytest.Monke
         value = float(own) if policy.seed == 0 else 6.0 - 3.0 * abs(own - 3)
         return {"score": value, "objective": value}
 
-    monkeypatch.setattr("agents.learners.tuning.trained", train)
-    monkeypatch.setattr("agents.learners.tuning.judged", judge)
+    monkeypatch.setattr("agents.tune.learners.trained", train)
+    monkeypatch.setattr("agents.tune.learners.judged", judge)
     config = load_config(path)
     found = tune_experiment(config, trials=6, episodes=2)
     trials = [x for x in seen if x.seed == 0]

@@ -1,0 +1,1 @@
+"""Searches of parameters and keywords on tuning episodes, `python -m agents.tune`."""
