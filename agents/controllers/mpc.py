@@ -23,7 +23,7 @@ from dynamics.extras import missing
 from dynamics.types import Array
 
 BLOCKS = (1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4)  # control steps that share a torque; the last repeats
-PROGRAMS = 512  # kept; one of six links takes five megabytes
+PROGRAMS = 512  # kept; one of six links takes more than a megabyte
 PRICE = 1e7  # of bending beyond the share, over that of a tip error as wide as the settled band
 CAUTION = 4.0  # surprise by which a heavier plant may exceed the likeliest: seven times less likely
 ACCURACY, ITERATIONS = 1e-4, 500  # of the solver, whose last iterate counts in any case

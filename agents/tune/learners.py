@@ -23,6 +23,7 @@ RUNGS = (1, 3)  # ninths of the steps after which a trial may end
 NINTHS = REDUCTION * RUNGS[-1]
 SCALE = "scale"  # field of an experiment's base, among the keywords of the learner
 SCALES = {"between": [0.03, 1.0], "log": True}
+SCALED = ("residual", "reference")  # parts whose scale is searched; others span all torques
 FINALISTS, SEEDS = 3, 3  # best trials beside the experiment itself; seeds of each in the final
 
 
@@ -42,7 +43,8 @@ def tune_experiment(
     config: Config, *, trials: int = TRIALS, episodes: int = EPISODES, seed: int = SEED
 ) -> dict[str, Any]:
     """Best keywords of an experiment's learner, their mean score, and that of its own."""
-    ranges = ranges_of(config) | ({} if config.base is None else {SCALE: SCALES})
+    scaled = config.base is not None and config.base.learned in SCALED
+    ranges = ranges_of(config) | ({SCALE: SCALES} if scaled else {})
 
     def judge(policy: Policy) -> dict[str, float]:
         return judged(config, policy, episodes, seed)
