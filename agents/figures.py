@@ -71,7 +71,9 @@ def plot_learning_curve(
             if points:
                 x, y = np.array(points, float).T
                 y = 100.0 * y if key == "settled" else y
-                axes.plot(x / 1e3, y, color=COLOURS[i % len(COLOURS)], linewidth=1.4, label=name)
+                turn, colour = divmod(i, len(COLOURS))
+                looks = {"color": COLOURS[colour], "linestyle": DASHES[turn % len(DASHES)]}
+                axes.plot(x / 1e3, y, linewidth=1.4, label=name, **looks)
         axes.set(xlabel="environment steps [thousands]", ylabel=label)
         axes.set_xlim(left=0.0)
         tidy(axes)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from agents.controllers.extended import ExtendedFilters
 from agents.controllers.inverse import InverseDynamics
 from agents.controllers.lqr import LQG, LQR, PlannedLQG, PlannedLQR
 from agents.controllers.mpc import MPC, KalmanMPC
@@ -96,6 +97,18 @@ CONTROLLERS: dict[str, Kind] = {
     ),
     "mpc": Kind(build=MPC, ranges=_MPC, obs=("state",)),
     "mpc-kalman": Kind(build=KalmanMPC, ranges=_MPC | _FILTER, obs=("sensors",)),
+    "lqg-extended": Kind(
+        build=partial(LQG, filters=ExtendedFilters), obs=("sensors",),
+        ranges=_LQR | _FILTER,
+    ),
+    "lqg-extended-planned": Kind(
+        build=partial(PlannedLQG, filters=ExtendedFilters), obs=("sensors",), tasks=("Reach",),
+        ranges=_PLANNED | _FILTER,
+    ),
+    "mpc-extended": Kind(
+        build=partial(KalmanMPC, filters=ExtendedFilters), obs=("sensors",),
+        ranges=_MPC | _FILTER,
+    ),
     "zero": Kind(build=lambda env: Zero(n_joint=env.unwrapped.n_joint)),
     "random": Kind(build=lambda env: Random(env.unwrapped.n_joint)),
 }  # fmt: skip

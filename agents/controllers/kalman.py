@@ -5,7 +5,6 @@ Coordinates are taken from the reference of `reference.py`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -13,22 +12,19 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from agents.controllers.linear_model import LinearModel, LinearModels, place_of
+from agents.controllers.memory import kept
 from agents.controllers.observers import NEVER, Estimate
 from agents.controllers.plan import Plan, Planner
 from agents.controllers.preview import Preview
-from agents.controllers.reading import Reading
+from agents.controllers.reading import UNIFORM, Reading, Sensors
 from agents.controllers.reference import Reference
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
-from flexarm_env.hardware.sensors import Hardware
 from flexarm_env.observations import BOUND
 
 SHARED = 2  # decimals [rad] within which postures share filters
 MEMORY = 5e8  # bytes of filters that wait for other episodes at their postures
 LEARNING = 40  # readings after which the gain of a filter stays
-LATER = 1  # control steps by which filters expect more delay than may be drawn
-EXACT = 1e-4  # [rad], [of the scale] steps that stand for readings without counts
-UNIFORM = 3.0**0.5  # half the width of a uniform distribution over its standard deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +38,7 @@ class _Bank:
     A: Array  # (P, S, S)
     B: Array  # (P, m, S)
     C: Array  # (P, S, y)
+    shapes: Array  # (P, r, n) of the modes
     readings: Array  # (y, n) of coordinates, the same for all plants, not transposed
     gain: Array  # (LEARNING, P, y, S) Kalman gain at the first readings; the last one stays
     precision: Array  # (LEARNING, P, y, y) of the innovations
@@ -63,7 +60,7 @@ class Belief:
     surprise: Array  # (N, H) minus twice the logarithm of the readings' probability
     first: Array  # (N, y) first reading
     torque: Array  # (N, D + 1, P, m) [N m] past torques about the reference's, oldest first
-    place: Array  # (N, D + 1, P, n) past references, from the target at the start
+    place: Array  # (N, D + 2, P, n) past references, from the target at the start, the present last
     forward: Array  # (N, P, m) [N m] torque of the reference
     estimates: list[Estimate] = field(default_factory=list)  # N, of the believed plant
 
@@ -112,7 +109,7 @@ class KalmanFilters:
         y = len(self.sensors.noise)
         self._most = 2 * self.models.model.n + len(self.sensors.bias)  # of S
         each = 8 * LEARNING * len(self.plants) * y * (self._most + y)  # bytes
-        self._bank = lru_cache(max(1, int(MEMORY / each)))(self._stacked)
+        self._bank = kept(self._stacked, max(1, int(MEMORY / each)))
 
     @property
     def n_known(self) -> int:
@@ -154,8 +151,12 @@ class KalmanFilters:
 
     def act(self, belief: Belief, torque: Array) -> None:
         """Note the torques (N, m) [N m] of the coming step."""
-        apart = torque[:, None] - belief.forward
-        belief.torque = np.concatenate([belief.torque[:, 1:], apart[:, None]], axis=1)
+        belief.torque = np.concatenate([belief.torque[:, 1:], belief.torque[:, :1]], axis=1)
+        self.told(belief, torque)
+
+    def told(self, belief: Belief, torque: Array) -> None:
+        """Note other torques (N, m) [N m] of the coming step."""
+        belief.torque[:, -1] = torque[:, None] - belief.forward
 
     def _estimated(self, belief: Belief, readings: Array) -> list[Estimate]:
         """Estimates of the likeliest filters after readings (N, y).
@@ -165,9 +166,25 @@ class KalmanFilters:
         """
         first = belief.steps == 0
         belief.first[first] = readings[first]
-        changed = (np.abs(readings - belief.first) > 0.5 * self.sensors.quantum).any(axis=1)
+        apart = np.abs(readings - belief.first)
+        changed: AnyArray = np.any(apart > 0.5 * self.sensors.quantum, axis=1)
+        now, best = self._filtered(belief, readings, changed)
+        found = []
+        for i, (bank, plant) in enumerate(zip(belief.banks, best, strict=True)):
+            model = bank.models[plant]
+            ahead = self.preview.torques(belief.plan.target, belief.seen, i, int(plant))
+            found.append(Estimate(model, now[i, : len(model.A)], belief.forward[i, plant], ahead))
+        return found
+
+    def _filtered(
+        self, belief: Belief, readings: Array, changed: AnyArray
+    ) -> tuple[Array, AnyArray]:
+        """Present states (N, most of S) of the believed filters about the reference, their plants.
+
+        `changed` (N,) marks readings that differ from the first.
+        """
         now, best = np.zeros((len(readings), self._most)), np.zeros(len(readings), np.int64)
-        for bank, group in _grouped(belief.banks):
+        for bank, group in grouped(belief.banks):
             _take(
                 group, belief.steps, self._delays, readings, changed, self.planner.moving,
                 bank.A, bank.B, bank.C, bank.readings, bank.gain, bank.precision, bank.bulk,
@@ -177,12 +194,7 @@ class KalmanFilters:
                 group, belief.steps, self._delays, bank.A, bank.B, belief.torque, belief.state,
                 belief.surprise, self._order, self.caution, best, now,
             )  # fmt: skip
-        found = []
-        for i, (bank, plant) in enumerate(zip(belief.banks, best, strict=True)):
-            model = bank.models[plant]
-            ahead = self.preview.torques(belief.plan.target, belief.seen, i, int(plant))
-            found.append(Estimate(model, now[i, : len(model.A)], belief.forward[i, plant], ahead))
-        return found
+        return now, best
 
     def _refer(self, belief: Belief, fresh: AnyArray) -> None:
         """Move the references to the present; a resting target's stay zero without a plan."""
@@ -208,18 +220,23 @@ class KalmanFilters:
                 surprise=np.zeros((count, len(self.hypotheses))),
                 first=np.zeros((count, len(self.sensors.noise))),
                 torque=np.zeros((count, past, plants, m)),
-                place=np.zeros((count, past, plants, n)),
+                place=np.zeros((count, past + 1, plants, n)),
                 forward=np.zeros((count, plants, m)),
             )
         belief.plan, belief.seen = plan, seen
         belief.steps[fresh], belief.surprise[fresh], belief.torque[fresh] = 0, 0.0, 0.0
         belief.state[fresh], belief.place[fresh], belief.forward[fresh] = 0.0, 0.0, 0.0
-        error, joints = self.read(x, "joint_error") - plan.left, self.models.joints
-        for i in np.flatnonzero(fresh):
-            bank = belief.banks[i] = self._at(plan.target.posture[i])
-            start = np.array([model.modes[:, joints] @ error[i] for model in bank.models])
-            belief.state[i, :, : start.shape[1]] = np.repeat(start, len(self._delays), axis=0)
+        error = self.read(x, "joint_error")
+        for i in np.flatnonzero(fresh).tolist():
+            belief.banks[i] = self._at(plan.target.posture[i])
+            self._start(belief, i, error[i])
         return belief
+
+    def _start(self, belief: Belief, i: int, error: Array) -> None:
+        """Set the states of one episode at its start: at rest, with joint errors (m,) [rad]."""
+        joints, error = self.models.joints, error - belief.plan.left[i]
+        start = np.array([model.modes[:, joints] @ error for model in belief.banks[i].models])
+        belief.state[i, :, : start.shape[1]] = np.repeat(start, len(self._delays), axis=0)
 
     def _mildness(self, hypothesis: int) -> tuple[float, float, int]:
         """Sorts the filters by what they expect, the worst first."""
@@ -250,7 +267,8 @@ class KalmanFilters:
             P = 0.5 * (P + _turned(P))
         gains, precisions, bulks = map(np.array, zip(*learned, strict=True))
         A, B, C = (np.ascontiguousarray(_turned(matrices)) for matrices in (A, B, C))
-        return _Bank(models, A, B, C, models[0].readings, gains, precisions, bulks)
+        shapes = np.array([model.shapes.T for model in models])
+        return _Bank(models, A, B, C, shapes, models[0].readings, gains, precisions, bulks)
 
     def _with_biases(self, model: LinearModel) -> tuple[Array, Array, Array, Array]:
         """A, B, C of the state with the gauges' biases, and its covariance at the start."""
@@ -302,7 +320,7 @@ def _take(
             if moving:
                 for a in range(y):
                     for b in range(n):
-                        innovation[a] -= seen[a, b] * place[i, ago, p, b]
+                        innovation[a] -= seen[a, b] * place[i, ago + 1, p, b]
             k = min(max(late, 0), len(bulk) - 1)
             surprise[i, h] += bulk[k, p]
             for a in range(y):
@@ -338,7 +356,7 @@ def _predict(
         best[i], now[i, :S] = p, x
 
 
-def _grouped(banks: list[_Bank]) -> list[tuple[_Bank, AnyArray]]:
+def grouped(banks: list[_Bank]) -> list[tuple[_Bank, AnyArray]]:
     """Every bank with the indices of its environments."""
     places: dict[_Bank, list[int]] = {}
     for i, bank in enumerate(banks):
@@ -349,34 +367,6 @@ def _grouped(banks: list[_Bank]) -> list[tuple[_Bank, AnyArray]]:
 def _turned(matrices: Array) -> Array:
     """(..., b, a) from (..., a, b)."""
     return np.swapaxes(matrices, -1, -2)
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """Errors of the sensors of an environment with m joints and g gauges."""
-
-    delay: tuple[int, int]  # [control steps] least and most that may be drawn
-    delays: list[int]  # [control steps] that filters expect
-    quantum: Array  # (m + g,) steps between readings
-    noise: Array  # (m + g,) standard deviations of the readings
-    bias: Array  # (g,) [1/m] standard deviation of a gauge's bias
-
-    @classmethod
-    def of(cls, core: Any) -> "Sensors":
-        """Sensors of an environment's core; those of ideal hardware are nearly exact."""
-        scale, m = np.asarray(core.gauge_scale), core.arm.n_joint
-        hardware = core.sensing.hardware if core.sensing else Hardware()
-        count = 2.0 * np.pi / hardware.encoder_counts if hardware.encoder_counts else EXACT
-        step = 1.0 / hardware.gauge_counts if hardware.gauge_counts else EXACT
-        noise = np.hypot(hardware.gauge_noise, 0.5 * step / UNIFORM) * scale
-        least, most = hardware.delay
-        return cls(
-            delay=hardware.delay,
-            delays=list(range(least, most + 1 + LATER * (most > least))),
-            quantum=np.array([*[count] * m, *(step * scale)]),
-            noise=np.array([*[0.5 * count / UNIFORM] * m, *noise]),
-            bias=hardware.gauge_bias / UNIFORM * scale,
-        )
 
 
 def _traits(levels: Sequence[Sequence[float]], drawn: Sequence[tuple[float, float]]) -> Array:

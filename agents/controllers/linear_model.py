@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh, expm
 
+from agents.controllers.memory import kept
 from dynamics import Arm, Model, Payload, Stepper, compile_arm
 from dynamics.formulations.linearized import damping, stiffness
 from dynamics.types import Array
@@ -96,8 +97,8 @@ class LinearModels:
         self.joints = list(self.model.arm.joint_index)
         self.modal = [i for i in range(self.model.n) if i not in self.joints]
         self._gauges = list(curvature_columns(arm))
-        self._model = lru_cache(KEPT)(self._linear_model)
-        self._seen = lru_cache(KEPT)(self._geometry)
+        self._model = kept(self._linear_model, KEPT)
+        self._seen = kept(self._geometry, KEPT)
 
     @staticmethod
     def of(env: Any) -> "LinearModels":

@@ -7,7 +7,6 @@ a far target would otherwise saturate every torque for long (see Franklin, Powel
 Feedback Control of Dynamic Systems, on saturation).
 """
 
-from functools import lru_cache
 from typing import Any, cast
 
 import numpy as np
@@ -15,10 +14,13 @@ from scipy.linalg import solve_discrete_are
 
 from agents.controllers.kalman import Belief, KalmanFilters
 from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
+from agents.controllers.memory import kept
 from agents.controllers.observers import Estimate, ExactState, fresh_of
 from agents.controllers.plan import TimedMoves
 from dynamics.types import AnyArray, Array
 from flexarm_env.tasks import SETTLED_BAND
+
+Filters = type[KalmanFilters]
 
 JOINTS = 0.1  # weight of joint errors over that of tip errors
 
@@ -48,7 +50,7 @@ class Gain:
 
     def __init__(self, cost: Cost, clip: float = np.inf) -> None:
         self.cost, self.clip = cost, clip
-        self.of = lru_cache(KEPT)(self._gain)
+        self.of = kept(self._gain, KEPT)
 
     def __call__(self, estimate: Estimate) -> Array:
         """(m,) [N m] torque, not yet limited."""
@@ -150,8 +152,7 @@ class OutputFeedback(ModelBased):
 
     def told(self, state: Belief, action: AnyArray) -> Belief:
         """The belief after actions (N, m) in [-1, 1] other than its own were taken."""
-        torque = np.atleast_2d(action) * self.limit
-        state.torque[:, -1] = torque[:, None] - state.forward
+        self.observer.told(state, np.atleast_2d(action) * self.limit)
         return state
 
 
@@ -159,9 +160,10 @@ class LQG(OutputFeedback):
     """Output feedback; needs obs="sensors"."""
 
     def __init__(
-        self, env: Any, *, effort: float, lead: float, clip: float, disturbance: float
-    ) -> None:
-        observer = KalmanFilters(env, "lqg", disturbance)
+        self, env: Any, *, effort: float, lead: float, clip: float, disturbance: float,
+        filters: Filters = KalmanFilters,
+    ) -> None:  # fmt: skip
+        observer = filters(env, "lqg", disturbance)
         cost = Cost(env, observer.models, effort=effort, lead=lead)
         super().__init__(env, observer, Gain(cost, clip))
 
@@ -170,9 +172,10 @@ class PlannedLQG(OutputFeedback):
     """Output feedback about planned moves; needs obs="sensors"."""
 
     def __init__(
-        self, env: Any, *, effort: float, lead: float, load: float, disturbance: float
-    ) -> None:
+        self, env: Any, *, effort: float, lead: float, load: float, disturbance: float,
+        filters: Filters = KalmanFilters,
+    ) -> None:  # fmt: skip
         moves = TimedMoves(env, LinearModels.of(env), load)
-        observer = KalmanFilters(env, "lqg-planned", disturbance, moves)
+        observer = filters(env, "lqg-planned", disturbance, moves)
         cost = Cost(env, observer.models, effort=effort, lead=lead)
         super().__init__(env, observer, Gain(cost))

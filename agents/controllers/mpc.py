@@ -8,7 +8,6 @@ Maciejowski, Predictive Control with Constraints, 2002, section 3.4). Where the 
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,8 @@ from scipy.linalg import block_diag
 
 from agents.controllers.kalman import KalmanFilters
 from agents.controllers.linear_model import LinearModel
-from agents.controllers.lqr import Cost, ModelBased, OutputFeedback, riccati
+from agents.controllers.lqr import Cost, Filters, ModelBased, OutputFeedback, riccati
+from agents.controllers.memory import kept
 from agents.controllers.observers import Estimate, ExactState
 from dynamics.extras import missing
 from dynamics.types import Array
@@ -46,7 +46,7 @@ class Predictive:
         self.cost, self.margin = cost, margin
         self.deflection_limit = core.arguments["deflection_limit"]
         self.blocks = _blocks(_steps(core, horizon))
-        self._program = lru_cache(PROGRAMS)(self._made)
+        self._program = kept(self._made, PROGRAMS)
 
     def __call__(self, estimate: Estimate) -> Array:
         """(m,) [N m] torque."""
@@ -150,10 +150,10 @@ class KalmanMPC(OutputFeedback):
 
     def __init__(
         self, env: Any, *, effort: float, lead: float, horizon: float, margin: float,
-        disturbance: float,
+        disturbance: float, filters: Filters = KalmanFilters,
     ) -> None:  # fmt: skip
         caution = 0.0 if env.unwrapped.core.task.moving else CAUTION
         times = _times(env, horizon)
-        observer = KalmanFilters(env, "mpc-kalman", disturbance, times=times, caution=caution)
+        observer = filters(env, "mpc-kalman", disturbance, times=times, caution=caution)
         cost = Cost(env, observer.models, effort=effort, lead=lead)
         super().__init__(env, observer, Predictive(env, cost, horizon=horizon, margin=margin))

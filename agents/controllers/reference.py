@@ -7,11 +7,11 @@ as its reference.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
+from agents.controllers.memory import kept
 from agents.controllers.reading import Reading
 from dynamics import Model
 from dynamics.types import AnyArray, Array
@@ -63,7 +63,7 @@ class Reference:
 
     def __init__(self, models: LinearModels, plants: Sequence[int]) -> None:
         self.models, self.plants = models, plants
-        self._bend = lru_cache(KEPT)(self._bending)
+        self._bend = kept(self._bending, KEPT)
 
     def along(self, course: Course) -> tuple[Array, Array]:
         """Offsets (N, P, n) from the straight arm on the target; torques (N, P, m) [N m] ahead."""

@@ -10,12 +10,12 @@ Conf. Robotics and Automation, 1991).
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
+from agents.controllers.memory import kept
 from agents.controllers.observers import fresh_of
 from agents.controllers.pd import joint_pd
 from agents.controllers.reading import Reading
@@ -86,7 +86,7 @@ class ShapedPD:
         self.read, self.shaper, self.modes = Reading.of(env), shaper, modes
         self.pd = joint_pd(env, frequency_ratio, damping_ratio)
         self.models, self.rise = LinearModels.of(env), rise * core.move_time
-        self._impulses = lru_cache(KEPT)(self._shaped)
+        self._impulses = kept(self._shaped, KEPT)
 
     def predict(
         self,

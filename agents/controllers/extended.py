@@ -1,0 +1,159 @@
+"""Kalman filters whose predictions are the arm's own, not those of a linear model.
+
+Links that throw one another about couple by their rates, which no model linearized at rest knows.
+Gains alone are linear here: those of `KalmanFilters` at the target posture (constant-gain extended
+Kalman filter: Safonov and Athans, Robustness and computational aspects of nonlinear stochastic
+estimators and regulators, IEEE Trans. Automatic Control 23, 1978).
+"""
+
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from agents.controllers.kalman import Belief, KalmanFilters, grouped
+from agents.controllers.observers import NEVER
+from agents.controllers.plan import Planner
+from dynamics import Stepper, compile_arm
+from dynamics.runtime.jit import outermost
+from dynamics.types import AnyArray, Array
+
+REFUTED = 60.0  # surprise above the least at which a filter ends: e^30 times less likely
+BATCHES = 8, 256  # least and most filters of a compiled step
+FREE = {"payload_mass": "payload", "stiffness": "factor"}  # parameters of the arm, those of a plant
+
+
+class ExtendedFilters(KalmanFilters):
+    """`KalmanFilters` of the nonlinear arm.
+
+    A filter's state has the arm's coordinates, their rates and the biases of the gauges; `torque`
+    of its `Belief` are whole torques. Estimates are about the reference, in modes. A filter that
+    is refuted ends, so that few are left to be stepped soon after the start.
+    """
+
+    def __init__(
+        self, env: Any, name: str, disturbance: float, planner: Planner | None = None,
+        times: Array = NEVER, caution: float = 0.0,
+    ) -> None:  # fmt: skip
+        super().__init__(env, name, disturbance, planner, times, caution)
+        core = env.unwrapped.core
+        model = compile_arm(core.arm, free_parameters=tuple(core.randomize))
+        self._parameters = np.tile(model.nominal_parameters, (len(self.hypotheses), 1))
+        for column, parameter in enumerate(model.free_parameters):
+            if parameter in FREE:
+                self._parameters[:, column] = [
+                    getattr(self.models.plants[plant], FREE[parameter])
+                    for plant, _ in self.hypotheses
+                ]
+        self._late = np.array([delay for _, delay in self.hypotheses])
+        self._stepper = lru_cache(
+            partial(Stepper, model, dt=core.dt, substeps=core.substeps, integrator=core.integrator)
+        )
+
+    def told(self, belief: Belief, torque: Array) -> None:
+        """Note other torques (N, m) [N m] of the coming step."""
+        belief.torque[:, -1] = torque[:, None]
+
+    def _start(self, belief: Belief, i: int, error: Array) -> None:
+        belief.state[i][:, self.models.joints] = belief.plan.target.posture[i] + error
+
+    def _filtered(
+        self, belief: Belief, readings: Array, changed: AnyArray
+    ) -> tuple[Array, AnyArray]:
+        steps, surprise, state = belief.steps[:, None], belief.surprise, belief.state
+        waiting = (steps > 0) & (steps <= self._late)
+        surprise[waiting & changed[:, None]] = np.inf
+        surprise[surprise > surprise.min(axis=1, keepdims=True) + REFUTED] = np.inf
+        alive = ~waiting & np.isfinite(surprise)
+        rows, filters = np.nonzero(alive & (steps > 0))
+        torque = belief.torque[rows, -1 - self._late[filters], 0]
+        state[rows, filters] = self._stepped(state[rows, filters], torque, filters)
+        for bank, group in grouped(belief.banks):
+            _correct(
+                group, belief.steps, self._delays, readings, alive, self._origin(belief),
+                bank.shapes, bank.readings, bank.gain, bank.precision, bank.bulk, state, surprise,
+            )  # fmt: skip
+        likely = surprise[:, self._order] <= surprise.min(axis=1, keepdims=True) + self.caution
+        best = self._order[np.argmax(likely, axis=1)]
+        plants = best // len(self._delays)
+        return self._about(belief, self._present(belief, best), plants), plants
+
+    def _present(self, belief: Belief, best: AnyArray) -> Array:
+        """(N, most of S) states of the believed filters after the torques since the readings."""
+        now = belief.state[np.arange(len(best)), best]
+        for age in range(self._delays[-1], 0, -1):
+            rows = np.flatnonzero((self._late[best] >= age) & (belief.steps >= age))
+            now[rows] = self._stepped(now[rows], belief.torque[rows, -age, 0], best[rows])
+        return now
+
+    def _about(self, belief: Belief, now: Array, plants: AnyArray) -> Array:
+        """The states about the references, which start at rest, in modal coordinates and rates."""
+        n, joints, rows = self.models.model.n, self.models.joints, np.arange(len(now))
+        here, before = (belief.place[rows, -age, plants] for age in (1, 2))
+        speed, motion = (here - before) / self.models.control_dt, belief.plan.motion
+        speed[:, joints] += 0.5 * self.models.control_dt * motion.acceleration
+        place, speed = now[:, :n] - self._origin(belief) - here, now[:, n : 2 * n] - speed
+        found = np.zeros_like(now)
+        for i, (bank, plant) in enumerate(zip(belief.banks, plants, strict=True)):
+            modes = bank.models[plant].modes
+            found[i, : 2 * len(modes)] = np.concatenate([modes @ place[i], modes @ speed[i]])
+        return found
+
+    def _origin(self, belief: Belief) -> Array:
+        """(N, n) coordinates from which readings and references are taken."""
+        posture = belief.plan.target.posture
+        origin = np.zeros((len(posture), self.models.model.n))
+        origin[:, self.models.joints] = posture
+        return origin
+
+    def _stepped(self, state: Array, torque: Array, filters: AnyArray) -> Array:
+        """States (k, most of S) after a control step with torques (k, m) [N m]."""
+        n, (least, most) = self.models.model.n, BATCHES
+        for first in range(0, len(state), most):
+            part = state[first : first + most]
+            stepper = self._stepper(max(least, 1 << (len(part) - 1).bit_length()))
+            here = slice(first, first + len(part)), slice(len(part))
+            stepper.q[here[1]], stepper.v[here[1]] = part[:, :n], part[:, n : 2 * n]
+            stepper.torque[here[1]] = torque[here[0]]
+            stepper.parameters[here[1]] = self._parameters[filters[here[0]]]
+            stepper.advance()
+            part[:, :n], part[:, n : 2 * n] = stepper.q[here[1]], stepper.v[here[1]]
+        return state
+
+
+@outermost
+def _correct(
+    group: Any, steps: Any, delays: Any, readings: Any, alive: Any, origin: Any, shapes: Any,
+    seen: Any, gain: Any, precision: Any, bulk: Any, state: Any, surprise: Any,
+) -> None:  # fmt: skip
+    """Correct the predicted states of the environments of one bank by their readings."""
+    y, n = seen.shape
+    _, r, _ = shapes.shape
+    innovation = np.empty(y)
+    for i in group:
+        for h in range(alive.shape[1]):
+            if not alive[i, h]:
+                continue
+            p, late, x = h // len(delays), steps[i] - delays[h % len(delays)], state[i, h]
+            for a in range(y):
+                innovation[a] = readings[i, a]
+                for j in range(n):
+                    innovation[a] -= seen[a, j] * (x[j] - origin[i, j])
+            biases = gain.shape[3] - 2 * r
+            for b in range(biases):
+                innovation[y - biases + b] -= x[2 * n + b]
+            k = min(max(late, 0), len(bulk) - 1)
+            surprise[i, h] += bulk[k, p]
+            for a in range(y):
+                for b in range(y):
+                    surprise[i, h] += innovation[a] * precision[k, p, a, b] * innovation[b]
+            for a in range(gain.shape[3]):
+                change = 0.0
+                for b in range(y):
+                    change += gain[k, p, b, a] * innovation[b]
+                if a >= 2 * r:
+                    x[2 * n + a - 2 * r] += change
+                else:
+                    part = n * (a // r)
+                    for j in range(n):
+                        x[part + j] += shapes[p, a % r, j] * change
