@@ -265,7 +265,10 @@ def main() -> None:
         config = replace(config, total_steps=a.steps)
     with tempfile.TemporaryDirectory() as temporary:
         work = a.keep or Path(temporary)
-        with ProcessPoolExecutor(a.jobs, mp_context=get_context("spawn")) as pool:
+        # a process per seed: what a training leaves behind would fill the memory of the next
+        with ProcessPoolExecutor(
+            a.jobs, mp_context=get_context("spawn"), max_tasks_per_child=1
+        ) as pool:
             runs = list(pool.map(partial(run_seed, config, work), a.seeds))
         benchmark(config, dict(zip(a.seeds, runs, strict=True)), a.out, a.gif)
         track = track_of(config.agent.name, config.env.id, config.env.kwargs)

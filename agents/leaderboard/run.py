@@ -11,7 +11,7 @@ import argparse
 import importlib
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -55,14 +55,19 @@ def decision_times(subject: Controller, env: Any, seed: int) -> AnyArray:
     return np.array(times[1:])
 
 
-def built(name: str, env: Any, env_id: str, track: str) -> list[Controller]:
-    """Controllers of a name, made for a design environment: one per training seed of a policy."""
+def built(name: str, env: Any, env_id: str, track: str) -> Iterator[Controller]:
+    """Controllers of a name, made for a design environment: one per training seed of a policy.
+
+    Each is made when its turn comes: filters of six links take much memory.
+    """
     if name in CONTROLLERS:
         parameters = parameters_of(name, env_id, track) if CONTROLLERS[name].ranges else {}
-        return [controller(name, env, parameters)]
-    if ":" in name:
-        return [users_controller(name, env)]
-    return [acting(policy, env) for policy in shipped(env_id, TRACKS[track].design)[name]]
+        yield controller(name, env, parameters)
+    elif ":" in name:
+        yield users_controller(name, env)
+    else:
+        for policy in shipped(env_id, TRACKS[track].design)[name]:
+            yield acting(policy, env)
 
 
 def users_class(name: str) -> Callable[[Any], Controller]:
@@ -127,13 +132,16 @@ def ranked(
     envs, single = make_batch(env_id, len(seeds), kwargs), make_batch(env_id, 1, kwargs)
     try:
         if name == YARDSTICK:
-            subjects: list[Controller] = [optimal(env_id, track, seeds, bounds)]
+            subjects: Iterator[Controller] = iter([optimal(env_id, track, seeds, bounds)])
         else:
             subjects = built(name, design, env_id, track)
-        recordings = [record(subject, envs, seeds) for subject in subjects]
+        first = next(subjects)
+        milliseconds = decision_times(first, single, seeds[0])
+        recordings = [record(first, envs, seeds)]
+        del first
+        recordings += [record(subject, envs, seeds) for subject in subjects]
         each = [episode_metrics(recording) for recording in recordings]
         metrics = {key: np.stack([found[key] for found in each]) for key in METRICS}
-        milliseconds = decision_times(subjects[0], single, seeds[0])
         best = best_of(env_id, track, seeds, bounds)
         found = figures(
             metrics, milliseconds, envs.unwrapped.control_dt, best,
