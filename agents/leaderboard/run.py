@@ -136,8 +136,8 @@ def ranked(
         else:
             subjects = built(name, design, env_id, track)
         first = next(subjects)
-        milliseconds = decision_times(first, single, seeds[0])
         recordings = [record(first, envs, seeds)]
+        milliseconds = decision_times(first, single, seeds[0])
         del first
         recordings += [record(subject, envs, seeds) for subject in subjects]
         each = [episode_metrics(recording) for recording in recordings]
