@@ -111,13 +111,13 @@ class ExtendedFilters(KalmanFilters):
         n, (least, most) = self.models.model.n, BATCHES
         for first in range(0, len(state), most):
             part = state[first : first + most]
-            stepper = self._stepper(max(least, 1 << (len(part) - 1).bit_length()))
-            here = slice(first, first + len(part)), slice(len(part))
-            stepper.q[here[1]], stepper.v[here[1]] = part[:, :n], part[:, n : 2 * n]
-            stepper.torque[here[1]] = torque[here[0]]
-            stepper.parameters[here[1]] = self._parameters[filters[here[0]]]
+            count, those = len(part), slice(first, first + most)
+            stepper = self._stepper(max(least, 1 << (count - 1).bit_length()))
+            stepper.q[:count], stepper.v[:count] = part[:, :n], part[:, n : 2 * n]
+            stepper.torque[:count] = torque[those]
+            stepper.parameters[:count] = self._parameters[filters[those]]
             stepper.advance()
-            part[:, :n], part[:, n : 2 * n] = stepper.q[here[1]], stepper.v[here[1]]
+            part[:, :n], part[:, n : 2 * n] = stepper.q[:count], stepper.v[:count]
         return state
 
 

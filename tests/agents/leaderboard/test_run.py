@@ -17,7 +17,7 @@ from agents.leaderboard import bound
 from agents.leaderboard.motions import Episode, effects, plant
 from agents.leaderboard.replay import YARDSTICK, optimal
 from agents.leaderboard.run import main, ranked, users_class
-from agents.leaderboard.shipped import shipped
+from agents.leaderboard.shipped import FOLDER, name_of, shipped
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part, track_of
 from agents.metrics import episode_metrics, make_batch, record
 from agents.tune.__main__ import main as tune_main
@@ -227,6 +227,19 @@ def test_tracks_are_recognised_by_their_keywords() -> None:
         assert track_of("ppo", ONE, keywords("ppo", track)) == track
     assert track_of("ppo", ONE, {}) == "state"
     assert track_of("ppo", ONE, {"torque_limit": 3.0}) is None
+
+
+def test_every_policy_of_the_package_is_found_under_its_name() -> None:
+    """A folder that lies elsewhere would be missing from the ranking without a word."""
+    found = [
+        (policy, name)
+        for env_id in RANKED
+        for track in TRACKS
+        for name, policies in shipped(env_id, track).items()
+        for policy in policies
+    ]
+    assert len(found) == len(list(FOLDER.rglob("policy.json")))
+    assert all(name == name_of(policy) for policy, name in found)
 
 
 def test_shipped_policies_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
