@@ -68,10 +68,11 @@ class ExtendedFilters(KalmanFilters):
         rows, filters = np.nonzero(alive & (steps > 0))
         torque = belief.torque[rows, -1 - self._late[filters], 0]
         state[rows, filters] = self._stepped(state[rows, filters], torque, filters)
+        origin = self._origin(belief)
         for bank, group in grouped(belief.banks):
             _correct(
-                group, belief.steps, self._delays, readings, alive, self._origin(belief),
-                bank.shapes, bank.readings, bank.gain, bank.precision, bank.bulk, state, surprise,
+                group, belief.steps, self._delays, readings, alive, origin, bank.shapes,
+                bank.readings, bank.gain, bank.precision, bank.bulk, state, surprise,
             )  # fmt: skip
         likely = surprise[:, self._order] <= surprise.min(axis=1, keepdims=True) + self.caution
         best = self._order[np.argmax(likely, axis=1)]
@@ -129,7 +130,7 @@ def _correct(
     """Correct the predicted states of the environments of one bank by their readings."""
     y, n = seen.shape
     _, r, _ = shapes.shape
-    innovation = np.empty(y)
+    biases, innovation = gain.shape[3] - 2 * r, np.empty(y)
     for i in group:
         for h in range(alive.shape[1]):
             if not alive[i, h]:
@@ -139,7 +140,6 @@ def _correct(
                 innovation[a] = readings[i, a]
                 for j in range(n):
                     innovation[a] -= seen[a, j] * (x[j] - origin[i, j])
-            biases = gain.shape[3] - 2 * r
             for b in range(biases):
                 innovation[y - biases + b] -= x[2 * n + b]
             k = min(max(late, 0), len(bulk) - 1)

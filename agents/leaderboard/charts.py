@@ -297,12 +297,15 @@ def handles_of(axes: Iterable[Any]) -> dict[str, Any]:
 
 
 def legend(figure: Figure, handles: Mapping[str, Any]) -> None:
-    """One legend above all panels."""
-    columns = max(1, round(2.5 * figure.get_figwidth() / 4.2))
-    figure.legend(
-        list(handles.values()), list(handles), loc="outside upper center", ncols=columns,
-        frameon=False,
-    )  # fmt: skip
+    """One legend above all panels, in as many columns as the figure is wide enough for."""
+    for columns in range(len(handles), 0, -1):
+        found = figure.legend(
+            list(handles.values()), list(handles), loc="outside upper center", ncols=columns,
+            frameon=False,
+        )  # fmt: skip
+        if columns == 1 or found.get_window_extent().width <= figure.bbox.width:
+            return
+        found.remove()
 
 
 def _middle(entry: Entry, name: str, factor: float = 1.0) -> list[float]:

@@ -11,6 +11,7 @@ import pytest
 from agents.leaderboard import charts
 from agents.leaderboard.output import leaders, over_best, rivals, score, write
 from agents.leaderboard.statistics import Entry, Spectrum, compared, figures
+from agents.leaderboard.tracks import RANKED
 from agents.metrics import METRICS, Best
 
 REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
@@ -143,6 +144,22 @@ def test_pictures_show_what_there_is(results: Any) -> None:
         *(f"leaderboard_{kind}_{track}.png" for kind in ("profiles", "spectra")
           for track in ("state", "laboratory")),
     }  # fmt: skip
+
+
+def test_no_legend_is_wider_than_its_picture() -> None:
+    """Names of controllers are as long as their parts are many."""
+    tasks = [env_id for env_id in RANKED if "Track" not in env_id]
+    many = {
+        env_id: {
+            "state": {f"ppo-on-lqg-extended-planned-{i}-{k}": entry([[0.5, 0.6]]) for k in range(4)}
+        }
+        for i, env_id in enumerate(tasks)
+    }
+    for draw in (charts.profiles, charts.spectra):
+        figure = draw(many, "state")
+        (box,) = figure.legends
+        assert len(box.texts) == 4 * len(tasks)
+        assert box.get_window_extent().width <= figure.bbox.width
 
 
 def test_no_two_controllers_share_a_point() -> None:
