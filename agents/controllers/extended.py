@@ -17,6 +17,7 @@ from agents.controllers.plan import Planner
 from dynamics import Stepper, compile_arm
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
+from flexarm_env.observations import BOUND
 
 REFUTED = 60.0  # surprise above the least at which a filter ends: e^30 times less likely
 BATCHES = 8, 256  # least and most filters of a compiled step
@@ -28,7 +29,8 @@ class ExtendedFilters(KalmanFilters):
 
     A filter's state has the arm's coordinates, their rates and the biases of the gauges; `torque`
     of its `Belief` are whole torques. Estimates are about the reference, in modes. A filter that
-    is refuted ends, so that few are left to be stepped soon after the start.
+    is refuted ends, so that few are left to be stepped soon after the start; so does one whose
+    state leaves what observations can show. Where none is left, all begin anew at the reading.
     """
 
     def __init__(
@@ -74,6 +76,12 @@ class ExtendedFilters(KalmanFilters):
                 group, belief.steps, self._delays, readings, alive, origin, bank.shapes,
                 bank.readings, bank.gain, bank.precision, bank.bulk, state, surprise,
             )  # fmt: skip
+        left = np.nonzero(alive)
+        alive[left] = self._shown(state[left], origin[left[0]])
+        surprise[~waiting & ~alive] = np.inf
+        for i in np.flatnonzero(np.all(surprise == np.inf, axis=1)).tolist():
+            surprise[i, ~waiting[i]], state[i] = 0.0, 0.0
+            self._start(belief, i, readings[i, : len(self.models.joints)])
         likely = surprise[:, self._order] <= surprise.min(axis=1, keepdims=True) + self.caution
         best = self._order[np.argmax(likely, axis=1)]
         plants = best // len(self._delays)
@@ -86,6 +94,13 @@ class ExtendedFilters(KalmanFilters):
             rows = np.flatnonzero((self._late[best] >= age) & (belief.steps >= age))
             now[rows] = self._stepped(now[rows], belief.torque[rows, -age, 0], best[rows])
         return now
+
+    def _shown(self, state: Array, origin: Array) -> AnyArray:
+        """(k,) states (k, most of S) that observations can show; `origin` is (k, n)."""
+        n = self.models.model.n
+        place, speed = state[:, :n] - origin, state[:, n : 2 * n]
+        scaled = np.abs(np.hstack([place / self._scales[0], speed / self._scales[1]]))
+        return np.all(scaled <= BOUND, axis=1)
 
     def _about(self, belief: Belief, now: Array, plants: AnyArray) -> Array:
         """The states about the references, which start at rest, in modal coordinates and rates."""
@@ -108,7 +123,10 @@ class ExtendedFilters(KalmanFilters):
         return origin
 
     def _stepped(self, state: Array, torque: Array, filters: AnyArray) -> Array:
-        """States (k, most of S) after a control step with torques (k, m) [N m]."""
+        """States (k, most of S) after a control step with torques (k, m) [N m].
+
+        One that diverges within the step stays as it is.
+        """
         n, (least, most) = self.models.model.n, BATCHES
         for first in range(0, len(state), most):
             part = state[first : first + most]

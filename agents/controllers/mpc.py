@@ -26,6 +26,7 @@ BLOCKS = (1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4)  # control steps that share a torque;
 PROGRAMS = 512  # kept; one of six links takes more than a megabyte
 PRICE = 1e7  # of bending beyond the share, over that of a tip error as wide as the settled band
 CAUTION = 4.0  # surprise by which a heavier plant may exceed the likeliest: seven times less likely
+ABSURD = 1e12  # modal coordinates and rates; far larger ones the solver refuses without a word
 ACCURACY, ITERATIONS = 1e-4, 500  # of the solver, whose last iterate counts in any case
 
 
@@ -50,6 +51,11 @@ class Predictive:
 
     def __call__(self, estimate: Estimate) -> Array:
         """(m,) [N m] torque."""
+        if not np.abs(estimate.x).max() < ABSURD:
+            raise FloatingPointError(
+                f"Predictive control got a state of {np.abs(estimate.x).max():.3g} in modal "
+                "coordinates from its observer, which has diverged; use finite observations."
+            )
         program, limit = self._program(estimate.model), self.cost.limit
         bent = program.bends @ estimate.x
         free = np.full(bent.size, -np.inf)

@@ -14,6 +14,7 @@ from agents.controllers.reading import Reading
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 from dynamics import compile_arm
+from flexarm_env.observations import BOUND
 
 DAMP, REACH, TRACK = (f"FlexArm/SixLink-{task}-v0" for task in ("Damp", "Reach", "Track"))
 KNOWN = {"preset": "laboratory", "delay": 2, "payload": (0.2, 0.2), "stiffness": (1, 1)}
@@ -30,28 +31,31 @@ class Thrown:
         self.beliefs: list[Any] = [None] * len(kinds)
         self.readings: list[Any] = []
         self.torques: list[Any] = []
+        self.estimates = self.seen()
 
     def go(self, steps: int, share: float = 0.3, hold: int = 12) -> list[Any]:
         """Estimates of every kind of filter after some control steps."""
-        limit, read = self.filters[0].limit, Reading.of(self.envs)
-        count = len(self.observation)
-        for k in range(steps + 1):
-            parts = [read(self.observation, x) for x in ("joint_error", "root_curvature")]
-            self.readings.append(np.hstack(parts).astype(float))
-            fresh = np.full(count, k == 0)
-            found = []
-            for which, filters in enumerate(self.filters):
-                belief = self.beliefs[which]
-                estimates, self.beliefs[which] = filters.observe(self.observation, belief, fresh)
-                found.append(estimates)
-            if k == steps:
-                return found
-            sign = (-1.0) ** (np.arange(count)[:, None] + np.arange(limit.size) + k // hold)
+        limit, count = self.filters[0].limit, len(self.observation)
+        for _ in range(steps):
+            turn = np.arange(count)[:, None] + np.arange(limit.size) + len(self.torques) // hold
+            sign = (-1.0) ** turn
             self.torques.append(share * sign * limit)
             for filters, belief in zip(self.filters, self.beliefs, strict=True):
                 filters.act(belief, self.torques[-1])
             self.observation = self.envs.step((share * sign).astype(np.float32))[0]
-        raise AssertionError
+            self.estimates = self.seen()
+        return self.estimates
+
+    def seen(self) -> list[Any]:
+        """Estimates after the latest observation."""
+        parts = ("joint_error", "root_curvature")
+        read, x, found = Reading.of(self.envs), self.observation, []
+        self.readings.append(np.hstack([read(x, part) for part in parts]).astype(float))
+        for which, filters in enumerate(self.filters):
+            belief = self.beliefs[which]
+            estimates, self.beliefs[which] = filters.observe(x, belief, np.full(len(x), not belief))
+            found.append(estimates)
+        return found
 
     def errors(self, estimates: list[Any]) -> Any:
         """(N,) greatest error [rad], [m] of the estimated coordinates about the target."""
@@ -154,6 +158,34 @@ def test_refuted_filters_end_and_nothing_else_changes(monkeypatch: pytest.Monkey
     assert few < 0.5 * many
     for x, y in zip(ending, lasting, strict=True):
         np.testing.assert_array_equal(x.x, y.x)
+
+
+def test_what_observations_show_lies_within_their_bound_about_the_target() -> None:
+    (filters,) = Thrown(REACH, {"obs": "sensors"}, ExtendedFilters, n_env=1).filters
+    n, within = filters.models.model.n, BOUND * filters._scales.ravel()
+    state, origin = np.zeros((4 * n, 2 * n)), np.random.default_rng(0).normal(size=(4 * n, n))
+    state[:, :n] = origin
+    state += np.vstack([0.999 * np.diag(within), -1.001 * np.diag(within)])
+    shown = filters._shown(state, origin)
+    assert np.all(shown[: 2 * n])
+    assert not np.any(shown[2 * n :])
+
+
+def test_where_every_filter_is_lost_all_begin_anew_and_find_the_arm_again() -> None:
+    """They start at the angles that are read, and come within a tenth of filters never lost."""
+    thrown = Thrown(REACH, {"obs": "sensors"}, *2 * [ExtendedFilters], n_env=2)
+    thrown.go(10, share=0.02)
+    filters, lost, read = thrown.filters[0], thrown.beliefs[0], Reading.of(thrown.envs)
+    joints, posture = filters.models.joints, lost.plan.target.posture[1]
+    lost.state[1] = 1e20
+    thrown.go(1, share=0.02)
+    state = np.zeros(lost.state.shape[2])
+    state[joints] = posture + read(thrown.observation, "joint_error")[1]
+    np.testing.assert_array_equal(lost.state[1], np.tile(state, (len(lost.state[1]), 1)))
+    assert np.all(lost.surprise[1] == 0.0)
+    (_, found), (_, kept) = thrown.go(40, share=0.02)
+    for x, y in zip(coordinates(found), coordinates(kept), strict=True):
+        assert np.abs(x - y).max() < 0.1 * np.abs(y).max()
 
 
 def test_an_episode_is_estimated_alike_beside_others_and_alone() -> None:

@@ -49,6 +49,15 @@ def test_a_far_target_takes_the_torque_that_is_left() -> None:
     assert plan(steady(plan, model, x, 0.0 * limit)) == pytest.approx(limit, rel=0.01)
 
 
+@pytest.mark.parametrize("absurd", [np.nan, np.inf, 1e58])
+def test_a_state_that_the_solver_would_refuse_in_silence_is_an_error(absurd: float) -> None:
+    plan, _, models = laws(REACH)
+    model = models.at(np.zeros(1))
+    x = np.full(len(model.A), absurd)
+    with pytest.raises(FloatingPointError, match="observer, which has diverged"):
+        plan(steady(plan, model, x, np.zeros(1)))
+
+
 def test_links_bend_no_further_than_the_share_of_their_limit() -> None:
     """At three times the torque the blind law breaks the limit, and the plan stays within it."""
     envs = make_batch(AGILE, 16, {"obs": "state"})
