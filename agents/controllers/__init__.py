@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from agents.controllers.extended import ExtendedFilters
 from agents.controllers.inverse import InverseDynamics
 from agents.controllers.lqr import LQG, LQR, PlannedLQG, PlannedLQR
 from agents.controllers.mpc import MPC, KalmanMPC
+from agents.controllers.nmpc import NMPC, ExtendedNMPC
+from agents.controllers.observers.extended import ExtendedFilters
 from agents.controllers.pd import JointPD, joint_pd, tune_pd
 from agents.controllers.shaped import ShapedPD, ei, zv, zvd
 from agents.controllers.simple import Random, Zero
@@ -108,6 +109,10 @@ CONTROLLERS: dict[str, Kind] = {
     "mpc-extended": Kind(
         build=partial(KalmanMPC, filters=ExtendedFilters), obs=("sensors",),
         ranges=_MPC | _FILTER,
+    ),
+    "nmpc": Kind(build=NMPC, ranges=_MPC, obs=("state",), tasks=_RESTING),
+    "nmpc-extended": Kind(
+        build=ExtendedNMPC, ranges=_MPC | _FILTER, obs=("sensors",), tasks=_RESTING
     ),
     "zero": Kind(build=lambda env: Zero(n_joint=env.unwrapped.n_joint)),
     "random": Kind(build=lambda env: Random(env.unwrapped.n_joint)),

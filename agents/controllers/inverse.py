@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers.linear_model import LinearModels
-from agents.controllers.observers import fresh_of
+from agents.controllers.models.linear_model import LinearModels
+from agents.controllers.models.memory import fresh_of
+from agents.controllers.models.plan import Plan, TimedMoves
+from agents.controllers.models.reading import Reading
+from agents.controllers.models.reference import Reference
 from agents.controllers.pd import joint_pd
-from agents.controllers.plan import Plan, TimedMoves
-from agents.controllers.reading import Reading
-from agents.controllers.reference import Reference
 from dynamics.types import AnyArray, Array
 
 

@@ -12,11 +12,11 @@ from typing import Any, cast
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from agents.controllers.kalman import Belief, KalmanFilters
-from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
-from agents.controllers.memory import kept
-from agents.controllers.observers import Estimate, ExactState, fresh_of
-from agents.controllers.plan import TimedMoves
+from agents.controllers.models.linear_model import KEPT, LinearModel, LinearModels
+from agents.controllers.models.memory import fresh_of, kept
+from agents.controllers.models.plan import TimedMoves
+from agents.controllers.observers.exact import Estimate, ExactState
+from agents.controllers.observers.kalman import Belief, KalmanFilters
 from dynamics.types import AnyArray, Array
 from flexarm_env.tasks import SETTLED_BAND
 
@@ -52,8 +52,11 @@ class Gain:
         self.cost, self.clip = cost, clip
         self.of = kept(self._gain, KEPT)
 
-    def __call__(self, estimate: Estimate) -> Array:
-        """(m,) [N m] torque, not yet limited."""
+    def __call__(self, estimates: list[Estimate]) -> Array:
+        """(N, m) [N m] torques, not yet limited."""
+        return np.array([self._torque(estimate) for estimate in estimates])
+
+    def _torque(self, estimate: Estimate) -> Array:
         model, r = estimate.model, len(estimate.model.modes)
         place, joints = model.shapes @ estimate.x[:r], self.cost.models.joints
         beyond = place[joints] - np.clip(place[joints], -self.clip, self.clip)
@@ -63,9 +66,14 @@ class Gain:
 
     def _gain(self, model: LinearModel) -> Array:
         """(m, 2r) K."""
-        A, B, (Q, R) = model.A, model.B, self.cost.of(model)
-        P = riccati(A, B, Q, R)
-        return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
+        Q, R = self.cost.of(model)
+        return gain(model, riccati(model.A, model.B, Q, R), R)
+
+
+def gain(model: LinearModel, P: Array, R: Array) -> Array:
+    """(m, 2r) K of tau = -K x, where the cost-to-go is x'P x and that of torques tau'R tau."""
+    A, B = model.A, model.B
+    return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
 
 
 def riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
@@ -105,8 +113,7 @@ class ModelBased:
     ) -> tuple[AnyArray, Any]:
         """Actions and the memory."""
         estimates, memory = self.observed(observation, state, episode_start)
-        wanted = np.array([self.law(estimate) for estimate in estimates])
-        torque = np.clip(wanted, -self.limit, self.limit)
+        torque = np.clip(self.law(estimates), -self.limit, self.limit)
         self.observer.act(memory, torque)
         return (torque / self.limit).reshape(*np.shape(observation)[:-1], -1), memory
 

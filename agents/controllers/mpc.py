@@ -14,11 +14,11 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import block_diag
 
-from agents.controllers.kalman import KalmanFilters
-from agents.controllers.linear_model import LinearModel
 from agents.controllers.lqr import Cost, Filters, ModelBased, OutputFeedback, riccati
-from agents.controllers.memory import kept
-from agents.controllers.observers import Estimate, ExactState
+from agents.controllers.models.linear_model import LinearModel
+from agents.controllers.models.memory import kept
+from agents.controllers.observers.exact import Estimate, ExactState
+from agents.controllers.observers.kalman import KalmanFilters
 from dynamics.extras import missing
 from dynamics.types import Array
 
@@ -46,11 +46,14 @@ class Predictive:
         core = env.unwrapped.core
         self.cost, self.margin = cost, margin
         self.deflection_limit = core.arguments["deflection_limit"]
-        self.blocks = _blocks(_steps(core, horizon))
+        self.blocks = blocks_of(steps_of(core, horizon))
         self._program = kept(self._made, PROGRAMS)
 
-    def __call__(self, estimate: Estimate) -> Array:
-        """(m,) [N m] torque."""
+    def __call__(self, estimates: list[Estimate]) -> Array:
+        """(N, m) [N m] torques."""
+        return np.array([self._torque(estimate) for estimate in estimates])
+
+    def _torque(self, estimate: Estimate) -> Array:
         if not np.abs(estimate.x).max() < ABSURD:
             raise FloatingPointError(
                 f"Predictive control got a state of {np.abs(estimate.x).max():.3g} in modal "
@@ -115,12 +118,12 @@ def _solver(H: Array, rows: Array, price: float) -> Any:
     return solver
 
 
-def _steps(core: Any, horizon: float) -> int:
+def steps_of(core: Any, horizon: float) -> int:
     """Control steps of a horizon over the move time."""
     return max(2, round(horizon * core.move_time / core.control_dt))
 
 
-def _blocks(steps: int) -> list[int]:
+def blocks_of(steps: int) -> list[int]:
     """Index of the block of every control step of the horizon."""
     found: list[int] = []
     for k, length in enumerate((*BLOCKS, *[BLOCKS[-1]] * steps)):
@@ -131,7 +134,7 @@ def _blocks(steps: int) -> list[int]:
 def _times(env: Any, horizon: float) -> Array:
     """(K,) [s] middles of the blocks after the first, from now."""
     core = env.unwrapped.core
-    blocks = np.array(_blocks(_steps(core, horizon)))
+    blocks = np.array(blocks_of(steps_of(core, horizon)))
     middles = [np.flatnonzero(blocks == k).mean() + 0.5 for k in range(1, blocks[-1] + 1)]
     return core.control_dt * np.array(middles)
 

@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
-from agents.controllers.memory import kept
-from agents.controllers.observers import fresh_of
+from agents.controllers.models.linear_model import KEPT, LinearModel, LinearModels
+from agents.controllers.models.memory import fresh_of, kept
+from agents.controllers.models.reading import Reading
+from agents.controllers.models.reference import posture_of, smooth_way
 from agents.controllers.pd import joint_pd
-from agents.controllers.reading import Reading
-from agents.controllers.reference import posture_of, smooth_way
 from dynamics.types import AnyArray, Array
 
 Impulses = tuple[Array, Array]  # amplitudes, which add up to 1, and times [s]

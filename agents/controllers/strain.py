@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from agents.controllers.observers import resumed
+from agents.controllers.models.memory import resumed
+from agents.controllers.models.reading import Reading
 from agents.controllers.pd import JointPD, joint_pd
-from agents.controllers.reading import Reading
 from dynamics.types import AnyArray, Array
 from flexarm_env.observations import curvature_columns
 

@@ -11,7 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
-from agents.controllers.reading import Reading
+from agents.controllers.models.reading import Reading
 from agents.leaderboard.tracks import takes_part, track_of
 from agents.policy import Controller, Policy, PolicyError
 from agents.tuned import parameters_of

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from agents.controllers import CONTROLLERS, controller, lqr
-from agents.controllers.linear_model import LinearModels
+from agents.controllers.models.linear_model import LinearModels
 from agents.leaderboard.tracks import RANKED, keywords, takes_part
 from agents.metrics import episode_metrics, make_batch, record
 from agents.tuned import parameters_of

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from agents.controllers import mpc
-from agents.controllers.linear_model import LinearModel, LinearModels
 from agents.controllers.lqr import Cost, Gain
-from agents.controllers.observers import Estimate
+from agents.controllers.models.linear_model import LinearModel, LinearModels
+from agents.controllers.observers.exact import Estimate
 from agents.metrics import episode_metrics, make_batch, record
 
 REACH, AGILE = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-ReachAgile-v0"
@@ -34,7 +34,7 @@ def test_without_active_limits_the_plan_begins_as_lqr(monkeypatch: pytest.Monkey
     for x in np.random.default_rng(0).normal(size=(5, len(model.A))):
         x *= 0.1 * plan.cost.limit / np.abs(gain.of(model) @ x)
         estimate = steady(plan, model, x, np.zeros(1))
-        assert plan(estimate) == pytest.approx(gain(estimate), rel=0.01)
+        assert plan([estimate]) == pytest.approx(gain([estimate]), rel=0.01)
 
 
 def test_a_far_target_takes_the_torque_that_is_left() -> None:
@@ -44,9 +44,10 @@ def test_a_far_target_takes_the_torque_that_is_left() -> None:
     far = model.modes @ np.eye(models.model.n)[models.joints[0]]
     x = np.concatenate([-far, 0.0 * far])
     for forward in (-0.5, 0.0, 0.5):
-        found = plan(steady(plan, model, x, forward * limit))
+        found = plan([steady(plan, model, x, forward * limit)])
         assert np.all(np.abs(found) <= 1.001 * limit)
-    assert plan(steady(plan, model, x, 0.0 * limit)) == pytest.approx(limit, rel=0.01)
+    (found,) = plan([steady(plan, model, x, 0.0 * limit)])
+    assert found == pytest.approx(limit, rel=0.01)
 
 
 @pytest.mark.parametrize("absurd", [np.nan, np.inf, 1e58])
@@ -55,7 +56,7 @@ def test_a_state_that_the_solver_would_refuse_in_silence_is_an_error(absurd: flo
     model = models.at(np.zeros(1))
     x = np.full(len(model.A), absurd)
     with pytest.raises(FloatingPointError, match="observer, which has diverged"):
-        plan(steady(plan, model, x, np.zeros(1)))
+        plan([steady(plan, model, x, np.zeros(1))])
 
 
 def test_links_bend_no_further_than_the_share_of_their_limit() -> None:
@@ -87,5 +88,5 @@ def test_a_payload_beyond_those_of_the_laboratory_does_not_break_the_arm() -> No
 
 
 def test_torques_are_held_for_whole_blocks() -> None:
-    assert mpc._blocks(9) == [0, 1, 2, 3, 4, 5, 6, 6, 7]
-    assert max(np.bincount(mpc._blocks(60))) == mpc.BLOCKS[-1]
+    assert mpc.blocks_of(9) == [0, 1, 2, 3, 4, 5, 6, 6, 7]
+    assert max(np.bincount(mpc.blocks_of(60))) == mpc.BLOCKS[-1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS
-from agents.controllers.linear_model import LinearModels
+from agents.controllers.models.linear_model import LinearModels
 from agents.controllers.pd import joint_pd
 from agents.controllers.strain import (
     PID,

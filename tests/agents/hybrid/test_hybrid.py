@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import VecFrameStack
 
 from agents.config import ConfigError, config_from_dict
 from agents.controllers import CONTROLLERS, controller
-from agents.controllers.reading import Reading
+from agents.controllers.models.reading import Reading
 from agents.evaluate import main as evaluate
 from agents.hybrid.controller import Hybrid, Residual, acting, base_of, description
 from agents.hybrid.environment import HybridVecEnv

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from agents.controllers import controller
-from agents.controllers.linear_model import LinearModels
-from agents.controllers.reading import Reading
-from agents.controllers.reference import Course, Reference, followed, torques
+from agents.controllers.models.linear_model import LinearModels
+from agents.controllers.models.reading import Reading
+from agents.controllers.models.reference import Course, Reference, followed, torques
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 

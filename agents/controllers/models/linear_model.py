@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh, expm
 
-from agents.controllers.memory import kept
+from agents.controllers.models.memory import kept
 from dynamics import Arm, Model, Payload, Stepper, compile_arm
 from dynamics.formulations.linearized import damping, stiffness
 from dynamics.types import Array
@@ -52,6 +52,8 @@ class LinearModel:
     tip_of: Array  # (3, n) [m] tip displacement per coordinate
     readings: Array  # (m + g, n) y per coordinate
     bend: Array  # (2 links, r) [-] deflection along y and z over a link's length, per mode
+    rest: Array  # (n,) target
+    plant: int  # index of the plant
 
     def __deepcopy__(self, memo: object) -> "LinearModel":
         return self
@@ -132,6 +134,7 @@ class LinearModels:
             A=step[: 2 * kept, : 2 * kept], B=step[: 2 * kept, 2 * kept :],
             C=np.hstack([seen, np.zeros_like(seen)]), tip=tip @ shapes, shapes=shapes,
             modes=modes, K=plant.K, tip_of=tip, readings=readings, bend=self.bends @ shapes,
+            rest=q, plant=plant_index,
         )  # fmt: skip
 
     def _straight(self, place: tuple[float, ...]) -> Array:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.controllers.linear_model import KEPT, LinearModel, LinearModels
-from agents.controllers.memory import kept
-from agents.controllers.reading import Reading
+from agents.controllers.models.linear_model import KEPT, LinearModel, LinearModels
+from agents.controllers.models.memory import kept
+from agents.controllers.models.reading import Reading
 from dynamics import Model
 from dynamics.types import AnyArray, Array
 

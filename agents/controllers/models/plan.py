@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers.linear_model import LinearModels
-from agents.controllers.reading import Reading
-from agents.controllers.reference import Course, Reference, followed, smooth_way
+from agents.controllers.models.linear_model import LinearModels
+from agents.controllers.models.reading import Reading
+from agents.controllers.models.reference import Course, Reference, followed, smooth_way
 from dynamics.types import AnyArray, Array
 
 SAMPLES = 41  # of a move, at which its torques are computed

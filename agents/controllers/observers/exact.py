@@ -1,6 +1,7 @@
 """Estimates of the arm's state for model-based controllers, here from exact states.
 
-`kalman.py` has the observer of sensors. Coordinates are taken from the reference of `reference.py`.
+`kalman.py` has the observer of sensors. Coordinates are taken from the reference of
+`models/reference.py`.
 """
 
 from dataclasses import dataclass
@@ -8,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers.linear_model import LinearModel, LinearModels
-from agents.controllers.plan import Plan, Planner
-from agents.controllers.preview import Preview
-from agents.controllers.reading import Reading
-from agents.controllers.reference import Reference
+from agents.controllers.models.linear_model import LinearModel, LinearModels
+from agents.controllers.models.plan import Plan, Planner
+from agents.controllers.models.preview import Preview
+from agents.controllers.models.reading import Reading
+from agents.controllers.models.reference import Reference
 from dynamics.types import AnyArray, Array
 
 NEVER: Array = np.empty(0)  # [s] times of a preview that is not wanted
@@ -76,16 +77,3 @@ class ExactState:
 
     def act(self, memory: _Sight, torque: Array) -> None:
         """Nothing to note: torques (N, m) show in the next state."""
-
-
-def fresh_of(state: Any, episode_start: AnyArray | None, count: int) -> AnyArray:
-    """(N,) environments whose episode starts."""
-    if state is None or episode_start is None:
-        return np.full(count, state is None)
-    return np.asarray(episode_start, dtype=bool)
-
-
-def resumed(state: Array | None, episode_start: AnyArray | None, like: Array) -> Array:
-    """State (..., N, m) of a controller, zero where an episode starts; `like` has its shape."""
-    fresh = fresh_of(state, episode_start, like.shape[-2])
-    return np.where(fresh[:, None], 0.0, np.zeros_like(like) if state is None else state)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from agents.controllers.linear_model import LinearModels
-from agents.controllers.reading import Reading
-from agents.controllers.reference import Course, torques
+from agents.controllers.models.linear_model import LinearModels
+from agents.controllers.models.reading import Reading
+from agents.controllers.models.reference import Course, torques
 from dynamics.types import AnyArray, Array
 
 

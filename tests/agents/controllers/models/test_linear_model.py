@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.controllers import linear_model
-from agents.controllers.linear_model import LinearModels
+from agents.controllers.models import linear_model
+from agents.controllers.models.linear_model import LinearModels
 from agents.metrics import make_batch
 
 REACH = "FlexArm/OneLink-Reach-v0"

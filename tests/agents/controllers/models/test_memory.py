@@ -6,7 +6,7 @@ from weakref import ref
 import pytest
 
 from agents.controllers import CONTROLLERS, controller
-from agents.controllers.memory import kept
+from agents.controllers.models.memory import kept
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from agents.controllers import controller, kalman
-from agents.controllers.kalman import KalmanFilters
-from agents.controllers.reading import Reading
+from agents.controllers import controller
+from agents.controllers.models.reading import Reading
+from agents.controllers.observers import kalman
+from agents.controllers.observers.kalman import KalmanFilters
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from agents.controllers.linear_model import LinearModel, LinearModels, place_of
-from agents.controllers.memory import kept
-from agents.controllers.observers import NEVER, Estimate
-from agents.controllers.plan import Plan, Planner
-from agents.controllers.preview import Preview
-from agents.controllers.reading import UNIFORM, Reading, Sensors
-from agents.controllers.reference import Reference
+from agents.controllers.models.linear_model import LinearModel, LinearModels, place_of
+from agents.controllers.models.memory import kept
+from agents.controllers.models.plan import Plan, Planner
+from agents.controllers.models.preview import Preview
+from agents.controllers.models.reading import UNIFORM, Reading, Sensors
+from agents.controllers.models.reference import Reference
+from agents.controllers.observers.exact import NEVER, Estimate
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
 from flexarm_env.observations import BOUND

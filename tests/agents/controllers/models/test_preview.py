@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from agents.controllers import controller
-from agents.controllers.linear_model import LinearModels
-from agents.controllers.plan import Planner
-from agents.controllers.preview import Preview
-from agents.controllers.reference import Reference
+from agents.controllers.models.linear_model import LinearModels
+from agents.controllers.models.plan import Planner
+from agents.controllers.models.preview import Preview
+from agents.controllers.models.reference import Reference
 from agents.metrics import episode_metrics, make_batch, record
 
 TRACK = "FlexArm/TwoLink-Track-v0"

@@ -6,22 +6,20 @@ Kalman filter: Safonov and Athans, Robustness and computational aspects of nonli
 estimators and regulators, IEEE Trans. Automatic Control 23, 1978).
 """
 
-from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from agents.controllers.kalman import Belief, KalmanFilters, grouped
-from agents.controllers.observers import NEVER
-from agents.controllers.plan import Planner
-from dynamics import Stepper, compile_arm
+from agents.controllers.models.nonlinear import PlantSteppers
+from agents.controllers.models.plan import Planner
+from agents.controllers.observers.exact import NEVER
+from agents.controllers.observers.kalman import Belief, KalmanFilters, grouped
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
 from flexarm_env.observations import BOUND
 
 REFUTED = 60.0  # surprise above the least at which a filter ends: e^30 times less likely
-BATCHES = 8, 256  # least and most filters of a compiled step
-FREE = {"payload_mass": "payload", "stiffness": "factor"}  # parameters of the arm, those of a plant
+MOST = 256  # filters that are stepped together
 
 
 class ExtendedFilters(KalmanFilters):
@@ -39,18 +37,8 @@ class ExtendedFilters(KalmanFilters):
     ) -> None:  # fmt: skip
         super().__init__(env, name, disturbance, planner, times, caution)
         core = env.unwrapped.core
-        model = compile_arm(core.arm, free_parameters=tuple(core.randomize))
-        self._parameters = np.tile(model.nominal_parameters, (len(self.hypotheses), 1))
-        for column, parameter in enumerate(model.free_parameters):
-            if parameter in FREE:
-                self._parameters[:, column] = [
-                    getattr(self.models.plants[plant], FREE[parameter])
-                    for plant, _ in self.hypotheses
-                ]
+        self.steppers = PlantSteppers(core, self.models)
         self._late = np.array([delay for _, delay in self.hypotheses])
-        self._stepper = lru_cache(
-            partial(Stepper, model, dt=core.dt, substeps=core.substeps, integrator=core.integrator)
-        )
 
     def told(self, belief: Belief, torque: Array) -> None:
         """Note other torques (N, m) [N m] of the coming step."""
@@ -127,14 +115,14 @@ class ExtendedFilters(KalmanFilters):
 
         One that diverges within the step stays as it is.
         """
-        n, (least, most) = self.models.model.n, BATCHES
-        for first in range(0, len(state), most):
-            part = state[first : first + most]
-            count, those = len(part), slice(first, first + most)
-            stepper = self._stepper(max(least, 1 << (count - 1).bit_length()))
+        n, plants = self.models.model.n, filters // len(self._delays)
+        for first in range(0, len(state), MOST):
+            part = state[first : first + MOST]
+            count, those = len(part), slice(first, first + MOST)
+            stepper = self.steppers(count)
             stepper.q[:count], stepper.v[:count] = part[:, :n], part[:, n : 2 * n]
             stepper.torque[:count] = torque[those]
-            stepper.parameters[:count] = self._parameters[filters[those]]
+            stepper.parameters[:count] = self.steppers.parameters[plants[those]]
             stepper.advance()
             part[:, :n], part[:, n : 2 * n] = stepper.q[:count], stepper.v[:count]
         return state

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from agents.controllers import extended
-from agents.controllers.extended import ExtendedFilters
-from agents.controllers.kalman import KalmanFilters
-from agents.controllers.observers import ExactState
-from agents.controllers.reading import Reading
+from agents.controllers.models.reading import Reading
+from agents.controllers.observers import extended
+from agents.controllers.observers.exact import ExactState
+from agents.controllers.observers.extended import ExtendedFilters
+from agents.controllers.observers.kalman import KalmanFilters
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 from dynamics import compile_arm

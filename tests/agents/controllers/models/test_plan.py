@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from agents.controllers import controller
-from agents.controllers.linear_model import LinearModels
-from agents.controllers.plan import Plan, TimedMoves
-from agents.controllers.reading import Reading
-from agents.controllers.reference import Reference
+from agents.controllers.models.linear_model import LinearModels
+from agents.controllers.models.plan import Plan, TimedMoves
+from agents.controllers.models.reading import Reading
+from agents.controllers.models.reference import Reference
 from agents.leaderboard.tracks import keywords
 from agents.metrics import episode_metrics, make_batch, record
 

@@ -1,0 +1,1 @@
+"""Models of the arm, references and readings, on which controllers build."""

@@ -1,0 +1,30 @@
+"""Control steps of the nonlinear arm with the plants that controllers expect."""
+
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from agents.controllers.models.linear_model import LinearModels
+from dynamics import Stepper, compile_arm
+
+LEAST = 8  # rows of a batch
+FREE = {"payload_mass": "payload", "stiffness": "factor"}  # parameters of the arm, those of a plant
+
+
+class PlantSteppers:
+    """Compiled control steps of the nonlinear arm with the payload and stiffness of each plant."""
+
+    def __init__(self, core: Any, models: LinearModels) -> None:
+        model = compile_arm(core.arm, free_parameters=tuple(core.randomize))
+        self.parameters = np.tile(model.nominal_parameters, (len(models.plants), 1))
+        for column, name in enumerate(model.free_parameters):
+            if name in FREE:
+                self.parameters[:, column] = [getattr(x, FREE[name]) for x in models.plants]
+        self._stepper = lru_cache(
+            partial(Stepper, model, dt=core.dt, substeps=core.substeps, integrator=core.integrator)
+        )
+
+    def __call__(self, rows: int) -> Stepper:
+        """A batch of so many rows or more."""
+        return self._stepper(max(LEAST, 1 << (rows - 1).bit_length()))

@@ -1,0 +1,278 @@
+"""Nonlinear model predictive control: LQR's cost over a horizon of the nonlinear arm's motion.
+
+Every control step takes one step of sequential quadratic programming (real-time iteration: Diehl,
+Bock and Schloeder, A real-time iteration scheme for nonlinear optimization in optimal feedback
+control, SIAM J. Control and Optimization 43, 2005). It starts from the motion to which LQR leads
+under the limits of torque, linearizes this motion at every control step, and finds the torques that
+cost least there. Of several shares of this change the one is taken whose motion costs least on the
+nonlinear arm; it may be none.
+
+Behind the horizon LQR's cost-to-go counts, torques change in the blocks of linear predictive
+control, and no link may bend beyond a share of its limit, which yields at a price.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from agents.controllers.lqr import Cost, ModelBased, OutputFeedback, gain, riccati
+from agents.controllers.models.linear_model import LinearModel
+from agents.controllers.models.memory import kept
+from agents.controllers.models.nonlinear import PlantSteppers
+from agents.controllers.mpc import CAUTION, PRICE, blocks_of, steps_of
+from agents.controllers.observers.exact import Estimate, ExactState
+from agents.controllers.observers.extended import ExtendedFilters
+from dynamics.extras import missing
+from dynamics.runtime.jit import outermost
+from dynamics.types import AnyArray, Array
+
+SHARES = np.array([0.0, 1.0, 0.7, 0.5, 0.35, 0.2, 0.1, 0.05])  # of a change, which are tried
+PLACE, RATE, ACTION = 1e-5, 1e-4, 1e-3  # differences of modal coordinates, their rates, actions
+KEPT = 2048  # terms of costs
+SOFT = 8  # mark of rows that the solver may break where it must
+
+
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """Cost of one plant at one posture; actions are torques over their limits."""
+
+    Q: Array  # (2r, 2r)
+    P: Array  # (2r, 2r) cost-to-go
+    gain: Array  # (2r, m) of LQR, transposed
+    bend: Array  # (r, b) deflections over their limit
+
+
+@dataclass
+class _Scene:
+    """N estimates; a first dimension of one stands for all of them."""
+
+    plants: AnyArray  # (N,)
+    rest: Array  # (N, 1, n)
+    shapes: Array  # (N, r, n)
+    modes: Array  # (N, n, r)
+    x: Array  # (N, 1, 2r)
+    Q: Array  # (N, 2r, 2r)
+    P: Array  # (N, 2r, 2r)
+    gain: Array  # (N, 2r, m)
+    bend: Array  # (N, r, b)
+
+    def modal(self, q: Array, v: Array) -> Array:
+        """(N, L, 2r) modal coordinates about the target, and their rates."""
+        return np.concatenate([(q - self.rest) @ self.modes, v @ self.modes], axis=2)
+
+
+@dataclass
+class _Motions:
+    """L motions from each of N states, over T control steps."""
+
+    q: Array  # (T, N, L, n)
+    v: Array  # (T, N, L, n)
+    x: Array  # (T + 1, N, L, 2r)
+    action: Array  # (T, N, L, m)
+    whole: AnyArray  # (N, L) none has diverged
+
+
+class Nonlinear:
+    """Law of `ModelBased`, for resting targets."""
+
+    def __init__(self, env: Any, cost: Cost, *, horizon: float, margin: float) -> None:
+        core = env.unwrapped.core
+        self.cost, self.margin, self.limit = cost, margin, cost.limit
+        self.deflection_limit = core.arguments["deflection_limit"]
+        self.steps, self.steppers = steps_of(core, horizon), PlantSteppers(core, cost.models)
+        self.blocks = np.array(blocks_of(self.steps))
+        self._terms = kept(self._made, KEPT)
+
+    def __call__(self, estimates: list[Estimate]) -> Array:
+        """(N, m) [N m] torques."""
+        torques = np.zeros((len(estimates), self.limit.size))
+        sizes = np.array([len(estimate.x) for estimate in estimates])
+        for size in np.unique(sizes):
+            rows = np.flatnonzero(sizes == size)
+            torques[rows] = self._torques([estimates[i] for i in rows])
+        return torques
+
+    def _torques(self, estimates: list[Estimate]) -> Array:
+        scene = self._scene(estimates)
+        none = np.zeros((self.steps, len(estimates), 1, self.limit.size))
+        first = self._moved(scene, none, none, np.zeros(1), scene.gain)
+        tried = self._moved(scene, first.action, self._changes(scene, first), SHARES)
+        best = self._costs(scene, tried).argmin(axis=1)
+        return self.limit * tried.action[0, np.arange(len(best)), best]
+
+    def _scene(self, estimates: list[Estimate]) -> _Scene:
+        models = [estimate.model for estimate in estimates]
+        terms = [self._terms(model) for model in models]
+        return _Scene(
+            plants=np.array([model.plant for model in models]),
+            rest=np.array([model.rest for model in models])[:, None],
+            shapes=np.array([model.shapes.T for model in models]),
+            modes=np.array([model.modes.T for model in models]),
+            x=np.array([estimate.x for estimate in estimates])[:, None],
+            **{
+                name: np.array([getattr(term, name) for term in terms])
+                for name in ("Q", "P", "gain", "bend")
+            },
+        )
+
+    def _made(self, model: LinearModel) -> _Terms:
+        Q, R = self.cost.of(model)
+        P = riccati(model.A, model.B, Q, R)
+        bend = model.bend[np.any(model.bend, axis=1)].T / self.deflection_limit
+        return _Terms(Q, P, -(gain(model, P, R) / self.limit[:, None]).T, bend)
+
+    def _moved(
+        self, scene: _Scene, feed: Array, change: Array, shares: Array, gain: Array | None = None
+    ) -> _Motions:
+        """Motions under feed + share change + x gain, limited, for every share."""
+        steps, (count, _, n), tries = self.steps, scene.rest.shape, len(shares)
+        rows, m = count * tries, self.limit.size
+        stepper = self.steppers(rows)
+        stepper.parameters[:rows] = np.repeat(self.steppers.parameters[scene.plants], tries, axis=0)
+        r = scene.modes.shape[2]
+        moved = _Motions(
+            q=np.empty((steps, count, tries, n)), v=np.empty((steps, count, tries, n)),
+            x=np.empty((steps + 1, count, tries, 2 * r)),
+            action=np.empty((steps, count, tries, m)), whole=np.ones((count, tries), dtype=bool),
+        )  # fmt: skip
+        moved.x[0] = scene.x
+        moved.q[0] = scene.rest + scene.x[:, :, :r] @ scene.shapes
+        moved.v[0] = scene.x[:, :, r:] @ scene.shapes
+        stepper.q[:rows], stepper.v[:rows] = (y[0].reshape(rows, n) for y in (moved.q, moved.v))
+        for k in range(steps):
+            wanted = feed[k] + shares[:, None] * change[k]
+            if gain is not None:
+                wanted = wanted + moved.x[k] @ gain
+            moved.action[k] = np.clip(wanted, -1.0, 1.0)
+            stepper.torque[:rows] = (self.limit * moved.action[k]).reshape(rows, m)
+            stepper.advance()
+            moved.whole &= (stepper.status[:rows] == 0).reshape(count, tries)
+            q, v = (y[:rows].reshape(count, tries, n) for y in (stepper.q, stepper.v))
+            moved.x[k + 1] = scene.modal(q, v)
+            if k + 1 < steps:
+                moved.q[k + 1], moved.v[k + 1] = q, v
+        return moved
+
+    def _costs(self, scene: _Scene, moved: _Motions) -> Array:
+        """(N, L) costs of motions; infinite where one has diverged."""
+        x, r = moved.x[1:], scene.modes.shape[2]
+        costs = self.cost.effort * np.sum(moved.action**2, axis=(0, 3))
+        costs += np.sum((x[:-1] @ scene.Q) * x[:-1], axis=(0, 3))
+        costs += np.sum((x[-1] @ scene.P) * x[-1], axis=2)
+        beyond = np.abs(x[..., :r] @ scene.bend) - self.margin
+        costs += PRICE * np.sum(np.maximum(beyond, 0.0) ** 2, axis=(0, 3))
+        return np.where(moved.whole, costs, np.inf)
+
+    def _changes(self, scene: _Scene, moved: _Motions) -> Array:
+        """Changes (T, N, 1, m) of the actions; none where a motion has diverged."""
+        changes = np.zeros_like(moved.action)
+        for i in np.flatnonzero(moved.whole[:, 0]).tolist():
+            A, B = self._linearized(scene, moved, i)
+            if not (np.all(np.isfinite(A)) and np.all(np.isfinite(B))):
+                continue
+            program = _program(
+                A, B, moved.x[1:, i, 0].copy(), moved.action[:, i, 0].copy(), self.blocks,
+                scene.Q[i], scene.P[i], self.cost.effort, scene.bend[i],
+            )  # fmt: skip
+            found = _solved(self.margin, *program)
+            changes[:, i, 0] = found.reshape(-1, self.limit.size)[self.blocks]
+        return changes
+
+    def _linearized(self, scene: _Scene, moved: _Motions, i: int) -> tuple[Array, Array]:
+        """A (T, 2r, 2r) and B (T, m, 2r) of one motion, transposed: a row per difference."""
+        shapes, m, steps = scene.shapes[i], self.limit.size, self.steps
+        r, n = shapes.shape
+        each = 1 + 2 * r + m
+        q, v, action = (np.repeat(y[:, i], each, axis=1) for y in (moved.q, moved.v, moved.action))
+        q[:, 1 : 1 + r] += PLACE * shapes
+        v[:, 1 + r : 1 + 2 * r] += RATE * shapes
+        action[:, 1 + 2 * r :] += ACTION * np.eye(m)
+        rows = steps * each
+        stepper = self.steppers(rows)
+        stepper.parameters[:rows] = self.steppers.parameters[scene.plants[i]]
+        stepper.q[:rows], stepper.v[:rows] = q.reshape(rows, n), v.reshape(rows, n)
+        stepper.torque[:rows] = (self.limit * action).reshape(rows, m)
+        stepper.advance()
+        place, rate = (y[:rows].reshape(steps, each, n) for y in (stepper.q, stepper.v))
+        modes = scene.modes[i]
+        x = np.concatenate([(place - scene.rest[i]) @ modes, rate @ modes], axis=2)
+        x = x[:, 1:] - x[:, :1]
+        A = np.concatenate([x[:, :r] / PLACE, x[:, r : 2 * r] / RATE], axis=1)
+        return A, np.ascontiguousarray(x[:, 2 * r :] / ACTION)
+
+
+@outermost
+def _program(
+    A: Any, B: Any, x: Any, action: Any, blocks: Any, Q: Any, P: Any, effort: float, bend: Any
+) -> Any:  # fmt: skip
+    """Quadratic program of changes of the actions (T, m) that lead to states x (T, 2r).
+
+    Curvature (V, V) and slope (V,) of half the cost; least and most changes (V,); bending (W,), and
+    (W, V) by the changes. Matrices are transposed: x[k + 1] changes by dx A[k] + da B[k].
+    """
+    steps, m, size = B.shape
+    count, (r, bends) = m * (blocks[-1] + 1), bend.shape
+    curvature, slope = np.zeros((count, count)), np.zeros(count)
+    least, most = np.full(count, -np.inf), np.full(count, np.inf)
+    bent, bending = np.empty(steps * bends), np.empty((steps * bends, count))
+    onto = np.zeros((count, size))
+    for k in range(steps):
+        first, rows = m * blocks[k], slice(k * bends, (k + 1) * bends)
+        onto = onto @ A[k]
+        onto[first : first + m] += B[k]
+        weighed = onto @ (P if k == steps - 1 else Q)
+        curvature += weighed @ onto.T
+        slope += weighed @ x[k]
+        bent[rows] = x[k, :r] @ bend
+        bending[rows] = (onto[:, :r].copy() @ bend).T
+        for a in range(m):
+            curvature[first + a, first + a] += effort
+            slope[first + a] += effort * action[k, a]
+            least[first + a] = max(least[first + a], -1.0 - action[k, a])
+            most[first + a] = min(most[first + a], 1.0 - action[k, a])
+    return curvature, slope, least, most, bent, bending
+
+
+def _solved(
+    margin: float, curvature: Array, slope: Array, least: Array, most: Array, bent: Array,
+    bending: Array,
+) -> Array:  # fmt: skip
+    """(V,) changes within their limits that cost least; bending beyond the margin if it must be."""
+    try:
+        import daqp
+    except ModuleNotFoundError as error:
+        raise missing(error, "nonlinear predictive control", "train") from None
+
+    soft = np.repeat(np.array([0, SOFT], dtype=np.int32), [len(slope), len(bent)])
+    scale = 1.0 / np.diag(curvature).max()
+    found, *_ = daqp.solve(
+        scale * curvature, scale * slope, bending, np.concatenate([most, margin - bent]),
+        np.concatenate([least, -margin - bent]), soft,
+    )  # fmt: skip
+    return np.clip(np.nan_to_num(found), least, most)
+
+
+class NMPC(ModelBased):
+    """Nonlinear predictive control on exact states; needs obs="state" and a resting target."""
+
+    def __init__(
+        self, env: Any, *, effort: float, lead: float, horizon: float, margin: float
+    ) -> None:
+        observer = ExactState(env, "nmpc")
+        cost = Cost(env, observer.models, effort=effort, lead=lead)
+        super().__init__(env, observer, Nonlinear(env, cost, horizon=horizon, margin=margin))
+
+
+class ExtendedNMPC(OutputFeedback):
+    """Nonlinear predictive control on filters of the nonlinear arm, of which it believes in the
+    heaviest plant that readings allow; needs obs="sensors" and a resting target.
+    """
+
+    def __init__(
+        self, env: Any, *, effort: float, lead: float, horizon: float, margin: float,
+        disturbance: float,
+    ) -> None:  # fmt: skip
+        observer = ExtendedFilters(env, "nmpc-extended", disturbance, caution=CAUTION)
+        cost = Cost(env, observer.models, effort=effort, lead=lead)
+        super().__init__(env, observer, Nonlinear(env, cost, horizon=horizon, margin=margin))

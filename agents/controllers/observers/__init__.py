@@ -1,0 +1,1 @@
+"""Observers: estimates of the arm's state, from exact states or from sensors."""
