@@ -99,15 +99,15 @@ CONTROLLERS: dict[str, Kind] = {
     "mpc": Kind(build=MPC, ranges=_MPC, obs=("state",)),
     "mpc-kalman": Kind(build=KalmanMPC, ranges=_MPC | _FILTER, obs=("sensors",)),
     "lqg-extended": Kind(
-        build=partial(LQG, filters=ExtendedFilters), obs=("sensors",),
+        build=partial(LQG, filters=ExtendedFilters, name="lqg-extended"), obs=("sensors",),
         ranges=_LQR | _FILTER,
     ),
     "lqg-extended-planned": Kind(
-        build=partial(PlannedLQG, filters=ExtendedFilters), obs=("sensors",), tasks=("Reach",),
-        ranges=_PLANNED | _FILTER,
+        build=partial(PlannedLQG, filters=ExtendedFilters, name="lqg-extended-planned"),
+        obs=("sensors",), tasks=("Reach",), ranges=_PLANNED | _FILTER,
     ),
     "mpc-extended": Kind(
-        build=partial(KalmanMPC, filters=ExtendedFilters), obs=("sensors",),
+        build=partial(KalmanMPC, filters=ExtendedFilters, name="mpc-extended"), obs=("sensors",),
         ranges=_MPC | _FILTER,
     ),
     "nmpc": Kind(build=NMPC, ranges=_MPC, obs=("state",), tasks=_RESTING),

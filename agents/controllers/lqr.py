@@ -168,9 +168,9 @@ class LQG(OutputFeedback):
 
     def __init__(
         self, env: Any, *, effort: float, lead: float, clip: float, disturbance: float,
-        filters: Filters = KalmanFilters,
+        filters: Filters = KalmanFilters, name: str = "lqg",
     ) -> None:  # fmt: skip
-        observer = filters(env, "lqg", disturbance)
+        observer = filters(env, name, disturbance)
         cost = Cost(env, observer.models, effort=effort, lead=lead)
         super().__init__(env, observer, Gain(cost, clip))
 
@@ -180,9 +180,9 @@ class PlannedLQG(OutputFeedback):
 
     def __init__(
         self, env: Any, *, effort: float, lead: float, load: float, disturbance: float,
-        filters: Filters = KalmanFilters,
+        filters: Filters = KalmanFilters, name: str = "lqg-planned",
     ) -> None:  # fmt: skip
         moves = TimedMoves(env, LinearModels.of(env), load)
-        observer = filters(env, "lqg-planned", disturbance, moves)
+        observer = filters(env, name, disturbance, moves)
         cost = Cost(env, observer.models, effort=effort, lead=lead)
         super().__init__(env, observer, Gain(cost))

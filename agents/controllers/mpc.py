@@ -159,10 +159,10 @@ class KalmanMPC(OutputFeedback):
 
     def __init__(
         self, env: Any, *, effort: float, lead: float, horizon: float, margin: float,
-        disturbance: float, filters: Filters = KalmanFilters,
+        disturbance: float, filters: Filters = KalmanFilters, name: str = "mpc-kalman",
     ) -> None:  # fmt: skip
         caution = 0.0 if env.unwrapped.core.task.moving else CAUTION
         times = _times(env, horizon)
-        observer = filters(env, "mpc-kalman", disturbance, times=times, caution=caution)
+        observer = filters(env, name, disturbance, times=times, caution=caution)
         cost = Cost(env, observer.models, effort=effort, lead=lead)
         super().__init__(env, observer, Predictive(env, cost, horizon=horizon, margin=margin))

@@ -18,9 +18,9 @@ FINE = {"obs": "state", "integrator": "rk4", "substeps": 400}
 WEIGHTS = {"effort": 1.0, "lead": 0.1}
 
 
-def law_of(envs: Any, margin: float = 0.9, horizon: float = 0.5) -> nmpc.Nonlinear:
-    cost = Cost(envs, LinearModels.of(envs), **WEIGHTS)
-    return nmpc.Nonlinear(envs, cost, horizon=horizon, margin=margin)
+def law_of(envs: Any, effort: float = 1.0) -> nmpc.Nonlinear:
+    cost = Cost(envs, LinearModels.of(envs), effort=effort, lead=0.1)
+    return nmpc.Nonlinear(envs, cost, horizon=0.5, margin=0.9)
 
 
 def about(law: nmpc.Nonlinear, posture: Any, scale: float, count: int) -> list[Estimate]:
@@ -83,16 +83,15 @@ def test_bending_yields_where_torques_cannot_keep_it() -> None:
     assert found == pytest.approx(furthest)
 
 
-def test_near_the_target_torques_are_those_of_lqr() -> None:
+@pytest.mark.parametrize("effort", [1.0, 1e3])
+def test_near_the_target_torques_are_those_of_lqr(effort: float) -> None:
     """There the arm is linear, no limit binds, and LQR is the optimum."""
-    envs = make_batch(TWO, 1, FINE)
-    law = law_of(envs)
+    law = law_of(make_batch(TWO, 1, FINE), effort)
     estimates = about(law, [0.0, 0.7], 1e-5, 4)
     expected = Gain(law.cost)(estimates)
-    assert np.abs(expected).max() < 0.1 * law.limit.min()
-    np.testing.assert_allclose(
-        law(estimates), expected, rtol=0.01, atol=1e-3 * np.abs(expected).max()
-    )
+    most = np.abs(expected).max()
+    assert most < 0.1 * law.limit.min()
+    np.testing.assert_allclose(law(estimates), expected, rtol=0.01, atol=1e-3 * most)
 
 
 def test_a_motion_costs_less_than_that_of_lqr_where_torques_are_limited() -> None:
