@@ -165,9 +165,9 @@ class Nonlinear:
         return np.where(moved.whole, costs, np.inf)
 
     def _changes(self, scene: _Scene, moved: _Motions) -> Array:
-        """Changes (T, N, 1, m) of the actions; none where a motion has diverged."""
+        """Changes (T, N, 1, m) of the actions; none where a motion is beyond linearization."""
         changes = np.zeros_like(moved.action)
-        for i in np.flatnonzero(moved.whole[:, 0]).tolist():
+        for i in range(len(scene.x)):
             A, B = self._linearized(scene, moved, i)
             if not (np.all(np.isfinite(A)) and np.all(np.isfinite(B))):
                 continue

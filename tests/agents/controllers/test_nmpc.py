@@ -35,17 +35,18 @@ def about(law: nmpc.Nonlinear, posture: Any, scale: float, count: int) -> list[E
     return found
 
 
-def test_a_resting_motion_is_linearized_as_the_linear_model_has_it() -> None:
+@pytest.mark.parametrize("plant", [0, -1])
+def test_a_resting_motion_is_linearized_as_the_linear_model_has_it(plant: int) -> None:
     """Differences of finely integrated control steps against the exponential of the matrices."""
-    law = law_of(make_batch(TWO, 1, FINE))
-    (estimate,) = about(law, [0.0, 0.7], 0.0, 1)
-    scene, m = law._scene([estimate]), law.limit.size
+    law = law_of(make_batch(TWO, 1, FINE | {"hardware": "laboratory", "obs": "sensors"}))
+    models, m = law.cost.models, law.limit.size
+    model = models.at(np.array([0.0, 0.7]), range(len(models.plants))[plant])
+    scene = law._scene([Estimate(model, np.zeros(len(model.A)), np.zeros(m), np.empty((0, m)))])
     none = np.zeros((law.steps, 1, 1, m))
     A, B = law._linearized(scene, law._moved(scene, none, none, np.zeros(1)), 0)
-    model = estimate.model
+    scaled = model.B * law.limit
     for k in (0, law.steps - 1):
         np.testing.assert_allclose(A[k].T, model.A, atol=1e-5 * np.abs(model.A).max())
-        scaled = model.B * law.limit
         np.testing.assert_allclose(B[k].T, scaled, atol=1e-5 * np.abs(scaled).max())
 
 
@@ -84,27 +85,38 @@ def test_bending_yields_where_torques_cannot_keep_it() -> None:
 
 
 @pytest.mark.parametrize("effort", [1.0, 1e3])
-def test_near_the_target_torques_are_those_of_lqr(effort: float) -> None:
+def test_near_the_target_one_step_leads_from_no_torques_to_those_of_lqr(effort: float) -> None:
     """There the arm is linear, no limit binds, and LQR is the optimum."""
     law = law_of(make_batch(TWO, 1, FINE), effort)
+    law.blocks = np.arange(law.steps)
     estimates = about(law, [0.0, 0.7], 1e-5, 4)
-    expected = Gain(law.cost)(estimates)
-    most = np.abs(expected).max()
-    assert most < 0.1 * law.limit.min()
-    np.testing.assert_allclose(law(estimates), expected, rtol=0.01, atol=1e-3 * most)
+    scene, none = law._scene(estimates), np.zeros((law.steps, 4, 1, law.limit.size))
+    found = law._changes(scene, law._moved(scene, none, none, np.zeros(1)))
+    best = law._moved(scene, none, none, np.zeros(1), scene.gain)
+    most = np.abs(best.action).max()
+    assert most < 0.1
+    np.testing.assert_allclose(found, best.action, atol=0.002 * most)
+    np.testing.assert_allclose(law._changes(scene, best), 0.0, atol=0.002 * most)
+    x, later = scene.x[:, 0], scene.P - scene.Q
+    cost_to_go = np.einsum("ia,iab,ib->i", x, later, x)
+    np.testing.assert_allclose(law._costs(scene, best)[:, 0], cost_to_go, rtol=1e-3)
+    np.testing.assert_allclose(law(estimates), Gain(law.cost)(estimates), atol=0.002 * most)
 
 
 def test_a_motion_costs_less_than_that_of_lqr_where_torques_are_limited() -> None:
     """Six links far from the target; the share of none is among those tried."""
     law = law_of(make_batch(DAMP, 1, {"obs": "state"}))
-    estimates = about(law, [0.0, 0.4, -0.3, 0.2, 0.1, 0.3], 0.5, 4)
+    estimates = about(law, [0.0, 0.4, -0.3, 0.2, 0.1, 0.3], 1.5, 4)
     scene, none = law._scene(estimates), np.zeros((law.steps, 4, 1, law.limit.size))
     first = law._moved(scene, none, none, np.zeros(1), scene.gain)
-    tried = law._moved(scene, first.action, law._changes(scene, first), nmpc.SHARES)
+    changes = law._changes(scene, first)
+    assert np.abs(first.action + changes).max() <= 1.0 + 1e-9
+    tried = law._moved(scene, first.action, changes, nmpc.SHARES)
     costs = law._costs(scene, tried)
     np.testing.assert_allclose(costs[:, 0], law._costs(scene, first)[:, 0])
     assert np.all(costs.min(axis=1) < costs[:, 0])
     best = costs.argmin(axis=1)
+    assert len(set(best)) > 1
     np.testing.assert_array_equal(law(estimates), law.limit * tried.action[0, np.arange(4), best])
 
 
@@ -122,6 +134,10 @@ def test_estimates_are_served_alike_side_by_side_and_alone() -> None:
 def test_where_every_motion_diverges_the_torque_is_that_of_lqr() -> None:
     law = law_of(make_batch(DAMP, 1, {"obs": "state"}))
     estimates = about(law, np.zeros(6), 1e150, 2)
+    scene, none = law._scene(estimates), np.zeros((law.steps, 2, 1, law.limit.size))
+    first = law._moved(scene, none, none, np.zeros(1), scene.gain)
+    assert not first.whole.any()
+    assert np.all(law._costs(scene, first) == np.inf)
     expected = np.clip(Gain(law.cost)(estimates), -law.limit, law.limit)
     np.testing.assert_allclose(law(estimates), expected)
 
