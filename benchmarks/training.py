@@ -165,30 +165,37 @@ def write_film(config: Config, pair: Mapping[str, Controller], out: Path) -> Non
     write_gif(out / f"{config.name}.gif", films, titled(env_id, kwargs))
 
 
+def recorded(config: Config, policy: Path) -> Recording:
+    """Test episodes of a stored policy."""
+    episodes, first = config.evaluation.episodes, config.evaluation.seed
+    envs = make_batch(config.env.id, episodes, config.env.kwargs)
+    try:
+        return record(acting(load_policy(policy), envs), envs, range(first, first + episodes))
+    finally:
+        envs.close()
+
+
 def benchmark(
-    config: Config, trained: Mapping[int, tuple[RunFolder, float]], out: Path, gif: bool
-) -> None:
+    config: Config, trained: Mapping[int, tuple[RunFolder, float]], out: Path, gif: bool,
+    pool: ProcessPoolExecutor,
+) -> None:  # fmt: skip
     """Evaluate every seed's policy and the references, write JSON, pages and pictures."""
-    seeds = list(trained)
+    seeds, folders = list(trained), [run for run, _ in trained.values()]
     env_id, kwargs = config.env.id, config.env.kwargs
     episodes, first = config.evaluation.episodes, config.evaluation.seed
+    stored = [folders[0].untrained, *(run.policy for run in folders)]
+    coming = pool.map(partial(recorded, config), stored)
     tuned = tune_pd(env_id, kwargs)
     envs = make_batch(env_id, episodes, kwargs)
     pd = joint_pd(envs, tuned.frequency_ratio, tuned.damping_ratio)
     task = envs.unwrapped.task
     tasks = range(first, first + episodes)
-    recordings: dict[str, Recording] = {"joint PD": record(pd, envs, tasks)}
-    summaries = {"joint PD": summarise(episode_metrics(recordings["joint PD"]))}
-    runs, curves, policies = [], {}, []
-    for seed, (run, seconds) in trained.items():
-        policies.append(acting(load_policy(run.policy), envs))
-        if len(policies) == 1:
-            untrained = record(acting(load_policy(run.untrained), envs), envs, tasks)
-            recordings["untrained policy"] = untrained
-            summaries["untrained policy"] = summarise(episode_metrics(untrained))
-            fast = faster_pd(env_id, kwargs, tasks)
-            summaries[f"joint PD, {FASTER} x control rate"] = fast
-        r = record(policies[-1], envs, tasks)
+    untrained = next(coming)
+    recordings = {"joint PD": record(pd, envs, tasks), "untrained policy": untrained}
+    summaries = {name: summarise(episode_metrics(r)) for name, r in recordings.items()}
+    summaries[f"joint PD, {FASTER} x control rate"] = faster_pd(env_id, kwargs, tasks)
+    runs, curves = [], {}
+    for (seed, (run, seconds)), r in zip(trained.items(), coming, strict=True):
         recordings.setdefault(f"seed {seed}", r)
         summary = summarise(episode_metrics(r))
         curves[f"seed {seed}"] = run.curve()
@@ -202,7 +209,6 @@ def benchmark(
             }
         )
         print(f"seed {seed}: {dict(zip(COLUMNS, cells(summary), strict=True))}", flush=True)
-    envs.close()
     data = {
         "name": config.name,
         "command": command(),
@@ -238,7 +244,9 @@ def benchmark(
     title = f"{what}, {episodes} episodes"
     plot_recordings(out / f"{config.name}_trajectories.png", shown, title)
     if gif:
-        write_film(config, {"trained policy": policies[0], "joint PD": pd}, out)
+        policy = acting(load_policy(folders[0].policy), envs)
+        write_film(config, {"trained policy": policy, "joint PD": pd}, out)
+    envs.close()
     summarise_experiments(out)
     print(text)
 
@@ -251,7 +259,9 @@ def main() -> None:
     task.add_argument("--film", type=Path, help="only NAME.gif of an experiment file")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     parser.add_argument("--gif", action="store_true", help="film the first seed and joint PD")
-    parser.add_argument("--jobs", type=int, default=1, help="seeds that are trained side by side")
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="seeds that are trained, and judged, side by side"
+    )
     parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
@@ -270,7 +280,7 @@ def main() -> None:
             a.jobs, mp_context=get_context("spawn"), max_tasks_per_child=1
         ) as pool:
             runs = list(pool.map(partial(run_seed, config, work), a.seeds))
-        benchmark(config, dict(zip(a.seeds, runs, strict=True)), a.out, a.gif)
+            benchmark(config, dict(zip(a.seeds, runs, strict=True)), a.out, a.gif, pool)
         track = track_of(config.agent.name, config.env.id, config.env.kwargs)
         if a.ship and track is not None:
             for seed in a.seeds:
