@@ -8,7 +8,7 @@ import numpy as np
 from agents.controllers.models.linear_model import LinearModels
 from dynamics import Stepper, compile_arm
 
-LEAST = 8  # rows of a batch
+LEAST, MANY = 8, 256  # rows of a batch; from so many on batches grow by that number
 FREE = {"payload_mass": "payload", "stiffness": "factor"}  # parameters of the arm, those of a plant
 
 
@@ -26,5 +26,6 @@ class PlantSteppers:
         )
 
     def __call__(self, rows: int) -> Stepper:
-        """A batch of so many rows or more."""
-        return self._stepper(max(LEAST, 1 << (rows - 1).bit_length()))
+        """A batch of so many rows or a few more, so that few sizes serve all."""
+        doubled = max(LEAST, 1 << (rows - 1).bit_length())
+        return self._stepper(doubled if rows <= MANY else -(-rows // MANY) * MANY)

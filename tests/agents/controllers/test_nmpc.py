@@ -1,4 +1,4 @@
-"""Nonlinear predictive control against the linear models, LQR and the conditions of an optimum."""
+"""Nonlinear predictive control against the linear models, LQR and SciPy."""
 
 from typing import Any
 
