@@ -1,8 +1,8 @@
-"""Files of a leaderboard: leaderboard.json, leaderboard.csv and leaderboard.md."""
+"""Files of a leaderboard: its figures, spectra and episodes, and the page leaderboard.md."""
 
 import csv
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,24 +13,21 @@ from agents.files import atomic_write
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.charts import UNRANKED, Results, pictures
 from agents.leaderboard.replay import YARDSTICK
-from agents.leaderboard.statistics import Figures
+from agents.leaderboard.statistics import Entry, Figures, Spectrum
 from agents.leaderboard.tracks import TRACKS
 from agents.metrics import METRICS, without_infinities
 
+SPECTRA = "leaderboard_spectra.json"
 Tables = Mapping[str, Mapping[str, Mapping[str, Figures]]]  # by task, track and controller
 
 
 def write(folder: Path, results: Results, seeds: Sequence[int]) -> None:
     """Write the files; each replaces its former version as a whole."""
-    tables = {
-        env_id: {
-            track: {name: entry.figures for name, entry in found.items()}
-            for track, found in tracks.items()
-        }
-        for env_id, tracks in results.items()
-    }
-    with atomic_write(folder / "leaderboard.json") as path:
-        path.write_text(a_line_each(without_infinities(tables)) + "\n", encoding="utf-8")
+    tables = each(results, lambda entry: entry.figures)
+    spectra = each(results, lambda entry: _spectrum(entry.spectrum))
+    for name, found in (("leaderboard.json", tables), (SPECTRA, spectra)):
+        with atomic_write(folder / name) as path:
+            path.write_text(a_line_each(without_infinities(found)) + "\n", encoding="utf-8")
     with (
         atomic_write(folder / "leaderboard.csv") as path,
         open(path, "w", newline="", encoding="utf-8") as file,
@@ -40,6 +37,17 @@ def write(folder: Path, results: Results, seeds: Sequence[int]) -> None:
         writer.writerows(episodes(results))
     with atomic_write(folder / "leaderboard.md") as path:
         path.write_text(page(tables, list(pictures(results)), seeds), encoding="utf-8")
+
+
+def each(results: Results, of: Callable[[Entry], Figures]) -> dict[str, dict[str, Any]]:
+    """Values of a function of entries, by task, track and controller."""
+    return {
+        env_id: {
+            track: {name: of(entry) for name, entry in found.items()}
+            for track, found in tracks.items()
+        }
+        for env_id, tracks in results.items()
+    }
 
 
 def a_line_each(tables: Tables) -> str:
@@ -201,6 +209,12 @@ def over_best(x: Figures) -> str:
         return "-"
     least, most = x["regret_ci"]
     return f"{100.0 * x['regret_iqm']:.0f} % [{100.0 * least:.0f}, {100.0 * most:.0f}]"
+
+
+def _spectrum(found: Spectrum) -> Figures:
+    """Step of frequency [Hz], density [1/m^2/Hz] to four digits and share of episodes [-]."""
+    density = [float(f"{value:.4g}") for value in found.density]
+    return {"step": float(found.frequency[1]), "share": found.share, "density": density}
 
 
 def _number(x: float, style: str, otherwise: str) -> str:

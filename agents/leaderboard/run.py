@@ -24,12 +24,13 @@ from agents.controllers import CONTROLLERS, controller
 from agents.environments import look_in_present_folder
 from agents.figures import save_figure
 from agents.hybrid.controller import acting
+from agents.leaderboard import stored
 from agents.leaderboard.bound import PLANTS, best_of, compute
 from agents.leaderboard.charts import pictures
 from agents.leaderboard.output import row, write
 from agents.leaderboard.replay import YARDSTICK, optimal, replayed
 from agents.leaderboard.shipped import shipped
-from agents.leaderboard.statistics import Entry, compared, figures, spectrum
+from agents.leaderboard.statistics import Entry, compared, decisions, figures, spectrum
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
@@ -144,10 +145,10 @@ def ranked(
         metrics = {key: np.stack([found[key] for found in each]) for key in METRICS}
         best = best_of(env_id, track, seeds, bounds)
         found = figures(
-            metrics, milliseconds, envs.unwrapped.control_dt, best,
+            metrics, best,
             privileged=name == YARDSTICK,
             learned=name in shipped(env_id, TRACKS[track].design),
-        )  # fmt: skip
+        ) | decisions(milliseconds, envs.unwrapped.control_dt)  # fmt: skip
         return Entry(found, metrics, spectrum(recordings), seeds)
     finally:
         for env in (design, envs, single):
@@ -168,6 +169,39 @@ def names(wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool) 
 
 def main(arguments: list[str] | None = None, prog: str = "python -m agents.leaderboard") -> int:
     """Rank, and write after every task; the exit status."""
+    options = _parser(prog).parse_args(arguments)
+    seeds = list(range(options.seed, options.seed + options.episodes))
+    bounds = options.out / "bounds" if options.bound else None
+    try:
+        _check(options)
+        before = stored.known(stored.read(options.beside, seeds, bounds)) if options.beside else {}
+    except ValueError as error:
+        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
+        return 2
+    options.out.mkdir(parents=True, exist_ok=True)
+    results = {
+        env_id: {track: compared(found) for track, found in tracks.items()}
+        for env_id, tracks in before.items()
+    }
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        run = map if options.jobs == 1 else pool.map
+        for env_id in options.tasks:
+            places = _places(options, env_id, seeds, bounds)
+            now = before.setdefault(env_id, {})
+            entries = run(partial(_entry, env_id, seeds, bounds), places)
+            for (track, name), entry in zip(places, entries, strict=True):
+                now.setdefault(track, {})[name] = entry
+                print(f"{env_id}, {track}: {row(name, entry.figures)}", flush=True)
+            if now:
+                results[env_id] = {track: compared(found) for track, found in now.items()}
+            write(options.out, results, seeds)
+    for file, draw in pictures(results).items():
+        save_figure(draw(), options.out / file)
+    print(f"Everything is in {options.out}/")
+    return 0
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog, description="Rank controllers on tasks and tracks, on the same test episodes."
     )
@@ -180,6 +214,10 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     parser.add_argument("--seed", type=int, default=SEED, help="of the first test episode")
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument(
+        "--beside", type=Path, metavar="FOLDER",
+        help="of a former ranking of these episodes, whose other controllers are kept",
+    )  # fmt: skip
+    parser.add_argument(
         "--bound", action="store_true",
         help="search the bounds of episodes that have none, and keep them in OUT/bounds",
     )  # fmt: skip
@@ -187,42 +225,23 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
         "--jobs", type=int, default=1, help="processes; decisions are timed in them"
     )
     parser.add_argument("--out", type=Path, default=Path("leaderboard"))
-    options = parser.parse_args(arguments)
-    try:
-        _check(options)
-    except ValueError as error:
-        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
-        return 2
-    seeds = list(range(options.seed, options.seed + options.episodes))
-    options.out.mkdir(parents=True, exist_ok=True)
-    bounds = options.out / "bounds" if options.bound else None
-    results: dict[str, dict[str, dict[str, Entry]]] = {}
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        run = map if options.jobs == 1 else pool.map
-        for env_id in options.tasks:
-            if bounds is not None:
-                for track in [track for track in options.tracks if track in PLANTS]:
-                    compute(env_id, track, seeds, options.jobs, bounds)
-            here = [
-                (track, name)
-                for track in options.tracks
-                for name in names(
-                    options.controllers, env_id, track,
-                    best_of(env_id, track, seeds, bounds) is not None,
-                )
-            ]  # fmt: skip
-            found: dict[str, dict[str, Entry]] = {}
-            entries = run(partial(_entry, env_id, seeds, bounds), here)
-            for (track, name), entry in zip(here, entries, strict=True):
-                found.setdefault(track, {})[name] = entry
-                print(f"{env_id}, {track}: {row(name, entry.figures)}", flush=True)
-            if found:
-                results[env_id] = {track: compared(entries) for track, entries in found.items()}
-            write(options.out, results, seeds)
-    for file, draw in pictures(results).items():
-        save_figure(draw(), options.out / file)
-    print(f"Everything is in {options.out}/")
-    return 0
+    return parser
+
+
+def _places(
+    options: argparse.Namespace, env_id: str, seeds: Sequence[int], bounds: Path | None
+) -> list[tuple[str, str]]:
+    """Tracks and controllers that are ranked on a task, after the bounds that are asked for."""
+    if bounds is not None:
+        for track in [track for track in options.tracks if track in PLANTS]:
+            compute(env_id, track, seeds, options.jobs, bounds)
+    return [
+        (track, name)
+        for track in options.tracks
+        for name in names(
+            options.controllers, env_id, track, best_of(env_id, track, seeds, bounds) is not None
+        )
+    ]
 
 
 def _entry(env_id: str, seeds: Sequence[int], bounds: Path | None, place: tuple[str, str]) -> Entry:

@@ -51,14 +51,12 @@ class Entry:
 
 def figures(
     metrics: Mapping[str, AnyArray],
-    milliseconds: AnyArray,
-    control_dt: float,
     best: Best | None,
     *,
     privileged: bool = False,
     learned: bool = False,
 ) -> Figures:
-    """Figures of one controller from metrics (runs, episodes) and the times of its decisions.
+    """Figures of one controller from metrics (runs, episodes).
 
     The runs of a learned one are its training seeds; other controllers have none, and one run.
 
@@ -85,6 +83,12 @@ def figures(
         "tip_error_rms_median": float(np.median(metrics["tip_error_rms"])),
         "residual_vibration_median": float(np.median(metrics["residual_vibration"])),
         "residual_vibration_quartiles": quartiles(metrics["residual_vibration"]),
+    }
+
+
+def decisions(milliseconds: AnyArray, control_dt: float) -> Figures:
+    """Figures of the times of single decisions, beside the control step [s]."""
+    return {
         "ms_per_action": float(np.median(milliseconds)),
         "ms_per_action_p99": float(np.percentile(milliseconds, 99.0)),
         "ms_control_step": 1e3 * control_dt,

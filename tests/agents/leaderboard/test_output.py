@@ -10,7 +10,7 @@ import pytest
 
 from agents.leaderboard import charts
 from agents.leaderboard.output import leaders, over_best, rivals, score, write
-from agents.leaderboard.statistics import Entry, Spectrum, compared, figures
+from agents.leaderboard.statistics import Entry, Spectrum, compared, decisions, figures
 from agents.leaderboard.tracks import RANKED
 from agents.metrics import METRICS, Best
 
@@ -29,7 +29,7 @@ def entry(score: Any, share: float = 1.0, best: Best | None = None) -> Entry:
     metrics = {name: np.where(score > 0.0, 0.1 + score, np.inf) for name in METRICS}
     metrics |= {"score": score, "success": np.sign(score)}
     metrics["settling_time"] = np.where(score > 0.0, 3.0 * (1.0 - score), np.inf)
-    found = figures(metrics, np.array([0.5, 1.5]), 0.02, best)
+    found = figures(metrics, best) | decisions(np.array([0.5, 1.5]), 0.02)
     spectrum = Spectrum(FREQUENCY, np.ones_like(FREQUENCY), share)
     return Entry(found, metrics, spectrum, SEEDS[-score.shape[1] :])
 

@@ -11,6 +11,7 @@ from agents.leaderboard.statistics import (
     Entry,
     Spectrum,
     compared,
+    decisions,
     figures,
     improvements,
     interquartile_mean,
@@ -175,7 +176,7 @@ def test_figures_of_known_metrics() -> None:
     metrics["tip_error_rms"] = 2.0 * metrics["score"]
     metrics["residual_vibration"] = 3.0 * metrics["score"]
     best = Best("settling_time", np.array([1.0, 1.0, 1.0, 0.5]))
-    found = figures(metrics, np.array([1.0, 3.0, 2.0]), 0.02, best, learned=True)
+    found = figures(metrics, best, learned=True)
     regret = [0.0, 0.2, 4.0, 1.8, 0.0, 0.6, 0.5, 1.6]
     middle = sorted(regret)[2:-2]
     intervals = {"score_ci": "score_iqm", "regret_ci": "regret_iqm"}
@@ -197,6 +198,11 @@ def test_figures_of_known_metrics() -> None:
         "tip_error_rms_median": pytest.approx(0.7),
         "residual_vibration_median": pytest.approx(1.05),
         "residual_vibration_quartiles": pytest.approx([0.3, 1.5]),
+    }
+
+
+def test_decisions_have_their_median_and_tail_beside_the_control_step() -> None:
+    assert decisions(np.array([1.0, 3.0, 2.0]), 0.02) == {
         "ms_per_action": 2.0,
         "ms_per_action_p99": pytest.approx(2.98),
         "ms_control_step": pytest.approx(20.0),
@@ -224,7 +230,7 @@ def test_entries_are_compared_by_their_scores() -> None:
 
 def test_figures_without_a_bound_have_no_regret() -> None:
     metrics = {name: np.linspace(0.0, 1.0, 8)[None] for name in METRICS}
-    found = figures(metrics, np.array([1.0, 3.0]), 0.02, None)
+    found = figures(metrics, None)
     assert found["regret_iqm"] is None
     assert found["regret_ci"] is None
     assert found["regret_episodes"] == 0
@@ -234,7 +240,7 @@ def test_regret_of_a_path_is_that_of_its_rms_where_a_best_is_known() -> None:
     metrics = {name: np.array([[1.0, 3.0, 9.0, 5.0]]) for name in METRICS}
     metrics["tip_error_rms"] = np.array([[2.0, 4.0, 9.0, 6.0]])
     best = Best("tip_error_rms", np.array([1.0, 2.0, np.nan, 4.0]))
-    found = figures(metrics, np.array([1.0, 3.0]), 0.02, best)
+    found = figures(metrics, best)
     assert found["regret_iqm"] == pytest.approx((1.0 + 1.0 + 0.5) / 3.0)
     assert found["regret_episodes"] == 3
 
@@ -244,11 +250,11 @@ def test_excess_of_a_path_is_its_rms_less_the_smallest_known() -> None:
     metrics = {name: np.array([[1.0, 3.0, 9.0, 5.0, 7.0]]) for name in METRICS}
     metrics["tip_error_rms"] = np.array([[2.0, 4.0, 9.0, 6.0, 52.0]])
     best = Best("tip_error_rms", np.array([1.0, 2.0, np.nan, 4.0, 2.0]))
-    found = figures(metrics, np.array([1.0, 3.0]), 0.02, best)
+    found = figures(metrics, best)
     assert found["excess_iqm"] == pytest.approx(2.0)
     low, high = found["excess_ci"]
     assert 1.0 <= low < 2.0 < high <= 50.0
-    resting = figures(metrics, np.array([1.0, 3.0]), 0.02, replace(best, metric="settling_time"))
+    resting = figures(metrics, replace(best, metric="settling_time"))
     assert resting["excess_iqm"] is resting["excess_ci"] is None
 
 
@@ -263,6 +269,6 @@ def test_excess_is_infinite_where_a_quarter_of_the_episodes_failed(
     rms = np.full((1, 8), 1.5)
     rms[0, :failed] = np.inf
     best = Best("tip_error_rms", np.full(8, 0.5))
-    found = figures(dict.fromkeys(METRICS, rms), np.array([1.0, 3.0]), 0.02, best)
+    found = figures(dict.fromkeys(METRICS, rms), best)
     assert found["excess_iqm"] == middle
     assert found["excess_ci"] == ends

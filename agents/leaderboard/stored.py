@@ -1,0 +1,95 @@
+"""Entries of a ranking that is stored, which stay beside those of controllers ranked anew."""
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.controllers import CONTROLLERS
+from agents.leaderboard.bound import best_of
+from agents.leaderboard.output import SPECTRA
+from agents.leaderboard.replay import YARDSTICK
+from agents.leaderboard.shipped import shipped
+from agents.leaderboard.statistics import Entry, Spectrum, figures
+from agents.leaderboard.tracks import TRACKS, takes_part
+from agents.metrics import METRICS
+from dynamics.types import AnyArray
+
+DECISIONS = ("ms_per_action", "ms_per_action_p99", "ms_control_step")
+Entries = dict[str, dict[str, dict[str, Entry]]]  # by task, track and controller
+
+
+def read(folder: Path, seeds: Sequence[int], bounds: Path | None = None) -> Entries:
+    """Entries of the episodes with these seeds; a ValueError if the folder has none.
+
+    Metrics and times of decisions are those that are stored. Statistics are computed again, over
+    the bounds that are known now, in the package or in the folder `bounds`.
+    """
+    found: Entries = {}
+    try:
+        tables, spectra = (
+            json.loads((folder / file).read_text(encoding="utf-8"))
+            for file in ("leaderboard.json", SPECTRA)
+        )
+        for (env_id, track, name), (met, metrics) in _episodes(folder).items():
+            if not (met == [*seeds] or (name == YARDSTICK and set(met) <= {*seeds})):
+                raise ValueError(f"{name} met the episodes {met[0]} to {met[-1]}")
+            before = tables[env_id][track][name]
+            now = figures(
+                metrics, best_of(env_id, track, met, bounds),
+                privileged=before["privileged"], learned=before["training_seeds"] > 0,
+            )  # fmt: skip
+            now |= {key: before[key] for key in DECISIONS}
+            own = Entry(now, metrics, _spectrum(spectra[env_id][track][name]), met)
+            found.setdefault(env_id, {}).setdefault(track, {})[name] = own
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"--beside {folder}: there is no whole ranking of the episodes {seeds[0]} to "
+            f"{seeds[-1]} ({type(error).__name__}: {error}); name the --out of one with the same "
+            "--seed and --episodes."
+        ) from None
+    return found
+
+
+def known(entries: Entries) -> Entries:
+    """Entries of controllers that there are now, or that are a user's."""
+    return {
+        env_id: {
+            track: {name: x for name, x in found.items() if _is_known(name, env_id, track)}
+            for track, found in tracks.items()
+        }
+        for env_id, tracks in entries.items()
+    }
+
+
+def _is_known(name: str, env_id: str, track: str) -> bool:
+    if name in CONTROLLERS:
+        return takes_part(name, env_id, track)
+    return ":" in name or name == YARDSTICK or name in shipped(env_id, TRACKS[track].design)
+
+
+def _episodes(
+    folder: Path,
+) -> dict[tuple[str, str, str], tuple[list[int], dict[str, AnyArray]]]:
+    """Seeds and metrics (runs, episodes) by task, track and controller."""
+    rows: dict[tuple[str, str, str], list[dict[str, str]]] = {}
+    with open(folder / "leaderboard.csv", newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            rows.setdefault((row["task"], row["track"], row["controller"]), []).append(row)
+    return {place: _table(found) for place, found in rows.items()}
+
+
+def _table(rows: Sequence[Mapping[str, str]]) -> tuple[list[int], dict[str, AnyArray]]:
+    """Seeds, and metrics (runs, episodes), of a controller's rows, run by run."""
+    runs = len({row["run"] for row in rows})
+    seeds = [int(row["seed"]) for row in rows[: len(rows) // runs]]
+    metrics = {key: np.array([float(row[key]) for row in rows]) for key in METRICS}
+    return seeds, {key: values.reshape(runs, len(seeds)) for key, values in metrics.items()}
+
+
+def _spectrum(found: Mapping[str, Any]) -> Spectrum:
+    density = np.array([np.nan if x is None else x for x in found["density"]])
+    return Spectrum(found["step"] * np.arange(density.size), density, found["share"])

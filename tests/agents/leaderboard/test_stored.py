@@ -1,0 +1,117 @@
+"""Rankings that are read from their files, and kept beside controllers that are ranked anew."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.leaderboard import stored
+from agents.leaderboard.output import SPECTRA
+from agents.leaderboard.replay import YARDSTICK
+from agents.leaderboard.run import main
+from agents.metrics import METRICS
+
+REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
+SEEDS = list(range(10_000, 10_004))
+MEASURED = ("ms_per_action", "ms_per_action_p99")
+Tables = dict[str, dict[str, dict[str, Any]]]
+
+
+def rank(out: Path, *arguments: str) -> Tables:
+    """Figures of a ranking of four episodes."""
+    assert main([*arguments, "--episodes", "4", "--out", str(out)]) == 0
+    found: Tables = json.loads((out / "leaderboard.json").read_text())
+    return found
+
+
+@pytest.fixture(scope="module")
+def former(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ranking with a policy of several seeds, a yardstick and failures, of two tasks."""
+    out = tmp_path_factory.mktemp("former")
+    rank(out, "--tasks", REACH, TRACK, "--tracks", "state", "laboratory",
+         "--controllers", "pd", "ppo", "ppo-stacked", "zero", YARDSTICK)  # fmt: skip
+    return out
+
+
+def test_entries_are_read_as_they_were_written(former: Path, tmp_path: Path) -> None:
+    """Every file is the same again, so every figure is: statistics are computed anew."""
+    again = rank(tmp_path, "--tasks", REACH, "--tracks", "state", "--controllers", "zero",
+                 "--beside", str(former))  # fmt: skip
+    before = json.loads((former / "leaderboard.json").read_text())
+    for key in MEASURED:  # of the one that was ranked again
+        again[REACH]["state"]["zero"][key] = before[REACH]["state"]["zero"][key]
+    assert again == before
+    for file in ("leaderboard.csv", SPECTRA):
+        rows = [sorted((folder / file).read_text().splitlines()) for folder in (former, tmp_path)]
+        assert rows[0] == rows[1]
+
+
+def test_runs_and_failures_keep_their_places(former: Path) -> None:
+    found = stored.read(former, SEEDS)
+    assert found[REACH]["state"]["ppo"].metrics["score"].shape == (10, 4)
+    zero, told = found[REACH]["state"]["zero"], found[TRACK]["laboratory"][YARDSTICK]
+    assert np.isinf(zero.metrics["settling_time"]).all()
+    assert set(zero.metrics) == set(METRICS)
+    assert told.privileged
+    assert set(told.seeds) <= set(SEEDS)
+
+
+def test_controllers_are_ranked_beside_what_is_kept(former: Path, tmp_path: Path) -> None:
+    before = json.loads((former / "leaderboard.json").read_text())
+    again = rank(tmp_path, "--tasks", REACH, "--tracks", "state", "--controllers", "lqr",
+                 "--beside", str(former))  # fmt: skip
+    assert again[TRACK] == before[TRACK]
+    assert set(again[REACH]["state"]) == {*before[REACH]["state"], "lqr"}
+    assert again[REACH]["state"]["ppo"]["score_ci"] == before[REACH]["state"]["ppo"]["score_ci"]
+    assert set(again[REACH]["state"]["ppo"]["improvement"]) == {"lqr", "pd", "zero"}
+    spectra = json.loads((tmp_path / SPECTRA).read_text())
+    assert set(spectra[REACH]["state"]) == set(again[REACH]["state"])
+
+
+def test_what_there_is_no_more_is_left_out(former: Path, tmp_path: Path) -> None:
+    """A policy of a former package goes; a class of the user stays."""
+    shutil.copytree(former, tmp_path, dirs_exist_ok=True)
+    for path in tmp_path.glob("leaderboard*.*"):
+        if path.suffix in (".json", ".csv"):
+            text = path.read_text().replace('"ppo-stacked"', '"ppo-older"')
+            text = text.replace(",ppo-stacked,", ",ppo-older,")
+            path.write_text(text.replace('"pd"', '"my:Own"').replace(",pd,", ",my:Own,"))
+    found = stored.known(stored.read(tmp_path, SEEDS))
+    assert set(found[REACH]["laboratory"]) == {"my:Own", "zero", YARDSTICK}
+    assert set(found[REACH]["state"]) == {"my:Own", "ppo", "zero", YARDSTICK}
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "words"),
+    [
+        ("leaderboard.csv", None, "FileNotFoundError"),
+        ("leaderboard.json", "{", "JSONDecodeError"),
+        (SPECTRA, "{}", "KeyError"),
+        ("leaderboard.csv", "task,track,controller,run,seed\na,b,c,0,0\n", "KeyError"),
+    ],
+)
+def test_other_files_are_refused(
+    former: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str, text: Any,
+    words: str,
+) -> None:  # fmt: skip
+    shutil.copytree(former, tmp_path / "old")
+    (tmp_path / "old" / file).unlink()
+    if text is not None:
+        (tmp_path / "old" / file).write_text(text)
+    arguments = ["--tasks", REACH, "--tracks", "state", "--controllers", "zero", "--episodes", "4"]
+    arguments += ["--beside", str(tmp_path / "old"), "--out", str(tmp_path / "new")]
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert "there is no whole ranking of the episodes 10000 to 10003" in error
+    assert words in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("seeds", [SEEDS[:3], [*SEEDS, 10_004], range(4)])
+def test_a_ranking_of_other_episodes_is_refused(former: Path, seeds: Any) -> None:
+    with pytest.raises(ValueError, match="met the episodes 10000 to 10003"):
+        stored.read(former, seeds)
