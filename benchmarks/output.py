@@ -5,7 +5,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from io import BytesIO
 from itertools import pairwise
@@ -66,6 +66,17 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = "l"
     rule = "".join("---:|" if letter == "r" else "---|" for letter in letters)
     lines = [f"| {' | '.join(header).lstrip()} |", f"|{rule}"]
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def filled(page: str, blocks: Mapping[str, str]) -> str:
+    """A page with these texts in its blocks `<!-- NAME --> ... <!-- /NAME -->`."""
+    for name, text in blocks.items():
+        before, mark, rest = page.partition(f"<!-- {name} -->")
+        _, end, after = rest.partition(f"<!-- /{name} -->")
+        if not end:
+            raise ValueError(f"The page must hold the block {name!r}.")
+        page = f"{before}{mark}\n\n{text}\n\n{end}{after}"
+    return page
 
 
 def save_results(results: dict[str, Any], text: str, path: Path) -> None:

@@ -11,7 +11,7 @@ from collections import Counter
 from typing import Any
 
 from agents.leaderboard.output import rivals
-from benchmarks.output import RESULTS, ROOT, argument_parser, table
+from benchmarks.output import RESULTS, ROOT, argument_parser, filled, table
 
 PAGE = ROOT / "docs" / "paper.md"
 SCENES = {"OneLink": "one link", "TwoLink": "two links", "SixLink": "six links, spatial"}
@@ -145,21 +145,10 @@ def _verdicts(stored: dict[str, Any]) -> Counter[str]:
     return Counter(row["verdict"] for entry in stored["tables"] for row in entry["rows"])
 
 
-def filled(page: str) -> str:
-    """The page with the present figures in its blocks."""
-    for name, text in blocks().items():
-        before, mark, rest = page.partition(f"<!-- {name} -->")
-        _, end, after = rest.partition(f"<!-- /{name} -->")
-        if not end:
-            raise ValueError(f"{PAGE.name} must hold the block {name!r}.")
-        page = f"{before}{mark}\n\n{text}\n\n{end}{after}"
-    return page
-
-
 def main() -> None:
     """Fill the blocks of the page."""
     argument_parser("paper", __doc__).parse_args()
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), blocks()), encoding="utf-8")
 
 
 if __name__ == "__main__":

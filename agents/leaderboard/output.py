@@ -128,8 +128,7 @@ def leaders(tables: Tables) -> str:
 def rivals(tables: Tables) -> str:
     """Table of the best classical and the best learned controller of every task and track.
 
-    One leads where the intervals of both scores are apart. Controllers of users, whose names hold
-    a colon, are neither.
+    One leads where the intervals of both scores are apart.
     """
     lines = [
         "Scores of the best of either kind, IQM [95 %]; one leads where the intervals are apart. "
@@ -139,22 +138,32 @@ def rivals(tables: Tables) -> str:
         "|---|---|---|---|---:|---|---:|",
     ]
     for place, found in places(tables):
-        ours = {name: x for name, x in found.items() if ":" not in name}
-        learned = next((name for name, x in ours.items() if x["training_seeds"]), None)
-        classical = next((name for name, x in ours.items() if not x["training_seeds"]), None)
-        if learned is None or classical is None:
+        if (pair := best_of_either(found)) is None:
             continue
-        one, other = found[classical], found[learned]
-        leads = "neither"
-        if one["score_ci"][0] > other["score_ci"][1]:
-            leads = "classical"
-        elif other["score_ci"][0] > one["score_ci"][1]:
-            leads = "learned"
+        one, other = (found[name] for name in pair)
         lines.append(
-            f"{place} | {classical} {score(one)} | {learned} {score(other)} | "
-            f"{other['training_seeds']} | {leads} | {above(other, classical)} |"
+            f"{place} | {pair[0]} {score(one)} | {pair[1]} {score(other)} | "
+            f"{other['training_seeds']} | {leader(one, other)} | {above(other, pair[0])} |"
         )
     return "\n".join(lines)
+
+
+def best_of_either(found: Mapping[str, Figures]) -> tuple[str, str] | None:
+    """Best classical and best learned controller; None unless both kinds take part.
+
+    Controllers are given best first. Those of users, whose names hold a colon, are neither.
+    """
+    ours = {name: x for name, x in found.items() if ":" not in name}
+    learned = next((name for name, x in ours.items() if x["training_seeds"]), None)
+    classical = next((name for name, x in ours.items() if not x["training_seeds"]), None)
+    return None if learned is None or classical is None else (classical, learned)
+
+
+def leader(classical: Figures, learned: Figures) -> str:
+    """Kind that leads, as the intervals of its score are apart from the other's, or neither."""
+    if classical["score_ci"][0] > learned["score_ci"][1]:
+        return "classical"
+    return "learned" if learned["score_ci"][0] > classical["score_ci"][1] else "neither"
 
 
 def places(tables: Tables) -> Iterator[tuple[str, dict[str, Figures]]]:

@@ -2,14 +2,15 @@
 
 import re
 
-from benchmarks.paper import PAGE, blocks, filled
+from benchmarks.output import filled
+from benchmarks.paper import PAGE, blocks
 from tests.paths import ROOT
 
 
 def test_the_figures_of_the_paper_are_those_of_the_results() -> None:
     """If not: python -m benchmarks.paper"""
     page = PAGE.read_text(encoding="utf-8")
-    assert filled(page) == page
+    assert filled(page, blocks()) == page
 
 
 def test_the_yardstick_is_no_controller() -> None:
@@ -30,7 +31,7 @@ def test_a_changed_figure_is_noticed() -> None:
         other = re.sub(r"\d", lambda found: str((int(found[0]) + 1) % 10), text, count=1)
         changed = page.replace(text, other)
         assert changed != page
-        assert filled(changed) == page
+        assert filled(changed, blocks()) == page
 
 
 def test_the_links_of_the_paper_lead_somewhere() -> None:

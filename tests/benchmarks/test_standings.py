@@ -1,0 +1,94 @@
+"""Tables of the page of the ranking: they are those of the results, and what they say of them."""
+
+import re
+from typing import Any
+
+import pytest
+
+from benchmarks.output import filled
+from benchmarks.standings import KINDS, PAGE, blocks, cell, kind, leaders, standings
+
+REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
+
+
+def figures(score: float, seeds: int = 0, width: float = 0.01, **others: Any) -> dict[str, Any]:
+    """Figures of a controller that settles all episodes at a regret of a half."""
+    return {
+        "score_iqm": score, "score_ci": [score - width, score + width], "training_seeds": seeds,
+        "privileged": False, "success_rate": 1.0, "regret_iqm": 0.5, "settling_median": 2.0,
+        "tip_error_rms_median": 0.0042, **others,
+    }  # fmt: skip
+
+
+def test_the_tables_of_the_page_are_those_of_the_results() -> None:
+    """If not: python -m benchmarks.standings"""
+    page = PAGE.read_text(encoding="utf-8")
+    assert filled(page, blocks()) == page
+    changed = re.sub(r"(mpc[a-z-]*: )(\d)", lambda x: x[1] + str((int(x[2]) + 1) % 10), page)
+    assert changed != page
+    assert filled(changed, blocks()) == page
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [
+        ("pd-zv-2", "joint control"),
+        ("inverse", "joint control"),
+        ("lqg-extended-planned", "linear-quadratic"),
+        ("mpc-kalman", "predictive"),
+        ("nmpc", "predictive"),
+        ("recurrent-ppo", "learned"),
+        ("ppo-stacked", "learned"),
+        ("ppo-on-lqg", "learned, on a model"),
+        ("ppo-ahead-of-pd", "learned, on a model"),
+    ],
+)
+def test_kinds_follow_the_names(name: str, wanted: str) -> None:
+    assert kind(name) == wanted
+
+
+@pytest.mark.parametrize(
+    ("task", "changes", "text"),
+    [
+        (REACH, {}, "x: 50 %"),
+        (REACH, {"success_rate": 0.98}, "x: 50 %, settles 98 %"),
+        (REACH, {"success_rate": 0.996}, "x: 50 %, settles 99.6 %"),
+        (REACH, {"success_rate": 0.0}, "x: settles none"),
+        (REACH, {"regret_iqm": None}, "x: 2.00 s"),
+        (REACH, {"regret_iqm": None, "settling_median": None}, "x: never"),
+        (TRACK, {}, "x: 4.2 mm"),
+        (TRACK, {"tip_error_rms_median": 0.0421}, "x: 42 mm"),
+        (TRACK, {"tip_error_rms_median": None}, "x: fails"),
+    ],
+)
+def test_cells_have_a_number_and_what_is_missed(task: str, changes: Any, text: str) -> None:
+    assert cell("x", figures(0.5) | changes, task) == text
+
+
+def test_rows_have_the_best_of_every_kind_and_mark_the_best_of_all() -> None:
+    """The yardstick and idle control are none of them."""
+    found = {
+        "pd": figures(0.3), "pid": figures(0.4, regret_iqm=0.6), "lqr": figures(0.9),
+        "ppo": figures(0.8, 5), "zero": figures(0.95), "optimal": figures(1.0, privileged=True),
+    }  # fmt: skip
+    *_, row = standings({REACH: {"state": found}}, "state").splitlines()
+    cells = [text.strip() for text in row.strip("|").split("|")]
+    assert cells == ["OneLink-Reach", "pid: 60 %", "**lqr: 50 %**", "", "ppo: 50 %", ""]
+    assert len(cells) == 1 + len(KINDS)
+
+
+def test_a_kind_leads_where_intervals_are_apart() -> None:
+    ahead = {"lqr": figures(0.9), "ppo": figures(0.8, 5)}
+    behind = {"lqr": figures(0.8), "ppo": figures(0.9, 5)}
+    equal = {"lqr": figures(0.9, width=0.2), "ppo": figures(0.8, 5)}
+    alone = {"lqr": figures(0.9)}
+    stored = {
+        REACH: {"state": ahead, "laboratory": behind, "transfer": alone},
+        TRACK: {"state": equal, "laboratory": behind, "transfer": equal},
+    }
+    assert leaders(stored).splitlines() == [
+        "- `state`: classical control leads in 1 (OneLink-Reach), learned control in 0 of 2.",
+        "- `laboratory`: classical control leads in 0, learned control in 2 (OneLink-Reach, "
+        "OneLink-Track) of 2.",
+        "- `transfer`: classical control leads in 0, learned control in 0 of 1.",
+    ]
