@@ -34,24 +34,38 @@ class Preview:
                 seen[~fresh, 1:] = before[~fresh, :-1]
         return seen
 
-    def torques(self, course: Course, seen: Array, i: int, plant: int) -> Array:
-        """(K, m) [N m] of a plant in episode i; beyond what is seen the target goes on evenly."""
+    def torques(self, course: Course, seen: Array, plants: AnyArray) -> Array:
+        """(N, K, m) [N m] of the plants (N,); beyond what is seen the target goes on evenly."""
+        found = np.zeros((len(plants), len(self.times), course.way.shape[1]))
         if not self._kept:
-            return np.zeros((len(self.times), course.way.shape[1]))
-        path = self._path(course, seen, i)
-        shown = np.minimum(self.times, path.x[-1])
-        rate, acceleration = path(shown, 1), path(shown, 2)  # which is zero at the end
-        way = path(shown) + (self.times - shown)[:, None] * rate
-        posture = np.tile(course.posture[i], (len(shown), 1))
-        coming = Course(posture, way, rate, acceleration, acceleration)
-        return torques(self.models, coming, plant)
+            return found
+        _, alike = np.unique(np.isfinite(seen[..., 0]), axis=0, return_inverse=True)
+        for k in range(alike.max() + 1):
+            group = np.flatnonzero(alike == k)
+            path = self._path(course, seen, group)
+            shown = np.minimum(self.times, path.x[-1])
+            rate, acceleration = path(shown, 1), path(shown, 2)  # which is zero at the end
+            way = path(shown) + (self.times - shown)[:, None, None] * rate
+            posture = np.broadcast_to(course.posture[group], way.shape)
+            for plant in np.unique(plants[group]):
+                these = plants[group] == plant
+                coming = Course(*(
+                    x[:, these].reshape(-1, x.shape[2])
+                    for x in (posture, way, rate, acceleration, acceleration)
+                ))  # fmt: skip
+                needed = torques(self.models, coming, int(plant))
+                needed = needed.reshape(len(self.times), -1, way.shape[2])
+                found[group[these]] = needed.swapaxes(0, 1)
+        return found
 
-    def _path(self, course: Course, seen: Array, i: int) -> CubicSpline:
-        """Way of the target from now on."""
+    def _path(self, course: Course, seen: Array, group: AnyArray) -> CubicSpline:
+        """Ways (G, m) of the targets of episodes (G,) that have seen as much, from now on."""
         age = self.models.control_dt * np.arange(self._kept)
         times = np.concatenate([[0.0], self.half - age, 2.0 * self.half - age])
-        ways = np.concatenate([course.way[i][None], seen[i, :, 0], seen[i, :, 1]])
-        known = np.flatnonzero(np.isfinite(ways[:, 0]))
+        now, near, far = course.way[group][:, None], seen[group, :, 0], seen[group, :, 1]
+        ways = np.concatenate([now, near, far], axis=1).swapaxes(0, 1)
+        known = np.flatnonzero(np.isfinite(ways[:, 0, 0]))
         known = known[np.argsort(times[known])]
-        ends = (1, course.rate[i]), (2, np.zeros_like(course.rate[i]))
+        rate = course.rate[group]
+        ends = (1, rate), (2, np.zeros_like(rate))
         return CubicSpline(times[known], ways[known], bc_type=ends)

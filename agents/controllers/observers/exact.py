@@ -67,12 +67,12 @@ class ExactState:
         before = offset if memory is None else np.where(fresh[:, None], offset, memory.offset)
         speed -= (offset - before) / dt
         seen = self.preview.see(x, plan.target, memory.seen if memory else None, fresh)
+        ahead = self.preview.torques(plan.target, seen, np.full(count, models.middle))
         estimates = []
         for i in range(count):
             model = models.at(plan.target.posture[i])
             state = np.concatenate([model.modes @ (place[i] - offset[i]), model.modes @ speed[i]])
-            ahead = self.preview.torques(plan.target, seen, i, models.middle)
-            estimates.append(Estimate(model, state, forward[i], ahead))
+            estimates.append(Estimate(model, state, forward[i], ahead[i]))
         return estimates, _Sight(plan, offset, seen)
 
     def act(self, memory: _Sight, torque: Array) -> None:

@@ -169,11 +169,11 @@ class KalmanFilters:
         apart = np.abs(readings - belief.first)
         changed: AnyArray = np.any(apart > 0.5 * self.sensors.quantum, axis=1)
         now, best = self._filtered(belief, readings, changed)
+        ahead = self.preview.torques(belief.plan.target, belief.seen, best)
         found = []
         for i, (bank, plant) in enumerate(zip(belief.banks, best, strict=True)):
-            model = bank.models[plant]
-            ahead = self.preview.torques(belief.plan.target, belief.seen, i, int(plant))
-            found.append(Estimate(model, now[i, : len(model.A)], belief.forward[i, plant], ahead))
+            model, forward = bank.models[plant], belief.forward[i, plant]
+            found.append(Estimate(model, now[i, : len(model.A)], forward, ahead[i]))
         return found
 
     def _filtered(

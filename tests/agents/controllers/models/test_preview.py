@@ -1,5 +1,6 @@
 """Torques that a path will need, against the environment's own target later on."""
 
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from agents.controllers import controller
 from agents.controllers.models.linear_model import LinearModels
 from agents.controllers.models.plan import Planner
 from agents.controllers.models.preview import Preview
-from agents.controllers.models.reference import Reference
+from agents.controllers.models.reference import Course, Reference
 from agents.metrics import episode_metrics, make_batch, record
 
 TRACK = "FlexArm/TwoLink-Track-v0"
@@ -40,8 +41,8 @@ def test_torques_ahead_are_those_of_the_path_later_on(start: int) -> None:
     steps = np.array([1, 5, 12, 20, 31, 50])
     preview, seen, plans, _ = watched(start + 53, 0.05 * (steps + 0.5))
     reference = Reference(preview.models, [preview.models.middle])
-    for i in range(EPISODES):
-        found = preview.torques(plans[start].target, seen[start], i, preview.models.middle)
+    middle = np.full(EPISODES, preview.models.middle)
+    for i, found in enumerate(preview.torques(plans[start].target, seen[start], middle)):
         later = [reference.along(plans[start + k].target)[1][i, 0] for k in steps]
         assert np.abs(found - later).max() < 0.05 * np.abs(later).max()
 
@@ -52,18 +53,18 @@ def test_the_path_is_that_of_the_target(start: int, accuracy: float) -> None:
     steps = np.array([1, 5, 12, 20, 31, 50, 60])
     preview, seen, plans, targets = watched(start + 61, np.array([0.5]))
     way = np.array(targets) - targets[0]
-    for i in range(EPISODES):
-        path = preview._path(plans[start].target, seen[start], i)
-        assert np.abs(path(0.05 * steps) - way[start + steps, i]).max() < accuracy
+    path = preview._path(plans[start].target, seen[start], np.arange(EPISODES))
+    assert np.abs(path(0.05 * steps) - way[start + steps]).max() < accuracy
 
 
 def test_beyond_what_is_seen_the_target_goes_on_evenly() -> None:
     """A constant rate needs the torque of the turning arm, and none of its acceleration."""
     times = np.array([2.0, 4.0])  # in and beyond a move time of 3.05 s
     preview, seen, plans, _ = watched(40, times)
-    found = preview.torques(plans[-1].target, seen[-1], 0, preview.models.middle)
-    path = preview._path(plans[-1].target, seen[-1], 0)
-    end, rate = path(path.x[-1]), path(path.x[-1], 1)
+    middle = np.full(EPISODES, preview.models.middle)
+    found = preview.torques(plans[-1].target, seen[-1], middle)[0]
+    path = preview._path(plans[-1].target, seen[-1], np.array([0]))
+    end, rate = path(path.x[-1])[0], path(path.x[-1], 1)[0]
     model, joints = preview.models.model, preview.models.joints
     q, v = np.zeros((2, 1, model.n))
     q[0, joints] = plans[-1].target.posture[0] + end + (4.0 - path.x[-1]) * rate
@@ -71,6 +72,30 @@ def test_beyond_what_is_seen_the_target_goes_on_evenly() -> None:
     expected = model.inverse_dynamics(q, v, np.zeros_like(q))[0, joints]
     assert found[1] == pytest.approx(expected)
     assert np.abs(found[0]).max() > 2.0 * np.abs(found[1]).max()
+
+
+def test_episodes_of_any_age_and_plant_are_served_together_as_alone() -> None:
+    """Plants differ in payload; two of four episodes have just begun."""
+    envs = make_batch(TRACK, 4, {"obs": "sensors", "hardware": "laboratory"})
+    models = LinearModels.of(envs)
+    planner, preview = Planner(envs, models), Preview(envs, models, np.array([0.1, 0.4, 0.9]))
+    observation, _ = envs.reset(seed=list(range(4)))
+    plan, seen = None, None
+    for k in range(6):
+        fresh = np.array([k == 0, k in (0, 4), k == 0, k in (0, 4)])
+        plan = planner.follow(observation, plan, fresh)
+        seen = preview.see(observation, plan.target, seen, fresh)
+        observation = envs.step(np.zeros((4, 2), np.float32))[0]
+    assert plan is not None
+    count = len(models.plants)
+    plants = np.array([0, count - 1, count // 2, 0])
+    together = preview.torques(plan.target, seen, plants)
+    for i, plant in enumerate(plants):
+        one = Course(*(x[i : i + 1] for x in astuple(plan.target)))
+        alone = preview.torques(one, seen[i : i + 1], np.array([plant]))
+        assert together[i] == pytest.approx(alone[0], abs=1e-9)
+        other = preview.torques(one, seen[i : i + 1], np.array([(plant + count // 2) % count]))
+        assert np.abs(other - alone).max() > 1e-3 * np.abs(alone).max()
 
 
 def test_an_episode_that_starts_remembers_no_other_path() -> None:
@@ -89,9 +114,9 @@ def test_a_control_step_may_be_longer_than_half_a_move() -> None:
     observation, _ = envs.reset(seed=0)
     fresh = np.ones(1, bool)
     target = planner.follow(observation, None, fresh).target
-    path = preview._path(target, preview.see(observation, target, None, fresh), 0)
+    path = preview._path(target, preview.see(observation, target, None, fresh), np.array([0]))
     near, far = (preview.read(observation, f"target_{name}")[0] for name in ("near", "far"))
-    assert path([preview.half, 2.0 * preview.half]) == pytest.approx(np.array([near, far]))
+    assert path([preview.half, 2.0 * preview.half])[:, 0] == pytest.approx(np.array([near, far]))
 
 
 def test_nothing_is_seen_of_a_resting_target() -> None:
@@ -102,7 +127,7 @@ def test_nothing_is_seen_of_a_resting_target() -> None:
     target = planner.follow(observation, None, np.ones(2, bool)).target
     seen = preview.see(observation, target, None, np.ones(2, bool))
     assert seen.size == 0
-    assert preview.torques(target, seen, 0, models.middle) == pytest.approx(np.zeros((2, 2)))
+    assert preview.torques(target, seen, np.zeros(2, int)) == pytest.approx(np.zeros((2, 2, 2)))
 
 
 def test_predictive_control_prepares_for_torques_that_it_will_lack() -> None:
