@@ -9,7 +9,8 @@ import pytest
 from agents.controllers import controller
 from agents.metrics import make_batch
 from agents.tuned import parameters_of
-from benchmarks.knowledge import COLUMNS, EXACT, TOLD, episode, main, scenes
+from benchmarks.knowledge import COLUMNS, EXACT, TASKS, TOLD, chart, episode, main, page, scenes
+from benchmarks.output import RESULTS
 
 REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
 SEEDS = range(10_000, 10_003)
@@ -63,3 +64,11 @@ def test_a_short_run_writes_the_page(tmp_path: Any) -> None:
     data = json.loads((tmp_path / "knowledge.json").read_text())
     assert list(data["tasks"][REACH]) == list(COLUMNS)
     assert (tmp_path / "knowledge.png").stat().st_size > 5_000
+
+
+def test_the_stored_page_is_made_from_the_stored_numbers() -> None:
+    """If not: python -m benchmarks.knowledge"""
+    data = json.loads((RESULTS / "knowledge.json").read_text(encoding="utf-8"))
+    assert list(data["tasks"]) == list(TASKS)
+    assert (RESULTS / "knowledge.md").read_text(encoding="utf-8") == page(data)
+    chart(data)
