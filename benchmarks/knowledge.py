@@ -172,7 +172,7 @@ def main(arguments: list[str] | None = None) -> None:
         for (env_id, column), job in jobs.items():
             tasks[env_id][column] = job.result()
             print(env_id, column, tasks[env_id][column]["score_iqm"], flush=True)
-    data = {**provenance("osqp"), "episodes": options.episodes, "tasks": tasks}
+    data = {**provenance("daqp"), "episodes": options.episodes, "tasks": tasks}
     path = options.out / "knowledge.json"
     save_results(data, page(data), path)
     save_figure(chart(data), path)

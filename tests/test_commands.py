@@ -177,7 +177,7 @@ def test_modules_name_a_missing_extra_too(
 
 @pytest.mark.parametrize("module", ["agents.policy", "agents.fit"])
 def test_policies_and_fits_need_no_extra(module: str, tmp_path: Path) -> None:
-    extra = ("daqp", "filelock", "optuna", "osqp", "rich", "sb3_contrib", "stable_baselines3")
+    extra = ("daqp", "filelock", "optuna", "rich", "sb3_contrib", "stable_baselines3")
     ran = python(
         f"sys.modules.update(dict.fromkeys({extra}))\n"
         f"import {module}\nprint('torch' in sys.modules)",

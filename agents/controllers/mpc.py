@@ -4,14 +4,14 @@ Every control step solves a quadratic program over a horizon, behind which LQR's
 deviations of the torques from the reference's are held for BLOCKS of control steps, and no link may
 bend beyond a share of its limit, which yields at a price where that cannot be kept (soft rows; see
 Maciejowski, Predictive Control with Constraints, 2002, section 3.4). Where the target moves, what
-`preview.py` knows of its path leaves each block its share of the torque. The solver is OSQP.
+`preview.py` knows of its path leaves each block its share of the torque. DAQP solves the program to
+rounding error by an active-set method, so that no torque depends on what was solved before.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 from scipy.linalg import block_diag
 
 from agents.controllers.lqr import Cost, Filters, ModelBased, OutputFeedback, riccati
@@ -27,7 +27,6 @@ PROGRAMS = 512  # kept; one of six links takes more than a megabyte
 PRICE = 1e7  # of bending beyond the share, over that of a tip error as wide as the settled band
 CAUTION = 4.0  # surprise by which a heavier plant may exceed the likeliest: seven times less likely
 ABSURD = 1e12  # modal coordinates and rates; far larger ones the solver refuses without a word
-ACCURACY, ITERATIONS = 1e-4, 500  # of the solver, whose last iterate counts in any case
 
 
 @dataclass
@@ -61,16 +60,16 @@ class Predictive:
             )
         program, limit = self._program(estimate.model), self.cost.limit
         bent = program.bends @ estimate.x
-        free = np.full(bent.size, -np.inf)
+        free = np.full(bent.size, np.inf)
         torques = np.vstack([estimate.forward, estimate.ahead]) / limit
         least, most = ((x - torques).ravel() for x in (-1.0, 1.0))
         program.solver.update(
-            q=np.append(program.linear @ estimate.x, 0.0),
-            l=np.concatenate([least, [0.0], free, free]),
-            u=np.concatenate([most, [np.inf], self.margin - bent, self.margin + bent]),
+            f=np.append(program.linear @ estimate.x, 0.0),
+            blower=np.concatenate([least, [0.0], -free, -self.margin - bent]),
+            bupper=np.concatenate([most, [np.inf], self.margin - bent, free]),
         )
-        first = program.solver.solve(raise_error=False).x[: limit.size]
-        return estimate.forward + limit * np.nan_to_num(np.asarray(first, dtype=np.float64))
+        first = program.solver.solve()[0][: limit.size]
+        return estimate.forward + limit * np.nan_to_num(first)
 
     def _made(self, model: LinearModel) -> _Program:
         m, limit = self.cost.limit.size, self.cost.limit
@@ -99,23 +98,24 @@ class Predictive:
 
 def _solver(H: Array, rows: Array, price: float) -> Any:
     """Solver of torques within [-1, 1], and a slack in units of which bending costs `price`."""
-    try:
-        import osqp
-    except ModuleNotFoundError as error:
-        raise missing(error, "predictive control", "train") from None
-
     size, count = len(H), len(rows)
-    slack = np.full((count, 1), -1.0 / price)
-    bounds = np.vstack([np.eye(size + 1), np.hstack([rows, slack]), np.hstack([-rows, slack])])
-    solver = osqp.OSQP()
+    slack, free = np.full((count, 1), 1.0 / price), np.full(count, np.inf)
+    solver = quadratic_programs().Model()
     solver.setup(
-        P=sparse.csc_matrix(np.triu(block_diag(H, 1.0))), q=np.zeros(size + 1),
-        A=sparse.csc_matrix(bounds),
-        l=np.concatenate([np.full(size, -1.0), [0.0], np.full(2 * count, -np.inf)]),
-        u=np.concatenate([np.full(size, 1.0), [np.inf], np.full(2 * count, 1.0)]),
-        verbose=False, eps_abs=ACCURACY, eps_rel=ACCURACY, max_iter=ITERATIONS,
+        block_diag(H, 1.0), np.zeros(size + 1), np.block([[rows, -slack], [rows, slack]]),
+        np.concatenate([np.full(size, 1.0), [np.inf], np.full(count, 1.0), free]),
+        np.concatenate([np.full(size, -1.0), [0.0], -free, np.full(count, -1.0)]),
     )  # fmt: skip
     return solver
+
+
+def quadratic_programs() -> Any:
+    """The package that solves quadratic programs."""
+    try:
+        import daqp
+    except ModuleNotFoundError as error:
+        raise missing(error, "predictive control", "train") from None
+    return daqp
 
 
 def steps_of(core: Any, horizon: float) -> int:

@@ -20,10 +20,9 @@ from agents.controllers.lqr import Cost, ModelBased, OutputFeedback, gain, ricca
 from agents.controllers.models.linear_model import LinearModel
 from agents.controllers.models.memory import kept
 from agents.controllers.models.nonlinear import PlantSteppers
-from agents.controllers.mpc import CAUTION, PRICE, blocks_of, steps_of
+from agents.controllers.mpc import CAUTION, PRICE, blocks_of, quadratic_programs, steps_of
 from agents.controllers.observers.exact import Estimate, ExactState
 from agents.controllers.observers.extended import ExtendedFilters
-from dynamics.extras import missing
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
 
@@ -239,14 +238,9 @@ def _solved(
     bending: Array,
 ) -> Array:  # fmt: skip
     """(V,) changes within their limits that cost least; bending beyond the margin if it must be."""
-    try:
-        import daqp
-    except ModuleNotFoundError as error:
-        raise missing(error, "nonlinear predictive control", "train") from None
-
     soft = np.repeat(np.array([0, SOFT], dtype=np.int32), [len(slope), len(bent)])
     scale = 1.0 / np.diag(curvature).max()
-    found, *_ = daqp.solve(
+    found, *_ = quadratic_programs().solve(
         scale * curvature, scale * slope, bending, np.concatenate([most, margin - bent]),
         np.concatenate([least, -margin - bent]), soft,
     )  # fmt: skip

@@ -30,7 +30,14 @@ from agents.leaderboard.charts import pictures
 from agents.leaderboard.output import row, write
 from agents.leaderboard.replay import YARDSTICK, optimal, replayed
 from agents.leaderboard.shipped import shipped
-from agents.leaderboard.statistics import Entry, compared, decisions, figures, spectrum
+from agents.leaderboard.statistics import (
+    Entry,
+    compared,
+    decisions,
+    figures,
+    rounded,
+    spectrum,
+)
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
@@ -142,7 +149,7 @@ def ranked(
         del first
         recordings += [record(subject, envs, seeds) for subject in subjects]
         each = [episode_metrics(recording) for recording in recordings]
-        metrics = {key: np.stack([found[key] for found in each]) for key in METRICS}
+        metrics = {key: rounded(np.stack([found[key] for found in each])) for key in METRICS}
         best = best_of(env_id, track, seeds, bounds)
         found = figures(
             metrics, best,

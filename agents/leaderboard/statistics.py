@@ -23,6 +23,7 @@ from flexarm_env.tasks import SETTLED_BAND
 RESAMPLES = 2000  # of the bootstrap
 SEGMENT = 1 / 3  # of an episode: length of a segment of a spectrum
 PADDING = 4  # transform over segment
+DIGITS = 6  # significant ones of the metrics of an episode
 Figures = dict[str, Any]
 
 
@@ -47,6 +48,11 @@ class Entry:
     def privileged(self) -> bool:
         """True for the yardstick, which is told the episodes and not ranked."""
         return bool(self.figures["privileged"])
+
+
+def rounded(values: AnyArray) -> AnyArray:
+    """Metrics as they are stored, so that stored ones lead to the same figures."""
+    return np.array([float(f"{x:.{DIGITS}g}") for x in values.flat]).reshape(values.shape)
 
 
 def figures(

@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from agents.controllers import mpc
-from agents.controllers.lqr import Cost, Gain
+from agents.controllers.lqr import Cost, Gain, riccati
 from agents.controllers.models.linear_model import LinearModel, LinearModels
 from agents.controllers.observers.exact import Estimate
 from agents.metrics import episode_metrics, make_batch, record
@@ -34,7 +35,55 @@ def test_without_active_limits_the_plan_begins_as_lqr(monkeypatch: pytest.Monkey
     for x in np.random.default_rng(0).normal(size=(5, len(model.A))):
         x *= 0.1 * plan.cost.limit / np.abs(gain.of(model) @ x)
         estimate = steady(plan, model, x, np.zeros(1))
-        assert plan([estimate]) == pytest.approx(gain([estimate]), rel=0.01)
+        assert plan([estimate]) == pytest.approx(gain([estimate]), rel=1e-6)
+
+
+def root(matrix: Any) -> Any:
+    """C with C'C = matrix, which may be singular."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+
+
+def test_the_plan_costs_least_of_all_within_the_limits_of_torque() -> None:
+    """By SciPy's bounded least squares, on costs of simulated motions; most torques are limited."""
+    plan, _, models = laws("FlexArm/TwoLink-Reach-v0", margin=1e3)
+    model = models.at(np.array([0.3, -0.4]))
+    (Q, R), limit = plan.cost.of(model), plan.cost.limit
+    P = riccati(model.A, model.B, Q, R)
+    count = limit.size * (plan.blocks[-1] + 1)
+
+    def residuals(x: Any, actions: Any) -> Any:
+        """Whose squares are the cost, along a motion."""
+        found = []
+        for block in plan.blocks:
+            torque = limit * actions.reshape(-1, limit.size)[block]
+            x = model.A @ x + model.B @ torque
+            found += [np.sqrt(R) @ torque, root(Q) @ x]
+        found[-1] = root(P) @ x
+        return np.concatenate(found)
+
+    far = np.concatenate([model.modes.sum(axis=1), np.zeros(len(model.A) // 2)])
+    for size in (0.02, 0.1, 0.3):
+        none = residuals(size * far, np.zeros(count))
+        rows = np.array([residuals(0.0 * far, one) for one in np.eye(count)]).T
+        found = lsq_linear(rows, -none, (-1.0, 1.0), method="bvls", tol=1e-14).x
+        (torque,) = plan([steady(plan, model, size * far, 0.0 * limit)])
+        assert torque == pytest.approx(
+            limit * found[: limit.size], rel=1e-4, abs=1e-5 * limit.max()
+        )
+
+
+def test_a_torque_does_not_depend_on_what_was_solved_before() -> None:
+    """Alone in a new controller, or after others whose limits were active."""
+    near, far = (size * np.arange(1.0, 5.0) for size in (0.01, -0.4))
+    for env_id in (REACH, AGILE):
+        (plan, _, models), (other, _, _) = laws(env_id), laws(env_id)
+        model = models.at(np.zeros(1))
+        estimates = [
+            steady(plan, model, np.resize(x, len(model.A)), np.zeros(1)) for x in (near, far)
+        ]
+        after = [plan(estimates[::-1])[1], plan(estimates)[0]]
+        assert after == pytest.approx(np.tile(other(estimates[:1]), (2, 1)), rel=1e-9)
 
 
 def test_a_far_target_takes_the_torque_that_is_left() -> None:
@@ -45,9 +94,9 @@ def test_a_far_target_takes_the_torque_that_is_left() -> None:
     x = np.concatenate([-far, 0.0 * far])
     for forward in (-0.5, 0.0, 0.5):
         found = plan([steady(plan, model, x, forward * limit)])
-        assert np.all(np.abs(found) <= 1.001 * limit)
+        assert np.all(np.abs(found) <= (1.0 + 1e-9) * limit)
     (found,) = plan([steady(plan, model, x, 0.0 * limit)])
-    assert found == pytest.approx(limit, rel=0.01)
+    assert found == pytest.approx(limit, rel=1e-9)
 
 
 @pytest.mark.parametrize("absurd", [np.nan, np.inf, 1e58])

@@ -1,5 +1,6 @@
 """Rankings that are read from their files, and kept beside controllers that are ranked anew."""
 
+import csv
 import json
 import shutil
 from pathlib import Path
@@ -11,10 +12,13 @@ import pytest
 from agents.leaderboard import stored
 from agents.leaderboard.output import SPECTRA
 from agents.leaderboard.replay import YARDSTICK
-from agents.leaderboard.run import main
-from agents.metrics import METRICS
+from agents.leaderboard.run import built, main
+from agents.leaderboard.tracks import TRACKS, keywords
+from agents.metrics import METRICS, episode_metrics, make_batch, record
+from tests.paths import ROOT
 
 REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
+RESULTS = ROOT / "docs/results"
 SEEDS = list(range(10_000, 10_004))
 MEASURED = ("ms_per_action", "ms_per_action_p99")
 Tables = dict[str, dict[str, dict[str, Any]]]
@@ -115,3 +119,60 @@ def test_other_files_are_refused(
 def test_a_ranking_of_other_episodes_is_refused(former: Path, seeds: Any) -> None:
     with pytest.raises(ValueError, match="met the episodes 10000 to 10003"):
         stored.read(former, seeds)
+
+
+def test_the_ranking_is_that_of_its_episodes() -> None:
+    """Every controller's success and score, from the table in the repository."""
+    tables = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
+    found: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
+    with open(RESULTS / "leaderboard.csv", newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            place = row["task"], row["track"], row["controller"]
+            found.setdefault(place, []).append((float(row["success"]), float(row["score"])))
+    assert set(found) == {
+        (env_id, track, name)
+        for env_id, tracks in tables.items()
+        for track, figures in tracks.items()
+        for name in figures
+    }
+    for (env_id, track, name), rows in found.items():
+        success, score = np.array(rows).T
+        middle = np.sort(score)[len(score) // 4 : len(score) - len(score) // 4]
+        own = tables[env_id][track][name]
+        assert own["success_rate"] == pytest.approx(success.mean(), rel=1e-12), (env_id, name)
+        assert own["score_iqm"] == pytest.approx(middle.mean(), rel=1e-5), (env_id, name)
+
+
+def drawn(count: int) -> list[tuple[str, str, str]]:
+    """Tasks, tracks and controllers of the ranking, half of them learned; none decides slowly."""
+    tables = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
+    draw, found = np.random.default_rng(0), []
+    for learned in (False, True):
+        quick = [
+            (env_id, track, name)
+            for env_id, tracks in tables.items()
+            for track, figures in tracks.items()
+            for name, own in figures.items()
+            if name != YARDSTICK
+            and own["ms_per_action"] < 1.0
+            and learned == (own["training_seeds"] > 0)
+        ]
+        found += [quick[k] for k in draw.choice(len(quick), count // 2, replace=False)]
+    return found
+
+
+@pytest.mark.parametrize(("env_id", "track", "name"), drawn(16))
+def test_drawn_episodes_of_the_ranking_are_reproduced(env_id: str, track: str, name: str) -> None:
+    """By the first training seed of a policy. If not: python -m agents.leaderboard."""
+    with open(RESULTS / "leaderboard.csv", newline="", encoding="utf-8") as file:
+        place = [env_id, track, name, "0"]
+        rows = [row for row in csv.DictReader(file) if [*row.values()][:4] == place][:4]
+    design, envs = (
+        make_batch(env_id, count, keywords(name, x))
+        for count, x in ((1, TRACKS[track].design), (len(rows), track))
+    )
+    subject = next(built(name, design, env_id, track))
+    metrics = episode_metrics(record(subject, envs, [int(row["seed"]) for row in rows]))
+    for key in ("score", "tip_error_rms"):
+        wanted = np.array([float(row[key]) for row in rows])
+        assert np.median(np.abs(metrics[key] - wanted) - 1e-3 * wanted) <= 0.0, key
