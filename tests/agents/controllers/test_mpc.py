@@ -99,6 +99,20 @@ def test_a_far_target_takes_the_torque_that_is_left() -> None:
     assert found == pytest.approx(limit, rel=1e-9)
 
 
+def test_bending_beyond_its_share_is_undone_alike_on_both_sides() -> None:
+    """It cannot be undone within a control step, so the program must let it be."""
+    plan, _, models = laws(REACH, margin=0.1)
+    model = models.at(np.zeros(1))
+    bent = np.zeros(len(model.A))
+    rows = model.bend[np.any(model.bend, axis=1)]
+    bent[: len(model.A) // 2] = np.linalg.pinv(rows)[:, 0] * 0.6 * plan.deflection_limit
+    found = [plan([steady(plan, model, sign * bent, np.zeros(1))]).item() for sign in (1.0, -1.0)]
+    assert found[0] == pytest.approx(-found[1], rel=1e-6)
+    free, _, _ = laws(REACH, margin=1e3)
+    unbound = free([steady(free, model, bent, np.zeros(1))]).item()
+    assert abs(found[0] - unbound) > 0.1 * plan.cost.limit.item()
+
+
 @pytest.mark.parametrize("absurd", [np.nan, np.inf, 1e58])
 def test_a_state_that_the_solver_would_refuse_in_silence_is_an_error(absurd: float) -> None:
     plan, _, models = laws(REACH)
