@@ -111,6 +111,22 @@ def test_a_small_motion_follows_the_linear_model(env_id: str, loaded: bool) -> N
     )
 
 
+@pytest.mark.parametrize("env_id", ["FlexArm/OneLink-Damp-v0", "FlexArm/OneLink-Track-v0"])
+@pytest.mark.parametrize("name", sorted({*CONTROLLERS} - {"random"}))
+def test_an_episode_does_not_depend_on_those_beside_it(name: str, env_id: str) -> None:
+    """Nor on those before it: a controller and its solvers begin each one anew."""
+    track = "laboratory" if takes_part(name, env_id, "laboratory") else "state"
+    if not takes_part(name, env_id, track):
+        pytest.skip("cannot act there")
+    together, alone = (make_batch(env_id, count, keywords(name, track)) for count in (3, 1))
+    others = record(controller(name, together), together, [5, 6, 7])
+    subject = controller(name, alone)
+    record(subject, alone, [4])
+    own = record(subject, alone, [6])
+    found = others.tip_error[: len(own.tip_error), 1]
+    assert own.tip_error[:, 0] == pytest.approx(found, abs=1e-6, nan_ok=True)
+
+
 @pytest.mark.parametrize("name", ["pd", "pd-zv", "pd-zvd", "pd-ei", "lqr", "lqg"])
 def test_tuned_controllers_settle_the_one_link_arm(name: str) -> None:
     envs = make_batch(IDS[0], 16, keywords(name, "state"))
