@@ -69,7 +69,7 @@ class Predictive:
             bupper=np.concatenate([most, [np.inf], self.margin - bent, free]),
         )
         first = program.solver.solve()[0][: limit.size]
-        return estimate.forward + limit * np.nan_to_num(first)
+        return estimate.forward + limit * np.where(np.isfinite(first), first, 0.0)
 
     def _made(self, model: LinearModel) -> _Program:
         m, limit = self.cost.limit.size, self.cost.limit
