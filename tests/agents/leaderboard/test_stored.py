@@ -155,7 +155,7 @@ def drawn(count: int) -> list[tuple[str, str, str]]:
             for env_id, tracks in tables.items()
             for track, figures in tracks.items()
             for name, own in figures.items()
-            if name != YARDSTICK
+            if name not in (YARDSTICK, "random")  # whose draws follow one another
             and own["ms_per_action"] < 1.0
             and learned == (own["training_seeds"] > 0)
         ]
@@ -177,4 +177,4 @@ def test_drawn_episodes_of_the_ranking_are_reproduced(env_id: str, track: str, n
     metrics = episode_metrics(record(subject, envs, [int(row["seed"]) for row in rows]))
     for key in ("score", "tip_error_rms"):
         wanted = np.array([float(row[key]) for row in rows])
-        assert np.median(np.abs(metrics[key] - wanted) - 1e-3 * wanted) <= 0.0, key
+        assert np.isclose(metrics[key], wanted, rtol=1e-3, atol=0.0).mean() > 0.5, key
