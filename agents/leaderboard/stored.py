@@ -34,7 +34,7 @@ def read(folder: Path, seeds: Sequence[int], bounds: Path | None = None) -> Entr
             json.loads((folder / file).read_text(encoding="utf-8"))
             for file in ("leaderboard.json", SPECTRA)
         )
-        for (env_id, track, name), (met, metrics) in _episodes(folder).items():
+        for (env_id, track, name), (met, metrics) in episodes(folder).items():
             if not (met == [*seeds] or (name == YARDSTICK and set(met) <= {*seeds})):
                 raise ValueError(f"{name} met the episodes {met[0]} to {met[-1]}")
             before = tables[env_id][track][name]
@@ -71,7 +71,7 @@ def _is_known(name: str, env_id: str, track: str) -> bool:
     return ":" in name or name == YARDSTICK or name in shipped(env_id, TRACKS[track].design)
 
 
-def _episodes(
+def episodes(
     folder: Path,
 ) -> dict[tuple[str, str, str], tuple[list[int], dict[str, AnyArray]]]:
     """Seeds and metrics (runs, episodes) by task, track and controller."""

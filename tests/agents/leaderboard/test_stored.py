@@ -1,6 +1,5 @@
 """Rankings that are read from their files, and kept beside controllers that are ranked anew."""
 
-import csv
 import json
 import shutil
 from pathlib import Path
@@ -123,25 +122,30 @@ def test_a_ranking_of_other_episodes_is_refused(former: Path, seeds: Any) -> Non
         stored.read(former, seeds)
 
 
-def test_the_ranking_is_that_of_its_episodes() -> None:
+Ranking = dict[tuple[str, str, str], tuple[list[int], dict[str, Any]]]
+
+
+@pytest.fixture(scope="module")
+def ranking() -> Ranking:
+    """Seeds and metrics (runs, episodes) of the ranking in the repository."""
+    return stored.episodes(RESULTS)
+
+
+def test_the_ranking_is_that_of_its_episodes(ranking: Ranking) -> None:
     """Every controller's success and score, from the table in the repository."""
     tables = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
-    found: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
-    with open(RESULTS / "leaderboard.csv", newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            place = row["task"], row["track"], row["controller"]
-            found.setdefault(place, []).append((float(row["success"]), float(row["score"])))
-    assert set(found) == {
+    assert set(ranking) == {
         (env_id, track, name)
         for env_id, tracks in tables.items()
         for track, figures in tracks.items()
         for name in figures
     }
-    for (env_id, track, name), rows in found.items():
-        success, score = np.array(rows).T
-        middle = np.sort(score)[len(score) // 4 : len(score) - len(score) // 4]
+    for (env_id, track, name), (_, metrics) in ranking.items():
+        score = np.sort(metrics["score"], axis=None)
+        middle = score[score.size // 4 : score.size - score.size // 4]
         own = tables[env_id][track][name]
-        assert own["success_rate"] == pytest.approx(success.mean(), rel=1e-12), (env_id, name)
+        success = metrics["success"].mean()
+        assert own["success_rate"] == pytest.approx(success, rel=1e-12), (env_id, name)
         assert own["score_iqm"] == pytest.approx(middle.mean(), rel=1e-5), (env_id, name)
 
 
@@ -163,18 +167,17 @@ def drawn(count: int) -> list[tuple[str, str, str]]:
     return found
 
 
-@pytest.mark.parametrize(("env_id", "track", "name"), drawn(16))
-def test_drawn_episodes_of_the_ranking_are_reproduced(env_id: str, track: str, name: str) -> None:
+@pytest.mark.parametrize("place", drawn(16), ids="-".join)
+def test_drawn_episodes_of_the_ranking_are_reproduced(
+    ranking: Ranking, place: tuple[str, str, str]
+) -> None:
     """By the first training seed of a policy. If not: python -m agents.leaderboard."""
-    with open(RESULTS / "leaderboard.csv", newline="", encoding="utf-8") as file:
-        place = [env_id, track, name, "0"]
-        rows = [row for row in csv.DictReader(file) if [*row.values()][:4] == place][:4]
-    design, envs = (
-        make_batch(env_id, count, keywords(name, x))
-        for count, x in ((1, TRACKS[track].design), (len(rows), track))
-    )
+    env_id, track, name = place
+    seeds, wanted = ranking[place]
+    design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
+    envs = make_batch(env_id, 4, keywords(name, track))
     subject = next(built(name, design, env_id, track))
-    metrics = episode_metrics(record(subject, envs, [int(row["seed"]) for row in rows]))
+    metrics = episode_metrics(record(subject, envs, seeds[:4]))
     for key in ("score", "tip_error_rms"):
-        wanted = np.array([float(row[key]) for row in rows])
-        assert np.isclose(metrics[key], wanted, rtol=1e-3, atol=0.0).mean() > 0.5, key
+        alike = np.isclose(metrics[key], wanted[key][0, :4], rtol=1e-3, atol=0.0)
+        assert alike.mean() > 0.5, key
