@@ -15,7 +15,7 @@ from scipy.linalg import solve_discrete_are
 from agents.controllers.models.linear_model import KEPT, LinearModel, LinearModels
 from agents.controllers.models.memory import fresh_of, kept
 from agents.controllers.models.plan import TimedMoves
-from agents.controllers.observers.exact import Estimate, ExactState
+from agents.controllers.observers.exact import Estimate, ExactState, alike
 from agents.controllers.observers.kalman import Belief, KalmanFilters
 from dynamics.types import AnyArray, Array
 from flexarm_env.tasks import SETTLED_BAND
@@ -50,24 +50,28 @@ class Gain:
 
     def __init__(self, cost: Cost, clip: float = np.inf) -> None:
         self.cost, self.clip = cost, clip
-        self.of = kept(self._gain, KEPT)
+        self.of = kept(self._gains, KEPT)
 
     def __call__(self, estimates: list[Estimate]) -> Array:
         """(N, m) [N m] torques, not yet limited."""
-        return np.array([self._torque(estimate) for estimate in estimates])
+        torques = np.empty((len(estimates), self.cost.limit.size))
+        for rows, group in alike(estimates):
+            torques[rows] = self._torques(group)
+        return torques
 
-    def _torque(self, estimate: Estimate) -> Array:
-        model, r = estimate.model, len(estimate.model.modes)
-        place, joints = model.shapes @ estimate.x[:r], self.cost.models.joints
-        beyond = place[joints] - np.clip(place[joints], -self.clip, self.clip)
-        x = estimate.x.copy()
-        x[:r] -= model.modes[:, joints] @ beyond
-        return estimate.forward - self.of(model) @ x
+    def _torques(self, estimates: list[Estimate]) -> Array:
+        terms = zip(*(self.of(estimate.model) for estimate in estimates), strict=True)
+        K, joints, modes = map(np.array, terms)
+        x = np.array([estimate.x for estimate in estimates])[..., None]
+        place = joints @ x[:, : joints.shape[2]]
+        x[:, : joints.shape[2]] -= modes @ (place - np.clip(place, -self.clip, self.clip))
+        return np.array([estimate.forward for estimate in estimates]) - (K @ x)[..., 0]
 
-    def _gain(self, model: LinearModel) -> Array:
-        """(m, 2r) K."""
-        Q, R = self.cost.of(model)
-        return gain(model, riccati(model.A, model.B, Q, R), R)
+    def _gains(self, model: LinearModel) -> tuple[Array, Array, Array]:
+        """K (m, 2r), joint angles (m, r) per mode, modes (r, m) per joint angle."""
+        (Q, R), joints = self.cost.of(model), self.cost.models.joints
+        K = gain(model, riccati(model.A, model.B, Q, R), R)
+        return K, model.shapes[joints], model.modes[:, joints]
 
 
 def gain(model: LinearModel, P: Array, R: Array) -> Array:

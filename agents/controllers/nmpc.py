@@ -21,7 +21,7 @@ from agents.controllers.models.linear_model import LinearModel
 from agents.controllers.models.memory import kept
 from agents.controllers.models.nonlinear import PlantSteppers
 from agents.controllers.mpc import CAUTION, PRICE, blocks_of, quadratic_programs, steps_of
-from agents.controllers.observers.exact import Estimate, ExactState
+from agents.controllers.observers.exact import Estimate, ExactState, alike
 from agents.controllers.observers.extended import ExtendedFilters
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
@@ -85,11 +85,9 @@ class Nonlinear:
 
     def __call__(self, estimates: list[Estimate]) -> Array:
         """(N, m) [N m] torques."""
-        torques = np.zeros((len(estimates), self.limit.size))
-        sizes = np.array([len(estimate.x) for estimate in estimates])
-        for size in np.unique(sizes):
-            rows = np.flatnonzero(sizes == size)
-            torques[rows] = self._torques([estimates[i] for i in rows])
+        torques = np.empty((len(estimates), self.limit.size))
+        for rows, group in alike(estimates):
+            torques[rows] = self._torques(group)
         return torques
 
     def _torques(self, estimates: list[Estimate]) -> Array:

@@ -43,7 +43,7 @@ class PID:
         """Actions; the state (N, m) [rad] is the integral."""
         x = np.atleast_2d(observation)
         error = self.read(x, "joint_error")
-        before = resumed(state, episode_start, error)
+        before = resumed(state, episode_start, error.shape)
         gain, moved = self.pd.stiffness / self.pd.torque_limit, before + self.share * error
         action = self.pd.predict(x)[0]
         free = np.abs(action - gain * moved) < 1.0
@@ -95,12 +95,12 @@ class FilteredBending:
         episode_start: AnyArray | None = None,
         deterministic: bool = True,
     ) -> tuple[AnyArray, Array]:
-        """Actions; the state (s, N, m) is the filters'."""
+        """Actions; the state (N, s, m) is the filters'."""
         x = np.atleast_2d(observation)
         chord = self.chords(x)
-        before = resumed(state, episode_start, np.array([chord] * len(self.step)))
-        after = np.tensordot(self.step, np.stack([*before, chord]), axes=1)
-        action = np.clip(self.pd.predict(x)[0] + self.gain * after[0], -1.0, 1.0)
+        before = resumed(state, episode_start, (len(x), len(self.step), chord.shape[1]))
+        after = self.step @ np.concatenate([before, chord[:, None]], axis=1)
+        action = np.clip(self.pd.predict(x)[0] + self.gain * after[:, 0], -1.0, 1.0)
         return action.reshape(*np.shape(observation)[:-1], -1), after
 
 

@@ -1,12 +1,12 @@
 """Batch environment of stable-baselines3 in which a learner completes a classical controller."""
 
-from copy import deepcopy
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
+from agents.controllers.models.memory import part_of
 from agents.hybrid.controller import Base
 from dynamics.types import AnyArray
 from flexarm_env.observations import BOUND
@@ -38,10 +38,9 @@ class HybridVecEnv(VecEnvWrapper):
         observation, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones)
         if ended.size:
-            last = np.array(observation)
-            last[ended] = [infos[i]["terminal_observation"] for i in ended]
-            seen, _ = self.base.begin(last, deepcopy(self._state), None)
-            for i in ended:
-                infos[i]["terminal_observation"] = seen[i]
+            last = np.array([infos[i]["terminal_observation"] for i in ended])
+            completed, _ = self.base.begin(last, part_of(self._state, ended), None)
+            for i, seen in zip(ended, completed, strict=True):
+                infos[i]["terminal_observation"] = seen
         seen, self._begun = self.base.begin(observation, self._state, dones)
         return seen, rewards, dones, infos

@@ -55,9 +55,6 @@ class LinearModel:
     rest: Array  # (n,) target
     plant: int  # index of the plant
 
-    def __deepcopy__(self, memo: object) -> "LinearModel":
-        return self
-
 
 @dataclass(frozen=True)
 class Plant:

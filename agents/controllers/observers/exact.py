@@ -4,6 +4,7 @@
 `models/reference.py`.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,14 @@ class Estimate:
     x: Array  # (2r,) modal coordinates and rates
     forward: Array  # (m,) [N m] torque of the reference
     ahead: Array  # (K, m) [N m] torques of the reference at the times of the preview
+
+
+def alike(estimates: list[Estimate]) -> Iterator[tuple[AnyArray, list[Estimate]]]:
+    """Rows (k,) and estimates of environments whose states are equally large and can be stacked."""
+    sizes = np.array([estimate.x.size for estimate in estimates])
+    for size in np.unique(sizes):
+        rows = np.flatnonzero(sizes == size)
+        yield rows, [estimates[i] for i in rows]
 
 
 @dataclass

@@ -9,7 +9,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from agents.controllers.models.linear_model import LinearModel, LinearModels, place_of
 from agents.controllers.models.memory import kept
@@ -17,7 +16,7 @@ from agents.controllers.models.plan import Plan, Planner
 from agents.controllers.models.preview import Preview
 from agents.controllers.models.reading import UNIFORM, Reading, Sensors
 from agents.controllers.models.reference import Reference
-from agents.controllers.observers.exact import NEVER, Estimate
+from agents.controllers.observers.exact import NEVER, Estimate, alike
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
 from flexarm_env.observations import BOUND
@@ -39,13 +38,11 @@ class _Bank:
     B: Array  # (P, m, S)
     C: Array  # (P, S, y)
     shapes: Array  # (P, r, n) of the modes
+    turns: Array  # (P, r, m) modes of a turn of each joint, not transposed
     readings: Array  # (y, n) of coordinates, the same for all plants, not transposed
     gain: Array  # (LEARNING, P, y, S) Kalman gain at the first readings; the last one stays
     precision: Array  # (LEARNING, P, y, y) of the innovations
     bulk: Array  # (LEARNING, P) minus twice the logarithm of the likeliest reading's probability
-
-    def __deepcopy__(self, memo: object) -> "_Bank":
-        return self
 
 
 @dataclass
@@ -137,10 +134,11 @@ class KalmanFilters:
         torque, over the torque limit, follows them. A drawn payload, stiffness and delay, -1 and 1
         at the ends of what is drawn, are means over the filters, weighted by their probabilities.
         """
-        places, speeds = np.zeros((2, len(belief.estimates), self.models.model.n))
-        for i, estimate in enumerate(belief.estimates):
-            r, shapes = len(estimate.model.modes), estimate.model.shapes
-            places[i], speeds[i] = shapes @ estimate.x[:r], shapes @ estimate.x[r:]
+        places, speeds = np.empty((2, len(belief.estimates), self.models.model.n))
+        for rows, group in alike(belief.estimates):
+            shapes = np.array([estimate.model.shapes for estimate in group])
+            place, speed = np.split(np.array([x.x for x in group])[..., None], 2, axis=1)
+            places[rows], speeds[rows] = (shapes @ place)[..., 0], (shapes @ speed)[..., 0]
         likely = np.exp(0.5 * (belief.surprise.min(axis=1, keepdims=True) - belief.surprise))
         means = likely / likely.sum(axis=1, keepdims=True) @ self._traits
         states = np.hstack([places / self._scales[0], speeds / self._scales[1]])
@@ -234,8 +232,7 @@ class KalmanFilters:
 
     def _start(self, belief: Belief, i: int, error: Array) -> None:
         """Set the states of one episode at its start: at rest, with joint errors (m,) [rad]."""
-        joints, error = self.models.joints, error - belief.plan.left[i]
-        start = np.array([model.modes[:, joints] @ error for model in belief.banks[i].models])
+        start = belief.banks[i].turns @ (error - belief.plan.left[i])
         belief.state[i, :, : start.shape[1]] = np.repeat(start, len(self._delays), axis=0)
 
     def _mildness(self, hypothesis: int) -> tuple[float, float, int]:
@@ -250,7 +247,7 @@ class KalmanFilters:
     def _stacked(self, place: tuple[float, ...]) -> _Bank:
         """Filters at joint angles: gains, precisions and bulks of the first readings."""
         models = [self.models.at(np.array(place), plant) for plant in self.plants]
-        A, B, C, P = map(np.array, zip(*map(self._with_biases, models), strict=True))
+        A, B, C, P = self._with_biases(models)
         V, quantum = np.diag(self.sensors.noise**2), self.sensors.quantum
         W = B @ np.diag((self.disturbance * self.limit) ** 2) @ _turned(B)
         traces = np.trace(W, axis1=1, axis2=2)[:, None, None]
@@ -268,18 +265,26 @@ class KalmanFilters:
         gains, precisions, bulks = map(np.array, zip(*learned, strict=True))
         A, B, C = (np.ascontiguousarray(_turned(matrices)) for matrices in (A, B, C))
         shapes = np.array([model.shapes.T for model in models])
-        return _Bank(models, A, B, C, shapes, models[0].readings, gains, precisions, bulks)
+        turns = np.array([model.modes[:, self.models.joints] for model in models])
+        return _Bank(models, A, B, C, shapes, turns, models[0].readings, gains, precisions, bulks)
 
-    def _with_biases(self, model: LinearModel) -> tuple[Array, Array, Array, Array]:
-        """A, B, C of the state with the gauges' biases, and its covariance at the start."""
-        biases, m = len(self.sensors.bias), self.limit.size
-        places, rates = (model.modes @ spread for spread in self.spread)
-        return (
-            block_diag(model.A, np.eye(biases)),
-            np.vstack([model.B, np.zeros((biases, m))]),
-            np.hstack([model.C, np.eye(m + biases)[:, m:]]),
-            block_diag(places @ places.T, rates @ rates.T, np.diag(self.sensors.bias**2)),
-        )
+    def _with_biases(self, models: list[LinearModel]) -> tuple[Array, Array, Array, Array]:
+        """A, B, C of the states with the gauges' biases, and their covariances at the start."""
+        count, biases, m = len(models), len(self.sensors.bias), self.limit.size
+        r = len(models[0].modes)
+        S = 2 * r + biases
+        A, P = np.zeros((2, count, S, S))
+        B, C = np.zeros((count, S, m)), np.zeros((count, m + biases, S))
+        A[:, : 2 * r, : 2 * r] = [model.A for model in models]
+        B[:, : 2 * r] = [model.B for model in models]
+        C[:, :, : 2 * r] = [model.C for model in models]
+        A[:, 2 * r :, 2 * r :] = C[:, m:, 2 * r :] = np.eye(biases)
+        modes = np.array([model.modes for model in models])
+        for part, spread in zip((slice(r), slice(r, 2 * r)), self.spread, strict=True):
+            apart = modes @ spread
+            P[:, part, part] = apart @ _turned(apart)
+        P[:, 2 * r :, 2 * r :] = np.diag(self.sensors.bias**2)
+        return A, B, C, P
 
 
 @outermost

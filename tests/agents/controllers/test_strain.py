@@ -82,7 +82,7 @@ def test_the_filter_of_positive_position_feedback_rests_at_the_chord(envs: Any) 
     for _ in range(400):
         found, state = subject.predict(x, state, np.zeros(1, bool))
     pd, chord = subject.pd, Chords(envs, "x")(x)
-    assert state[0] == pytest.approx(chord)
+    assert state[:, 0] == pytest.approx(chord)
     assert found == pytest.approx(0.5 * pd.stiffness * chord / pd.torque_limit)
 
 
@@ -105,7 +105,7 @@ def test_the_integral_of_the_strain_follows_its_differential_equation(envs: Any)
     for k in range(1, 40):
         found, state = subject.predict(x, state, np.zeros(1, bool))
         grown = 0.5 * chord * (1.0 - np.exp(-corner * k * core.control_dt))
-        assert state[0] == pytest.approx(grown)
+        assert state[:, 0] == pytest.approx(grown)
         assert found == pytest.approx(subject.pd.stiffness * grown / subject.pd.torque_limit)
 
 

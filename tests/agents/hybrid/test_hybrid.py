@@ -136,6 +136,33 @@ def test_the_last_observation_of_an_episode_has_the_base_s_action_too() -> None:
     learner.close()
 
 
+@pytest.mark.parametrize("name", ["lqg", "lqg-planned", "mpc-kalman", "pd-zvd", "irc"])
+def test_the_last_observation_of_an_episode_goes_on_from_its_memory(name: str) -> None:
+    """As if the base had gone on with all environments, also those that have not ended."""
+    plain, inner = (SB3VecEnv(ENV_ID, 3, **KNOWN_PLANT) for _ in range(2))
+    own, base = (base_of(described(name, scale=2.0), envs.envs) for envs in (inner, plain))
+    learner = HybridVecEnv(inner, own)
+    for envs in (plain, learner):
+        envs.seed(5)
+    learner.reset()
+    observation, state, start, apart = plain.reset(), None, np.ones(3, bool), 0
+    learned = np.array([[1.0], [0.0], [-0.7]], np.float32)  # the arm breaks at different times
+    for _ in range(60):
+        action, state = base.complete(base.begin(observation, state, start)[1], learned)
+        observation, _, start, infos = plain.step(action)
+        seen = learner.step(learned)[3]
+        apart += start.any() and not start.all()
+        last = np.array(observation)
+        for i in np.flatnonzero(start):
+            last[i] = infos[i]["terminal_observation"]
+        whole, _ = base.begin(last, deepcopy(state), None)
+        for i in np.flatnonzero(start):
+            np.testing.assert_allclose(seen[i]["terminal_observation"], whole[i], atol=1e-5)
+    assert apart > 3
+    for envs in (plain, learner):
+        envs.close()
+
+
 def test_without_corrections_the_base_acts_alone() -> None:
     envs = make_batch(ENV_ID, 2, LABORATORY)
     alone = controller("lqg", envs, CONTROLLERS["lqg"].middle)
