@@ -68,8 +68,14 @@ class Predictive:
             blower=np.concatenate([least, [0.0], -free, -self.margin - bent]),
             bupper=np.concatenate([most, [np.inf], self.margin - bent, free]),
         )
-        first = program.solver.solve()[0][: limit.size]
-        return estimate.forward + limit * np.where(np.isfinite(first), first, 0.0)
+        found, _, flag, _ = program.solver.solve()
+        if flag <= 0:
+            raise FloatingPointError(
+                f"Predictive control got exit flag {flag} of DAQP for a state of at most "
+                f"{np.abs(estimate.x).max():.3g} in modal coordinates; take a shorter horizon or "
+                "a larger effort, which condition its program better."
+            )
+        return estimate.forward + limit * found[: limit.size]
 
     def _made(self, model: LinearModel) -> _Program:
         m, limit = self.cost.limit.size, self.cost.limit

@@ -235,14 +235,17 @@ def _solved(
     margin: float, curvature: Array, slope: Array, least: Array, most: Array, bent: Array,
     bending: Array,
 ) -> Array:  # fmt: skip
-    """(V,) changes within their limits that cost least; bending beyond the margin if it must be."""
+    """(V,) changes within their limits that cost least; bending beyond the margin if it must be.
+
+    None where the solver finds none: the motion stays that of LQR.
+    """
     soft = np.repeat(np.array([0, SOFT], dtype=np.int32), [len(slope), len(bent)])
     scale = 1.0 / np.diag(curvature).max()
-    found, *_ = quadratic_programs().solve(
+    found, _, flag, _ = quadratic_programs().solve(
         scale * curvature, scale * slope, bending, np.concatenate([most, margin - bent]),
         np.concatenate([least, -margin - bent]), soft,
     )  # fmt: skip
-    return np.clip(np.nan_to_num(found), least, most)
+    return np.clip(found, least, most) if flag > 0 else np.zeros_like(slope)
 
 
 class NMPC(ModelBased):

@@ -122,6 +122,18 @@ def test_a_state_that_the_solver_would_refuse_in_silence_is_an_error(absurd: flo
         plan([steady(plan, model, x, np.zeros(1))])
 
 
+def test_a_program_that_the_solver_gives_up_is_an_error() -> None:
+    plan, gain, models = laws(REACH)
+    model = models.at(np.zeros(1))
+    x = np.ones(len(model.A))
+    x *= 100.0 * plan.cost.limit / np.abs(gain.of(model)[0] @ x)
+    far = steady(plan, model, x, np.zeros(1))
+    assert np.abs(plan([far])[0]) == pytest.approx(plan.cost.limit)
+    plan._program(model).solver.settings = {"iter_limit": 1}
+    with pytest.raises(FloatingPointError, match="exit flag -4 of DAQP"):
+        plan([far])
+
+
 def test_links_bend_no_further_than_the_share_of_their_limit() -> None:
     """At three times the torque the blind law breaks the limit, and the plan stays within it."""
     envs = make_batch(AGILE, 16, {"obs": "state"})

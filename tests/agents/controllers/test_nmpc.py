@@ -84,6 +84,12 @@ def test_bending_yields_where_torques_cannot_keep_it() -> None:
     assert found == pytest.approx(furthest)
 
 
+def test_a_program_without_a_solution_changes_nothing() -> None:
+    curvature, slope, least, most, bent, bending = problem(np.random.default_rng(0))
+    found = nmpc._solved(0.6, curvature, slope, most, least, bent, bending)  # contradictory limits
+    assert found == pytest.approx(0.0 * slope, abs=0.0)
+
+
 @pytest.mark.parametrize("effort", [1.0, 1e3])
 def test_near_the_target_one_step_leads_from_no_torques_to_those_of_lqr(effort: float) -> None:
     """There the arm is linear, no limit binds, and LQR is the optimum."""
