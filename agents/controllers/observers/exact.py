@@ -32,10 +32,15 @@ class Estimate:
 
 def alike(estimates: list[Estimate]) -> Iterator[tuple[AnyArray, list[Estimate]]]:
     """Rows (k,) and estimates of environments whose states are equally large and can be stacked."""
-    sizes = np.array([estimate.x.size for estimate in estimates])
-    for size in np.unique(sizes):
-        rows = np.flatnonzero(sizes == size)
+    for rows in _rows_alike([estimate.model for estimate in estimates]):
         yield rows, [estimates[i] for i in rows]
+
+
+def _rows_alike(models: list[LinearModel]) -> Iterator[AnyArray]:
+    """Rows (k,) of models with as many modes."""
+    sizes = np.array([len(model.modes) for model in models])
+    for size in np.unique(sizes):
+        yield np.flatnonzero(sizes == size)
 
 
 @dataclass
@@ -43,6 +48,7 @@ class _Sight:
     """Memory of `ExactState`."""
 
     plan: Plan
+    models: list[LinearModel]  # N, at the targets
     offset: Array  # (N, n) of the reference at the last step
     seen: Array  # of the target's path, see `Preview`
 
@@ -65,24 +71,32 @@ class ExactState:
         self, x: AnyArray, memory: _Sight | None, fresh: AnyArray
     ) -> tuple[list[Estimate], _Sight]:
         """Estimates of N environments, and the memory for the next step."""
-        models, dt, count = self.models, self.models.control_dt, len(x)
+        dt, count, n = self.models.control_dt, len(x), self.models.model.n
         plan = self.planner.follow(x, memory.plan if memory else None, fresh)
-        place, speed = np.zeros((2, count, models.model.n))
-        place[:, models.joints] = self.read(x, "joint_error") - plan.left
-        place[:, models.modal] = self.read(x, "modal_amplitude")
-        speed[:, models.joints] = self.read(x, "joint_rate") - plan.motion.rate
-        speed[:, models.modal] = self.read(x, "modal_rate")
+        place, speed = np.zeros((2, count, n))
+        place[:, self.models.joints] = self.read(x, "joint_error") - plan.left
+        place[:, self.models.modal] = self.read(x, "modal_amplitude")
+        speed[:, self.models.joints] = self.read(x, "joint_rate") - plan.motion.rate
+        speed[:, self.models.modal] = self.read(x, "modal_rate")
         offset, forward = (x[:, 0] for x in self.reference.along(plan.motion))
         before = offset if memory is None else np.where(fresh[:, None], offset, memory.offset)
         speed -= (offset - before) / dt
         seen = self.preview.see(x, plan.target, memory.seen if memory else None, fresh)
-        ahead = self.preview.torques(plan.target, seen, np.full(count, models.middle))
-        estimates = []
-        for i in range(count):
-            model = models.at(plan.target.posture[i])
-            state = np.concatenate([model.modes @ (place[i] - offset[i]), model.modes @ speed[i]])
-            estimates.append(Estimate(model, state, forward[i], ahead[i]))
-        return estimates, _Sight(plan, offset, seen)
+        ahead = self.preview.torques(plan.target, seen, np.full(count, self.models.middle))
+        known: list[Any] = memory.models if memory else [None] * count
+        models = [
+            self.models.at(posture) if new else model
+            for posture, new, model in zip(plan.target.posture, fresh, known, strict=True)
+        ]
+        about = np.stack([place - offset, speed], axis=1)[..., None]
+        states: list[Any] = [None] * count
+        for rows in _rows_alike(models):
+            modes = np.array([models[i].modes for i in rows])[:, None]
+            for i, state in zip(rows, (modes @ about[rows]).reshape(len(rows), -1), strict=True):
+                states[i] = state
+        return list(map(Estimate, models, states, forward, ahead)), _Sight(
+            plan, models, offset, seen
+        )
 
     def act(self, memory: _Sight, torque: Array) -> None:
         """Nothing to note: torques (N, m) show in the next state."""
