@@ -71,9 +71,9 @@ class ExactState:
         self, x: AnyArray, memory: _Sight | None, fresh: AnyArray
     ) -> tuple[list[Estimate], _Sight]:
         """Estimates of N environments, and the memory for the next step."""
-        dt, count, n = self.models.control_dt, len(x), self.models.model.n
+        dt, count = self.models.control_dt, len(x)
         plan = self.planner.follow(x, memory.plan if memory else None, fresh)
-        place, speed = np.zeros((2, count, n))
+        place, speed = np.zeros((2, count, self.models.model.n))
         place[:, self.models.joints] = self.read(x, "joint_error") - plan.left
         place[:, self.models.modal] = self.read(x, "modal_amplitude")
         speed[:, self.models.joints] = self.read(x, "joint_rate") - plan.motion.rate
@@ -94,9 +94,8 @@ class ExactState:
             modes = np.array([models[i].modes for i in rows])[:, None]
             for i, state in zip(rows, (modes @ about[rows]).reshape(len(rows), -1), strict=True):
                 states[i] = state
-        return list(map(Estimate, models, states, forward, ahead)), _Sight(
-            plan, models, offset, seen
-        )
+        estimates = list(map(Estimate, models, states, forward, ahead))
+        return estimates, _Sight(plan, models, offset, seen)
 
     def act(self, memory: _Sight, torque: Array) -> None:
         """Nothing to note: torques (N, m) show in the next state."""
