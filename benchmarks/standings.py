@@ -1,21 +1,27 @@
-"""Tables of docs/leaderboard.md, from docs/results/leaderboard.json.
+"""Tables of docs/leaderboard.md, from docs/results/leaderboard.json and agents/tuned.json.
 
     python -m benchmarks.standings
 
-They have the best controller of every kind in each task and track, and the tasks in which one kind
-leads. The command fills the blocks `<!-- NAME --> ... <!-- /NAME -->` of the page.
+They have the best controller of every kind in each task and track, the tasks in which one kind
+leads, and the experiments whose keywords were searched. The command fills the blocks
+`<!-- NAME --> ... <!-- /NAME -->` of the page.
 """
 
 import json
 from collections.abc import Mapping
+from typing import Any
 
+from agents.config import load_config
 from agents.controllers import CONTROLLERS
+from agents.experiments import shipped_experiments
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.charts import UNRANKED
 from agents.leaderboard.output import best_of_either, leader, order
 from agents.leaderboard.shipped import LINKS
 from agents.leaderboard.statistics import Figures
 from agents.leaderboard.tracks import TRACKS
+from agents.tune.learners import place_of
+from agents.tuned import tuned
 from benchmarks.output import RESULTS, ROOT, argument_parser, filled, table
 
 PAGE = ROOT / "docs" / "leaderboard.md"
@@ -36,7 +42,8 @@ def kind(name: str) -> str:
 def blocks() -> dict[str, str]:
     """Text of every block by its name."""
     stored = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
-    return {track: standings(stored, track) for track in TRACKS} | {"leaders": leaders(stored)}
+    tables = {track: standings(stored, track) for track in TRACKS}
+    return tables | {"leaders": leaders(stored), "searched": searched(tuned())}
 
 
 def standings(stored: Tables, track: str) -> str:
@@ -95,6 +102,18 @@ def leaders(stored: Tables) -> str:
             f"{count}."
         )
     return "\n".join(lines)
+
+
+def searched(stored: Mapping[str, Any]) -> str:
+    """Experiments with a search for keywords, and those without."""
+    found: dict[bool, list[str]] = {True: [], False: []}
+    for name, path in shipped_experiments().items():
+        env_id, track, policy = place_of(load_config(path))
+        found[policy in stored.get(env_id, {}).get(track, {})].append(f"`{name}`")
+    return "\n".join(
+        f"- {text}, {len(found[key])}: {', '.join(found[key]) or 'none'}."
+        for key, text in ((True, "Searched"), (False, "By hand"))
+    )
 
 
 def ranked(found: Mapping[str, Figures]) -> dict[str, Figures]:

@@ -5,8 +5,9 @@ from typing import Any
 
 import pytest
 
+from agents.experiments import shipped_experiments
 from benchmarks.output import filled
-from benchmarks.standings import KINDS, PAGE, blocks, cell, kind, leaders, standings
+from benchmarks.standings import KINDS, PAGE, blocks, cell, kind, leaders, searched, standings
 
 REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
 
@@ -92,3 +93,16 @@ def test_a_kind_leads_where_intervals_are_apart() -> None:
         "OneLink-Track) of 2.",
         "- `transfer`: classical control leads in 0, learned control in 0 of 1.",
     ]
+
+
+def test_experiments_are_searched_where_their_policies_have_an_entry() -> None:
+    """Entries of other tracks and of controllers are none of theirs."""
+    stored = {
+        REACH: {"state": {"ppo": {}, "lqr": {}}, "laboratory": {"lqg": {}}},
+        TRACK: {"laboratory": {"ppo": {}}},
+    }
+    above, below = searched(stored).splitlines()
+    assert above == "- Searched, 1: `one_link_reach_ppo`."
+    assert f"- By hand, {len(shipped_experiments()) - 1}: " in below
+    assert "`one_link_track_ppo`" in below
+    assert searched({}).startswith("- Searched, 0: none.")
