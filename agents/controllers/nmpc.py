@@ -237,7 +237,7 @@ def _solved(
 ) -> Array:  # fmt: skip
     """(V,) changes within their limits that cost least; bending beyond the margin if it must be.
 
-    None where the solver finds none: the motion stays that of LQR.
+    Zeros where the solver finds no solution: the motion stays that of LQR.
     """
     soft = np.repeat(np.array([0, SOFT], dtype=np.int32), [len(slope), len(bent)])
     scale = 1.0 / np.diag(curvature).max()
