@@ -1,4 +1,4 @@
-"""Error messages for the user, on one line and safe for a terminal."""
+"""Text for the user: error messages on one line and safe for a terminal, and numbers."""
 
 
 def speaker(prog: str) -> str:
@@ -9,3 +9,9 @@ def speaker(prog: str) -> str:
 def one_line(error: BaseException) -> str:
     """The message of an error without line breaks and control characters."""
     return "".join(c if c.isprintable() else "?" for c in " ".join(str(error).split()))
+
+
+def plain(value: float, style: str) -> str:
+    """A number in a format, a large one without a power of ten: 1020 for 1.02e+03."""
+    text = f"{value:{style}}"
+    return f"{float(text):.0f}" if "e+" in text else text

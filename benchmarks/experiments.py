@@ -2,11 +2,13 @@
 
     python -m benchmarks.experiments
 
-Writes docs/results/experiments.md and experiments.png, and draws the learning curves again.
+Writes docs/results/experiments.md and experiments.png, the page and the learning curves of every
+experiment, and into the files of the shipped ones what their training seeds gave.
 """
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
@@ -16,8 +18,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from agents.comparison import titled
+from agents.experiments import shipped_experiments
 from agents.figures import COLOURS, new_figure, plot_learning_curve, save_figure, tidy
 from agents.leaderboard.shipped import on_base
+from agents.sentences import plain
+from agents.tune.learners import SCALED
 from benchmarks.output import RESULTS, argument_parser, table
 from dynamics.types import AnyArray
 
@@ -34,17 +39,30 @@ COLUMNS = {  # metric: (header, factor, format)
     "effort": ("effort [N²m²s]", 1.0, ".2g"),
 }
 
+STATED = {"Track": ("success_rate", "tip_error_rms")}  # metrics in an experiment's file, by task
+OTHERS = ("success_rate", "settling_time", "residual_vibration")
+COMMENT = re.compile(r"^# Expected.*\n(?:#.*\n)*", re.MULTILINE)  # to the end of the comments
 
-def cells(summary: Mapping[str, float]) -> list[str]:
+SETTLING_RULE = """\
+"Wins" means: settles in at most a third of joint PD's time, with at most a tenth of its residual
+vibration and no lower success rate; that joint PD acts at the policy's control rate."""
+FOLLOWING_RULE = """\
+"Wins" means: follows with at most a third of joint PD's RMS tip error and no lower success rate;
+that joint PD acts at the policy's control rate."""
+
+
+def cells(summary: Mapping[str, float | None]) -> list[str]:
     """Texts of the summary's COLUMNS."""
-    texts = []
-    for name, (_, factor, style) in COLUMNS.items():
-        value = factor * summary[name]
-        tiny = 0.0 < value < SMALLEST
-        text = f"< {SMALLEST}" if tiny else f"{value:{style}}"
-        missing = "never" if name == "settling_time" else "failed"
-        texts.append(text if math.isfinite(value) else missing)
-    return texts
+    return [cell(name, summary[name]) for name in COLUMNS]
+
+
+def cell(name: str, value: float | None) -> str:
+    """Text of a metric in the unit of its column."""
+    _, factor, style = COLUMNS[name]
+    shown = factor * number(value)
+    if math.isinf(shown):
+        return "never" if name == "settling_time" else "failed"
+    return f"< {SMALLEST}" if 0.0 < shown < SMALLEST else plain(shown, style)
 
 
 def number(value: float | None) -> float:
@@ -59,11 +77,12 @@ def stored(out: Path) -> list[dict[str, Any]]:
 
 
 def summarise_experiments(out: Path) -> None:
-    """Write experiments.md and experiments.png from all experiments of the folder."""
+    """Write all pages and learning curves of the experiments in a folder."""
     experiments = stored(out)
     (out / "experiments.md").write_text(overview(experiments), encoding="utf-8")
     save_figure(learning_curves(experiments), out / "experiments.png")
     for data in experiments:
+        (out / f"{data['name']}.md").write_text(page(data), encoding="utf-8")
         plot_learning_curve(out / f"{data['name']}.png", stored_curves(data), curves_title(data))
 
 
@@ -113,6 +132,45 @@ def learning_curves(experiments: Sequence[Mapping[str, Any]]) -> Figure:
     return figure
 
 
+def page(data: Mapping[str, Any]) -> str:
+    """Markdown page of one experiment: setting, every seed, the references, the verdict."""
+    header = ["run", *(h for h, _, _ in COLUMNS.values()), "steps", "training [s]", "verdict"]
+    rows = []
+    for run in data["runs"]:
+        mark = "wins" if run["verdict"]["passed"] else "does not win"
+        steps, seconds = f"{run['steps']:,}", f"{run['seconds']:.0f}"
+        rows.append([f"seed {run['seed']}", *cells(run["summary"]), steps, seconds, mark])
+    for name, summary in data["references"].items():
+        rows.append([name, *cells(summary), "", "", ""])
+    passed = sum(run["verdict"]["passed"] for run in data["runs"])
+    ranges = {
+        name: sorted(number(run["verdict"]["shares"][name]) for run in data["runs"])
+        for name in data["runs"][0]["verdict"]["shares"]
+    }
+    shares = ", ".join(f"{name} {v[0]:.2g} to {v[-1]:.2g}" for name, v in ranges.items())
+    rule = FOLLOWING_RULE if data["task"] == "Track" else SETTLING_RULE
+    title = titled(data["env"], data["config"]["env"]["kwargs"])
+    return f"""# {data["name"]}
+
+Made by `{data["command"]}`.
+
+{title}, {data["episodes"]} episodes from seed {data["evaluation_seed"]} on, the same
+tasks for everybody; medians, an episode that never settles counting as infinite. Joint PD has the
+best gains of a grid of {data["pd"]["pairs"]} pairs (frequency ratio
+{data["pd"]["frequency_ratio"]:.3g}, damping ratio {data["pd"]["damping_ratio"]:.3g}), chosen on
+other tasks.
+
+{table(header, rows, "lr")}
+
+{rule}
+{passed} of {len(data["runs"])} win. Shares of joint PD's value: {shares}.
+
+![Learning curves]({data["name"]}.png)
+
+![Tip error and root curvature]({data["name"]}_trajectories.png)
+"""
+
+
 def overview(experiments: Sequence[Mapping[str, Any]]) -> str:
     """Markdown page with all experiments."""
     rows = []
@@ -123,8 +181,7 @@ def overview(experiments: Sequence[Mapping[str, Any]]) -> str:
         steps, seconds = data["runs"][0]["steps"], data["runs"][0]["seconds"]
         first = f"[{data['name']}]({data['name']}.md), {steps / 1e6:.2g} M steps, {seconds:.0f} s"
         for name, summary in summaries.items():
-            numbers = {k: number(v) for k, v in summary.items()}
-            rows.append([first, name, *cells(numbers)])
+            rows.append([first, name, *cells(summary)])
             first = ""
     header = ["experiment", "controller", *(h for h, _, _ in COLUMNS.values())]
     return f"""# Experiments
@@ -144,11 +201,49 @@ def median_of(summaries: Sequence[Mapping[str, float | None]]) -> dict[str, floa
     return {name: median(number(s[name]) for s in summaries) for name in summaries[0]}
 
 
+def expected(data: Mapping[str, Any]) -> str:
+    """Comment of an experiment's file: median and range of its training seeds, beside joint PD.
+
+    A policy that corrects a controller, or plans for it, stands beside itself before training too.
+    """
+    beside = {"joint PD": data["references"]["joint PD"]}
+    if (data["config"].get("base") or {}).get("learned") in SCALED:
+        beside["untrained"] = data["references"]["untrained policy"]
+    rows = [["", "median", "least", "most", *beside]]
+    seeds = [run["summary"] for run in data["runs"]]
+    for name in STATED.get(data["task"], OTHERS):
+        values = [number(x[name]) for x in seeds]
+        shown = [median(values), min(values), max(values)]
+        shown += [x[name] for x in beside.values()]
+        rows.append([COLUMNS[name][0], *(cell(name, value) for value in shown)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join([row[0].ljust(widths[0]), *(map(str.rjust, row[1:], widths[1:]))]) for row in rows
+    ]
+    first = f"Expected of {len(seeds)} seeds after {data['config']['total_steps']:,} steps"
+    texts = (f"{first}:", *(f"  {x}" for x in lines), f"from docs/results/{data['name']}.json")
+    return "".join(f"# {text}\n" for text in texts)
+
+
+def state_expected(experiments: Sequence[Mapping[str, Any]]) -> None:
+    """Write what is expected of the shipped experiments into their files."""
+    files = shipped_experiments()
+    for data in experiments:
+        path = files[data["name"]]
+        text, count = COMMENT.subn(expected(data), path.read_text(encoding="utf-8"))
+        if count != 1:
+            raise ValueError(f"{path.name} needs one comment that begins with # Expected.")
+        path.write_text(text, encoding="utf-8")
+
+
 def main() -> None:
     """Parse the command line and write the overview."""
     parser = argument_parser("experiments", __doc__)
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results")
-    summarise_experiments(parser.parse_args().out)
+    out = parser.parse_args().out
+    summarise_experiments(out)
+    if out.resolve() == RESULTS:
+        state_expected(stored(out))
 
 
 if __name__ == "__main__":

@@ -40,18 +40,12 @@ from agents.policy import Controller, load_policy
 from agents.run_folder.folder import RunFolder, versions
 from agents.run_folder.lock import folder_lock
 from agents.training import learn
-from benchmarks.experiments import COLUMNS, FASTER, cells, number, summarise_experiments
-from benchmarks.output import RESULTS, argument_parser, command, table
+from benchmarks.experiments import COLUMNS, FASTER, cells, summarise_experiments
+from benchmarks.output import RESULTS, argument_parser, command
 
 # A policy wins if its medians are at most these shares of joint PD's; the rules state it in words.
 SETTLING = {"settling_time": 1.0 / 3.0, "residual_vibration": 1.0 / 10.0}
 FOLLOWING = {"tip_error_rms": 1.0 / 3.0}
-SETTLING_RULE = """\
-"Wins" means: settles in at most a third of joint PD's time, with at most a tenth of its residual
-vibration and no lower success rate; that joint PD acts at the policy's control rate."""
-FOLLOWING_RULE = """\
-"Wins" means: follows with at most a third of joint PD's RMS tip error and no lower success rate;
-that joint PD acts at the policy's control rate."""
 
 
 def verdict(
@@ -97,45 +91,6 @@ def faster_pd(env_id: str, kwargs: Mapping[str, Any], tasks: Sequence[int]) -> d
     summary = summarise(episode_metrics(record(pd, envs, tasks)))
     envs.close()
     return summary
-
-
-def page(data: Mapping[str, Any]) -> str:
-    """Markdown page of one experiment: setting, every seed, the references, the verdict."""
-    header = ["run", *(h for h, _, _ in COLUMNS.values()), "steps", "training [s]", "verdict"]
-    rows = []
-    for run in data["runs"]:
-        mark = "wins" if run["verdict"]["passed"] else "does not win"
-        steps, seconds = f"{run['steps']:,}", f"{run['seconds']:.0f}"
-        rows.append([f"seed {run['seed']}", *cells(run["summary"]), steps, seconds, mark])
-    for name, summary in data["references"].items():
-        rows.append([name, *cells(summary), "", "", ""])
-    passed = sum(run["verdict"]["passed"] for run in data["runs"])
-    ranges = {
-        name: sorted(number(run["verdict"]["shares"][name]) for run in data["runs"])
-        for name in data["runs"][0]["verdict"]["shares"]
-    }
-    shares = ", ".join(f"{name} {v[0]:.2g} to {v[-1]:.2g}" for name, v in ranges.items())
-    rule = FOLLOWING_RULE if data["task"] == "Track" else SETTLING_RULE
-    title = titled(data["env"], data["config"]["env"]["kwargs"])
-    return f"""# {data["name"]}
-
-Made by `{data["command"]}`.
-
-{title}, {data["episodes"]} episodes from seed {data["evaluation_seed"]} on, the same
-tasks for everybody; medians, an episode that never settles counting as infinite. Joint PD has the
-best gains of a grid of {data["pd"]["pairs"]} pairs (frequency ratio
-{data["pd"]["frequency_ratio"]:.3g}, damping ratio {data["pd"]["damping_ratio"]:.3g}), chosen on
-other tasks.
-
-{table(header, rows, "lr")}
-
-{rule}
-{passed} of {len(data["runs"])} win. Shares of joint PD's value: {shares}.
-
-![Learning curves]({data["name"]}.png)
-
-![Tip error and root curvature]({data["name"]}_trajectories.png)
-"""
 
 
 def film_shipped(config: Config, out: Path) -> None:
@@ -236,8 +191,6 @@ def benchmark(
     }
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / f"{config.name}.json", data)
-    text = page(data)
-    (out / f"{config.name}.md").write_text(text, encoding="utf-8")
     what = titled(env_id, kwargs)
     shown = {f"policy, seed {seeds[0]}": recordings[f"seed {seeds[0]}"]}
     shown |= {name: recordings[name] for name in ("joint PD", "untrained policy")}
@@ -248,7 +201,7 @@ def benchmark(
         write_film(config, {"trained policy": policy, "joint PD": pd}, out)
     envs.close()
     summarise_experiments(out)
-    print(text)
+    print((out / f"{config.name}.md").read_text(encoding="utf-8"))
 
 
 def main() -> None:

@@ -16,6 +16,7 @@ from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.statistics import Entry, Figures, Spectrum
 from agents.leaderboard.tracks import TRACKS
 from agents.metrics import METRICS, without_infinities
+from agents.sentences import plain
 
 SPECTRA = "leaderboard_spectra.json"
 Tables = Mapping[str, Mapping[str, Mapping[str, Figures]]]  # by task, track and controller
@@ -227,4 +228,4 @@ def _spectrum(found: Spectrum) -> Figures:
 
 
 def _number(x: float, style: str, otherwise: str) -> str:
-    return f"{x:{style}}" if np.isfinite(x) else otherwise
+    return plain(x, style) if np.isfinite(x) else otherwise

@@ -2,8 +2,20 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
-from benchmarks.experiments import band, learning_curves, overview, stored, stored_curves
+import pytest
+
+from agents.experiments import shipped_experiments
+from benchmarks.experiments import (
+    band,
+    expected,
+    learning_curves,
+    overview,
+    page,
+    stored,
+    stored_curves,
+)
 from benchmarks.output import RESULTS
 
 
@@ -33,6 +45,12 @@ def test_the_stored_overview_is_that_of_the_stored_experiments() -> None:
     assert (RESULTS / "experiments.md").read_text(encoding="utf-8") == overview(stored(RESULTS))
 
 
+@pytest.mark.parametrize("data", stored(RESULTS), ids=lambda data: data["name"])
+def test_the_stored_page_is_that_of_the_stored_experiment(data: dict[str, Any]) -> None:
+    """If not: python -m benchmarks.experiments"""
+    assert (RESULTS / f"{data['name']}.md").read_text(encoding="utf-8") == page(data)
+
+
 def test_other_results_are_no_experiments(tmp_path: Path) -> None:
     (tmp_path / "speed.json").write_text(json.dumps({"runs": []}))
     assert stored(tmp_path) == []
@@ -46,3 +64,42 @@ def test_stored_curves_are_rows_by_seed() -> None:
             {"steps": 2, "return": 3.0, "settled": 1.0},
         ]
     }
+
+
+@pytest.mark.parametrize(("name", "path"), shipped_experiments().items(), ids=shipped_experiments())
+def test_every_experiment_states_what_its_seeds_gave(name: str, path: Path) -> None:
+    """If not: python -m benchmarks.experiments"""
+    data = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
+    assert f"\n{expected(data)}env:" in path.read_text(encoding="utf-8")
+
+
+def test_what_to_expect_has_the_median_and_the_range_of_the_seeds() -> None:
+    def summary(success: float, settling: float | None, vibration: float) -> dict[str, object]:
+        names = ("success_rate", "settling_time", "residual_vibration")
+        return dict(zip(names, (success, settling, vibration), strict=True))
+
+    data = {
+        "name": "reach",
+        "task": "Reach",
+        "config": {"total_steps": 2_000_000, "base": {"learned": "residual"}},
+        "runs": [
+            {"summary": summary(0.5, None, 0.0025)},
+            {"summary": summary(1.0, 0.5, 0.0005)},
+            {"summary": summary(0.99, 0.75, 0.0)},
+        ],
+        "references": {
+            "joint PD": summary(0.0, None, 0.1),
+            "untrained policy": summary(1.0, 1.0, 3e-7),
+        },
+    }
+    assert (
+        expected(data)
+        == """\
+# Expected of 3 seeds after 2,000,000 steps:
+#                            median  least   most  joint PD  untrained
+#   success [%]                  99     50    100         0        100
+#   settling [s]               0.75   0.50  never     never       1.00
+#   residual vibration [mm]     0.5      0    2.5       100    < 0.001
+# from docs/results/reach.json
+"""
+    )
