@@ -3,8 +3,8 @@
 Every controller gets the same number of trials of Optuna's TPE sampler on the same tuning episodes,
 whose seeds differ from those of every evaluation. A trial is judged by the mean score, and among
 equal ones by the RMS tip error. The first trials are the middle of the ranges and the parameters
-that are stored. Results go to agents/tuned.json; a search that was interrupted keeps what it has
-finished.
+that are stored. Results go to agents/tuned.json. A search that was interrupted goes on from the
+trials that it has finished, in the folder of --keep.
 
 With --experiments the keywords of learners are searched in the same way, and a trial is a training
 with one seed. The first is the experiment itself. At a ninth and a third of its steps a trial ends
@@ -14,18 +14,24 @@ experiment itself are then trained with two more seeds, and the best mean wins.
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 from agents.config import Config, ConfigError, load_config
 from agents.controllers import CONTROLLERS
 from agents.experiments import find_experiment
+from agents.files import FolderError
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.sentences import one_line
-from agents.tune.controllers import EPISODES, TRIALS, tune
+from agents.tune.controllers import tune
+from agents.tune.search import EPISODES, TRIALS
 from agents.tuned import STORE, read, store
 from dynamics.description import validate
+
+Place = tuple[str, str, str]  # task, track and name
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -41,6 +47,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--trials", type=int, default=TRIALS)
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--out", type=Path, default=STORE)
+    parser.add_argument(
+        "--keep", type=Path, default=Path("runs/tune"), metavar="DIR",
+        help="folder of unfinished searches, which go on from there (default: %(default)s)",
+    )  # fmt: skip
     options = parser.parse_args(arguments)
     try:
         for name in options.controllers:
@@ -51,14 +61,21 @@ def main(arguments: list[str] | None = None) -> int:
             validate.known(env_id, "task", RANKED)
         validate.integer(options.trials, "--trials", 1, 100_000)
         validate.integer(options.episodes, "--episodes", 1, 100_000)
-        experiments = [load_config(find_experiment(x)) for x in options.experiments or ()]
-        if experiments:
-            tune_experiments(experiments, options)
-            return 0
+        experiments = _placed(options.experiments or ())
     except (ValueError, ConfigError) as error:
         print(f"agents.tune: {one_line(error)}", file=sys.stderr)
         return 2
-    tune_controllers(options)
+    try:
+        if experiments:
+            tune_experiments(experiments, options)
+        else:
+            tune_controllers(options)
+    except FolderError as error:
+        print(f"agents.tune: {one_line(error)}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("agents.tune: interrupted; the same command goes on.", file=sys.stderr)
+        return 130
     return 0
 
 
@@ -73,20 +90,45 @@ def tune_controllers(options: argparse.Namespace) -> None:
                 found = tune(
                     name, env_id, keywords(name, track), trials=options.trials,
                     episodes=options.episodes, stored=before.get("parameters"),
+                    keep=_folder(options.keep, env_id, track, name),
                 )  # fmt: skip
                 print(f"{env_id}, {track}, {name}: {_line(found)}", flush=True)
                 store(options.out, env_id, track, name, found)
+                rmtree(_folder(options.keep, env_id, track, name))
 
 
-def tune_experiments(experiments: list[Config], options: argparse.Namespace) -> None:
-    """Tune the learners of experiments; all must be of a track, so that they can be ranked."""
-    from agents.tune.learners import place_of, tune_experiment
+def tune_experiments(experiments: Mapping[Place, Config], options: argparse.Namespace) -> None:
+    """Tune the learners of experiments."""
+    from agents.tune.learners import tune_experiment
 
-    places = [place_of(config) for config in experiments]
-    for config, place in zip(experiments, places, strict=True):
-        found = tune_experiment(config, trials=options.trials, episodes=options.episodes)
+    for place, config in experiments.items():
+        found = tune_experiment(
+            config, trials=options.trials, episodes=options.episodes,
+            keep=_folder(options.keep, *place),
+            report=partial(_report, config.name),
+        )  # fmt: skip
         print(f"{config.name}: {_line(found)}; {found['untuned']:.3f} as it is", flush=True)
         store(options.out, *place, found)
+        rmtree(_folder(options.keep, *place))
+
+
+def _placed(given: Sequence[str]) -> dict[Place, Config]:
+    """Experiments by the place where they are ranked; a ValueError for one that is not."""
+    if not given:
+        return {}
+    from agents.tune.learners import place_of
+
+    configs = [load_config(find_experiment(x)) for x in given]
+    return {place_of(config): config for config in configs}
+
+
+def _folder(keep: Path, env_id: str, track: str, name: str) -> Path:
+    """Folder of one search."""
+    return keep / env_id.removeprefix("FlexArm/") / track / name
+
+
+def _report(name: str, text: str) -> None:
+    print(f"{name}: {text}", flush=True)
 
 
 def _line(found: Mapping[str, Any]) -> str:
@@ -94,7 +136,7 @@ def _line(found: Mapping[str, Any]) -> str:
         f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}"
         for key, value in found["parameters"].items()
     )
-    return f"score {found['score']:.3f} with {numbers}"
+    return f"score {found['score']:.3f} " + (f"with {numbers}" if numbers else "with none changed")
 
 
 if __name__ == "__main__":

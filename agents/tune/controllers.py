@@ -1,19 +1,15 @@
-"""Parameters of controllers, found on tuning episodes; what every search has in common."""
+"""Parameters of controllers, found on tuning episodes by `agents.tune`."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
 from agents.metrics import episode_metrics, make_batch, record
-from dynamics.extras import missing
-from dynamics.types import AnyArray
+from agents.tune.search import EPISODES, SEED, TRIALS, kept_study, objective, searched
 
-TRIALS = 40
-EPISODES = 48
-SEED = 500_000  # of the first tuning episode
-SLIGHT = 1e-3  # weight of the RMS error, which decides between equal scores
 DIGITS = 4  # significant ones of what is found
 
 
@@ -26,8 +22,12 @@ def tune(
     episodes: int = EPISODES,
     seed: int = SEED,
     stored: Mapping[str, float] | None = None,
+    keep: Path | None = None,
 ) -> dict[str, Any]:
-    """Best parameters of a controller and their mean score; `stored` ones are tried too."""
+    """Best parameters of a controller and their mean score; `stored` ones are tried too.
+
+    With a folder `keep`, a search that was interrupted goes on.
+    """
     ranges = CONTROLLERS[name].ranges
     envs = make_batch(env_id, episodes, kwargs)
     seeds, reach = list(range(seed, seed + episodes)), float(envs.unwrapped.reach)
@@ -46,47 +46,19 @@ def tune(
         return objective(metrics, reach)
 
     first = [dict(x) for x in (CONTROLLERS[name].middle, stored) if x]
+    about = {
+        "controller": name, "env": env_id, "kwargs": dict(kwargs), "first": first,
+        "seeds": [seed, episodes],
+    }  # fmt: skip
     try:
-        study = searched(judged, trials if ranges else 1, first)
+        with kept_study(keep, about) as study:
+            done = searched(study, judged, trials if ranges else 1, first)
     finally:
         envs.close()
-    best = study.best_trial
+    best = max(done, key=lambda trial: trial.value)
     return {
         "parameters": {key: float(f"{value:.{DIGITS}g}") for key, value in best.params.items()},
         "score": best.user_attrs["score"],
-        "trials": len(study.trials),
+        "trials": len(done),
         "episodes": episodes,
     }
-
-
-def searched(
-    judged: Callable[[Any], float],
-    trials: int,
-    first: Sequence[dict[str, Any]] = (),
-    reduction: int | None = None,
-) -> Any:
-    """Optuna's study of an objective; the first trials are those given.
-
-    With a `reduction`, one of so many goes on at each step of successive halving.
-    """
-    try:
-        import optuna
-    except ModuleNotFoundError as error:
-        raise missing(error, "agents.tune", "train") from None
-
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    sampler = optuna.samplers.TPESampler(seed=0)
-    pruner: Any = optuna.pruners.NopPruner()
-    if reduction is not None:
-        pruner = optuna.pruners.SuccessiveHalvingPruner(min_resource=1, reduction_factor=reduction)
-    study = optuna.create_study(direction="maximize", sampler=sampler, pruner=pruner)
-    for parameters in first:
-        study.enqueue_trial(parameters)
-    study.optimize(judged, n_trials=trials)
-    return study
-
-
-def objective(metrics: Mapping[str, AnyArray], reach: float) -> float:
-    """Mean score, less a thousandth of the mean RMS tip error over the reach, at most 1."""
-    apart = np.minimum(metrics["tip_error_rms"] / reach, 1.0)
-    return float(metrics["score"].mean()) - SLIGHT * float(apart.mean())

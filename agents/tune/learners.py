@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from agents.learners.ranges import DEFAULTS, drawn, suggested
 from agents.metrics import episode_metrics, make_batch, record
 from agents.policy import Policy
 from agents.training import about_policy, build_model
-from agents.tune.controllers import EPISODES, SEED, TRIALS, objective, searched
+from agents.tune.search import EPISODES, SEED, TRIALS, kept_study, objective, searched
 
 REDUCTION = 3  # of so many trials one goes on
 RUNGS = (1, 3)  # ninths of the steps after which a trial may end
@@ -40,9 +41,18 @@ def place_of(config: Config) -> tuple[str, str, str]:
 
 
 def tune_experiment(
-    config: Config, *, trials: int = TRIALS, episodes: int = EPISODES, seed: int = SEED
+    config: Config,
+    *,
+    trials: int = TRIALS,
+    episodes: int = EPISODES,
+    seed: int = SEED,
+    keep: Path | None = None,
+    report: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Best keywords of an experiment's learner, their mean score, and that of its own."""
+    """Best keywords of an experiment's learner, their mean score, and that of its own.
+
+    With a folder `keep`, a search that was interrupted goes on. `report` is told of each training.
+    """
     scaled = config.base is not None and config.base.learned in SCALED
     ranges = ranges_of(config) | ({SCALE: SCALES} if scaled else {})
 
@@ -50,7 +60,7 @@ def tune_experiment(
         return judged(config, policy, episodes, seed)
 
     def tried(trial: Any) -> float:
-        found = drawn(ranges, config.agent.kwargs, suggested(trial)) if trial.number else {}
+        found = {} if trial.user_attrs else drawn(ranges, config.agent.kwargs, suggested(trial))
         trial.set_user_attr("parameters", found)
 
         def poor(policy: Policy, rung: int) -> bool:
@@ -65,24 +75,38 @@ def tune_experiment(
         trial.set_user_attr("means", judge(policy))
         return float(trial.user_attrs["means"]["objective"])
 
-    def again(trial: Any) -> dict[str, float]:
+    def ended(count: int, value: float | None) -> None:
+        what = "ended early" if value is None else f"objective {value:.4f}"
+        report(f"trial {count} of {trials}: {what}")
+
+    def final(study: Any, trial: Any) -> dict[str, float]:
         """Means over the seeds of a trial that is in the final."""
         own = changed(config, trial.user_attrs["parameters"])
-        seeds = range(config.seed + 1, config.seed + SEEDS)
-        policies = [trained(replace(own, seed=x)) for x in seeds]
-        means = [trial.user_attrs["means"], *(judge(x) for x in policies if x is not None)]
+        means = [trial.user_attrs["means"]]
+        for k in range(config.seed + 1, config.seed + SEEDS):
+            key = f"trial {trial.number}, seed {k}"
+            if key not in study.user_attrs:
+                policy = trained(replace(own, seed=k))
+                assert policy is not None
+                study.set_user_attr(key, judge(policy))
+            means.append(study.user_attrs[key])
+            report(f"final, {key}: objective {means[-1]['objective']:.4f}")
         return {name: float(np.mean([x[name] for x in means])) for name in means[0]}
 
-    study = searched(tried, trials, reduction=REDUCTION)
-    first, *others = (trial for trial in study.trials if "means" in trial.user_attrs)
-    others.sort(key=lambda trial: -trial.value)
-    final = {trial.number: again(trial) for trial in (first, *others[:FINALISTS])}
-    best = max(final, key=lambda number: final[number]["objective"])
+    about = {"experiment": replace(config, sweep=ranges).to_dict(), "seeds": [seed, episodes]}
+    with kept_study(keep, about) as study:
+        done = searched(study, tried, trials, [{}], REDUCTION, ended)
+        whole = [trial for trial in done if "means" in trial.user_attrs]
+        first = next(trial for trial in whole if not trial.user_attrs["parameters"])
+        others = sorted((t for t in whole if t is not first), key=lambda trial: -trial.value)
+        finalists = {trial.number: trial for trial in (first, *others[:FINALISTS])}
+        means = {number: final(study, trial) for number, trial in finalists.items()}
+    best = max(means, key=lambda number: means[number]["objective"])
     return {
-        "parameters": study.trials[best].user_attrs["parameters"],
-        "score": final[best]["score"],
-        "untuned": final[first.number]["score"],
-        "trials": len(study.trials),
+        "parameters": finalists[best].user_attrs["parameters"],
+        "score": means[best]["score"],
+        "untuned": means[first.number]["score"],
+        "trials": len(done),
         "episodes": episodes,
         "seeds": SEEDS,
         "steps": config.total_steps,

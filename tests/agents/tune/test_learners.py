@@ -16,8 +16,8 @@ from agents.learners.export import export_policy
 from agents.policy import Policy
 from agents.training import build_model
 from agents.tune.__main__ import main
-from agents.tune.controllers import SEED
 from agents.tune.learners import NINTHS, judged, place_of, trained, tune_experiment
+from agents.tune.search import SEED
 from agents.tuned import tuned
 from tests.agents.tiny import ENV_ID, one_sentence, write_config
 
