@@ -8,7 +8,7 @@ leads, and the experiments whose keywords were searched. The command fills the b
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agents.config import load_config
@@ -84,24 +84,36 @@ def missed(success: float) -> str:
 
 
 def leaders(stored: Tables) -> str:
-    """Tasks in which one kind leads, track by track."""
+    """Tasks in which one kind leads, and in which it gains on the other, track by track."""
     lines = []
     for track in TRACKS:
-        found: dict[str, list[str]] = {"classical": [], "learned": [], "neither": []}
+        leads: dict[str, list[str]] = {"classical": [], "learned": [], "neither": []}
+        gains: dict[str, list[str]] = {"classical": [], "learned": [], "neither": []}
         for env_id, tracks in stored.items():
             here = ranked(tracks[track])
             if (pair := best_of_either(here)) is not None:
-                found[leader(*(here[name] for name in pair))].append(short(env_id))
-        count = sum(map(len, found.values()))
-        classical, learned = (
-            f"{len(found[who])}" + (f" ({', '.join(found[who])})" if found[who] else "")
-            for who in ("classical", "learned")
-        )
+                classical, learned = (here[name] for name in pair)
+                leads[leader(classical, learned)].append(short(env_id))
+                gains[gaining(learned, pair[0])].append(short(env_id))
+        count = sum(map(len, leads.values()))
         lines.append(
-            f"- `{track}`: classical control leads in {classical}, learned control in {learned} of "
-            f"{count}."
+            f"- `{track}`, {count} tasks: classical control leads in {listed(leads['classical'])}, "
+            f"learned control in {listed(leads['learned'])}. In the same episodes classical "
+            f"control is ahead in {listed(gains['classical'])}, learned control in "
+            f"{listed(gains['learned'])}."
         )
     return "\n".join(lines)
+
+
+def gaining(learned: Figures, classical: str) -> str:
+    """Kind whose score is above the other's in the same episodes, by the interval, or neither."""
+    low, high = learned["improvement"][classical]["gain_ci"]
+    return "learned" if low > 0.0 else "classical" if high < 0.0 else "neither"
+
+
+def listed(tasks: Sequence[str]) -> str:
+    """Number of tasks, and which."""
+    return f"{len(tasks)} ({', '.join(tasks)})" if tasks else "0"
 
 
 def searched(stored: Mapping[str, Any]) -> str:

@@ -133,10 +133,11 @@ def rivals(tables: Tables) -> str:
     """
     lines = [
         "Scores of the best of either kind, IQM [95 %]; one leads where the intervals are apart. "
-        "Above: the probability that the learned one scores higher in an episode; ties count half.",
+        "Above: the probability that the learned one scores higher in an episode; ties count half. "
+        "Gain: its score less the classical one's in the same episodes.",
         "",
-        "| task | track | best classical | best learned | training seeds | leads | above |",
-        "|---|---|---|---|---:|---|---:|",
+        "| task | track | best classical | best learned | training seeds | leads | above | gain |",
+        "|---|---|---|---|---:|---|---:|---:|",
     ]
     for place, found in places(tables):
         if (pair := best_of_either(found)) is None:
@@ -144,7 +145,8 @@ def rivals(tables: Tables) -> str:
         one, other = (found[name] for name in pair)
         lines.append(
             f"{place} | {pair[0]} {score(one)} | {pair[1]} {score(other)} | "
-            f"{other['training_seeds']} | {leader(one, other)} | {above(other, pair[0])} |"
+            f"{other['training_seeds']} | {leader(one, other)} | {above(other, pair[0])} | "
+            f"{gain(other, pair[0])} |"
         )
     return "\n".join(lines)
 
@@ -205,6 +207,13 @@ def above(x: Figures, other: str) -> str:
     better = x["improvement"][other]
     p, low, high = (100.0 * value for value in (better["p"], *better["ci"]))
     return f"{p:.0f} % [{low:.0f}, {high:.0f}]"
+
+
+def gain(x: Figures, other: str) -> str:
+    """Score less that of another in the same episodes, with its interval."""
+    better = x["improvement"][other]
+    middle, low, high = (f"{value:+.4f}" for value in (better["gain"], *better["gain_ci"]))
+    return f"{middle} [{low}, {high}]"
 
 
 def over_best(x: Figures) -> str:

@@ -1,4 +1,4 @@
-"""Statistics of episodes: interquartile mean, probability of improvement, profile, spectrum.
+"""Statistics of episodes: interquartile mean, improvement over others, profile, spectrum.
 
 The first three are those of Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the
 Statistical Precipice". Values are (runs, episodes): a row per training seed of a policy, one row
@@ -109,11 +109,9 @@ def interquartile_mean(values: AnyArray) -> float:
 def interval(values: AnyArray) -> list[float]:
     """[low, high] of the interquartile mean of values (runs, episodes), some perhaps infinite."""
 
-    def statistic(*rows: AnyArray, axis: int) -> Any:
-        return stats.trim_mean(np.concatenate(rows, axis=axis), 0.25, axis=axis)
-
     with np.errstate(invalid="ignore"):  # between infinite resamples
-        return np.nan_to_num(_bootstrap(values, statistic), nan=np.inf, posinf=np.inf).tolist()
+        low, high = _bootstrap(values, _trimmed).confidence_interval
+    return [float(np.nan_to_num(x, nan=np.inf, posinf=np.inf)) for x in (low, high)]
 
 
 def wins(values: AnyArray, others: AnyArray) -> AnyArray:
@@ -125,17 +123,29 @@ def wins(values: AnyArray, others: AnyArray) -> AnyArray:
 
 
 def improvements(scores: Mapping[str, AnyArray]) -> dict[str, dict[str, Any]]:
-    """Probabilities that a controller scores above another in an episode, with their intervals.
+    """Gains of every controller on the others, and probabilities to score above them.
 
-    From scores (runs, episodes) by controller: {controller: {other: {"p": p, "ci": [low, high]}}}.
+    From scores (runs, episodes) by controller: {controller: {other: figures}}, which are the
+    probability `p` with its interval `ci`, and the difference of the interquartile means, `gain`
+    with `gain_ci`. Both controllers have the same episodes in a resample, so that the interval of
+    the gain is without what makes episodes easy or hard for both.
     """
     found: dict[str, dict[str, Any]] = {name: {} for name in scores}
+    resamples = {name: _bootstrap(x, _trimmed).bootstrap_distribution for name, x in scores.items()}
+    means = {name: interquartile_mean(x) for name, x in scores.items()}
     for one, other in combinations(scores, 2):
         share = wins(scores[one], scores[other])
-        p, (low, high) = float(share.mean()), map(float, _bootstrap(share[None], np.mean))
-        found[one][other] = {"p": p, "ci": [low, high]}
-        found[other][one] = {"p": 1.0 - p, "ci": [1.0 - high, 1.0 - low]}
+        low, high = _bootstrap(share[None], np.mean).confidence_interval
+        least, most = np.percentile(resamples[one] - resamples[other], (2.5, 97.5))
+        p, gain = share.mean(), means[one] - means[other]
+        found[one][other] = _over(p, (low, high), gain, (least, most))
+        found[other][one] = _over(1.0 - p, (1.0 - high, 1.0 - low), -gain, (-most, -least))
     return found
+
+
+def _over(p: float, ci: tuple[Any, Any], gain: float, gain_ci: tuple[Any, Any]) -> Figures:
+    p, low, high, gain, least, most = rounded(np.array([p, *ci, gain, *gain_ci])).tolist()
+    return {"p": p, "ci": [low, high], "gain": gain, "gain_ci": [least, most]}
 
 
 def compared(found: Mapping[str, Entry]) -> dict[str, Entry]:
@@ -155,7 +165,7 @@ def profile(scores: AnyArray, levels: AnyArray) -> tuple[AnyArray, AnyArray, Any
     From scores (runs, episodes) and levels (k,): three arrays (k,).
     """
     above = (scores > levels[:, None, None]).mean(axis=1)  # (k, episodes)
-    low, high = _bootstrap(above[None], np.mean)
+    low, high = _bootstrap(above[None], np.mean).confidence_interval
     return above.mean(axis=1), low, high
 
 
@@ -187,10 +197,17 @@ def spectrum(recordings: Sequence[Recording]) -> Spectrum:
     return Spectrum(frequency, density, len(found) / sum(r.failed.size for r in recordings))
 
 
-def _bootstrap(values: AnyArray, statistic: Callable[..., Any]) -> tuple[AnyArray, AnyArray]:
-    """Bounds of a statistic of rows (..., episodes), which it is given one by one."""
-    found = stats.bootstrap(
+def _trimmed(*rows: AnyArray, axis: int) -> Any:
+    """Interquartile mean along the axis of rows that are put behind each other."""
+    return stats.trim_mean(np.concatenate(rows, axis=axis), 0.25, axis=axis)
+
+
+def _bootstrap(values: AnyArray, statistic: Callable[..., Any]) -> Any:
+    """SciPy's result for a statistic of rows (..., episodes), which it is given one by one.
+
+    Resamples of equally many episodes are the same, whatever the values.
+    """
+    return stats.bootstrap(
         tuple(values), statistic, n_resamples=RESAMPLES, paired=True, vectorized=True, axis=-1,
         method="percentile", rng=0,
-    ).confidence_interval  # fmt: skip
-    return found.low, found.high
+    )  # fmt: skip

@@ -78,20 +78,29 @@ def test_rows_have_the_best_of_every_kind_and_mark_the_best_of_all() -> None:
     assert len(cells) == 1 + len(KINDS)
 
 
-def test_a_kind_leads_where_intervals_are_apart() -> None:
-    ahead = {"lqr": figures(0.9), "ppo": figures(0.8, 5)}
-    behind = {"lqr": figures(0.8), "ppo": figures(0.9, 5)}
-    equal = {"lqr": figures(0.9, width=0.2), "ppo": figures(0.8, 5)}
-    alone = {"lqr": figures(0.9)}
+def test_a_kind_leads_where_intervals_are_apart_and_is_ahead_where_gains_have_one_sign() -> None:
+    def rivals(lqr: float, ppo: float, low: float, high: float, width: float = 0.01) -> Any:
+        better = {"lqr": {"gain_ci": [low, high]}}
+        return {
+            "lqr": figures(lqr, width=width),
+            "ppo": figures(ppo, 5, width, improvement=better),
+        }
+
+    above, below = rivals(0.8, 0.9, 0.05, 0.15), rivals(0.9, 0.8, -0.15, -0.05)
+    close, equal = rivals(0.8, 0.9, 0.05, 0.15, 0.2), rivals(0.9, 0.8, -0.25, 0.05, 0.2)
     stored = {
-        REACH: {"state": ahead, "laboratory": behind, "transfer": alone},
-        TRACK: {"state": equal, "laboratory": behind, "transfer": equal},
+        REACH: {"state": below, "laboratory": above, "transfer": {"lqr": figures(0.9)}},
+        TRACK: {"state": equal, "laboratory": above, "transfer": close},
     }
+    both = "2 (OneLink-Reach, OneLink-Track)"
     assert leaders(stored).splitlines() == [
-        "- `state`: classical control leads in 1 (OneLink-Reach), learned control in 0 of 2.",
-        "- `laboratory`: classical control leads in 0, learned control in 2 (OneLink-Reach, "
-        "OneLink-Track) of 2.",
-        "- `transfer`: classical control leads in 0, learned control in 0 of 1.",
+        "- `state`, 2 tasks: classical control leads in 1 (OneLink-Reach), learned control in 0. "
+        "In the same episodes classical control is ahead in 1 (OneLink-Reach), learned control in "
+        "0.",
+        "- `laboratory`, 2 tasks: classical control leads in 0, learned control in "
+        f"{both}. In the same episodes classical control is ahead in 0, learned control in {both}.",
+        "- `transfer`, 1 tasks: classical control leads in 0, learned control in 0. In the same "
+        "episodes classical control is ahead in 0, learned control in 1 (OneLink-Track).",
     ]
 
 

@@ -100,14 +100,14 @@ def test_one_kind_leads_where_the_intervals_are_apart() -> None:
 
     def leader(trained: Any, classical: Any) -> str:
         found = {"pd": low, "lqr": classical, "my:Own": high}
-        better = {"p": 0.25, "ci": [0.2, 0.31]}
+        better = {"p": 0.25, "ci": [0.2, 0.31], "gain": -0.0312, "gain_ci": [-0.05, 0.0126]}
         found["ppo"] = trained | {"training_seeds": 5, "improvement": {"lqr": better}}
         (line,) = rivals({REACH: {"state": found}}).splitlines()[4:]
         cells = line.strip("| ").split(" | ")
         assert cells[:2] == ["OneLink-Reach-v0", "state"]
         assert cells[2] == f"lqr {score(classical)}"
         assert cells[3:5] == [f"ppo {score(trained)}", "5"]
-        assert cells[6] == "25 % [20, 31]"
+        assert cells[6:] == ["25 % [20, 31]", "-0.0312 [-0.0500, +0.0126]"]
         return str(cells[5])
 
     assert leader(high, middle) == "learned"

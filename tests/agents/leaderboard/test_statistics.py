@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import FrozenInstanceError, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -94,6 +95,37 @@ def test_improvement_is_the_share_of_wins_with_a_binomial_interval() -> None:
     assert found["a"]["b"]["ci"] == pytest.approx(exact, abs=0.0051)
     assert found["b"]["a"]["ci"] == pytest.approx(1.0 - exact[::-1], abs=0.0051)
     assert set(found["a"]) == {"b"}
+
+
+def test_gain_is_of_the_same_episodes() -> None:
+    """Whatever the episodes' spread, a constant gain has an interval of no width."""
+    hard = np.random.default_rng(3).uniform(0.0, 0.8, 40)
+    found = improvements({"a": hard[None] + 0.125, "b": np.stack([hard, hard])})
+    assert found["a"]["b"]["gain"] == pytest.approx(0.125, abs=1e-6)
+    assert found["a"]["b"]["gain_ci"] == pytest.approx([0.125, 0.125], abs=1e-6)
+    assert found["b"]["a"]["gain"] == pytest.approx(-0.125, abs=1e-6)
+    assert found["b"]["a"]["gain_ci"] == pytest.approx([-0.125, -0.125], abs=1e-6)
+
+
+def test_interval_of_the_gain_is_that_of_resampled_differences() -> None:
+    """A statistic of all rows at once, of two runs and of one, in one bootstrap."""
+    rng = np.random.default_rng(4)
+    own, other = rng.uniform(0.2, 0.9, (2, 30)), rng.uniform(0.1, 0.9, (1, 30))
+
+    def difference(one: Any, two: Any, three: Any, axis: int) -> Any:
+        both = np.concatenate([one, two], axis=axis)
+        return stats.trim_mean(both, 0.25, axis=axis) - stats.trim_mean(three, 0.25, axis=axis)
+
+    direct = stats.bootstrap(
+        (*own, *other), difference, n_resamples=2000, paired=True, vectorized=True, axis=-1,
+        method="percentile", rng=0,
+    ).confidence_interval  # fmt: skip
+    found = improvements({"b": other, "a": own})["a"]["b"]
+    assert found["gain"] == pytest.approx(float(difference(*own, *other, axis=-1)), rel=1e-5)
+    assert found["gain_ci"] == pytest.approx(list(direct), rel=1e-5)
+    assert found["gain_ci"][0] < found["gain"] < found["gain_ci"][1]
+    back = improvements({"b": other, "a": own})["b"]["a"]["gain_ci"]
+    assert back == [-x for x in reversed(found["gain_ci"])]
 
 
 def test_profile_is_the_share_of_episodes_above_each_level() -> None:
