@@ -40,8 +40,8 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be created or written to, without creating it."""
+def check_folder(folder: Path, option: str = "--out") -> None:
+    """Refuse the folder of an option that cannot be created or written to, without creating it."""
     try:
         existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
         possible = existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
@@ -50,5 +50,5 @@ def check_folder(folder: Path) -> None:
     if not possible:
         raise FolderError(
             f"{folder}: cannot be written to, because {existing} is not a writable folder; choose "
-            "another --out."
+            f"another {option}."
         )

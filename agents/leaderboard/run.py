@@ -23,6 +23,7 @@ import numpy as np
 from agents.controllers import CONTROLLERS, controller
 from agents.environments import look_in_present_folder
 from agents.figures import save_figure
+from agents.files import check_folder
 from agents.hybrid.controller import acting
 from agents.leaderboard import stored
 from agents.leaderboard.bound import PLANTS, best_of, compute
@@ -181,6 +182,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     bounds = options.out / "bounds" if options.bound else None
     try:
         _check(options)
+        check_folder(options.out)
         before = stored.known(stored.read(options.beside, seeds, bounds)) if options.beside else {}
     except ValueError as error:
         print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)

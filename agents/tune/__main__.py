@@ -23,7 +23,7 @@ from typing import Any
 from agents.config import Config, ConfigError, load_config
 from agents.controllers import CONTROLLERS
 from agents.experiments import find_experiment
-from agents.files import FolderError
+from agents.files import FolderError, check_folder
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.sentences import one_line
 from agents.tune.controllers import tune
@@ -62,6 +62,8 @@ def main(arguments: list[str] | None = None) -> int:
         validate.integer(options.trials, "--trials", 1, 100_000)
         validate.integer(options.episodes, "--episodes", 1, 100_000)
         experiments = _placed(options.experiments or ())
+        check_folder(options.out.parent)
+        check_folder(options.keep, "--keep")
     except (ValueError, ConfigError) as error:
         print(f"agents.tune: {one_line(error)}", file=sys.stderr)
         return 2

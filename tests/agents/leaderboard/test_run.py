@@ -197,6 +197,14 @@ def test_bad_requests_end_with_one_sentence(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_place_that_cannot_be_written_to_is_refused_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert main([*HERE, "zero", "--out", str(tmp_path / "file" / "out")]) == 2
+    assert "is not a writable folder; choose another --out" in capsys.readouterr().err
+
+
 def test_every_ranked_controller_was_tuned_where_it_acts() -> None:
     for env_id in RANKED:
         for track in ("state", "laboratory"):

@@ -185,3 +185,18 @@ def test_a_command_that_was_interrupted_goes_on_and_clears_up(
     assert len(objectives) == 4
     assert json.loads(out.read_text())[ENV_ID]["state"]["pd"]["trials"] == 3
     assert not list(keep.rglob("trials.log"))
+
+
+@pytest.mark.parametrize(("option", "name"), [("--keep", "file"), ("--out", "file/tuned.json")])
+def test_a_place_that_cannot_be_written_to_is_refused_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, name: str
+) -> None:
+    (tmp_path / "file").touch()
+    places = {"--keep": str(tmp_path / "keep"), "--out": str(tmp_path / "tuned.json")}
+    places[option] = str(tmp_path / name)
+    command = ["--tasks", ENV_ID, "--controllers", "pd"]
+    assert main([*command, *(x for pair in places.items() for x in pair)]) == 2
+    sentence = one_sentence(capsys)
+    assert "is not a writable folder" in sentence
+    assert f"choose another {option}" in sentence
+    assert [x.name for x in tmp_path.iterdir()] == ["file"]
