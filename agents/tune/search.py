@@ -80,22 +80,29 @@ def searched(
     With a `reduction`, one of so many goes on at each step of successive halving. `report` is told
     how many trials have ended, and the objective of the latest, None if it was ended early.
     """
+    from optuna import TrialPruned
     from optuna.pruners import NopPruner, SuccessiveHalvingPruner
     from optuna.samplers import TPESampler
+    from optuna.trial import TrialState
 
-    left = trials - len(finished(study))
-    study.sampler = TPESampler(seed=trials - left)  # a search that goes on repeats no draws
+    done = len(finished(study))
+    study.sampler = TPESampler(seed=done)  # a search that goes on repeats no draws
     halving = SuccessiveHalvingPruner(min_resource=1, reduction_factor=reduction or 2)
     study.pruner = halving if reduction else NopPruner()
     met = {t.user_attrs.get(GIVEN) for t in study.trials if t.state.name in (*ENDED, "WAITING")}
     for k, parameters in enumerate(first):
         if k not in met:
             study.enqueue_trial(dict(parameters), user_attrs={GIVEN: k})
-
-    def ended(study: Any, trial: Any) -> None:
-        report(len(finished(study)), trial.value if trial.state.name == ENDED[0] else None)
-
-    study.optimize(judged, n_trials=max(0, left), callbacks=[ended])
+    for count in range(done + 1, trials + 1):
+        trial = study.ask()
+        try:
+            value = judged(trial)
+        except TrialPruned:
+            study.tell(trial, state=TrialState.PRUNED)
+            report(count, None)
+        else:
+            study.tell(trial, value)
+            report(count, value)
     return finished(study)
 
 
