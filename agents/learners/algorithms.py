@@ -47,6 +47,7 @@ def algorithms() -> dict[str, Any]:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
     from agents.learners.ars import ARS
+    from agents.learners.recurrent import RecurrentPPO
 
     found = [
         thing
@@ -54,7 +55,7 @@ def algorithms() -> dict[str, Any]:
         for thing in vars(package).values()
         if isinstance(thing, type) and issubclass(thing, BaseAlgorithm)
     ]
-    named = {name_of(algorithm): algorithm for algorithm in [*found, ARS]}
+    named = {name_of(algorithm): algorithm for algorithm in [*found, ARS, RecurrentPPO]}
     return {name: named[name] for name in sorted(named) if name not in DISCRETE}
 
 

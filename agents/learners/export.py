@@ -24,6 +24,7 @@ from dynamics.types import AnyArray
 
 # Algorithms of zips by the module of their policy; TD3 and DDPG share theirs.
 ZIPPED = {
+    "agents.learners.recurrent": "recurrent-ppo",
     "stable_baselines3.sac.policies": "sac",
     "stable_baselines3.td3.policies": "td3",
     "sb3_contrib.ars.policies": "ars",
