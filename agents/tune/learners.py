@@ -1,5 +1,6 @@
 """Keywords of an experiment's learner, found on tuning episodes by `agents.tune`."""
 
+import gc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -134,6 +135,7 @@ def trained(
     """The policy after a training; None if `poor`, asked at a rung, has ended it."""
     from stable_baselines3.common.callbacks import BaseCallback
 
+    gc.collect()  # a learner and its environments form a cycle: those of the last training go first
     model = build_model(config)
 
     def policy() -> Policy:

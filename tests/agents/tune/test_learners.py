@@ -1,6 +1,8 @@
 """Keywords of learners: searched by trials that are trainings, on the tuning episodes."""
 
+import gc
 import json
+import weakref
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,6 +44,27 @@ def test_a_training_is_asked_at_a_ninth_and_a_third_of_its_steps(tmp_path: Path)
     assert asked == [(STEPS // NINTHS, 1), (3 * STEPS // NINTHS, 3)]
     assert trained(config, poor) is None  # it ended at its second question
     assert len(asked) == 4
+
+
+def test_a_training_frees_the_learner_of_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models: list[weakref.ref[Any]] = []
+
+    def built(config: Config) -> Any:
+        assert all(model() is None for model in models)
+        model = build_model(config)
+        models.append(weakref.ref(model))
+        return model
+
+    monkeypatch.setattr("agents.tune.learners.build_model", built)
+    gc.disable()
+    try:
+        for _ in range(2):
+            trained(experiment(tmp_path))
+    finally:
+        gc.enable()
+    assert len(models) == 2
 
 
 def test_the_first_trial_is_the_experiment_and_the_search_is_repeatable(tmp_path: Path) -> None:
