@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from agents.controllers import CONTROLLERS
 from agents.evaluate import classical
 from agents.figures import GIF_SECONDS_PER_FRAME, film, save_gif
+from agents.files import FolderError, check_folder
 from agents.hybrid.controller import acting
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import keywords
@@ -77,6 +78,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     if not RANKING.is_file():
         print(f"agents.films: {RANKING} is missing; run from the repository.", file=sys.stderr)
+        return 2
+    try:
+        check_folder(a.out)
+    except FolderError as error:
+        print(f"agents.films: {error}", file=sys.stderr)
         return 2
     ranking = json.loads(RANKING.read_text(encoding="utf-8"))
     a.out.mkdir(parents=True, exist_ok=True)

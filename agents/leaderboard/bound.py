@@ -32,10 +32,11 @@ import numpy as np
 from scipy.optimize import minimize
 
 from agents.controllers import controller
-from agents.files import atomic_write
+from agents.files import atomic_write, check_folder
 from agents.leaderboard.motions import Episode, Motion, effects, plant
 from agents.leaderboard.tracks import RANKED
 from agents.metrics import Best
+from agents.sentences import one_line
 from agents.tuned import parameters_of
 from dynamics.description import validate
 from dynamics.types import Array
@@ -307,9 +308,9 @@ def _searched(
     return bounded(env_id, track, seed, _BATCHES.setdefault((env_id, track), {}), before)
 
 
-def replay(env_id: str, track: str) -> tuple[Array, Array]:
+def replay(env_id: str, track: str, found: Bounds) -> tuple[Array, Array]:
     """(n,) stored bounds, and those that the stored actions reach in the environment now."""
-    found, batches = stored(env_id, track), {}  # type: tuple[Any, dict[int, Any]]
+    batches: dict[int, Any] = {}
     again = []
     for seed, actions in zip(found.seeds.tolist(), found.actions, strict=True):
         episode = Episode(env_id, plant(env_id, track), seed, batches)
@@ -327,6 +328,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--again", action="store_true", help="search what is stored, and from it")
     parser.add_argument("--replay", action="store_true", help="check what is stored")
+    parser.add_argument(
+        "--out", type=Path, default=FOLDER, metavar="DIR",
+        help="folder of the bounds (default: that of the package, which rankings use)",
+    )  # fmt: skip
     options = parser.parse_args(arguments)
     try:
         for env_id in options.tasks:
@@ -335,18 +340,22 @@ def main(arguments: list[str] | None = None) -> int:
         validate.integer(options.seed, "--seed", 0, 2**31)
         validate.integer(options.episodes, "--episodes", 1, 100_000)
         validate.integer(options.jobs, "--jobs", 1, 1024)
+        if not options.replay:
+            check_folder(options.out)
+        for env_id in options.tasks:
+            known(env_id, options.track, options.out)  # refuses a damaged file before the search
     except ValueError as error:
-        print(f"agents.leaderboard.bound: {error}", file=sys.stderr)
+        print(f"agents.leaderboard.bound: {one_line(error)}", file=sys.stderr)
         return 2
     seeds, passed = range(options.seed, options.seed + options.episodes), True
     for env_id in options.tasks:
         if not options.replay:
-            compute(env_id, options.track, seeds, options.jobs, again=options.again)
-        found = stored(env_id, options.track)
+            compute(env_id, options.track, seeds, options.jobs, options.out, options.again)
+        found = stored(env_id, options.track, options.out)
         summary = "no bounds are stored" if found is None else _summary(env_id, found)
         print(f"{env_id}, {options.track}: {summary}")
         if options.replay and found is not None:
-            before, now = replay(env_id, options.track)
+            before, now = replay(env_id, options.track, found)
             same = np.isclose(before, now, rtol=1e-3)
             print(f"  replayed: {same.sum()} of {same.size} reach what is stored")
             passed = passed and bool(same.all())
@@ -354,10 +363,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _summary(env_id: str, found: Bounds) -> str:
-    near = found.starts.max(axis=1) <= 1.05 * found.best
+    count, near = len(found.seeds), found.starts.max(axis=1) <= 1.05 * found.best
     unit, scale = ("mm RMS", 1e3) if is_moving(env_id) else ("s", 1.0)
     return (
-        f"{len(found.seeds)} episodes, median {scale * np.median(found.best):.3g} {unit}; "
+        f"{count} episode{'s' * (count > 1)}, median {scale * np.median(found.best):.3g} {unit}; "
         f"starts agree within 5 % in {near.mean():.0%}"
     )
 

@@ -37,6 +37,14 @@ def test_an_unknown_id_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert not (tmp_path / "films").exists()
 
 
+def test_a_folder_that_cannot_be_written_to_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert films.main([ID, "--out", str(tmp_path / "file")]) == 2
+    assert "cannot be written to" in capsys.readouterr().err
+
+
 def test_few_colours_keep_the_ground_and_what_is_rare(tmp_path: Path) -> None:
     """Gradients of hundreds of colours must not take those of ground and dot."""
     image = Image.new("RGB", (200, 200), GROUND)

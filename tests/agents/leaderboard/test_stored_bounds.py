@@ -164,6 +164,37 @@ def test_a_search_again_starts_from_what_is_stored_too(
     assert "seed 1: from mpc 3, pd 2, stored 1" in capsys.readouterr().out
 
 
+def test_bounds_go_to_a_folder_of_ones_own(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Episodes that have a bound in the package are not searched."""
+    monkeypatch.setattr(bound, "ProcessPoolExecutor", lambda jobs, **_: ThreadPoolExecutor(jobs))
+    monkeypatch.setattr(bound, "_searched", lambda *given: (pushed(0.5), [1.0, 2.0]))
+    add(REACH, "state", 1, pushed(0.25), [0.5, np.inf])
+    own = ["--tasks", REACH, "--seed", "1", "--episodes", "2", "--out", str(tmp_path / "own")]
+    assert bound.main(own) == 0
+    assert "1 episode, median 1 s" in capsys.readouterr().out
+    assert read(REACH, "state").seeds.tolist() == [1]
+    theirs = stored(REACH, "state", tmp_path / "own")
+    assert theirs is not None
+    assert theirs.seeds.tolist() == [2]
+
+
+def test_a_search_that_could_not_be_stored_or_read_does_not_begin(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert bound.main(["--tasks", REACH, "--out", str(tmp_path / "file")]) == 2
+    assert "cannot be written to" in capsys.readouterr().err
+    folder.mkdir()
+    file_of(REACH, "state").write_bytes(b"PK")
+    assert bound.main(["--tasks", REACH]) == 2
+    assert "cannot be read as stored bounds" in capsys.readouterr().err
+
+
 @pytest.fixture
 def carts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Carts that settle by a push, with a bound of each in the files."""
@@ -184,7 +215,7 @@ def tamper(**changed: Any) -> None:
 @pytest.mark.usefixtures("carts")
 def test_a_replay_reaches_what_is_stored(capsys: pytest.CaptureFixture[str]) -> None:
     """The second cart never moves: infinite then and now."""
-    before, now = bound.replay(REACH, "state")
+    before, now = bound.replay(REACH, "state", read(REACH, "state"))
     assert now.tolist() == before.tolist()
     assert np.isfinite(now).tolist() == [True, False]
     assert bound.main(["--tasks", REACH, "--replay"]) == 0
