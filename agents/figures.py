@@ -73,7 +73,8 @@ def plot_learning_curve(
                 y = 100.0 * y if key == "settled" else y
                 turn, colour = divmod(i, len(COLOURS))
                 looks = {"color": COLOURS[colour], "linestyle": DASHES[turn % len(DASHES)]}
-                axes.plot(x / 1e3, y, linewidth=1.4, label=name, **looks)
+                looks |= {"marker": "o"} if len(points) == 1 else {}  # a line needs two
+                axes.plot(x / 1e3, y, linewidth=1.4, markersize=4, label=name, **looks)
         axes.set(xlabel="environment steps [thousands]", ylabel=label)
         axes.set_xlim(left=0.0)
         tidy(axes)

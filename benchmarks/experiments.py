@@ -121,6 +121,9 @@ def learning_curves(experiments: Sequence[Mapping[str, Any]]) -> Figure:
         steps, (low, middle, high) = band(data["curves"])
         axis.plot(steps / 1e6, middle, color=COLOURS[0], linewidth=1.4)
         axis.fill_between(steps / 1e6, low, high, color=COLOURS[0], alpha=0.25, linewidth=0.0)
+        if len(steps) == 1:  # of which neither shows anything
+            around = [middle - low, high - middle]
+            axis.errorbar(steps / 1e6, middle, around, color=COLOURS[0], fmt="o", markersize=4)
         count = len(data["runs"])
         axis.set_title(f"{data['name']}\n{count} seed{'s' * (count > 1)}", fontsize=9)
         axis.set_xlim(left=0.0)

@@ -81,6 +81,17 @@ def test_pictures_are_titled_by_what_was_run(
     assert drawn["curve.png"].axes[0].get_title(loc="left") == f"ppo, seed 0, on {wanted}"
 
 
+def test_a_learning_curve_of_one_point_has_a_marker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+    monkeypatch.setattr(figures, "save_figure", lambda figure, path: drawn.append(figure))
+    rows = [{"steps": 10.0 * k, "return": 1.0 * k, "settled": 0.5} for k in (1, 2)]
+    figures.plot_learning_curve(tmp_path / "a.png", {"one": rows[:1], "two": rows}, "title")
+    markers = [line.get_marker() for line in drawn[0].axes[0].lines]
+    assert markers == ["o", "None"]
+
+
 def test_a_rigid_arm_is_evaluated_too(tmp_path: Path) -> None:
     """It has no curvature at any root."""
     kwargs = {"arm": "puma-600", "max_episode_steps": 5}

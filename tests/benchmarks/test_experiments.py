@@ -40,6 +40,17 @@ def test_every_experiment_has_its_curve() -> None:
         assert title.split("\n")[1].split()[0] == str(len(data["runs"]))
 
 
+def test_a_curve_of_one_point_is_shown() -> None:
+    """Its median as a marker, the range of the seeds as a bar."""
+    curves = {f"seed {k}": {"steps": [10, 20], "return": [None, float(k)]} for k in range(3)}
+    data = {"name": "short", "runs": [{}] * 3, "curves": curves}
+    (axis,) = learning_curves([data]).axes
+    (bars,) = axis.containers
+    marker, _, (line,) = bars
+    assert (marker.get_marker(), marker.get_ydata().tolist()) == ("o", [1.0])
+    assert line.get_segments()[0][:, 1].tolist() == [0.0, 2.0]
+
+
 def test_the_stored_overview_is_that_of_the_stored_experiments() -> None:
     """If not: python -m benchmarks.experiments"""
     assert (RESULTS / "experiments.md").read_text(encoding="utf-8") == overview(stored(RESULTS))
