@@ -31,11 +31,16 @@ ABSURD = 1e12  # modal coordinates and rates; far larger ones the solver refuses
 
 @dataclass
 class _Program:
-    """Program of one plant at one posture; the unknowns are V torques and a slack."""
+    """Program of one plant at one posture; the unknowns are V torques and a slack.
+
+    Its rows are the unknowns, then the b deflections at the ends of the blocks, over their limit:
+    once less the slack, with upper bounds, and once plus the slack, with lower ones.
+    """
 
     solver: Any
-    linear: Array  # (V, 2r) linear cost per state
-    bends: Array  # (b, 2r) deflections at the ends of the blocks per state, over their limit
+    by_state: Array  # (V + 1 + b, 2r) linear cost of the unknowns, then the deflections, per state
+    lower: Array  # (V + 1 + 2b,) bounds of the last state
+    upper: Array
 
 
 class Predictive:
@@ -50,32 +55,34 @@ class Predictive:
 
     def __call__(self, estimates: list[Estimate]) -> Array:
         """(N, m) [N m] torques."""
-        return np.array([self._torque(estimate) for estimate in estimates])
+        forward, limit = np.array([estimate.forward for estimate in estimates]), self.cost.limit
+        ahead = np.array([estimate.ahead for estimate in estimates])
+        shares = np.concatenate([forward[:, None], ahead], axis=1) / limit
+        rows = zip(estimates, shares.reshape(len(estimates), -1), strict=True)
+        return forward + limit * np.array([self._share(*row) for row in rows])
 
-    def _torque(self, estimate: Estimate) -> Array:
-        if not np.abs(estimate.x).max() < ABSURD:
+    def _share(self, estimate: Estimate, shares: Array) -> Array:
+        """(m,) first torques over the limits, less the reference's; its own are (V,) `shares`."""
+        largest = np.abs(estimate.x).max()
+        if not largest < ABSURD:
             raise FloatingPointError(
-                f"Predictive control got a state of {np.abs(estimate.x).max():.3g} in modal "
-                "coordinates from its observer, which has diverged; use finite observations."
+                f"Predictive control got a state of {largest:.3g} in modal coordinates from its "
+                "observer, which has diverged; use finite observations."
             )
-        program, limit = self._program(estimate.model), self.cost.limit
-        bent = program.bends @ estimate.x
-        free = np.full(bent.size, np.inf)
-        torques = np.vstack([estimate.forward, estimate.ahead]) / limit
-        least, most = ((x - torques).ravel() for x in (-1.0, 1.0))
-        program.solver.update(
-            f=np.append(program.linear @ estimate.x, 0.0),
-            blower=np.concatenate([least, [0.0], -free, -self.margin - bent]),
-            bupper=np.concatenate([most, [np.inf], self.margin - bent, free]),
-        )
+        program, size = self._program(estimate.model), shares.size
+        products, lower, upper = program.by_state @ estimate.x, program.lower, program.upper
+        bent, high = products[size + 1 :], len(products)
+        lower[:size], upper[:size] = -1.0 - shares, 1.0 - shares
+        upper[size + 1 : high], lower[high:] = self.margin - bent, -self.margin - bent
+        program.solver.update(f=products[: size + 1], blower=lower, bupper=upper)
         found, _, flag, _ = program.solver.solve()
         if flag <= 0:
             raise FloatingPointError(
                 f"Predictive control got exit flag {flag} of DAQP for a state of at most "
-                f"{np.abs(estimate.x).max():.3g} in modal coordinates; take a shorter horizon or "
-                "a larger effort, which condition its program better."
+                f"{largest:.3g} in modal coordinates; take a shorter horizon or a larger effort, "
+                "which condition its program better."
             )
-        return estimate.forward + limit * found[: limit.size]
+        return np.array(found[: self.cost.limit.size])
 
     def _made(self, model: LinearModel) -> _Program:
         m, limit = self.cost.limit.size, self.cost.limit
@@ -98,21 +105,22 @@ class Predictive:
                 rows.append(D @ by_torque[: D.shape[1]])
                 bends.append(D @ by_state[: D.shape[1]])
         scale = 1.0 / np.abs(np.diag(H)).max()
-        solver = _solver(scale * H, np.vstack(rows), np.sqrt(PRICE * scale))
-        return _Program(solver, scale * F, np.vstack(bends))
+        by_state = np.vstack([scale * F, np.zeros(states), *bends])
+        return _program(scale * H, np.vstack(rows), np.sqrt(PRICE * scale), by_state)
 
 
-def _solver(H: Array, rows: Array, price: float) -> Any:
-    """Solver of torques within [-1, 1], and a slack in units of which bending costs `price`."""
+def _program(H: Array, rows: Array, price: float, by_state: Array) -> _Program:
+    """Program of torques within [-1, 1], and a slack in units of which bending costs `price`."""
     size, count = len(H), len(rows)
     slack, free = np.full((count, 1), 1.0 / price), np.full(count, np.inf)
+    lower = np.concatenate([np.full(size, -1.0), [0.0], -free, np.full(count, -1.0)])
+    upper = np.concatenate([np.full(size, 1.0), [np.inf], np.full(count, 1.0), free])
     solver = quadratic_programs().Model()
     solver.setup(
         block_diag(H, 1.0), np.zeros(size + 1), np.block([[rows, -slack], [rows, slack]]),
-        np.concatenate([np.full(size, 1.0), [np.inf], np.full(count, 1.0), free]),
-        np.concatenate([np.full(size, -1.0), [0.0], -free, np.full(count, -1.0)]),
+        upper, lower,
     )  # fmt: skip
-    return solver
+    return _Program(solver, by_state, lower, upper)
 
 
 def quadratic_programs() -> Any:
