@@ -105,8 +105,8 @@ class Predictive:
                 rows.append(D @ by_torque[: D.shape[1]])
                 bends.append(D @ by_state[: D.shape[1]])
         scale = 1.0 / np.abs(np.diag(H)).max()
-        by_state = np.vstack([scale * F, np.zeros(states), *bends])
-        return _program(scale * H, np.vstack(rows), np.sqrt(PRICE * scale), by_state)
+        products = np.vstack([scale * F, np.zeros(states), *bends])
+        return _program(scale * H, np.vstack(rows), np.sqrt(PRICE * scale), products)
 
 
 def _program(H: Array, rows: Array, price: float, by_state: Array) -> _Program:

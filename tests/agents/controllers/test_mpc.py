@@ -122,6 +122,22 @@ def test_a_state_that_the_solver_would_refuse_in_silence_is_an_error(absurd: flo
         plan([steady(plan, model, x, np.zeros(1))])
 
 
+def test_arms_of_a_batch_are_decided_as_each_alone() -> None:
+    """Their references' torques differ, and two arms have one program."""
+    plan, _, models = laws("FlexArm/TwoLink-Reach-v0")
+    random, size = np.random.default_rng(0), plan.cost.limit.size
+    estimates = []
+    for angle in (0.0, 0.5, 0.5):
+        model = models.at(np.full(size, angle))
+        x = 3e-4 * random.normal(size=len(model.A))
+        ahead = plan.cost.limit * random.uniform(-1.0, 1.0, (plan.blocks[-1], size))
+        estimates.append(Estimate(model, x, 0.1 * ahead[0], ahead))
+    together = plan(estimates)
+    assert np.all(np.abs(together) < plan.cost.limit)
+    for estimate, torques in reversed(list(zip(estimates, together, strict=True))):
+        assert np.array_equal(plan([estimate])[0], torques)
+
+
 def test_a_program_that_the_solver_gives_up_is_an_error() -> None:
     plan, gain, models = laws(REACH)
     model = models.at(np.zeros(1))
