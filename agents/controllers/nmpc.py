@@ -5,12 +5,14 @@ Bock and Schloeder, A real-time iteration scheme for nonlinear optimization in o
 control, SIAM J. Control and Optimization 43, 2005). It starts from the motion to which LQR leads
 under the limits of torque, linearizes this motion at every control step, and finds the torques that
 cost least there. Of several shares of this change the one is taken whose motion costs least on the
-nonlinear arm; it may be none.
+nonlinear arm; it may be none. So the linearization may be coarse: where the motions take many
+integration steps, and the method stands any step, it takes a single one.
 
 Behind the horizon LQR's cost-to-go counts, torques change in the blocks of linear predictive
 control, and no link may bend beyond a share of its limit, which yields at a price.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,12 +25,14 @@ from agents.controllers.models.nonlinear import PlantSteppers
 from agents.controllers.mpc import CAUTION, PRICE, blocks_of, quadratic_programs, steps_of
 from agents.controllers.observers.exact import Estimate, ExactState, alike
 from agents.controllers.observers.extended import ExtendedFilters
+from dynamics.integrators.table import INTEGRATORS
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
 
-SHARES = np.array([0.0, 1.0, 0.7, 0.5, 0.35, 0.2, 0.1, 0.05])  # of a change, which are tried
+SHARES = np.array([1.0, 0.7, 0.5, 0.35, 0.2, 0.1, 0.05])  # of a change, tried beside none
 PLACE, RATE, ACTION = 1e-5, 1e-4, 1e-3  # differences of modal coordinates, their rates, actions
 KEPT = 2048  # terms of costs
+MANY = 3  # integration steps of a control step; from so many on a linearization takes one
 SOFT = 8  # mark of rows that the solver may break where it must
 
 
@@ -80,6 +84,9 @@ class Nonlinear:
         self.cost, self.margin, self.limit = cost, margin, cost.limit
         self.deflection_limit = core.arguments["deflection_limit"]
         self.steps, self.steppers = steps_of(core, horizon), PlantSteppers(core, cost.models)
+        stands = math.isinf(INTEGRATORS[core.integrator].limit)
+        coarse = 1 if stands and core.substeps >= MANY else core.substeps
+        self.coarse = PlantSteppers(core, cost.models, coarse)
         self.blocks = np.array(blocks_of(self.steps))
         self._terms = kept(self._made, KEPT)
 
@@ -95,8 +102,9 @@ class Nonlinear:
         none = np.zeros((self.steps, len(estimates), 1, self.limit.size))
         first = self._moved(scene, none, none, np.zeros(1), scene.gain)
         tried = self._moved(scene, first.action, self._changes(scene, first), SHARES)
-        best = self._costs(scene, tried).argmin(axis=1)
-        return self.limit * tried.action[0, np.arange(len(best)), best]
+        costs = np.hstack([self._costs(scene, motions) for motions in (first, tried)])
+        actions = np.concatenate([first.action[0], tried.action[0]], axis=1)
+        return self.limit * actions[np.arange(len(costs)), costs.argmin(axis=1)]
 
     def _scene(self, estimates: list[Estimate]) -> _Scene:
         models = [estimate.model for estimate in estimates]
@@ -186,8 +194,8 @@ class Nonlinear:
         v[:, 1 + r : 1 + 2 * r] += RATE * shapes
         action[:, 1 + 2 * r :] += ACTION * np.eye(m)
         rows = steps * each
-        stepper = self.steppers(rows)
-        stepper.parameters[:rows] = self.steppers.parameters[scene.plants[i]]
+        stepper = self.coarse(rows)
+        stepper.parameters[:rows] = self.coarse.parameters[scene.plants[i]]
         stepper.q[:rows], stepper.v[:rows] = q.reshape(rows, n), v.reshape(rows, n)
         stepper.torque[:rows] = (self.limit * action).reshape(rows, m)
         stepper.advance()
@@ -212,17 +220,19 @@ def _program(
     count, (r, bends) = m * (blocks[-1] + 1), bend.shape
     curvature, slope = np.zeros((count, count)), np.zeros(count)
     least, most = np.full(count, -np.inf), np.full(count, np.inf)
-    bent, bending = np.empty(steps * bends), np.empty((steps * bends, count))
+    bent, bending = np.empty(steps * bends), np.zeros((steps * bends, count))
     onto = np.zeros((count, size))
     for k in range(steps):
         first, rows = m * blocks[k], slice(k * bends, (k + 1) * bends)
-        onto = onto @ A[k]
-        onto[first : first + m] += B[k]
-        weighed = onto @ (P if k == steps - 1 else Q)
-        curvature += weighed @ onto.T
-        slope += weighed @ x[k]
+        known = first + m  # later changes do not count yet
+        reached = onto[:known] @ A[k]
+        reached[first:] += B[k]
+        weighed = reached @ (P if k == steps - 1 else Q)
+        curvature[:known, :known] += weighed @ reached.T
+        slope[:known] += weighed @ x[k]
         bent[rows] = x[k, :r] @ bend
-        bending[rows] = (onto[:, :r].copy() @ bend).T
+        bending[rows, :known] = (reached[:, :r].copy() @ bend).T
+        onto[:known] = reached
         for a in range(m):
             curvature[first + a, first + a] += effort
             slope[first + a] += effort * action[k, a]
@@ -237,15 +247,23 @@ def _solved(
 ) -> Array:  # fmt: skip
     """(V,) changes within their limits that cost least; bending beyond the margin if it must be.
 
-    Zeros where the solver finds no solution: the motion stays that of LQR.
+    Few rows of bending bind, so that they join the program only when a solution without them
+    breaks them. Zeros where the solver finds no solution: the motion stays that of LQR.
     """
-    soft = np.repeat(np.array([0, SOFT], dtype=np.int32), [len(slope), len(bent)])
-    scale = 1.0 / np.diag(curvature).max()
-    found, _, flag, _ = quadratic_programs().solve(
-        scale * curvature, scale * slope, bending, np.concatenate([most, margin - bent]),
-        np.concatenate([least, -margin - bent]), soft,
-    )  # fmt: skip
-    return np.clip(found, least, most) if flag > 0 else np.zeros_like(slope)
+    solve, scale = quadratic_programs().solve, 1.0 / np.diag(curvature).max()
+    curvature, slope, joined = scale * curvature, scale * slope, np.zeros(len(bent), dtype=bool)
+    while True:
+        rows = bent[joined]
+        upper = np.concatenate([most, margin - rows])
+        lower = np.concatenate([least, -margin - rows])
+        soft = np.repeat(np.array([0, SOFT], dtype=np.int32), [len(slope), len(rows)])
+        found, _, flag, _ = solve(curvature, slope, bending[joined], upper, lower, soft)
+        if flag <= 0:
+            return np.zeros_like(slope)
+        broken = ~joined & (np.abs(bent + bending @ found) > margin)
+        if not broken.any():
+            return np.clip(found, least, most)
+        joined |= broken
 
 
 class NMPC(ModelBased):

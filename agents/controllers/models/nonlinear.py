@@ -13,16 +13,21 @@ FREE = {"payload_mass": "payload", "stiffness": "factor"}  # parameters of the a
 
 
 class PlantSteppers:
-    """Compiled control steps of the nonlinear arm with the payload and stiffness of each plant."""
+    """Compiled control steps of the nonlinear arm with the payload and stiffness of each plant.
 
-    def __init__(self, core: Any, models: LinearModels) -> None:
+    They take `substeps` integration steps, by default as many as the environment.
+    """
+
+    def __init__(self, core: Any, models: LinearModels, substeps: int | None = None) -> None:
         model = compile_arm(core.arm, free_parameters=tuple(core.randomize))
         self.parameters = np.tile(model.nominal_parameters, (len(models.plants), 1))
         for column, name in enumerate(model.free_parameters):
             if name in FREE:
                 self.parameters[:, column] = [getattr(x, FREE[name]) for x in models.plants]
+        count = substeps or core.substeps
+        dt = core.dt * core.substeps / count
         self._stepper = lru_cache(
-            partial(Stepper, model, dt=core.dt, substeps=core.substeps, integrator=core.integrator)
+            partial(Stepper, model, dt=dt, substeps=count, integrator=core.integrator)
         )
 
     def __call__(self, rows: int) -> Stepper:
