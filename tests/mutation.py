@@ -71,7 +71,10 @@ JUDGES = {
     ),
     "agents/leaderboard/statistics.py": Judge(
         ("tests/agents/leaderboard/test_statistics.py",),
-        equal={"recordings[ -1]": "all recordings have one clock"},
+        equal={
+            "recordings[ -1]": "all recordings have one clock",
+            "shape[1],": "episodes are the second of two axes",
+        },
     ),
     "agents/leaderboard/bound.py": Judge(
         (

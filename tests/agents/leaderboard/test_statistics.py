@@ -19,6 +19,7 @@ from agents.leaderboard.statistics import (
     interval,
     profile,
     quartiles,
+    rounded,
     spectrum,
     wins,
 )
@@ -149,6 +150,11 @@ def test_quartiles_are_values_and_may_be_infinite() -> None:
     assert quartiles(np.array([[1.0, 2.0], [np.inf, np.inf]])) == [1.0, np.inf]
 
 
+def test_metrics_are_stored_with_six_digits() -> None:
+    values = np.array([[0.12345678, 123.45678], [np.inf, 0.0]])
+    assert rounded(values).tolist() == [[0.123457, 123.457], [np.inf, 0.0]]
+
+
 def test_spectrum_holds_the_power_of_a_vibration_at_its_frequency() -> None:
     """A sine of amplitude a has the power a^2 / 2; links' roots add up."""
     sine = 0.3 * np.sin(2.0 * np.pi * 8.0 * TIME)
@@ -263,6 +269,7 @@ def test_entries_are_compared_by_their_scores() -> None:
 def test_figures_without_a_bound_have_no_regret() -> None:
     metrics = {name: np.linspace(0.0, 1.0, 8)[None] for name in METRICS}
     found = figures(metrics, None)
+    assert found["training_seeds"] == 0  # not a learned one
     assert found["regret_iqm"] is None
     assert found["regret_ci"] is None
     assert found["regret_episodes"] == 0
