@@ -15,6 +15,7 @@ from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link
 from dynamics.description.mode_rule import RigidLinkWarning
 from dynamics.description.mode_shapes import Mode
+from dynamics.description.welds import StiffSegmentsWarning
 from dynamics.load import load_arm
 
 if TYPE_CHECKING:
@@ -29,8 +30,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "Joint", "JointMotion", "Link", "Mode",
-    "Model", "Payload", "RigidLinkWarning", "Scene", "Stepper", "Trajectory", "ValidityWarning",
-    "choose_model", "compile_arm", "limits", "load_arm", "simulate",
+    "Model", "Payload", "RigidLinkWarning", "Scene", "Stepper",
+    "StiffSegmentsWarning", "Trajectory", "ValidityWarning", "choose_model", "compile_arm",
+    "limits", "load_arm", "simulate",
 ]  # fmt: skip
 
 _LATE = {  # these import numba: only when asked for

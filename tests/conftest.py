@@ -31,6 +31,7 @@ QUICK = {
     "dynamics/description/test_arm.py",
     "dynamics/description/test_mode_rule.py",
     "dynamics/description/test_rotations.py",
+    "dynamics/description/test_welds.py",
     "dynamics/formulations/test_christoffel.py",
     "dynamics/formulations/test_free_base.py",
     "dynamics/formulations/test_gibbs_appell.py",

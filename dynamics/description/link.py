@@ -11,6 +11,7 @@ from dynamics.description.joint import Joint
 from dynamics.description.mode_rule import ModesByRule, RigidLinkWarning
 from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, are_independent, shape
 from dynamics.description.validate import ZEROS, clean
+from dynamics.description.welds import StiffSegmentsWarning, stiff_segments
 from dynamics.types import Matrix3, Vector3
 
 MOST_MODES = 200
@@ -109,10 +110,13 @@ class Link:
         if isinstance(given, str):
             words = mode_rule.in_words(self.modes, self.stiffnesses)
             _log.info('link of %.4g m with modes "auto": %s', self.length, words)
+        name = f"A link of {self.length:g} m"
         if given is None and self.stiffnesses:
-            name = f"A link of {self.length:g} m"
             sentence = mode_rule.rigid_in_silence(name, self.stiffnesses)
             warnings.warn(sentence, RigidLinkWarning, stacklevel=3)
+        stiff = stiff_segments(name, self.modes, self.beam, self.segments)
+        if stiff:
+            warnings.warn(stiff, StiffSegmentsWarning, stacklevel=3)
 
     def _by_rule(self) -> ModesByRule:
         if self.body is not None:
@@ -152,10 +156,10 @@ class Link:
                     "list each mode once."
                 )
         torsion = self.in_direction("x")
-        if len(torsion) > 1 and self.rho_Ip == 0.0:
+        if len(torsion) * self.segments > 1 and self.rho_Ip == 0.0:
             raise ValueError(
-                f"Link.rho_Ip must be positive for {len(torsion)} torsion modes, got 0.0: "
-                "a tip inertia alone carries only one."
+                f"Link.rho_Ip must be positive for {len(torsion) * self.segments} torsion modes in "
+                "all segments, got 0.0: a tip inertia alone carries only one."
             )
         polar = self.rho_Ip + self.tip_inertia[0][0]
         if polar == 0.0 and any(mode.norm == "mass" for mode in torsion):

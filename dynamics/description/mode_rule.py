@@ -7,11 +7,15 @@ A bending direction with a stiffness gets two modes. Their family suits both end
 | turns about the bending axis, on a light joint   | without a body     | pinned-free      |
 | any other                                        | with or without it | clamped-tip-mass |
 | any other                                        | a very heavy body  | poly             |
+| any, of a link in segments                       | any                | hierarchical     |
 
 A light joint has less than LIGHT of the link's inertia: `python -m benchmarks.stability` finds two
 pinned shapes closer than two clamped ones up to there. Torsion gets one mode, if the link or its
-tip body has an inertia about x. Axial stretching gets none, its frequencies are far above those of
-bending.
+tip body has an inertia about x; in segments two, if the link itself has. Axial stretching gets
+none, its frequencies are far above those of bending.
+
+Segments are welded, and a weld carries moment and shear. Shapes of a beam whose tip is free of
+them make a link in segments too stiff, however many segments it has.
 """
 
 from collections.abc import Collection
@@ -40,12 +44,23 @@ def modes_by_rule(
     modes: list[Mode] = []
     for direction in "yz":
         if STIFFNESS[direction] in stiffnesses:
-            pinned = direction == "y" and segments == 1 and _is_pinned(beam, joint)
-            kind = "pinned-free" if pinned else _clamped(beam, direction)
-            modes += [Mode(kind=kind, index=k + 1, direction=direction) for k in range(BENDING)]
-    if STIFFNESS["x"] in stiffnesses and beam.rho_Ip + beam.tip_inertia[0][0] > 0.0:
-        modes.append(Mode(kind="torsion-fixed-free", index=1, direction="x"))
+            kind = "hierarchical" if segments > 1 else _bending(beam, joint, direction)
+            modes += _first(BENDING, kind, direction)
+    if STIFFNESS["x"] in stiffnesses:
+        if segments > 1 and beam.rho_Ip > 0.0:
+            modes += _first(2, "torsion-poly", "x")
+        elif segments == 1 and beam.rho_Ip + beam.tip_inertia[0][0] > 0.0:
+            modes += _first(1, "torsion-fixed-free", "x")
     return ModesByRule(modes)
+
+
+def _first(count: int, kind: str, direction: str) -> list[Mode]:
+    return [Mode(kind=kind, index=k + 1, direction=direction) for k in range(count)]
+
+
+def _bending(beam: Beam, joint: Joint, direction: str) -> str:
+    pinned = direction == "y" and _is_pinned(beam, joint)
+    return "pinned-free" if pinned else _clamped(beam, direction)
 
 
 def stated(modes: object) -> object:

@@ -118,7 +118,8 @@ def parts(link: Link) -> list[Link]:
     """Split a link into equal segments: the first has the joint, the last the tip body."""
     if link.segments == 1:
         return [link]
-    bare = replace(link, length=link.length / link.segments, segments=1)
+    listed = tuple(link.modes)  # those of the whole link, not the rule's for a part
+    bare = replace(link, length=link.length / link.segments, segments=1, modes=listed)
     middle = replace(bare, joint=Joint(), tip_mass=0.0, tip_inertia=ZEROS)
     first = replace(middle, joint=link.joint)
     return [first, *[middle] * (link.segments - 2), replace(bare, joint=Joint())]

@@ -84,7 +84,8 @@ def test_evaluating_a_case_without_modes_is_rigid_and_warns_beside_the_result(
         ({}, "pinned-free"),
         ({"joint": HEAVY_HUB}, "clamped-tip-mass"),
         ({"tip_mass": 0.1}, "clamped-tip-mass"),
-        ({"segments": 2}, "clamped-tip-mass"),
+        ({"segments": 2}, "hierarchical"),
+        ({"segments": 3, "joint": HEAVY_HUB, "tip_mass": 1e5}, "hierarchical"),
         ({"joint": Joint(type="prismatic")}, "clamped-tip-mass"),
         ({"joint": Joint(stiffness=10.0, rotor_inertia=1e-6)}, "clamped-tip-mass"),
         ({"tip_mass": 1e5}, "poly"),
@@ -102,6 +103,11 @@ def test_torsion_needs_inertia_and_stretching_gets_no_mode() -> None:
     bending = [("clamped-tip-mass", k, d) for d in "yz" for k in (1, 2)]
     assert kinds(Link(**stiff)) == bending
     assert kinds(Link(**stiff, rho_Ip=1e-3)) == [*bending, ("torsion-fixed-free", 1, "x")]
+    heavy = ((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3))  # too few for every segment
+    welded = [("hierarchical", k, d) for d in "yz" for k in (1, 2)]
+    assert kinds(Link(**stiff, tip_inertia=heavy, segments=2)) == welded
+    twisting = [("torsion-poly", k, "x") for k in (1, 2)]
+    assert kinds(Link(**stiff, rho_Ip=1e-3, segments=2)) == [*welded, *twisting]
 
 
 def test_the_choice_is_logged_with_what_stays_rigid(caplog: pytest.LogCaptureFixture) -> None:

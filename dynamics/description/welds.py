@@ -1,0 +1,73 @@
+"""Welds between the segments of a link, and the shapes that cannot load them.
+
+A weld carries moment and shear. A shape whose own tip is free of them leaves every segment
+straight at its end, so that a link of such shapes is too stiff in any number of segments.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, quadrature, shape
+from dynamics.description.validate import ZEROS
+
+FREE_TIP = {  # kind -> the load that its tip cannot take
+    "clamped-free": "moment", "clamped-tip-mass": "moment",
+    "torsion-fixed-free": "torque", "axial-fixed-free": "force",
+}  # fmt: skip
+_BEARING = {"moment": "hierarchical", "torque": "torsion-poly", "force": "axial-poly"}
+_BENDING = ("y", "z")
+
+
+class StiffSegmentsWarning(UserWarning):
+    """A link in segments has shapes that leave it too stiff in any number of segments."""
+
+
+def unloaded(modes: Sequence[Mode]) -> str | None:
+    """The load that no shape along one direction takes at its tip, or None if one does."""
+    loads = [FREE_TIP.get(mode.kind) for mode in modes]
+    return loads[0] if loads and all(loads) else None
+
+
+def tip_compliance(modes: Sequence[Mode], beam: Beam, segments: int) -> float:
+    """Tip compliance of a link in segments over that of its beam [-].
+
+    Under a force across, a torque or a force along the tip, by the direction of the modes. The beam
+    has the compliance l^3 / (3 EI), l / GJ or l / EA.
+    """
+    part = replace(beam, length=beam.length / segments, tip_mass=0.0, tip_inertia=ZEROS)
+    total = 0.0
+    for k in range(segments):
+        body = replace(beam, length=part.length) if k == segments - 1 else part
+        total += _yield(modes, body, beam.length - (k + 1) * part.length)
+    bending = modes[0].direction in _BENDING
+    return total / (beam.length**3 / 3.0 if bending else beam.length)
+
+
+def stiff_segments(name: str, modes: Sequence[Mode], beam: Beam, segments: int) -> str | None:
+    """Sentence of the warning about the shapes of a link in segments, or None."""
+    for direction in STIFFNESS if segments > 1 else ():
+        own = [mode for mode in modes if mode.direction == direction]
+        load = unloaded(own)
+        if load:
+            share = tip_compliance(own, beam, segments)
+            kinds = " and ".join(sorted({mode.kind for mode in own}))
+            return (
+                f"{name} in {segments} segments has {kinds} modes along {direction!r}, which bear "
+                f"no {load} at a weld: its tip yields only {share:.3g} of what the beam's does; "
+                f"take {_BEARING[load]} modes, or modes: auto."
+            )
+    return None
+
+
+def _yield(modes: Sequence[Mode], beam: Beam, lever: float) -> float:
+    """Compliance times rigidity of one segment under unit load at `lever` [m] beyond its tip."""
+    x, weights = quadrature(beam.length, modes)
+    shapes = [shape(mode, beam) for mode in modes]
+    bending = modes[0].direction in _BENDING
+    bent = np.array([s.curvature(x) if bending else s.slope(x) for s in shapes])
+    load = [float(s.value(beam.length)) for s in shapes]
+    if bending:
+        load = [u + lever * float(s.slope(beam.length)) for u, s in zip(load, shapes, strict=True)]
+    return float(load @ np.linalg.solve((bent * weights) @ bent.T, load))
