@@ -17,6 +17,7 @@ if Path(dynamics.__file__).resolve().parents[1] != Path(__file__).resolve().pare
     )
 
 from flexarm_env.env import FlexArmEnv
+from flexarm_env.plant import GravityWarning
 from flexarm_env.registration import IDS, register, registered
 from flexarm_env.rewards import REWARDS, TERMS, TipTrackingReward, VibrationSuppressionReward
 from flexarm_env.tasks import TASKS
@@ -29,6 +30,7 @@ __all__ = [
     "TERMS",
     "FlexArmEnv",
     "FlexArmVectorEnv",
+    "GravityWarning",
     "SB3VecEnv",
     "TipTrackingReward",
     "VibrationSuppressionReward",

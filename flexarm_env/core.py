@@ -33,7 +33,7 @@ from flexarm_env.observations import (
     observation_layout,
     sensed_axes,
 )
-from flexarm_env.plant import plan
+from flexarm_env.plant import plan, warn_of_gravity
 from flexarm_env.rewards import TERMS, resolve_weights
 from flexarm_env.scales import DEFLECTION_LIMIT, MOVE, SLOPE_PER_DEFLECTION
 from flexarm_env.tasks import find_task, refuse_floating
@@ -67,8 +67,7 @@ class Core:
     max_steps : control steps after which an episode is truncated; 0: never.
     threads : largest number of worker threads; a batch with little work uses fewer.
     dtype : number type of the compiled code, the state, rewards and info: "float64" or "float32".
-    randomize : ranges (low, high) of free parameters, drawn at every reset; names are those of
-        `dynamics.formulations.free_parameters.FREE_PARAMETERS`.
+    randomize : (low, high) by free parameter (`FREE_PARAMETERS`), drawn at every reset.
     hardware : sensors and spread of the plant: a name in `hardware.PRESETS`, or a dict of fields of
         `hardware.Hardware`. None: "ideal". Its ranges yield to those of `randomize`.
     fidelity : "auto", the arm as described; "rigid", without modes; or "reference", links cut into
@@ -146,6 +145,7 @@ class Core:
             randomized=self.randomize,
             base_torque=base_torque,
         )
+        warn_of_gravity(plant, self.randomize, deflection_limit)
         refuse_floating(self.task, plant.arm)
         self.arm, self.scales, self.actuation = plant.arm, plant.scales, plant.actuation
         self.integrator, self.substeps = plant.integrator, plant.substeps

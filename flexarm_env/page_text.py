@@ -169,10 +169,16 @@ TERMINOLOGY = (
     (
         "torque limit",
         "torque that gives each joint the same acceleration, the largest for which the model stays "
-        "valid in the bang-bang test; rounded down to two digits",
+        "valid in the bang-bang test; rounded down to two digits. Against gravity, the largest "
+        "torque that holds the joint in the postures of the tasks is added, and the test leaves "
+        "room for the sag",
     ),
     ("angle scale", f"{MOVE:g} rad"),
-    ("rate scale", "peak joint rate of a bang-bang move by the angle scale at full torque [rad/s]"),
+    (
+        "rate scale",
+        "peak joint rate of a bang-bang move by the angle scale at full torque, less what holds "
+        "the arm against gravity [rad/s]",
+    ),
     ("move time", "duration of this move [s]"),
     ("speed scale", "reach times rate scale [m/s]"),
     (

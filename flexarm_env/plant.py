@@ -1,7 +1,8 @@
 """The plant of an environment: arm model, actuators, torque limits, integrator and step."""
 
 import math
-from collections.abc import Collection, Sequence
+import warnings
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,12 +12,25 @@ from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
+from dynamics.simulation.statics import held, loaded
 from dynamics.types import Array
 from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import find, fit, kept
 from flexarm_env.compiled.actuation import Actuation
 from flexarm_env.hardware.actuators import load_actuators, mounted, refuse_beside_actuators
-from flexarm_env.scales import BY_RULE, MOVE, Scales, integration, scales
+from flexarm_env.scales import (
+    BY_RULE,
+    DEFLECTION_LIMIT,
+    EXTENT,
+    MOVE,
+    Scales,
+    integration,
+    scales,
+)
+
+
+class GravityWarning(UserWarning):
+    """Gravity keeps some targets of an environment out of its reach."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +99,7 @@ def plan(
     if described.automatic and tolerance is None and (actuators or randomized):
         fitted = replace(fitted, integrator=None, substeps=None)  # measured without these keywords
     own = scales(described)  # torques and tasks do not depend on the fidelity of the model
+    holding = np.array(own.holding)
     inertia = np.array(own.inertia)
     if actuators:
         actuation = Actuation(actuators, fitted.arm, own.torque_limit)
@@ -93,6 +108,7 @@ def plan(
     else:
         actuation = None
         full = limit = arguments.torque_limits(torque_limit, own.torque_limit)
+    _refuse_weak("actuator" if actuators else "torque_limit", limit, holding)
     name, count = _step(
         fitted.arm,
         control_dt,
@@ -122,13 +138,51 @@ def plan(
         scales=scales(fitted.arm),
         actuation=actuation,
         torque_limit=limit,
-        full_acceleration=float(np.min(full / inertia)),
+        full_acceleration=float(np.min((full - holding) / inertia)),
         control_dt=control_dt,
         integrator=name,
         substeps=count,
         certificate=None if uncertified else certificate,
         uncertified=uncertified,
     )
+
+
+def _refuse_weak(name: str, limit: Array, holding: Array) -> None:
+    """Refuse torque limits (n_joint,) [N m] that hold no target against gravity."""
+    for i in np.flatnonzero(limit <= holding):
+        raise ValueError(
+            f"{name} of joint {i + 1} must exceed the {holding[i]:.3g} N m that hold it against "
+            f"gravity in the postures of the tasks, got {limit[i]:.3g} N m; give more torque, or "
+            "an arm that is lighter or without gravity."
+        )
+
+
+def warn_of_gravity(
+    plant: Plant, ranges: Mapping[str, tuple[float, float]], deflection_limit: float
+) -> None:
+    """Warn where gravity bends links beyond their limit, or a drawn payload is too heavy to hold.
+
+    `ranges` are those of the free parameters that are drawn at a reset.
+    """
+    if not any(plant.arm.gravity):
+        return
+    sag = DEFLECTION_LIMIT * plant.scales.sag
+    if sag > deflection_limit:
+        warnings.warn(
+            f"Gravity alone bends a link by {sag:.2g} of its length in postures of the tasks; "
+            f"episodes end there as invalid, since deflection_limit is {deflection_limit:g}. Give "
+            "a larger deflection_limit, a stiffer or a lighter arm.",
+            GravityWarning, stacklevel=4,
+        )  # fmt: skip
+    mass = ranges.get("payload_mass", (0.0, 0.0))[1]
+    needed = held(loaded(plant.arm, mass), np.array(plant.scales.home), EXTENT).torque
+    for i in np.flatnonzero(plant.torque_limit[: needed.size] <= needed):
+        warnings.warn(
+            f"A payload_mass of {mass:g} kg, which randomize may draw, needs {needed[i]:.3g} N m "
+            f"at joint {i + 1} in some targets, but torque_limit is {plant.torque_limit[i]:.3g} "
+            "N m; draw lighter payloads, or give more torque.",
+            GravityWarning, stacklevel=4,
+        )  # fmt: skip
 
 
 def _uncertified(

@@ -4,6 +4,9 @@ All follow from the model linearized at rest, links straight: M a + C v + K q = 
 limits come from a bang-bang test: every joint takes its full torque for half a period of the first
 joint-free mode, the opposite torque for the other half, then none. A floating base has neither
 forces nor springs, so it is eliminated: M is that of joints and modes at zero momentum.
+
+Against gravity every joint has two torques: one that holds it in any posture of the tasks, and one
+for motion, whose bang-bang test leaves room for the sag. The torque limit is their sum.
 """
 
 import math
@@ -19,16 +22,19 @@ from dynamics.formulations.linearized import damping, friction
 from dynamics.formulations.link_constants import chain_constants
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
+from dynamics.simulation.statics import held, sag
 from dynamics.types import Array
 
 DEFLECTION_LIMIT = 0.1  # [-] tip deflection of a link over its length; beyond, the model is invalid
 SLOPE_PER_DEFLECTION = 1.6  # [rad] tip slope of a beam whose first shape deflects the tip by the
 # beam's length: 1.38 rad clamped and bare, 1.57 rad on a free, light hub
 BENT = 0.6  # [rad] home angle of every joint but the first
+EXTENT = 1.3  # [rad] farthest joint angle from home: of all starts, targets and paths of the tasks
 MOVE = 0.5  # [rad] angle scale: the angle of the bang-bang move that sets rate and time scales
 RIGID_RATE = 25.0  # [rad/s] of motions of an arm without flexible links
 RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
 LINEAR = 0.97  # share of validity in the bang-bang test, which is linear: bent links bend more
+LEAST_MOTION = 0.3  # of validity: left to motion however far gravity bends the links
 SLOW = 10.0  # frequency over the first of the slow natural modes, which Damp excites
 SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequency
 SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # largest dt omega by a method's order, omega of the first
@@ -47,7 +53,10 @@ class Scales:
     """
 
     home: tuple[float, ...]  # (n_joint,) [rad] a posture away from the stretched one
-    torque_limit: tuple[float, ...]  # (n_joint,) [N m] torque that keeps the bang-bang test valid
+    # (n_joint,) [N m] holding torque, and torque that keeps the bang-bang test valid
+    torque_limit: tuple[float, ...]
+    holding: tuple[float, ...]  # (n_joint,) [N m] largest against gravity in postures of the tasks
+    sag: float  # [-] largest static bending under gravity in these postures, over what is valid
     # (n_joint,) [kg m^2] about each joint, all else locked but a floating base
     inertia: tuple[float, ...]
     locked: tuple[float, ...]  # [rad/s] natural frequencies
@@ -60,6 +69,11 @@ class Scales:
     vibration_rate: tuple[tuple[float, ...], ...]  # (r, n_modal)
     # () or (2,) [m], [rad] travel and turn of a floating base per radian of all joints' motion
     base: tuple[float, ...]
+
+    @property
+    def motion_torque(self) -> Array:
+        """(n_joint,) [N m] that is left for motion at full torque."""
+        return np.array(self.torque_limit) - self.holding
 
 
 def home_posture(n_joint: int) -> tuple[float, ...]:
@@ -97,15 +111,28 @@ def _derived(arm: Arm) -> Scales:
     locked = _frequencies(M[np.ix_(modal, modal)], K[np.ix_(modal, modal)])
     free = _frequencies(M, K)[arm.n_joint :]
     shapes = _slow_modes(M, K, modal)
+    load = held(arm, np.array(home), EXTENT)
+    bent, room = 0.0, 1.0  # by gravity; left for motion
     if modal:
         acceleration, peak, swing = _bang_bang(arm, M, K, inertia, float(free[0]), shapes)
+        static = _sags(model, load.postures) if any(arm.gravity) else np.zeros((1, arm.n))
+        strains = _damping_inputs_strains(arm)[2]
+        bent = float(np.linalg.norm(strains @ static.T, axis=1).max(initial=0.0))
+        room = max(LINEAR - bent, LEAST_MOTION) / LINEAR
+        acceleration, peak, swing = room * acceleration, room * peak, room * swing
+        peak[:n] += np.abs(static).max(axis=0)[base:]
         scale = np.where(peak > _UNMOVED * peak.max(), peak, 1.0)
     else:
         acceleration, scale, swing = RIGID_ACCELERATION, np.zeros(0), np.zeros(0)
     vibration = swing.reshape(2, -1, 1) * shapes[:, modal]
     return Scales(
         home=home,
-        torque_limit=tuple(two_digits(acceleration * x) for x in inertia),
+        torque_limit=tuple(
+            float(f"{two_digits(acceleration * x) + _three_digits_up(h):.6g}")
+            for x, h in zip(inertia, load.torque.tolist(), strict=True)
+        ),
+        holding=tuple(load.torque.tolist()),
+        sag=bent,
         inertia=tuple(inertia.tolist()),
         locked=tuple(locked.tolist()),
         free=tuple(free.tolist()),
@@ -136,10 +163,20 @@ def _recoil(M: Array, base: int, joints: list[int]) -> tuple[float, ...]:
     return float(travel.sum()), float(turn.sum())
 
 
+def _sags(model: Model, postures: Array) -> Array:
+    """(N, n) static deflections at joint angles (N, n_joint) [rad]."""
+    return np.array([sag(model, angles) for angles in postures])
+
+
 def two_digits(x: float) -> float:
     """Round down to two significant digits, so that a limit is easy to quote."""
     unit = 10.0 ** (math.floor(math.log10(x)) - 1)
     return float(f"{math.floor(x / unit * (1.0 + 1e-9)) * unit:.2g}")
+
+
+def _three_digits_up(x: float) -> float:
+    unit = 10.0 ** (math.floor(math.log10(x)) - 2) if x else 1.0
+    return math.ceil(x / unit * (1.0 - 1e-9)) * unit
 
 
 def _frequencies(M: Array, K: Array) -> Array:

@@ -16,6 +16,7 @@ from dynamics.formulations.damping import viscous_links, yields
 DIRECTIONS = ("y", "z", "x", "axial")  # bending, bending, torsion, stretching
 MOST_MODES = 4  # per link and direction, in models that `choose_model` tries
 MOST_SEGMENTS = 8
+TORSION_WAVE = 3000.0  # [m/s] in a round bar of metal
 _NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass",
             "axial": "axial-fixed-free"}  # fmt: skip
 _POLYNOMIAL = {"x": "torsion-poly", "y": "hierarchical", "z": "hierarchical", "axial": "axial-poly"}
@@ -46,6 +47,7 @@ class Fidelity:
             replace(
                 link,
                 modes=tuple(self._modes(link, counts)),
+                rho_Ip=link.rho_Ip or _polar_inertia(link, counts),
                 segments=segments,
                 lumped=self.lumped and any(counts),
             )
@@ -175,6 +177,15 @@ def lumped(arm: Arm, counts: tuple[Counts, ...]) -> tuple[Counts, ...]:
 def divisible(arm: Arm) -> tuple[bool, ...]:
     """Per link, whether it may be cut into segments: not before a parallel drive."""
     return tuple(not link.joint.parallel for link in (*arm.links[1:], Link(length=1.0, rho_A=1.0)))
+
+
+def _polar_inertia(link: Link, counts: Counts) -> float:
+    """rho_Ip [kg m] of a link that twists and states none: as small as in a round bar of metal.
+
+    Without it a twist would be massless in line with the links beyond, and in all segments but one.
+    """
+    twists = counts[DIRECTIONS.index("x")] > 0
+    return (link.GJ or 0.0) / TORSION_WAVE**2 * twists
 
 
 def _link_text(counts: Counts, segments: int) -> str:

@@ -1,0 +1,190 @@
+"""Torque limits hold every target of the tasks against gravity."""
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from scipy.optimize import root
+
+import flexarm_env  # registers the ids
+from agents.controllers.pd import joint_pd
+from dynamics import ARMS, Arm, Joint, Link, load_arm
+from dynamics.formulations.gibbs_appell import bias
+from dynamics.model import Model
+from dynamics.simulation.statics import RigidArm, held
+from dynamics.types import Array
+from flexarm_env.plant import GravityWarning
+from flexarm_env.scales import DEFLECTION_LIMIT, EXTENT, MOVE, scales
+from flexarm_env.tasks import TASKS
+from flexarm_env.vector import FlexArmVectorEnv
+
+OWN: dict[str, Any] = {
+    "name": "own", "gravity": [0.0, -9.81, 0.0],
+    "links": [{
+        "length": 0.8, "rho_A": 0.12, "EIz": 6.0, "tip_mass": 0.15, "damping_ratio": 0.01,
+        "modes": [{"kind": "clamped-tip-mass", "index": k, "direction": "y"} for k in (1, 2)],
+        "joint": {"rotor_inertia": 0.02, "viscous": 0.01},
+    }],
+}  # fmt: skip
+_LINK = load_arm(OWN).links[0]
+HEAVY = {
+    "own": load_arm(OWN),
+    "two in a vertical plane": replace(
+        load_arm(OWN),
+        links=(replace(_LINK, EIz=60.0, joint=Joint(rotor_inertia=0.2)), replace(_LINK, EIz=20.0)),
+    ),
+    **{name: ARMS[name] for name in ("korayem-two-link", "mamedov-3dof", "puma-600", "ralf-like")},
+}
+
+
+@pytest.fixture(params=HEAVY)
+def arm(request: pytest.FixtureRequest) -> Arm:
+    return HEAVY[request.param]
+
+
+def equilibrium(model: Model, angles: Array) -> tuple[Array, Array]:
+    """(n,) coordinates at rest with the joints held at (n_joint,) angles, and the torques."""
+    joints = list(model.arm.joint_index)
+    modal = np.setdiff1d(np.arange(model.n), joints)
+    q = np.zeros(model.n)
+    q[joints] = angles
+
+    def forces(x: Array) -> Array:
+        q[modal] = x
+        return np.array(bias(model.chain, q.tolist(), model.n * [0.0]), dtype=np.float64)
+
+    if modal.size:
+        found = root(lambda x: forces(x)[modal], np.zeros(modal.size), tol=1e-12)
+        assert found.success
+        q[modal] = found.x
+    return q, forces(q[modal])[joints]
+
+
+def drawn_targets(arm: Arm, count: int) -> Array:
+    """(count, n_joint) [rad] of the episodes of Reach."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GravityWarning)
+        envs = FlexArmVectorEnv(count, task="Reach", arm=arm, max_episode_steps=10)
+    envs.reset(seed=0)
+    return envs.joint_target()
+
+
+def test_every_drawn_target_can_be_held_by_the_default_torques(arm: Arm) -> None:
+    """The torques of the bent arm, from the equilibrium of its own nonlinear model."""
+    model, limit = Model(arm), np.array(scales(arm).torque_limit)
+    for angles in drawn_targets(arm, 60):
+        assert np.all(np.abs(equilibrium(model, angles)[1]) < limit)
+
+
+def test_the_holding_torque_is_that_of_the_recursion_and_the_largest_of_many_postures(
+    arm: Arm,
+) -> None:
+    rng, home = np.random.default_rng(1), np.array(scales(arm).home)
+    rigid, joints = RigidArm(arm), list(arm.joint_index)
+    model = Model(arm)
+    for angles in home + rng.uniform(-EXTENT, EXTENT, (5, arm.n_joint)):
+        q = np.zeros(arm.n)
+        q[joints] = angles
+        force = np.array(bias(model.chain, q.tolist(), arm.n * [0.0]), dtype=np.float64)[joints]
+        found = [rigid.torque(joint, angles[None])[0] for joint in range(arm.n_joint)]
+        np.testing.assert_allclose(found, force, atol=1e-9 * (1.0 + np.abs(force).max()))
+    many = home + rng.uniform(-EXTENT, EXTENT, (20_000, arm.n_joint))
+    largest = [np.abs(rigid.torque(joint, many)).max() for joint in range(arm.n_joint)]
+    holding = held(arm, home, EXTENT).torque
+    assert np.all(holding >= np.array(largest) * (1.0 - 1e-9) - 1e-9)
+    assert np.all(holding <= 1.05 * np.array(largest) + 1e-9)
+
+
+def test_the_postures_contain_every_start_target_and_path_of_the_tasks() -> None:
+    for task in TASKS.values():
+        paths = 2.0 * MOVE if task.moving else 0.0  # two sines
+        assert task.start[1] + task.moves[1] + paths <= EXTENT
+
+
+@pytest.mark.parametrize("name", ["own", "two in a vertical plane"])
+def test_targets_are_held_in_motion_against_a_push(name: str) -> None:
+    """Joint PD and the static torque bring the arm back to rest from 0.03 rad beside the target."""
+    arm, count = HEAVY[name], 8
+    model, targets = Model(arm), drawn_targets(arm, 8)
+    rest = [equilibrium(model, angles) for angles in targets]
+    first = 2.0 * np.pi / scales(arm).locked[0]
+    envs = FlexArmVectorEnv(
+        count, task="Reach", arm=arm, control_dt=first / 50.0, deflection_limit=1.0
+    )
+    start = np.array([q for q, _ in rest])
+    start[:, list(arm.joint_index)] += 0.03
+    observation, _ = envs.reset(options={"state": {"q": start}, "target": targets})
+    pd = joint_pd(envs, 0.4, 0.7)
+    static = np.array([torque for _, torque in rest]) / envs.torque_limit
+    for _ in range(1_000):
+        action = pd.predict(observation)[0] + static
+        observation, _, terminated, _, _ = envs.step(action)
+        assert not terminated.any()
+    held_tips = np.array([model.tip(q) for q, _ in rest])
+    now = np.array([model.tip(q) for q in envs.core.q])
+    assert np.linalg.norm(now - held_tips, axis=1).max() < 1e-3 * arm.reach
+
+
+def test_arms_without_gravity_keep_their_limits_and_motion_has_all_of_them() -> None:
+    for name in ("slim", "two-link", "six-link", "free-flyer"):
+        found = scales(ARMS[name])
+        assert not any(found.holding)
+        assert found.sag == 0.0
+        np.testing.assert_array_equal(found.motion_torque, found.torque_limit)
+
+
+def test_sag_and_motion_at_full_torque_stay_valid_together() -> None:
+    arm = HEAVY["own"]
+    weightless = replace(arm, gravity=(0.0, 0.0, 0.0))
+    share = scales(arm).motion_torque[0] / scales(weightless).motion_torque[0]
+    tip = equilibrium(Model(arm), np.zeros(1))[0]  # level: the largest sag
+    bent = abs(Model(arm).tip(tip)[1]) / 0.8 / DEFLECTION_LIMIT
+    assert bent == pytest.approx(0.63, abs=0.03)  # with l^3 / 3 EI: (0.15 + 3/8 0.096) g 0.0284
+    assert share + bent <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("keywords", "sentence"),
+    [
+        ({"torque_limit": 1.5}, r"torque_limit of joint 1 must exceed the 1\.55 N m .* got 1\.5"),
+        ({"actuator": {"type": "limited", "torque_limit": 1.0}},
+         r"actuator of joint 1 must exceed the 1\.55 N m"),
+    ],
+)  # fmt: skip
+def test_torques_that_hold_no_level_target_are_refused(
+    keywords: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        gym.make("FlexArm/OneLink-Reach-v0", arm=OWN, **keywords)
+
+
+def test_drawn_payloads_that_are_too_heavy_to_hold_warn() -> None:
+    heavy = {"randomize": {"payload_mass": (0.0, 1.0)}}
+    with pytest.warns(GravityWarning, match=r"A payload_mass of 1 kg, .* joint 1 .* torque_limit"):
+        gym.make("FlexArm/OneLink-Reach-v0", arm=OWN, **heavy)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", GravityWarning)
+        gym.make("FlexArm/OneLink-Reach-v0", arm=OWN, randomize={"payload_mass": (0.0, 0.02)})
+
+
+def test_a_link_that_gravity_bends_beyond_its_limit_warns() -> None:
+    with pytest.warns(
+        GravityWarning, match=r"Gravity alone bends a link by 0\.11 .* is 0\.1\. Give"
+    ):
+        gym.make("FlexArm/OneLink-Reach-v0", arm="mamedov-3dof")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", GravityWarning)
+        gym.make("FlexArm/OneLink-Reach-v0", arm="mamedov-3dof", deflection_limit=0.2)
+
+
+def test_a_joint_about_the_vertical_needs_no_holding_torque() -> None:
+    link = Link(length=1.0, rho_A=0.5, EIz=20.0, modes="auto", joint=Joint(rotor_inertia=0.1))  # type: ignore[arg-type]
+    level = Arm(links=(link,), gravity=(0.0, 0.0, -9.81))
+    assert scales(level).holding == (0.0,)
+    assert (
+        scales(level).torque_limit == scales(replace(level, gravity=(0.0, 0.0, 0.0))).torque_limit
+    )
+    assert flexarm_env.IDS  # the ids are registered
