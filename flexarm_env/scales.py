@@ -17,9 +17,9 @@ import numpy as np
 
 from dynamics.description import validate
 from dynamics.description.arm import Arm
+from dynamics.formulations.damping import damped_chain
 from dynamics.formulations.gibbs_appell import mass_matrix
 from dynamics.formulations.linearized import damping, friction
-from dynamics.formulations.link_constants import chain_constants
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
 from dynamics.simulation.statics import held, sag
@@ -256,7 +256,11 @@ def _damping_inputs_strains(arm: Arm) -> tuple[Array, Array, Array]:
     n, m = arm.n, arm.n_joint
     C, B = np.zeros((n, n)), np.zeros((n, m))
     deflection, slope = np.zeros((m, 3, n)), np.zeros((m, 3, n))
-    for i, (start, link) in enumerate(zip(arm.joint_index, chain_constants(arm), strict=True)):
+    links, dampers = damped_chain(arm)
+    for damper in dampers:
+        rows = slice(damper.first, damper.first + len(damper.u))
+        C[rows, rows] += damper.rate * np.outer(damper.u, damper.u)
+    for i, (start, link) in enumerate(zip(arm.joint_index, links, strict=True)):
         B[start, i] = 1.0
         stop = start + 1
         if arm.links[i].joint.elastic:
@@ -270,7 +274,7 @@ def _damping_inputs_strains(arm: Arm) -> tuple[Array, Array, Array]:
             beyond = (len(link) - 1 - k) * part.length  # [m] of the link behind this part
             shift = np.array(part.tip_phi)[:count].reshape(count, 3)
             shift = shift + np.cross(theta, (beyond, 0.0, 0.0))
-            C[modes, modes] = np.array(part.damping).reshape(count, count)
+            C[modes, modes] += np.array(part.damping).reshape(count, count)
             B[modes, i] = part.root_slope if link[0].driven else 0.0
             deflection[i, :, modes] = shift.T / arm.links[i].length / DEFLECTION_LIMIT
             slope[i, :, modes] = theta.T / (SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT)

@@ -18,8 +18,7 @@ from dynamics.load import ArmSource, load_arm
 class Certificate:
     """Tip errors [m] of a model with an integrator and a step: largest over time and motions.
 
-    The rich model is this model with five bending and three torsion modes per link, and with a
-    viscosity in place of each damping ratio.
+    The rich model is this model with five bending and three torsion modes per link.
     """
 
     model: str

@@ -1,6 +1,6 @@
 """Fidelity of a model: modes per link and direction, segments, foreshortening, lumped masses.
 
-Damping does not depend on fidelity: see formulations/damping.py.
+A damping ratio means the same at every fidelity: see formulations/damping.py.
 """
 
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ import numpy as np
 from dynamics.description.arm import SECOND_ORDER, Arm
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
-from dynamics.formulations.damping import viscous_links, yields
+from dynamics.formulations.damping import yields
 
 DIRECTIONS = ("y", "z", "x", "axial")  # bending, bending, torsion, stretching
 MOST_MODES = 4  # per link and direction, in models that `choose_model` tries
@@ -42,7 +42,7 @@ class Fidelity:
         return not any(map(any, self.counts))
 
     def arm(self, arm: Arm) -> Arm:
-        """The arm reduced to this fidelity, damped as `viscous_links` returns it."""
+        """The arm reduced to this fidelity."""
         links = tuple(
             replace(
                 link,
@@ -51,9 +51,7 @@ class Fidelity:
                 segments=segments,
                 lumped=self.lumped and any(counts),
             )
-            for link, counts, segments in zip(
-                viscous_links(arm), self.counts, self.segments, strict=True
-            )
+            for link, counts, segments in zip(arm.links, self.counts, self.segments, strict=True)
         )
         return replace(arm, links=links, foreshortening=self.foreshortening and SECOND_ORDER)
 

@@ -57,8 +57,7 @@ def choose_model(
     Parameters
     ----------
     arm : an Arm or any other source that `load_arm` accepts. Lengths, masses, stiffnesses, tip
-        bodies and joints are used as described. Modes only name the family of shapes; a damping
-        ratio becomes a viscosity, see `damping.viscous`.
+        bodies and joints are used as described. Modes only name the family of shapes.
     scene : motions on which the tip error is measured, as the largest over time and motions.
     tolerance : [m]
     acceptable : a further condition on the model, the integrator and its step [s]; the cheapest

@@ -57,7 +57,7 @@ class Link:
     tip_mass: float = 0.0  # [kg] point mass at the tip
     tip_inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
     modes: tuple[Mode, ...] = _UNSTATED  # | "auto"
-    damping_ratio: float = 0.0  # [-] of each mode; in segments, of the link's first mode
+    damping_ratio: float = 0.0  # [-] of each natural mode of the link alone, clamped
     damping_beta: float = 0.0  # [s] damping matrix = beta * stiffness matrix
     damping_beta_torsion: float | None = None  # [s] the same for torsion; None: damping_beta
     segments: int = 1  # equal parts welded together, each with all modes: for large deflections

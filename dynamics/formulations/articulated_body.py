@@ -33,7 +33,7 @@ from dynamics.formulations.gibbs_appell import (
     in_coordinate_order,
     joint_load,
 )
-from dynamics.formulations.kinematics import Chain, Frame, outward
+from dynamics.formulations.kinematics import Chain, Frame, damper_forces, outward
 from dynamics.formulations.link_constants import LinkConstants
 
 
@@ -63,7 +63,7 @@ def accelerations(
 ) -> list[Scalar]:
     """(n,) accelerations; one pass inward eliminates, one pass outward substitutes."""
     frames = outward(chain, q, v)
-    rates = chain.split(v)
+    rates, across = chain.split(v), chain.split(damper_forces(chain, v))
     parts = implicit.split(chain) if implicit else []
     torques = iter(reversed(list(tau)))
     solved = []
@@ -75,6 +75,8 @@ def accelerations(
         torque = next(torques) if f.link.driven else 0.0
         drive = [*(mul(s, torque) for s in f.link.root_slope), torque]
         residual = [minus(t, h) for t, h in zip(drive, forces, strict=False)]
+        for j, force in enumerate(across[i][1]):
+            residual[j] = minus(residual[j], force)
         if implicit:
             add_implicit(f.link, block.D, residual, parts[i])
         pivots = _eliminate(block, residual)

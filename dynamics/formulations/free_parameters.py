@@ -4,40 +4,37 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.link_constants import LinkConstants
 
 
-def _payload_mass(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
-    return [*links[:-1], replace(links[-1], tip_mass=links[-1].tip_mass + p)]
+def _payload_mass(chain: Chain, p: Any) -> Chain:
+    last = chain.links[-1]
+    return replace(chain, links=(*chain.links[:-1], replace(last, tip_mass=last.tip_mass + p)))
 
 
-def _stiffness(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
-    return [
-        replace(link, K=_scaled(link.K, p), spring=p * link.spring if link.spring else 0.0)
-        for link in links
-    ]
+def _stiffness(chain: Chain, p: Any) -> Chain:
+    def scaled(link: LinkConstants) -> LinkConstants:
+        return replace(link, K=_scaled(link.K, p), spring=p * link.spring if link.spring else 0.0)
+
+    return replace(chain, links=tuple(map(scaled, chain.links)))
 
 
-def _damping(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
-    return [
-        replace(
-            link,
-            damping=_scaled(link.damping, p),
-            viscous=link.viscous if link.driven or not link.viscous else p * link.viscous,
-        )
-        for link in links
-    ]
+def _damping(chain: Chain, p: Any) -> Chain:
+    def scaled(link: LinkConstants) -> LinkConstants:
+        viscous = link.viscous if link.driven or not link.viscous else p * link.viscous
+        return replace(link, damping=_scaled(link.damping, p), viscous=viscous)
+
+    dampers = tuple(replace(damper, rate=p * damper.rate) for damper in chain.dampers)
+    return replace(chain, links=tuple(map(scaled, chain.links)), dampers=dampers)
 
 
-def _friction(links: list[LinkConstants], p: Any) -> list[LinkConstants]:
-    return [
-        replace(
-            link,
-            viscous=p * link.viscous if link.driven and link.viscous else link.viscous,
-            coulomb=p * link.coulomb if link.coulomb else 0.0,
-        )
-        for link in links
-    ]
+def _friction(chain: Chain, p: Any) -> Chain:
+    def scaled(link: LinkConstants) -> LinkConstants:
+        viscous = p * link.viscous if link.driven and link.viscous else link.viscous
+        return replace(link, viscous=viscous, coulomb=p * link.coulomb if link.coulomb else 0.0)
+
+    return replace(chain, links=tuple(map(scaled, chain.links)))
 
 
 def _scaled(rows: Any, p: Any) -> Any:
@@ -46,10 +43,10 @@ def _scaled(rows: Any, p: Any) -> Any:
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """Parameter p of a compiled arm: nominal value, and a function that applies p to the links."""
+    """Parameter p of a compiled arm: nominal value, and a function that applies p to the chain."""
 
     nominal: float
-    apply: Callable[[list[LinkConstants], Any], list[LinkConstants]]
+    apply: Callable[[Chain, Any], Chain]
 
 
 FREE_PARAMETERS = {

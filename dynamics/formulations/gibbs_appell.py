@@ -40,7 +40,7 @@ from dynamics.formulations.algebra import (
     tmatvec,
     transpose,
 )
-from dynamics.formulations.kinematics import Chain, Frame, outward, stretch
+from dynamics.formulations.kinematics import Chain, Frame, damper_forces, outward, stretch
 from dynamics.formulations.link_constants import LinkConstants
 
 
@@ -194,7 +194,7 @@ def bias(
         wrench, forces = joint_load(f, rate, outer)
         h = [*in_coordinate_order(f.link, forces), *h]
         outer = wrench.from_next(f.R, f.offset)
-    return h
+    return [plus(own, across) for own, across in zip(h, damper_forces(chain, v), strict=True)]
 
 
 class Block(NamedTuple):

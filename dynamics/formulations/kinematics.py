@@ -42,6 +42,15 @@ from dynamics.formulations.link_constants import LinkConstants
 
 
 @dataclass(frozen=True)
+class Damper:
+    """Rank-one damping over the modes of several bodies: force = rate u (u . rates)."""
+
+    first: int  # coordinate to which the first entry of u belongs
+    rate: Scalar  # [1/s]
+    u: tuple[float, ...]  # [kg^1/2]
+
+
+@dataclass(frozen=True)
 class Chain:
     """Constants of an arm that the recursion uses: its bodies from base to tip, and gravity."""
 
@@ -49,6 +58,7 @@ class Chain:
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2]
     rotation: str = "exp"  # of a bent end: exp(theta~); "linear": 1 + theta~
     free_base: bool = False  # the first body turns the base in space: see free_base.py
+    dampers: tuple[Damper, ...] = ()  # across bodies, beside the damping of each
 
     def split(self, x: Sequence[Scalar]) -> list[tuple[Scalar, Sequence[Scalar]]]:
         """Split coordinates into (joint, modes) per body; a welded body's joint is 0.0."""
@@ -59,6 +69,17 @@ class Chain:
             parts.append((joint, x[start : start + len(link.K)]))
             start += len(link.K)
         return parts
+
+
+def damper_forces(chain: Chain, v: Sequence[Scalar]) -> list[Scalar]:
+    """(n,) forces of the dampers across bodies, on the left of the equations of motion."""
+    forces: list[Scalar] = [0.0] * len(v)
+    for damper in chain.dampers:
+        last = damper.first + len(damper.u)
+        push = mul(damper.rate, dot(damper.u, v[damper.first : last]))
+        for i, u in enumerate(damper.u, damper.first):
+            forces[i] = plus(forces[i], mul(u, push))
+    return forces
 
 
 class Shape(NamedTuple):

@@ -29,7 +29,7 @@ from dynamics.formulations.algebra import (
 )
 from dynamics.formulations.dense_solve import add_rotor, resistance
 from dynamics.formulations.homogeneous import BOTTOM, NOTHING, UNITY, Transformed, transformed
-from dynamics.formulations.kinematics import Chain, Shape
+from dynamics.formulations.kinematics import Chain, Shape, damper_forces
 
 
 def inner(A: Matrix, B: Matrix) -> Scalar:
@@ -163,7 +163,7 @@ def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]
             forces = [plus(driven, friction), *forces]
         h = [*forces, *h]
         Q, P = matmul(f.A, Q), matvec(f.A, P)
-    return h
+    return [plus(own, across) for own, across in zip(h, damper_forces(chain, v), strict=True)]
 
 
 def _own_forces(f: Transformed, g: Vector) -> list[Scalar]:

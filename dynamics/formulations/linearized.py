@@ -32,7 +32,11 @@ def stiffness(chain: Chain) -> Array:
 
 def damping(chain: Chain) -> Array:
     """(n, n) damping C of modes and viscous joint friction."""
-    return _assemble(chain, lambda link: link.damping, lambda link: link.viscous)
+    C = _assemble(chain, lambda link: link.damping, lambda link: link.viscous)
+    for damper in chain.dampers:
+        rows = slice(damper.first, damper.first + len(damper.u))
+        C[rows, rows] += damper.rate * np.outer(damper.u, damper.u)
+    return C
 
 
 def friction(chain: Chain) -> Array:

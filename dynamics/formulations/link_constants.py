@@ -26,7 +26,6 @@ from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link
 from dynamics.description.mode_shapes import STIFFNESS, quadrature, shape
 from dynamics.description.validate import IDENTITY, ZEROS
-from dynamics.formulations.damping import viscous
 from dynamics.types import Array, Matrix3, Vector3
 
 _ROUND_OFF = 1e-12  # [-] integrals below this fraction of their natural size are set to zero
@@ -79,7 +78,10 @@ class LinkConstants:
 
 
 def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
-    """Bodies of every link of an arm: a rotor if the joint is elastic, then one per segment."""
+    """Bodies of every link of an arm: a rotor if the joint is elastic, then one per segment.
+
+    A damping ratio that belongs to a link as a whole is not in them: see damping.py.
+    """
     result = [
         _with_rotor(
             link.joint,
@@ -90,7 +92,7 @@ def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
                     foreshortening=arm.foreshortening,
                     welded=k > 0,
                 )
-                for k, part in enumerate(parts(viscous(link) if link.segments > 1 else link))
+                for k, part in enumerate(parts(link))
             ),
         )
         for link, payload in zip(arm.links, arm.carried, strict=True)
@@ -119,7 +121,9 @@ def parts(link: Link) -> list[Link]:
     if link.segments == 1:
         return [link]
     listed = tuple(link.modes)  # those of the whole link, not the rule's for a part
-    bare = replace(link, length=link.length / link.segments, segments=1, modes=listed)
+    bare = replace(
+        link, length=link.length / link.segments, segments=1, modes=listed, damping_ratio=0.0
+    )
     middle = replace(bare, joint=Joint(), tip_mass=0.0, tip_inertia=ZEROS)
     first = replace(middle, joint=link.joint)
     return [first, *[middle] * (link.segments - 2), replace(bare, joint=Joint())]

@@ -32,7 +32,7 @@ from dynamics.formulations.algebra import (
     tmatvec,
 )
 from dynamics.formulations.dense_solve import add_rotor, resistance
-from dynamics.formulations.kinematics import Chain, Frame, outward
+from dynamics.formulations.kinematics import Chain, Frame, damper_forces, outward
 
 
 class Twist(NamedTuple):
@@ -132,7 +132,7 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
 
 def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]:
     """(n,) h of M qdd + h = B tau: N' (M N_dot v + gyroscopic wrenches) plus link forces."""
-    h: list[Scalar] = [0.0] * len(q)
+    h = damper_forces(chain, v)
     frames, start = outward(chain, q, v), 0
     for f, columns, (rate, _) in zip(frames, complement(frames), chain.split(v), strict=True):
         wrench = _link_wrench(f)

@@ -228,13 +228,13 @@ def check_rest(traced: TracedArm) -> None:
 
 def with_parameters(traced: TracedArm, p: Any) -> Chain:
     """The chain with the values p of its free parameters, and of gravity where that turns."""
-    links = list(traced.chain.links)
+    chain = traced.chain
     for k, name in enumerate(traced.free_parameters):
-        links = FREE_PARAMETERS[name].apply(links, p[k])
+        chain = FREE_PARAMETERS[name].apply(chain, p[k])
     first, gravity = len(traced.free_parameters), traced.arm.gravity
     if traced.n_gravity:
         gravity = (p[first], p[first + 1], p[first + 2])
-    return replace(traced.chain, links=tuple(links), gravity=gravity)
+    return replace(chain, gravity=gravity)
 
 
 def renewal(gravity: Sequence[float]) -> tuple[Any, dict[str, int]]:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from dynamics.description.arm import Arm
 from dynamics.formulations import free_base
+from dynamics.formulations.damping import damped_chain
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
-from dynamics.formulations.kinematics import Chain
-from dynamics.formulations.link_constants import LinkConstants, chain_constants
+from dynamics.formulations.kinematics import Chain, Damper
+from dynamics.formulations.link_constants import LinkConstants
 from dynamics.formulations.table import Formulation, formulation_for
 
 
@@ -56,21 +57,22 @@ class TracedArm:
         return formulation_for(self.arm, self.formulation)
 
     @cached_property
-    def _links(self) -> list[tuple[LinkConstants, ...]]:
-        return chain_constants(self.arm)
+    def _damped(self) -> tuple[list[tuple[LinkConstants, ...]], tuple[Damper, ...]]:
+        return damped_chain(self.arm)
 
     @cached_property
     def chain(self) -> Chain:
         """All bodies from the base to the tip, with gravity."""
         base = free_base.bodies(self.arm.base)
-        bodies = (*base, *(body for link in self._links for body in link))
-        return Chain(bodies, self.arm.gravity, self.arm.rotation, self.arm.base.spatial)
+        links, dampers = self._damped
+        bodies = (*base, *(body for link in links for body in link))
+        return Chain(bodies, self.arm.gravity, self.arm.rotation, self.arm.base.spatial, dampers)
 
     @cached_property
     def bodies(self) -> tuple[slice, ...]:
         """Slice of each link's segments in `chain.links`; a link's rotor precedes its segments."""
         first = len(free_base.bodies(self.arm.base))
-        ends = accumulate((len(link) for link in self._links), initial=first)
+        ends = accumulate((len(link) for link in self._damped[0]), initial=first)
         segments = (link.segments for link in self.arm.links)
         return tuple(
             slice(stop - count, stop) for stop, count in zip(list(ends)[1:], segments, strict=True)

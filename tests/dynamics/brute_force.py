@@ -7,10 +7,12 @@ nothing is shared with `dynamics` except the mode shapes.
 """
 
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
+from scipy.sparse.csgraph import connected_components
 
 from dynamics import Arm, Body, Joint, Link, Mode
 from dynamics.description.arm import SECOND_ORDER
@@ -91,18 +93,21 @@ def imbalance(M: Array, a: Array | list[float], load: Array) -> float:
 def augmented(
     arm: Arm, M: Array, load: Array, guess: Array, s: float, d: float
 ) -> tuple[Array, Array]:
-    """M + W and load + W guess, W = s K + d C of all that is linear in q and v."""
+    """M + W and load + W guess, W = s K + d C of all that is linear in q and v, but dampers."""
     smooth = [replace(link, joint=replace(link.joint, coulomb=0.0)) for link in arm.links]
     linear, none = replace(arm, links=tuple(smooth)), np.zeros(arm.n)
     units = np.eye(arm.n)
     K = np.array([resisting_forces(linear, e, none) for e in units]).T
-    C = np.array([resisting_forces(linear, none, e) for e in units]).T
+    C = np.array([resisting_forces(linear, none, e, dampers=False) for e in units]).T
     W = s * K + d * C
     return M + W, load + W @ guess
 
 
-def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
-    """(n,) elastic, damping and friction forces, from their definitions."""
+def resisting_forces(arm: Arm, q: Array, v: Array, dampers: bool = True) -> Array:
+    """(n,) elastic, damping and friction forces, from their definitions.
+
+    `dampers` includes those across the segments of a link, which no implicit method takes so.
+    """
     forces: list[float] = [0.0] * arm.base.n
     for (link, welded, spring), (turn, delta), (rate, delta_dot) in zip(
         _parts(arm), _by_part(arm, q), _by_part(arm, v), strict=True
@@ -138,7 +143,14 @@ def resisting_forces(arm: Arm, q: Array, v: Array) -> Array:
         friction += spring * (turn + root @ delta)
         forces += [] if welded else [friction]
         forces += list(K @ delta + C @ delta_dot + root * friction)
-    return np.array(forces)
+    result = np.array(forces)
+    for joint, link in zip(arm.joint_index, arm.links, strict=True):
+        whole = _damping_of_the_whole(link, viscous=not dampers)
+        if whole is not None:
+            first = joint + 1 + link.joint.elastic
+            rows = slice(first, first + len(whole))
+            result[rows] += whole @ v[rows]
+    return result
 
 
 def momentum(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
@@ -205,27 +217,36 @@ def _constant(x: object) -> Array:
     return np.stack([value, 0.0 * value, 0.0 * value])[:, None]
 
 
-def _first_frequencies(link: Link) -> list[float]:
-    """[rad/s] of the clamped link with its tip body: bending (else axial) and torsion, by Ritz."""
-    l, powers = link.length, np.arange(1, 8)
+@cache
+def _damping_of_the_whole(link: Link, viscous: bool = False) -> Array | None:
+    """Damping matrix of a link whose ratio is that of its natural modes; None for any other.
 
-    def lowest(rigidity: float, inertia: float, tip: float, turning: float, order: int) -> float:
-        if not rigidity or inertia + tip == 0.0:
-            return np.inf
-        p = powers + order - 1 if inertia else np.array([order])
-        curved = p * (p - 1) if order == 2 else p
-        both = p[:, None] + p
-        K = rigidity * np.outer(curved, curved) / (both - 2 * order + 1) / l ** (2 * order - 1)
-        M = inertia * l / (both + 1) + tip + turning * np.outer(p, p) / l**2
-        return float(np.sqrt(eigh(K, M, eigvals_only=True)[0]))
-
-    J, m = np.diag(link.tip_inertia), link.tip_mass
-    bending = [
-        lowest(EI or 0.0, link.rho_A, m, J[k], 2) for EI, k in ((link.EIz, 2), (link.EIy, 1))
-    ]
-    if min(bending) == np.inf:
-        bending = [lowest(link.EA or 0.0, link.rho_A, m, 0.0, 1)]
-    return [min(bending), lowest(link.GJ or 0.0, link.rho_Ip, J[0], 0.0, 1)]
+    With segments it is written by projectors: modes 1 to 5 of each coupled set of coordinates have
+    the ratio, the others the viscosity that gives it to mode 5. `viscous` leaves only the latter.
+    """
+    kinds = [mode.kind for mode in link.modes]
+    several = any(kinds.count(kind) > 1 for kind in ("torsion-poly", "axial-poly"))
+    if not link.damping_ratio or not (link.segments > 1 or several or "hierarchical" in kinds):
+        return None
+    alone = Arm(links=(replace(link, joint=Joint(), damping_ratio=0.0, modes=tuple(link.modes)),))
+    modal, rest = slice(1, alone.n), np.zeros(alone.n)
+    M = mass_matrix(alone, rest)[modal, modal]
+    K = np.array([resisting_forces(alone, e, rest) for e in np.eye(alone.n)])[modal, modal]
+    C = np.zeros_like(M)
+    size = np.sqrt(np.outer(np.diag(M), np.diag(M)))
+    count, label = connected_components((np.abs(M) > 1e-9 * size) | (np.abs(K) > 0.0))
+    for k in range(count):
+        at = np.ix_(label == k, label == k)
+        if not M[at].any():
+            continue
+        squares, phi = eigh(K[at], M[at])
+        rate = 2.0 * link.damping_ratio * np.sqrt(squares)
+        if link.segments > 1:
+            last = min(5, rate.size) - 1
+            beta = rate[last] / squares[last]
+            rate[0 if viscous else last :] = beta * squares[0 if viscous else last :]
+        C[at] = M[at] @ phi @ np.diag(rate) @ phi.T @ M[at]
+    return C
 
 
 def _parts(arm: Arm) -> list[tuple[Link, bool, float]]:
@@ -242,11 +263,8 @@ def _parts(arm: Arm) -> list[tuple[Link, bool, float]]:
             joint = Joint(
                 type=joint.type, hub_inertia=joint.hub_inertia, viscous=joint.spring_damping
             )
-        if link.segments > 1 and link.damping_ratio:
-            betas = [2.0 * link.damping_ratio / w for w in _first_frequencies(link)]
-            link = replace(
-                link, damping_ratio=0.0, damping_beta=betas[0], damping_beta_torsion=betas[1]
-            )
+        if _damping_of_the_whole(link) is not None:
+            link = replace(link, damping_ratio=0.0)
         for k in range(link.segments):
             part = replace(link, length=link.length / link.segments, segments=1)
             if k < link.segments - 1:
