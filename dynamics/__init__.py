@@ -15,6 +15,7 @@ from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link
 from dynamics.description.mode_rule import RigidLinkWarning
 from dynamics.description.mode_shapes import Mode
+from dynamics.description.plausibility import ImplausibleArmWarning
 from dynamics.load import load_arm
 
 if TYPE_CHECKING:
@@ -28,9 +29,10 @@ if TYPE_CHECKING:
     from dynamics.simulation.validity import ValidityWarning, limits
 
 __all__ = [
-    "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "Joint", "JointMotion", "Link", "Mode",
-    "Model", "Payload", "RigidLinkWarning", "Scene", "Stepper", "Trajectory", "ValidityWarning",
-    "choose_model", "compile_arm", "limits", "load_arm", "simulate",
+    "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "ImplausibleArmWarning", "Joint",
+    "JointMotion", "Link", "Mode", "Model", "Payload", "RigidLinkWarning", "Scene", "Stepper",
+    "Trajectory", "ValidityWarning", "choose_model", "compile_arm", "limits", "load_arm",
+    "simulate",
 ]  # fmt: skip
 
 _LATE = {  # these import numba: only when asked for
