@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.description.validate import choice, mapping, shown
+from dynamics.description.validate import choice, instance, mapping, shown
 from dynamics.runtime.thread_pool import in_use
 from dynamics.types import Array
 from flexarm_env.arguments import not_finite, whole_seed
@@ -41,6 +41,24 @@ class CoreAttributes:
     uncertified = property(lambda self: self.core.uncertified)
     observation_slices = property(lambda self: self.core.layout.slices)
     observation_scales = property(lambda self: self.core.layout.scales)
+
+    _np_random: np.random.Generator | None
+    _np_random_seed: int | None
+    _seeded: bool
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Generator of the seeds of all random streams; one that is assigned seeds them at once."""
+        generator: np.random.Generator = super().np_random  # type: ignore[misc]
+        return generator
+
+    @np_random.setter
+    def np_random(self, generator: np.random.Generator) -> None:
+        self._np_random = instance(generator, "np_random", np.random.Generator)
+        self._np_random_seed = -1  # unknown, as Gymnasium has it
+        for row in range(self.core.n_env):
+            self.core.seed(row, generator)
+        self._seeded = True
 
     @property
     def compute_reward(self) -> Callable[[Any, Any, Any], Any]:

@@ -74,6 +74,9 @@ restarts in the next step (`"NextStep"`, the default), in the same step (`"SameS
 `final_obs` and `final_info`), or, with `"Disabled"`, when the caller says
 `reset(options={{"reset_mask": terminated | truncated}})`.
 
+All random numbers come from streams of the environments' own. `reset(seed=...)` seeds them, and so
+does a generator that is assigned, `env.np_random = generator`, at once.
+
 ## Floating base
 
 The base of an arm with `base: {{"type": "planar"}}` floats in the plane of the motion and turns.
