@@ -2,16 +2,18 @@
 
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from dynamics.description.validate import choice, instance, mapping, shown
 from dynamics.runtime.thread_pool import in_use
 from dynamics.types import Array
-from flexarm_env.arguments import not_finite, whole_seed
+from flexarm_env.arguments import not_finite, plain, whole_seed
 from flexarm_env.core import Core
 from flexarm_env.observations import GOALS, Layout
 from flexarm_env.rewards import goal_reward
@@ -42,9 +44,19 @@ class CoreAttributes:
     observation_slices = property(lambda self: self.core.layout.slices)
     observation_scales = property(lambda self: self.core.layout.scales)
 
+    _spec: EnvSpec | None = None
     _np_random: np.random.Generator | None
     _np_random_seed: int | None
     _seeded: bool
+
+    @property
+    def spec(self) -> Any:
+        """Gymnasium's specification, in which arrays, arms and the like are plain data."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        self._spec = given and replace(given, kwargs=plain(given.kwargs))
 
     @property
     def np_random(self) -> np.random.Generator:
