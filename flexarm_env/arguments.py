@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from enum import Enum
-from numbers import Real
+from numbers import Integral, Real
 from os import PathLike, fspath
 from typing import Any
 
@@ -100,6 +100,23 @@ def within(name: str, value: object, least: float, most: float, unit: str) -> fl
             f"{name} must be between {least:g} and {most:g}, got {result!r}. Unit: [{unit}]."
         )
     return result
+
+
+def episode_steps(given: Any, own: int = 0) -> int:
+    """Control steps per episode, 0 for no limit, from Gymnasium's `max_episode_steps`.
+
+    None stands for `own`, the limit of the id, and -1 for no limit.
+    """
+    if given is None:
+        return own
+    if isinstance(given, Integral) and given == -1:
+        return 0
+    try:
+        return validate.integer(given, "max_episode_steps", 1, MOST_STEPS)
+    except ValueError as error:
+        raise ValueError(
+            f"{error} -1 stands for no limit, and None for that of the id, if there is one."
+        ) from None
 
 
 def plain(value: Any) -> Any:

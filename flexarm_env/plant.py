@@ -11,12 +11,15 @@ from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
+from dynamics.simulation.validity import LARGEST_RATE
 from dynamics.types import Array
 from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import find, fit, kept
 from flexarm_env.compiled.actuation import Actuation
 from flexarm_env.hardware.actuators import load_actuators, mounted, refuse_beside_actuators
 from flexarm_env.scales import BY_RULE, MOVE, Scales, integration, scales
+
+UNLIMITED_RATE = 1e12  # [rad/s] limit of the joint rate where the model has none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +51,13 @@ class Plant:
     def move_time(self) -> float:
         """Duration [s] of a bang-bang move by MOVE at full torque."""
         return 2.0 * math.sqrt(MOVE / self.full_acceleration)
+
+    @property
+    def rate_limit(self) -> float:
+        """Joint rate [rad/s] beyond which linear modes lose much of their stiffness."""
+        if self.arm.foreshortening or not self.scales.locked:
+            return UNLIMITED_RATE
+        return LARGEST_RATE * min(self.scales.locked)
 
 
 def plan(

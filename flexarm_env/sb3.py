@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dynamics.description import validate
 from dynamics.extras import missing
 from flexarm_env.compiled.outputs import BatchOutputs
+from flexarm_env.env import Changeable
 from flexarm_env.vector import FlexArmVectorEnv
 
 try:
@@ -20,7 +21,7 @@ except ModuleNotFoundError as error:
     raise missing(error, "SB3VecEnv", "train") from None
 
 
-class SB3VecEnv(VecEnv):
+class SB3VecEnv(Changeable, VecEnv):
     """N environments of a registered id, stepped together.
 
     An environment whose episode ended restarts in the same step. Its info has the keys of a
@@ -47,11 +48,21 @@ class SB3VecEnv(VecEnv):
         n_envs = given[0]
         envs = gym.make_vec(id, num_envs=n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
         assert isinstance(envs, FlexArmVectorEnv)
-        self.envs, self.core, self._observed = envs, envs.core, envs.core.layout.observed
+        self.envs, self._observed = envs, envs.core.layout.observed
         super().__init__(n_envs, envs.single_observation_space, envs.single_action_space)
         self._actions: NDArray[np.float32] = np.zeros(envs.action_space.shape or (), np.float32)
         self._returns, self._lengths = np.zeros(n_envs), np.zeros(n_envs, np.int64)
         self._started = time.time()
+        self.core = envs.core
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Control steps after which an episode is truncated; -1: never."""
+        return self.envs.max_episode_steps
+
+    @max_episode_steps.setter
+    def max_episode_steps(self, given: int | None) -> None:
+        self.envs.max_episode_steps = given
 
     def reset(self) -> Any:
         """Start episodes, with the seeds and options set by `seed` and `set_options`."""
@@ -122,32 +133,28 @@ class SB3VecEnv(VecEnv):
             infos[i] = entry
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return the attribute, which all environments share, once per environment."""
+        """Value of an attribute, which all environments share, once per environment."""
         value = getattr(self.envs, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of all environments; they share it."""
-        if len(list(self._get_indices(indices))) != self.num_envs:
+        """Set an attribute of all environments, which share it; see `Changeable`."""
+        if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise ValueError(f"{attr_name!r} is shared by the batch: set it for all environments.")
-        setattr(self.envs, attr_name, value)
+        self.envs.assign(attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
         """Call a method of the batch; a result with one row per environment is split."""
-        if method_name == "render":
-            pictures = self.get_images()
-            return [pictures[i] for i in self._get_indices(indices)]
-        result = getattr(self.envs, method_name)(*method_args, **method_kwargs)
         rows = list(self._get_indices(indices))
-        if method_name == "compute_reward":  # of any goals, not of the environments'
-            return [result for _ in rows]
-        if isinstance(result, np.ndarray) and result.shape[:1] == (self.num_envs,):
-            return [result[i] for i in rows]
-        if isinstance(result, tuple) and all(np.shape(x)[:1] == (self.num_envs,) for x in result):
-            return [tuple(x[i] for x in result) for i in rows]
-        return [result for _ in rows]
+        if method_name == "get_wrapper_attr":
+            return self.get_attr(method_args[0], indices)
+        if method_name == "set_wrapper_attr":
+            self.set_attr(method_args[0], method_args[1], indices)
+            return [True for _ in rows]
+        results = self.envs.call(method_name, *method_args, **method_kwargs)
+        return [results[i] for i in rows]
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Any = None) -> list[bool]:
         """True for `Monitor`, whose job this class does; no other wrapper is present."""

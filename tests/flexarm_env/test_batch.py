@@ -322,10 +322,6 @@ def test_sb3_batch_has_the_attributes_and_methods_of_a_vec_env() -> None:
     assert envs.get_attr("task", [0, 2]) == ["Reach", "Reach"]
     targets = envs.env_method("joint_target", indices=[1])
     np.testing.assert_array_equal(targets[0], envs.envs.joint_target()[1])
-    envs.set_attr("mark", 1)
-    assert envs.get_attr("mark") == [1, 1, 1]
-    with pytest.raises(ValueError, match="shared by the batch"):
-        envs.set_attr("mark", 2, indices=0)
     assert not envs.has_attr("nonsense")
     envs.close()
 
