@@ -286,6 +286,8 @@ KEYWORDS = (
      'sensors and spread of the plant: "ideal", "laboratory" or a dict, which may add an '
      "accelerometer"),
     ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
+    ("max_episode_steps", "the id's",
+     "control steps after which an episode is truncated; None: the id's; -1: no limit"),
     ("render_mode", "None", '"rgb_array", in a notebook too: `PIL.Image.fromarray(env.render())` '
      'shows it; or "human", a window'),
     ("threads", "1", "largest number of worker threads, `gym.make_vec` only"),

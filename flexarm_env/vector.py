@@ -1,11 +1,13 @@
 """A batch of environments with Gymnasium's vector interface; one compiled call steps all."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from numbers import Integral
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 
 from dynamics.description import validate
 from dynamics.types import Array
-from flexarm_env.arguments import episode_steps, whole_seed
+from flexarm_env.arguments import episode_steps, plain, whole_seed
 from flexarm_env.compiled.outputs import BatchOutputs, masks
 from flexarm_env.core import Core
 from flexarm_env.env import (
@@ -35,7 +37,7 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
     """N flexible arms with one task; environment i equals a `FlexArmEnv` with seed `seed + i`.
 
     Keywords are those of `FlexArmEnv`, and `max_episode_steps`, `autoreset_mode`, `threads`. Of
-    `max_episode_steps`, -1 and None are no limit.
+    `max_episode_steps`, -1 is no limit, and None that of the id; without an id there is none.
     `render_mode` "human" shows the first environment. With `autoreset_mode` DISABLED the caller
     restarts ended episodes by `reset(options={"reset_mask": terminated | truncated})`.
 
@@ -85,6 +87,7 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         self._pending = np.zeros(0, np.int64)  # ended environments, to restart before a step
         self._latest: NDArray[np.float32] | None = None  # observations, if the caller restarts
         self._seeded = False
+        self._own_steps = 0  # of the id: the limit that max_episode_steps=None stands for
 
     @property
     def max_episode_steps(self) -> int:
@@ -93,7 +96,24 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
 
     @max_episode_steps.setter
     def max_episode_steps(self, given: int | None) -> None:
-        self.core.change(max_steps=episode_steps(given))
+        self.core.change(max_steps=episode_steps(given, self._own_steps))
+
+    @property
+    def spec(self) -> Any:
+        """Gymnasium's specification; its `max_episode_steps` is that of the construction."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        """Take the id's limit of steps where the keyword was None."""
+        if given is None:
+            self._spec = None
+            return
+        self._own_steps = given.max_episode_steps or 0
+        if given.kwargs.get("max_episode_steps", 0) is None:
+            self.core.change(max_steps=self._own_steps)
+        steps = self.core.max_steps or None
+        self._spec = replace(given, kwargs=plain(given.kwargs), max_episode_steps=steps)
 
     # ---- for controllers -----------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""Specifications that `gymnasium.make` and `make_vec` store."""
+"""Specifications that `gymnasium.make` and `make_vec` store, and the limit of steps."""
 
 import json
 from dataclasses import replace
@@ -17,6 +17,7 @@ from dynamics import ARMS, Mode
 from flexarm_env.hardware.sensors import Hardware
 
 ID = "FlexArm/OneLink-Reach-v0"
+OWN = flexarm_env.IDS[ID]["max_episode_steps"]
 SLIM = ARMS["slim"]
 MODE = Mode(kind="clamped-free", index=1, direction="y")
 OTHER = replace(SLIM, links=(replace(SLIM.links[0], EIz=9.0, modes=(MODE,)),))
@@ -110,3 +111,71 @@ def test_what_cannot_be_json_is_named() -> None:
             replace(env.spec, entry_point=None).to_json()
     finally:
         del gym.registry["Mine/Law-v0"]
+
+
+# ---- the limit of steps --------------------------------------------------------------------------
+
+
+def length(envs: Any, most: int) -> int:
+    """Steps of the first episode, at rest; 0 if it goes on for more than `most`."""
+    envs.reset()
+    rest = np.zeros(envs.action_space.shape, np.float32)
+    shape = (envs.num_envs, *rest.shape[-1:])
+    for k in range(1, most + 1):
+        ends = envs.step(rest if rest.ndim > 1 else np.zeros(shape, np.float32))
+        if np.any(ends[2] if len(ends) == 4 else ends[3]):
+            return k
+    return 0
+
+
+@pytest.mark.parametrize(
+    ("keywords", "steps"),
+    [({}, OWN), ({"max_episode_steps": None}, OWN), ({"max_episode_steps": -1}, 0),
+     ({"max_episode_steps": 9}, 9), ({"max_episode_steps": np.int64(9)}, 9)],
+)  # fmt: skip
+def test_a_batch_limits_steps_as_gymnasium_make_does(keywords: dict[str, Any], steps: int) -> None:
+    """None is the id's own limit and -1 none; the spec says what happens."""
+    limit = keywords.get("max_episode_steps")
+    one = gym.make(ID, max_episode_steps=None if limit is None else int(limit))
+    envs: Any = gym.make_vec(ID, num_envs=2, **keywords)
+    twin: Any = gym.make_vec(EnvSpec.from_json(envs.spec.to_json()))
+    assert one.spec is not None
+    assert one.spec.max_episode_steps == (steps or None)
+    for each in (envs, twin, flexarm_env.SB3VecEnv(ID, 2, **keywords).envs):
+        assert each.spec.max_episode_steps == (steps or None)
+        assert each.max_episode_steps == (steps or -1)
+        assert length(each, OWN + 1) == steps
+    assert length(flexarm_env.SB3VecEnv(ID, 2, **keywords), OWN + 1) == steps
+
+
+@pytest.mark.parametrize("limit", [0, -2, True, 2.5, "9", 10**9])
+def test_other_limits_of_steps_are_refused_with_both_remedies(limit: Any) -> None:
+    makers: list[Any] = [gym.make_vec, flexarm_env.SB3VecEnv]
+    for make in makers:
+        with pytest.raises(
+            ValueError, match=r"^max_episode_steps must be .*-1 stands for no limit, and None for"
+        ):
+            make(ID, num_envs=2, max_episode_steps=limit)
+
+
+def test_without_an_id_none_is_no_limit() -> None:
+    for limit in (None, -1):
+        envs = flexarm_env.FlexArmVectorEnv(
+            2, task="Reach", arm="slim", control_dt=0.02, max_episode_steps=limit
+        )
+        assert (envs.max_episode_steps, length(envs, OWN + 1)) == (-1, 0)
+
+
+def test_the_limit_of_ones_own_id_holds_and_comes_back() -> None:
+    """Also after a change to another and back to None."""
+    gym.register(
+        "Mine/Short-v0", vector_entry_point=flexarm_env.FlexArmVectorEnv, max_episode_steps=4,
+        kwargs={"task": "Reach", "arm": "slim"},
+    )  # fmt: skip
+    try:
+        envs: Any = gym.make_vec("Mine/Short-v0", num_envs=2, max_episode_steps=None)
+    finally:
+        del gym.registry["Mine/Short-v0"]
+    for limit, steps in ((None, 4), (6, 6), (-1, 0), (None, 4)):
+        envs.set_attr("max_episode_steps", limit)
+        assert length(envs, 20) == steps
