@@ -1,7 +1,8 @@
 """Batch environment for stable-baselines3, which has a vector interface of its own."""
 
+import operator
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -21,13 +22,76 @@ except ModuleNotFoundError as error:
     raise missing(error, "SB3VecEnv", "train") from None
 
 
+AT_ENDS = frozenset({"episode", "is_success", "terminal_observation", "TimeLimit.truncated"})
+
+
+class StepInfo(dict[str, Any]):
+    """Info of one environment after a step."""
+
+    __slots__ = ("row", "source")
+    row: int  # of the environment
+    source: Callable[[int], dict[str, Any]]  # entries from the row
+
+    def filled(self) -> "StepInfo":
+        """Itself, with its entries."""
+        return self
+
+    def __reduce__(self) -> Any:
+        """Copies and pickles are plain dicts."""
+        return dict, (dict(self),)
+
+
+class RunningInfo(StepInfo):
+    """Info of an environment whose episode goes on, filled when it is first used.
+
+    Few infos of a batch are ever looked at, and filling all takes longer than the step. `source`
+    is that of `BatchOutputs.by_row`.
+    """
+
+    __slots__ = ()
+
+    def filled(self) -> StepInfo:
+        """Itself, with its entries and from then on an ordinary dict."""
+        self.__class__ = StepInfo  # type: ignore[assignment]
+        if hasattr(self, "source"):
+            self.update(self.source(self.row))
+            del self.source
+        return self
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """Entry of a key; learners ask for those of an end at every step."""
+        if key in AT_ENDS and self.__class__ is RunningInfo:
+            return default
+        return dict.get(self.filled(), key, default)
+
+    def __contains__(self, key: object) -> bool:
+        return dict.__contains__(self if key in AT_ENDS else self.filled(), key)
+
+
+def _method(name: str) -> Any:
+    return lambda self, *args, **kwargs: getattr(self.filled(), name)(*args, **kwargs)
+
+
+def _operator(operation: Any) -> Any:  # Python then fills the other side, too
+    return lambda self, other: operation(self.filled(), other)
+
+
+for _name in (
+    "__getitem__", "__setitem__", "__delitem__", "__iter__", "__reversed__", "__len__", "__repr__",
+    "copy", "keys", "values", "items", "pop", "popitem", "setdefault", "update", "clear",
+):  # fmt: skip
+    setattr(RunningInfo, _name, _method(_name))
+for _operation in (operator.eq, operator.ne, operator.or_, operator.ior):
+    setattr(RunningInfo, f"__{_operation.__name__.strip('_')}__", _operator(_operation))
+
+
 class SB3VecEnv(Changeable, VecEnv):
     """N environments of a registered id, stepped together.
 
-    An environment whose episode ended restarts in the same step. Its info has the keys of a
-    `DummyVecEnv` of monitored environments: "terminal_observation", "TimeLimit.truncated",
-    "episode" (return, length, time) and "is_success" (tip on the target at the end), beside the
-    environment's own. The infos of the other environments are empty.
+    Infos have the environment's own entries. An environment whose episode ended restarts in the
+    same step. Its info has those of a `DummyVecEnv` of monitored environments besides:
+    "terminal_observation", "TimeLimit.truncated", "episode" (return, length, time) and "is_success"
+    (tip on the target at the end).
     """
 
     def __init__(
@@ -80,6 +144,7 @@ class SB3VecEnv(Changeable, VecEnv):
         self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
+        self.reset_infos = self._infos(out.by_row())
         return self._observed(out.obs)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
@@ -100,37 +165,38 @@ class SB3VecEnv(Changeable, VecEnv):
         self._returns += rewarded
         reward = rewarded.astype(np.float32)  # a copy: a restart writes over the outputs
         self._lengths += 1
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        by_row = out.by_row()
+        infos = self._infos(by_row)
         dones = out.terminated | out.truncated
         if ended:
             rows = np.flatnonzero(dones)
-            self._report(rows, out, infos)
             for i in rows.tolist():
-                timed_out = out.truncated[i] and not out.terminated[i]
-                infos[i]["TimeLimit.truncated"] = bool(timed_out)
+                infos[i] = self._ended_info(i, out, by_row(i))
             self.core.restart(rows, out)
             self._returns[rows], self._lengths[rows] = 0.0, 0
+            for i in rows.tolist():
+                self.reset_infos[i] = by_row(i)
         return self._observed(out.obs), reward, dones, infos
 
-    def _report(self, rows: Any, out: BatchOutputs, infos: list[Any]) -> None:
-        """Fill the infos of the environments whose episode ended."""
-        described = out.described()
-        terms = described.pop("reward_terms")
-        elapsed = round(time.time() - self._started, 6)
-        for i in rows.tolist():
-            entry = {
-                name: values[i].copy() if values.ndim > 1 else values[i].item()
-                for name, values in described.items()
-            }
-            entry["reward_terms"] = {name: float(values[i]) for name, values in terms.items()}
-            entry["terminal_observation"] = self._observed(out.obs[i].copy())
-            entry["is_success"] = entry["settled"]
-            entry["episode"] = {
-                "r": round(float(self._returns[i]), 6),
-                "l": int(self._lengths[i]),
-                "t": elapsed,
-            }
-            infos[i] = entry
+    def _infos(self, source: Callable[[int], dict[str, Any]]) -> list[dict[str, Any]]:
+        infos: list[dict[str, Any]] = []
+        for row in range(self.num_envs):
+            info = RunningInfo()  # its own constructor would take twice as long
+            info.source, info.row = source, row
+            infos.append(info)
+        return infos
+
+    def _ended_info(self, i: int, out: BatchOutputs, info: dict[str, Any]) -> dict[str, Any]:
+        """Add what is known of environment i, whose episode ended, to its info."""
+        info["terminal_observation"] = self._observed(out.obs[i].copy())
+        info["TimeLimit.truncated"] = bool(out.truncated[i] and not out.terminated[i])
+        info["is_success"] = info["settled"]
+        info["episode"] = {
+            "r": round(float(self._returns[i]), 6),
+            "l": int(self._lengths[i]),
+            "t": round(time.time() - self._started, 6),
+        }
+        return info
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Value of an attribute, which all environments share, once per environment."""

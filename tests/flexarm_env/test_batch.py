@@ -298,7 +298,8 @@ def test_sb3_batch_is_the_same_batch() -> None:
         for x, y in zip(a[:3], b[:3], strict=True):
             np.testing.assert_allclose(x, y, rtol=ROUND_OFF, atol=ROUND_OFF)
         for done, info, other in zip(a[2], a[3], b[3], strict=True):
-            assert bool(info) == bool(done)
+            assert info["tip_error"] == pytest.approx(other["tip_error"], rel=1e-7)
+            assert ("episode" in info) == done
             if done:
                 assert info["TimeLimit.truncated"] is other["TimeLimit.truncated"] is True
                 assert info["episode"]["l"] == 9
