@@ -15,6 +15,7 @@ from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link
 from dynamics.description.mode_rule import RigidLinkWarning
 from dynamics.description.mode_shapes import Mode
+from dynamics.description.plausibility import ImplausibleArmWarning
 from dynamics.description.welds import StiffSegmentsWarning
 from dynamics.load import load_arm
 
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
     from dynamics.simulation.validity import ValidityWarning, limits
 
 __all__ = [
-    "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "Joint", "JointMotion", "Link", "Mode",
-    "Model", "Payload", "RigidLinkWarning", "Scene", "Stepper",
+    "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "ImplausibleArmWarning", "Joint",
+    "JointMotion", "Link", "Mode", "Model", "Payload", "RigidLinkWarning", "Scene", "Stepper",
     "StiffSegmentsWarning", "Trajectory", "ValidityWarning", "choose_model", "compile_arm",
     "limits", "load_arm", "simulate",
 ]  # fmt: skip

@@ -9,6 +9,7 @@ from dynamics.arms import ARMS
 from dynamics.description.arm import Arm
 from dynamics.description.arm_file import arm_from_dict
 from dynamics.description.data_file import read_mapping
+from dynamics.description.plausibility import warn_if_implausible
 from dynamics.description.validate import shown
 
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm  # accepted by `load_arm`
@@ -18,9 +19,10 @@ def load_arm(source: ArmSource) -> Arm:
     """Return an arm from a preset's name, a path (.json, .yaml, .yml) or a dict.
 
     An `Arm` is returned unchanged. A case file is also an arm file: its motion and expected results
-    are ignored.
+    are ignored. Numbers of no arm, as lengths in mm, give an ImplausibleArmWarning.
     """
     if isinstance(source, Arm):
+        warn_if_implausible(source, stacklevel=2)
         return source
     if isinstance(source, Mapping):
         return arm_from_dict(source)

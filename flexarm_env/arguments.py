@@ -1,7 +1,10 @@
 """Checks of an environment's keywords; each returns the clean value or raises a ValueError."""
 
 from collections.abc import Mapping, Sequence
-from numbers import Real
+from dataclasses import asdict, is_dataclass
+from enum import Enum
+from numbers import Integral, Real
+from os import PathLike, fspath
 from typing import Any
 
 import numpy as np
@@ -97,6 +100,44 @@ def within(name: str, value: object, least: float, most: float, unit: str) -> fl
             f"{name} must be between {least:g} and {most:g}, got {result!r}. Unit: [{unit}]."
         )
     return result
+
+
+def episode_steps(given: Any, own: int = 0) -> int:
+    """Control steps per episode, 0 for no limit, from Gymnasium's `max_episode_steps`.
+
+    None stands for `own`, the limit of the id, and -1 for no limit.
+    """
+    if given is None:
+        return own
+    if isinstance(given, Integral) and given == -1:
+        return 0
+    try:
+        return validate.integer(given, "max_episode_steps", 1, MOST_STEPS)
+    except ValueError as error:
+        raise ValueError(
+            f"{error} -1 stands for no limit, and None for that of the id, if there is one."
+        ) from None
+
+
+def plain(value: Any) -> Any:
+    """Keywords as JSON types, which give the same environment; other objects stay as they are."""
+    if isinstance(value, Arm):
+        return value.to_dict()
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Real) and not isinstance(value, int | float):
+        return float(value)
+    if isinstance(value, PathLike):
+        return fspath(value)
+    if isinstance(value, Enum):
+        return value.value
+    return value
 
 
 def placements(options: Any, arm: Arm, n_row: int) -> dict[str, Array]:

@@ -1,6 +1,6 @@
 """N environments of an arm and a task: the common part of `env`, `vector` and `sb3`."""
 
-import math
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any
@@ -17,12 +17,12 @@ from dynamics.runtime.numba_internals import compiled_for
 from dynamics.runtime.thread_pool import ThreadPool, in_use, useful_threads
 from dynamics.runtime.work_queue import shares
 from dynamics.simulation.stepper import MOST_ENVIRONMENTS, MOST_THREADS
-from dynamics.simulation.validity import LARGEST_RATE
 from dynamics.types import Array
 from flexarm_env import arguments
 from flexarm_env.compiled import episode
 from flexarm_env.compiled.outputs import SPARE, BatchOutputs, Outputs, SingleOutputs
 from flexarm_env.compiled.sensing import Sensing
+from flexarm_env.compiled.settings import Settings, settings
 from flexarm_env.compiled.signals import Signals
 from flexarm_env.compiled.termination import FLAGS, LOST
 from flexarm_env.hardware.sensors import load_hardware, refuse_exact_state
@@ -34,11 +34,9 @@ from flexarm_env.observations import (
     sensed_axes,
 )
 from flexarm_env.plant import plan, warn_of_gravity
-from flexarm_env.rewards import TERMS, resolve_weights
-from flexarm_env.scales import DEFLECTION_LIMIT, MOVE, SLOPE_PER_DEFLECTION
-from flexarm_env.tasks import find_task, refuse_floating
+from flexarm_env.scales import DEFLECTION_LIMIT, MOVE
+from flexarm_env.tasks import base_poses, find_task, refuse_floating
 
-UNLIMITED_RATE = 1e12  # [rad/s] limit of the joint rate where the model has none
 DIVERGED = FLAGS.index("diverged")
 
 
@@ -88,6 +86,7 @@ class Core:
     workspaces : one per thread.
     action : (1, n_torque) action that `alone` takes.
     parameters : (N, n_free) values of the randomized parameters, a view.
+    settings, arguments : keywords that may change, and all, by which a copy is built.
     """
 
     def __init__(
@@ -114,25 +113,14 @@ class Core:
         hardware: Any = None,
         base_torque: float | None = None,
     ) -> None:
-        self.arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
+        given = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
         self.n_env = validate.integer(n_env, "num_envs", 1, MOST_ENVIRONMENTS)
         self.threads = validate.integer(threads, "threads", 1, MOST_THREADS)
         described, fitted = load_arm(arm), load_hardware(hardware)
-        spread = fitted.spread(described) if fitted else {}
-        given = {} if randomize is None else randomize
-        self.randomize = arguments.ranges(spread) | arguments.ranges(given)
+        self._spread = fitted.spread(described) if fitted else {}
         self._outputs = SingleOutputs if single else BatchOutputs
-        deflection_limit = arguments.within(
-            "deflection_limit", deflection_limit, *arguments.DEFLECTION_LIMITS, "-"
-        )
-        self.max_steps = validate.integer(max_steps, "max_episode_steps", 0, arguments.MOST_STEPS)
-        if obs == "goal" and reward is not None:
-            raise ValueError(
-                f"reward ({validate.shown(reward)}) must be left out beside obs='goal', whose "
-                "reward is that of compute_reward."
-            )
-        weights = resolve_weights(self.task.reward if reward is None else reward)
+        self.settings = settings(self.task, self._spread, given)
         plant = plan(
             arm=described,
             control_dt=control_dt,
@@ -153,6 +141,7 @@ class Core:
         self.torque_limit, self.certificate = plant.torque_limit, plant.certificate
         self.uncertified = plant.uncertified
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
+        self._rate_limit = plant.rate_limit
         torques = tuple(self.actuation.torque_limit.tolist()) if self.actuation else ()
         if obs is None:
             obs = "sensors" if fitted else "state"
@@ -171,23 +160,43 @@ class Core:
         self.signals = Signals(
             self.model, self.task.moving, self.layout, self.actuation, self.sensing
         )
-        self._constants = self._fixed_numbers(weights, deflection_limit)
+        self._constants = self._fixed_numbers(self.settings)
         self._start = self._episode_ranges()
         self._allocate()
+        self.arguments = copy.deepcopy(given)
 
-    def _fixed_numbers(self, weights: dict[str, float], deflection_limit: float) -> Array:
+    randomize = property(lambda self: self.settings.ranges)
+    max_steps = property(lambda self: self.settings.max_steps)
+
+    def change(self, **keywords: Any) -> None:
+        """Take new values of `reward`, `deflection_limit`, `max_steps` or `randomize`.
+
+        They are checked as at construction, and a refused value changes nothing. Weights and limits
+        hold from the next step, ranges from the next episode.
+        """
+        self.claim()
+        try:
+            given = self.arguments | keywords
+            changed = settings(self.task, self._spread, given).after(self.settings)
+            self._constants = self._fixed_numbers(changed)
+            self.arguments = copy.deepcopy(given | {"randomize": changed.ranges})
+            self.settings = changed
+            self._start = self._episode_ranges()
+            for w in self.workspaces:
+                self._fill_constants(w)
+        finally:
+            self.busy = False
+
+    def _fixed_numbers(self, settings: Settings) -> Array:
         """Constants of all environments, in the order of `signals.Signals.constants`."""
         values: dict[str, Any] = {
             "torque_limit": self.torque_limit,
             "control_dt": self.control_dt,
-            "max_steps": self.max_steps,
-            "deflection_limit": deflection_limit,
-            "slope_limit": SLOPE_PER_DEFLECTION * deflection_limit,
-            "rate_limit": self._rate_limit(),
+            "rate_limit": self._rate_limit,
             "per_rate": 1.0 / self.rate_scale,
             "move_time": self.move_time,
-            "weights": [weights.get(name, 0.0) for name in TERMS],
             "factors": self.layout.factors,
+            **settings.constants,
         }
         if self.actuation:
             values["command_limit"] = self.actuation.command
@@ -197,12 +206,6 @@ class Core:
             values |= self.sensing.numbers(self.gauge_scale, acceleration)
         return self.signals.constants.packed(values, self.model.dtype)
 
-    def _rate_limit(self) -> float:
-        """Joint rate [rad/s] beyond which linear modes lose much of their stiffness."""
-        if self.arm.foreshortening or not self.scales.locked:
-            return UNLIMITED_RATE
-        return LARGEST_RATE * min(self.scales.locked)
-
     def _episode_ranges(self) -> tuple[Any, ...]:
         """Arguments of `episode.begin`: ranges to draw from, and the rows to write."""
         first = {name: rows.start for name, rows in self.signals.state.slices.items()}
@@ -211,7 +214,7 @@ class Core:
             self.task.ranges(self.move_time),
             np.array(self.scales.home),
             np.array(self.arm.joint_index, dtype=np.uint64),
-            self._poses(),
+            base_poses(self.arm.base),
             self._vibration(self.scales.vibration),
             self._vibration(self.scales.vibration_rate),
             np.array([MOVE, self.rate_scale**2 / MOVE]),
@@ -223,12 +226,6 @@ class Core:
             ),
             np.array([first[name] for name in names], dtype=np.uint64),
         )
-
-    def _poses(self) -> Array:
-        """(n_base, 2) ranges of a floating base's pose: the described place, any angle."""
-        base = self.arm.base
-        turn = np.array([math.pi * (name == "base_rz") for name in base.names])
-        return np.stack([base.q - turn, base.q + turn], axis=1).reshape(-1, 2)
 
     def _vibration(self, shapes: tuple[tuple[float, ...], ...]) -> Array:
         return np.array(shapes).reshape(len(shapes), len(self.scales.modal_scale))
@@ -261,10 +258,12 @@ class Core:
 
     def _workspace(self) -> Array:
         w = self.model.workspace(self._program)
-        lanes = int(self._program.LANES)
-        first = int(self._program.CONSTANTS)
-        w[first : first + lanes * self._constants.size] = np.repeat(self._constants, lanes)
+        self._fill_constants(w)
         return w
+
+    def _fill_constants(self, w: Array) -> None:
+        lanes, first = int(self._program.LANES), int(self._program.CONSTANTS)
+        w[first : first + lanes * self._constants.size] = np.repeat(self._constants, lanes)
 
     def outputs(self) -> Any:
         """`Outputs` to fill: a set that no caller refers to, else a new one.

@@ -1,17 +1,21 @@
 """One environment with the Gymnasium interface."""
 
+import difflib
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from dynamics.description.validate import choice, mapping, shown
+from dynamics.description.validate import choice, instance, mapping, shown
+from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.runtime.thread_pool import in_use
 from dynamics.types import Array
-from flexarm_env.arguments import not_finite, whole_seed
+from flexarm_env.arguments import not_finite, plain, whole_seed
 from flexarm_env.core import Core
 from flexarm_env.observations import GOALS, Layout
 from flexarm_env.rewards import goal_reward
@@ -20,14 +24,90 @@ RENDER_MODES = ("human", "rgb_array")
 SET_HERE = ("n_env", "single", "max_steps")  # keywords of `Core` that its environments set
 KEYWORDS = frozenset(inspect.signature(Core).parameters) - {*SET_HERE}
 OF_BATCHES = ("threads", "autoreset_mode", "num_envs", "n_envs")
+CHANGEABLE = ("reward", "deflection_limit", "randomize", "max_episode_steps")
+GUARDED = KEYWORDS | {*SET_HERE, *OF_BATCHES, "max_episode_steps", *FREE_PARAMETERS}
 Observation = Any  # an array of float32, or with goals a dict of such arrays
 _ONE = np.zeros(1, np.int64)
 
 
-class CoreAttributes:
-    """Attributes that the single and the batch environment read from their `core`."""
+class Changeable:
+    """Keywords that may change while an environment runs, as attributes; others are refused.
+
+    Weights and limits hold from the next step, ranges of `randomize` from the next episode; a
+    refused value changes nothing. Reading gives copies, so assign whole dicts. Other attributes,
+    as those of a subclass, are free.
+    """
 
     core: Core
+
+    @property
+    def reward(self) -> Any:
+        """Weights in use by term, set by a preset's name or weights; None with obs="goal"."""
+        return None if self.core.layout.goal else self.core.settings.weights.copy()
+
+    @reward.setter
+    def reward(self, given: Any) -> None:
+        self.core.change(reward=given)
+
+    @property
+    def deflection_limit(self) -> float:
+        """Deflection over length [-] above which an episode ends as invalid."""
+        return self.core.settings.deflection_limit
+
+    @deflection_limit.setter
+    def deflection_limit(self, given: float) -> None:
+        self.core.change(deflection_limit=given)
+
+    @property
+    def randomize(self) -> Any:
+        """Ranges (low, high) of the free parameters; those left out become nominal again."""
+        return self.core.settings.ranges.copy()
+
+    @randomize.setter
+    def randomize(self, given: Any) -> None:
+        self.core.change(randomize=given)
+
+    def assign(self, name: str, value: Any) -> None:
+        """Set an attribute that is there; refuse other names with the nearest known one."""
+        if name not in GUARDED and not hasattr(self, name):
+            near = difflib.get_close_matches(name[:80], GUARDED, n=1)
+            guess = f"did you mean {near[0]!r}? " if near else ""
+            raise ValueError(
+                f"Unknown attribute {shown(name)}; {guess}These may change: {self._changeable()}."
+            )
+        setattr(self, name, value)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Refuse keywords of construction once the environment is built."""
+        if name in GUARDED and "core" in vars(self) and not _has_setter(type(self), name):
+            raise ValueError(self._refusal(name, shown(value)))
+        super().__setattr__(name, value)
+
+    def _refusal(self, name: str, given: str) -> str:
+        """Sentence for a keyword that cannot be set, with the remedy."""
+        if name in FREE_PARAMETERS:
+            how = "set" if name in self.core.randomize else "build a new environment with"
+            return (
+                f"{name} is a free parameter of the arm and no attribute, got {given}: {how} "
+                f"randomize={{{name!r}: ({given}, {given})}}, beside the ranges of others."
+            )
+        if name == "max_episode_steps":
+            return (
+                "max_episode_steps of a single environment belongs to Gymnasium's TimeLimit, got "
+                f"{given}: build a new environment with gymnasium.make(id, {name}={given})."
+            )
+        return (
+            f"{name} cannot change in an environment that is built, got {given}: build a new one "
+            f"with {name}={given}. These may change: {self._changeable()}."
+        )
+
+    def _changeable(self) -> list[str]:
+        return [name for name in CHANGEABLE if _has_setter(type(self), name)]
+
+
+class CoreAttributes(Changeable):
+    """Attributes that the single and the batch environment read from their `core`."""
+
     _renderer: Any = None  # of the class, so that `close` finds it after a refused construction
 
     arm = property(lambda self: self.core.arm)
@@ -41,6 +121,34 @@ class CoreAttributes:
     uncertified = property(lambda self: self.core.uncertified)
     observation_slices = property(lambda self: self.core.layout.slices)
     observation_scales = property(lambda self: self.core.layout.scales)
+
+    _spec: EnvSpec | None = None
+    _np_random: np.random.Generator | None
+    _np_random_seed: int | None
+    _seeded: bool
+
+    @property
+    def spec(self) -> Any:
+        """Gymnasium's specification, in which arrays, arms and the like are plain data."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        self._spec = given and replace(given, kwargs=plain(given.kwargs))
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Generator of the seeds of all random streams; one that is assigned seeds them at once."""
+        generator: np.random.Generator = super().np_random  # type: ignore[misc]
+        return generator
+
+    @np_random.setter
+    def np_random(self, generator: np.random.Generator) -> None:
+        self._np_random = instance(generator, "np_random", np.random.Generator)
+        self._np_random_seed = -1  # unknown, as Gymnasium has it
+        for row in range(self.core.n_env):
+            self.core.seed(row, generator)
+        self._seeded = True
 
     @property
     def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
@@ -87,6 +195,10 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
         return q[0], v[0]
 
     # ---- the Gymnasium interface -------------------------------------------------------------
+
+    def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
+        """Set an attribute; keywords are applied or refused here, and not stored in a wrapper."""
+        return super().set_wrapper_attr(name, value, force=force or name in GUARDED)
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -200,6 +312,10 @@ def refuse_of_batches(arguments: Mapping[str, Any]) -> None:
             "max_episode_steps is for gymnasium.make and for a batch; leave it out, or use "
             f"gymnasium.make(id, max_episode_steps={shown(arguments['max_episode_steps'])})."
         )
+
+
+def _has_setter(kind: type, name: str) -> bool:
+    return getattr(getattr(kind, name, None), "fset", None) is not None
 
 
 def frames_per_second(core: Core) -> int:

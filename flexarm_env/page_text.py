@@ -26,7 +26,8 @@ sb3_envs = flexarm_env.SB3VecEnv("FlexArm/OneLink-Reach-v0", 1024)  # for stable
 Environment i of a batch with `seed=s` is the single environment with seed s + i. All quantities are
 in SI units. `env.unwrapped` has the attributes `arm`, `model`, `task`, `control_dt`,
 `torque_limit`, `n_joint`, `reach`, `certificate`, `observation_slices` and `observation_scales`,
-and the methods `joint_target()` and `joint_state()`.
+and the methods `joint_target()` and `joint_state()`. A batch also has `call`, `get_attr` and
+`set_attr`, as Gymnasium's `SyncVectorEnv`.
 
 All ids are at v0, the first, and frozen: an id never changes its dynamics, observations, rewards
 or length of an episode. A change gets a new version. `tests/reference/digests.json` holds digests
@@ -74,6 +75,9 @@ restarts in the next step (`"NextStep"`, the default), in the same step (`"SameS
 `final_obs` and `final_info`), or, with `"Disabled"`, when the caller says
 `reset(options={{"reset_mask": terminated | truncated}})`.
 
+All random numbers come from streams of the environments' own. `reset(seed=...)` seeds them, and so
+does a generator that is assigned, `env.np_random = generator`, at once.
+
 ## Floating base
 
 The base of an arm with `base: {{"type": "planar"}}` floats in the plane of the motion and turns.
@@ -105,6 +109,26 @@ is constant but for the error of the integration.
 ## Keywords
 
 {keywords}
+
+## Keywords that may change
+
+`reward`, `deflection_limit` and `randomize` may change while an environment runs, and so may
+`max_episode_steps` of a batch:
+
+```python
+env.unwrapped.deflection_limit = 0.05  # or env.set_wrapper_attr("deflection_limit", 0.05)
+envs.set_attr("deflection_limit", 0.05)  # for all environments of a batch, and of SB3VecEnv
+```
+
+Weights and limits hold from the next step, ranges from the next episode. A new value replaces the
+former one as a whole: parameters that `randomize` leaves out take the range of the hardware, or
+else their nominal value. Parameters are drawn only if `randomize` or `hardware` named them at
+construction. `randomize={{"payload_mass": (0.0, 0.0)}}` names one and leaves the arm as it is.
+
+Values are checked as at construction. Every other keyword needs a new environment, and setting it
+is refused. `gym.make` puts wrappers round the environment: without `unwrapped`, an assignment stays
+on the outermost one. Copies and pickles keep the changes; `env.spec` tells how the environment was
+made. Controllers keep the ranges for which they were built.
 
 ## Hardware
 
@@ -268,6 +292,8 @@ KEYWORDS = (
      'sensors and spread of the plant: "ideal", "laboratory" or a dict, which may add an '
      "accelerometer"),
     ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
+    ("max_episode_steps", "the id's",
+     "control steps after which an episode is truncated; None: the id's; -1: no limit"),
     ("render_mode", "None", '"rgb_array", in a notebook too: `PIL.Image.fromarray(env.render())` '
      'shows it; or "human", a window'),
     ("threads", "1", "largest number of worker threads, `gym.make_vec` only"),

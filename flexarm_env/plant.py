@@ -13,6 +13,7 @@ from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
 from dynamics.simulation.statics import held, loaded
+from dynamics.simulation.validity import LARGEST_RATE
 from dynamics.types import Array
 from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import find, fit, kept
@@ -27,6 +28,8 @@ from flexarm_env.scales import (
     integration,
     scales,
 )
+
+UNLIMITED_RATE = 1e12  # [rad/s] limit of the joint rate where the model has none
 
 
 class GravityWarning(UserWarning):
@@ -62,6 +65,13 @@ class Plant:
     def move_time(self) -> float:
         """Duration [s] of a bang-bang move by MOVE at full torque."""
         return 2.0 * math.sqrt(MOVE / self.full_acceleration)
+
+    @property
+    def rate_limit(self) -> float:
+        """Joint rate [rad/s] beyond which linear modes lose much of their stiffness."""
+        if self.arm.foreshortening or not self.scales.locked:
+            return UNLIMITED_RATE
+        return LARGEST_RATE * min(self.scales.locked)
 
 
 def plan(

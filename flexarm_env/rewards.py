@@ -148,9 +148,10 @@ class _WeightedReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     preset: str
 
     def __init__(self, env: gym.Env[Any, Any], weights: Mapping[str, float] | None = None) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self, weights=weights)
-        gym.Wrapper.__init__(self, env)
         chosen = resolve_weights(self.preset if weights is None else weights)
+        stored = None if weights is None else chosen  # plain floats, for JSON
+        gym.utils.RecordConstructorArgs.__init__(self, weights=stored)
+        gym.Wrapper.__init__(self, env)
         self.weights = [chosen.get(name, 0.0) for name in TERMS]
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:

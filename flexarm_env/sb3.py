@@ -1,7 +1,8 @@
 """Batch environment for stable-baselines3, which has a vector interface of its own."""
 
+import operator
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from dynamics.description import validate
 from dynamics.extras import missing
 from flexarm_env.compiled.outputs import BatchOutputs
+from flexarm_env.env import Changeable
 from flexarm_env.vector import FlexArmVectorEnv
 
 try:
@@ -20,13 +22,76 @@ except ModuleNotFoundError as error:
     raise missing(error, "SB3VecEnv", "train") from None
 
 
-class SB3VecEnv(VecEnv):
+AT_ENDS = frozenset({"episode", "is_success", "terminal_observation", "TimeLimit.truncated"})
+
+
+class StepInfo(dict[str, Any]):
+    """Info of one environment after a step."""
+
+    __slots__ = ("row", "source")
+    row: int  # of the environment
+    source: Callable[[int], dict[str, Any]]  # entries from the row
+
+    def filled(self) -> "StepInfo":
+        """Itself, with its entries."""
+        return self
+
+    def __reduce__(self) -> Any:
+        """Copies and pickles are plain dicts."""
+        return dict, (dict(self),)
+
+
+class RunningInfo(StepInfo):
+    """Info of an environment whose episode goes on, filled when it is first used.
+
+    Few infos of a batch are ever looked at, and filling all takes longer than the step. `source`
+    is that of `BatchOutputs.by_row`.
+    """
+
+    __slots__ = ()
+
+    def filled(self) -> StepInfo:
+        """Itself, with its entries and from then on an ordinary dict."""
+        self.__class__ = StepInfo  # type: ignore[assignment]
+        if hasattr(self, "source"):
+            self.update(self.source(self.row))
+            del self.source
+        return self
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """Entry of a key; learners ask for those of an end at every step."""
+        if key in AT_ENDS and self.__class__ is RunningInfo:
+            return default
+        return dict.get(self.filled(), key, default)
+
+    def __contains__(self, key: object) -> bool:
+        return dict.__contains__(self if key in AT_ENDS else self.filled(), key)
+
+
+def _method(name: str) -> Any:
+    return lambda self, *args, **kwargs: getattr(self.filled(), name)(*args, **kwargs)
+
+
+def _operator(operation: Any) -> Any:  # Python then fills the other side, too
+    return lambda self, other: operation(self.filled(), other)
+
+
+for _name in (
+    "__getitem__", "__setitem__", "__delitem__", "__iter__", "__reversed__", "__len__", "__repr__",
+    "copy", "keys", "values", "items", "pop", "popitem", "setdefault", "update", "clear",
+):  # fmt: skip
+    setattr(RunningInfo, _name, _method(_name))
+for _operation in (operator.eq, operator.ne, operator.or_, operator.ior):
+    setattr(RunningInfo, f"__{_operation.__name__.strip('_')}__", _operator(_operation))
+
+
+class SB3VecEnv(Changeable, VecEnv):
     """N environments of a registered id, stepped together.
 
-    An environment whose episode ended restarts in the same step. Its info has the keys of a
-    `DummyVecEnv` of monitored environments: "terminal_observation", "TimeLimit.truncated",
-    "episode" (return, length, time) and "is_success" (tip on the target at the end), beside the
-    environment's own. The infos of the other environments are empty.
+    Infos have the environment's own entries. An environment whose episode ended restarts in the
+    same step. Its info has those of a `DummyVecEnv` of monitored environments besides:
+    "terminal_observation", "TimeLimit.truncated", "episode" (return, length, time) and "is_success"
+    (tip on the target at the end).
     """
 
     def __init__(
@@ -47,11 +112,21 @@ class SB3VecEnv(VecEnv):
         n_envs = given[0]
         envs = gym.make_vec(id, num_envs=n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
         assert isinstance(envs, FlexArmVectorEnv)
-        self.envs, self.core, self._observed = envs, envs.core, envs.core.layout.observed
+        self.envs, self._observed = envs, envs.core.layout.observed
         super().__init__(n_envs, envs.single_observation_space, envs.single_action_space)
         self._actions: NDArray[np.float32] = np.zeros(envs.action_space.shape or (), np.float32)
         self._returns, self._lengths = np.zeros(n_envs), np.zeros(n_envs, np.int64)
         self._started = time.time()
+        self.core = envs.core
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Control steps after which an episode is truncated; -1: never."""
+        return self.envs.max_episode_steps
+
+    @max_episode_steps.setter
+    def max_episode_steps(self, given: int | None) -> None:
+        self.envs.max_episode_steps = given
 
     def reset(self) -> Any:
         """Start episodes, with the seeds and options set by `seed` and `set_options`."""
@@ -69,6 +144,7 @@ class SB3VecEnv(VecEnv):
         self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
+        self.reset_infos = self._infos(out.by_row())
         return self._observed(out.obs)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
@@ -89,65 +165,62 @@ class SB3VecEnv(VecEnv):
         self._returns += rewarded
         reward = rewarded.astype(np.float32)  # a copy: a restart writes over the outputs
         self._lengths += 1
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        by_row = out.by_row()
+        infos = self._infos(by_row)
         dones = out.terminated | out.truncated
         if ended:
             rows = np.flatnonzero(dones)
-            self._report(rows, out, infos)
             for i in rows.tolist():
-                timed_out = out.truncated[i] and not out.terminated[i]
-                infos[i]["TimeLimit.truncated"] = bool(timed_out)
+                infos[i] = self._ended_info(i, out, by_row(i))
             self.core.restart(rows, out)
             self._returns[rows], self._lengths[rows] = 0.0, 0
+            for i in rows.tolist():
+                self.reset_infos[i] = by_row(i)
         return self._observed(out.obs), reward, dones, infos
 
-    def _report(self, rows: Any, out: BatchOutputs, infos: list[Any]) -> None:
-        """Fill the infos of the environments whose episode ended."""
-        described = out.described()
-        terms = described.pop("reward_terms")
-        elapsed = round(time.time() - self._started, 6)
-        for i in rows.tolist():
-            entry = {
-                name: values[i].copy() if values.ndim > 1 else values[i].item()
-                for name, values in described.items()
-            }
-            entry["reward_terms"] = {name: float(values[i]) for name, values in terms.items()}
-            entry["terminal_observation"] = self._observed(out.obs[i].copy())
-            entry["is_success"] = entry["settled"]
-            entry["episode"] = {
-                "r": round(float(self._returns[i]), 6),
-                "l": int(self._lengths[i]),
-                "t": elapsed,
-            }
-            infos[i] = entry
+    def _infos(self, source: Callable[[int], dict[str, Any]]) -> list[dict[str, Any]]:
+        infos: list[dict[str, Any]] = []
+        for row in range(self.num_envs):
+            info = RunningInfo()  # its own constructor would take twice as long
+            info.source, info.row = source, row
+            infos.append(info)
+        return infos
+
+    def _ended_info(self, i: int, out: BatchOutputs, info: dict[str, Any]) -> dict[str, Any]:
+        """Add what is known of environment i, whose episode ended, to its info."""
+        info["terminal_observation"] = self._observed(out.obs[i].copy())
+        info["TimeLimit.truncated"] = bool(out.truncated[i] and not out.terminated[i])
+        info["is_success"] = info["settled"]
+        info["episode"] = {
+            "r": round(float(self._returns[i]), 6),
+            "l": int(self._lengths[i]),
+            "t": round(time.time() - self._started, 6),
+        }
+        return info
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return the attribute, which all environments share, once per environment."""
+        """Value of an attribute, which all environments share, once per environment."""
         value = getattr(self.envs, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of all environments; they share it."""
-        if len(list(self._get_indices(indices))) != self.num_envs:
+        """Set an attribute of all environments, which share it; see `Changeable`."""
+        if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise ValueError(f"{attr_name!r} is shared by the batch: set it for all environments.")
-        setattr(self.envs, attr_name, value)
+        self.envs.assign(attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
         """Call a method of the batch; a result with one row per environment is split."""
-        if method_name == "render":
-            pictures = self.get_images()
-            return [pictures[i] for i in self._get_indices(indices)]
-        result = getattr(self.envs, method_name)(*method_args, **method_kwargs)
         rows = list(self._get_indices(indices))
-        if method_name == "compute_reward":  # of any goals, not of the environments'
-            return [result for _ in rows]
-        if isinstance(result, np.ndarray) and result.shape[:1] == (self.num_envs,):
-            return [result[i] for i in rows]
-        if isinstance(result, tuple) and all(np.shape(x)[:1] == (self.num_envs,) for x in result):
-            return [tuple(x[i] for x in result) for i in rows]
-        return [result for _ in rows]
+        if method_name == "get_wrapper_attr":
+            return self.get_attr(method_args[0], indices)
+        if method_name == "set_wrapper_attr":
+            self.set_attr(method_args[0], method_args[1], indices)
+            return [True for _ in rows]
+        results = self.envs.call(method_name, *method_args, **method_kwargs)
+        return [results[i] for i in rows]
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Any = None) -> list[bool]:
         """True for `Monitor`, whose job this class does; no other wrapper is present."""

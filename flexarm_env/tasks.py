@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.description import validate
-from dynamics.description.arm import Arm
+from dynamics.description.arm import Arm, Base
 from dynamics.types import Array
 from flexarm_env.scales import MOVE, SLOW
 
@@ -103,6 +103,12 @@ TASKS = {
         reward="damp",
     ),
 }
+
+
+def base_poses(base: Base) -> Array:
+    """(n_base, 2) ranges of a floating base's pose: the described place, any angle."""
+    turn = np.array([math.pi * (name == "base_rz") for name in base.names])
+    return np.stack([base.q - turn, base.q + turn], axis=1).reshape(-1, 2)
 
 
 def refuse_floating(task: Task, arm: Arm) -> None:

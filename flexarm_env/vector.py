@@ -1,11 +1,13 @@
 """A batch of environments with Gymnasium's vector interface; one compiled call steps all."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from numbers import Integral
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 
 from dynamics.description import validate
 from dynamics.types import Array
-from flexarm_env.arguments import whole_seed
+from flexarm_env.arguments import episode_steps, plain, whole_seed
 from flexarm_env.compiled.outputs import BatchOutputs, masks
 from flexarm_env.core import Core
 from flexarm_env.env import (
@@ -34,7 +36,8 @@ OWN_KEYWORDS = ("num_envs", "max_episode_steps", "autoreset_mode", "render_mode"
 class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
     """N flexible arms with one task; environment i equals a `FlexArmEnv` with seed `seed + i`.
 
-    Keywords are those of `FlexArmEnv`, and `max_episode_steps`, `autoreset_mode`, `threads`.
+    Keywords are those of `FlexArmEnv`, and `max_episode_steps`, `autoreset_mode`, `threads`. Of
+    `max_episode_steps`, -1 is no limit, and None that of the id; without an id there is none.
     `render_mode` "human" shows the first environment. With `autoreset_mode` DISABLED the caller
     restarts ended episodes by `reset(options={"reset_mask": terminated | truncated})`.
 
@@ -65,9 +68,10 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         known = {mode.value: mode for mode in AutoresetMode}
         given = getattr(autoreset_mode, "value", autoreset_mode)
         mode = known[validate.choice(given, "autoreset_mode", known)]
-        steps = 0 if max_episode_steps is None else max_episode_steps
-        self.core = Core(n_env=num_envs, single=False, max_steps=steps, **arguments)
-        self.num_envs, self.render_mode, self.autoreset_mode = self.core.n_env, render_mode, mode
+        steps = episode_steps(max_episode_steps)
+        core = Core(n_env=num_envs, single=False, max_steps=steps, **arguments)
+        self.num_envs, self.render_mode, self.autoreset_mode = core.n_env, render_mode, mode
+        self.core = core
         self.metadata = {
             **self.metadata,
             "render_fps": frames_per_second(self.core),
@@ -83,6 +87,33 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         self._pending = np.zeros(0, np.int64)  # ended environments, to restart before a step
         self._latest: NDArray[np.float32] | None = None  # observations, if the caller restarts
         self._seeded = False
+        self._own_steps = 0  # of the id: the limit that max_episode_steps=None stands for
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Control steps after which an episode is truncated; -1: never."""
+        return self.core.max_steps or -1
+
+    @max_episode_steps.setter
+    def max_episode_steps(self, given: int | None) -> None:
+        self.core.change(max_steps=episode_steps(given, self._own_steps))
+
+    @property
+    def spec(self) -> Any:
+        """Gymnasium's specification; its `max_episode_steps` is that of the construction."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        """Take the id's limit of steps where the keyword was None."""
+        if given is None:
+            self._spec = None
+            return
+        self._own_steps = given.max_episode_steps or 0
+        if given.kwargs.get("max_episode_steps", 0) is None:
+            self.core.change(max_steps=self._own_steps)
+        steps = self.core.max_steps or None
+        self._spec = replace(given, kwargs=plain(given.kwargs), max_episode_steps=steps)
 
     # ---- for controllers -----------------------------------------------------------------------
 
@@ -93,6 +124,48 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
     def joint_state(self) -> tuple[Array, Array]:
         """(num_envs, n_joint) [rad] and [rad/s] joint angles and rates, as ideal encoders read."""
         return self.core.joint_state()
+
+    # ---- attributes, as of Gymnasium's SyncVectorEnv ---------------------------------------------
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Result of a method, or value of an attribute, for each environment.
+
+        A result that has one row per environment is split; any other belongs to all of them.
+        """
+        if name in ("reset", "step"):
+            raise ValueError(f"{name} is of the whole batch, not of each environment: envs.{name}.")
+        found = getattr(self, name)
+        result = found(*args, **kwargs) if callable(found) else found
+        n = self.num_envs
+        if name == "render":
+            return result or n * (None,)
+        if not callable(found) or name == "compute_reward":  # of any goals
+            return n * (result,)
+        if isinstance(result, np.ndarray) and result.shape[:1] == (n,):
+            return tuple(result)
+        if isinstance(result, tuple) and result and all(np.shape(x)[:1] == (n,) for x in result):
+            return tuple(zip(*result, strict=True))
+        return n * (result,)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Value of an attribute for each environment; they share it."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute of all environments; a list or tuple must repeat one value for each."""
+        if isinstance(values, list | tuple):
+            if len(values) != self.num_envs:
+                raise ValueError(
+                    f"A list of values of {name!r} must have {self.num_envs} (one per "
+                    f"environment), got {len(values)}: {validate.shown(values)}."
+                )
+            if not all(np.array_equal(value, values[0]) for value in values):
+                raise ValueError(
+                    f"{name!r} is shared by the batch and must be the same for all environments, "
+                    f"got {validate.shown(values)}."
+                )
+            values = values[0]
+        self.assign(name, values)
 
     # ---- the Gymnasium interface -------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from dynamics.description.arm import MOST_LINKS, Arm, Base, Payload
 from dynamics.description.joint import Joint
 from dynamics.description.link import MOST_MODES, Body, Link
 from dynamics.description.mode_shapes import Mode
+from dynamics.description.plausibility import warn_if_implausible
 from dynamics.description.rotations import from_euler
 
 TABLE = "denavit_hartenberg"  # key that replaces links by table rows, see that module
@@ -29,8 +30,15 @@ CASE_KEYS = (  # further keys of an arm file: a motion and its reference results
 def arm_from_dict(data: Mapping[str, Any]) -> Arm:
     """Build an arm from plain lists, numbers and text; unknown keys raise ValueError.
 
-    A link with a stiffness and without the key `modes` is rigid, with a RigidLinkWarning.
+    A link with a stiffness and without the key `modes` is rigid, with a RigidLinkWarning. Numbers
+    of no arm, as lengths in mm, give an ImplausibleArmWarning.
     """
+    arm = _arm(data)
+    warn_if_implausible(arm, stacklevel=3)
+    return arm
+
+
+def _arm(data: Mapping[str, Any]) -> Arm:
     keys = validate.mapping(data, "the arm", (*ARM_KEYS, *CASE_KEYS))
     if keys.get("units", "SI") != "SI":
         raise ValueError(f'units must be "SI", got {validate.shown(keys["units"])}.')
@@ -68,7 +76,7 @@ def _link(data: object, where: str) -> Link:
     link: Link = _build(Link, values, where)
     if silent and link.stiffnesses:
         sentence = mode_rule.rigid_in_silence(where, link.stiffnesses)
-        warnings.warn(sentence, mode_rule.RigidLinkWarning, stacklevel=5)
+        warnings.warn(sentence, mode_rule.RigidLinkWarning, stacklevel=6)
     return link
 
 

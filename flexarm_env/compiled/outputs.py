@@ -1,6 +1,7 @@
 """Outputs of a step: arrays that the compiled step fills, and views of them by name."""
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from sys import getrefcount
 from typing import Any
 
@@ -52,8 +53,8 @@ class SingleOutputs(Outputs):
         super().__init__(n_env, size, width, dtype, names)
         self.observation, column, self.marks = self.obs[0], self.info[:, 0], self.flags[:, 0]
         self.values = column[: names.slices["reward_terms"].stop]
-        wide = {name: column[names.slices[name]].copy for name in WIDE if name in names.slices}
-        self.described = _describer(names, wide)
+        wide = {name: column[at].copy for name, at in _wide(names).items()}
+        self.described = _describer(names, {name: f"{name}()" for name in wide}, wide)
 
 
 class BatchOutputs(Outputs):
@@ -78,7 +79,9 @@ class BatchOutputs(Outputs):
     def _views(self, n_env: int, names: Rows) -> list[AnyArray]:
         values, marks = list(self.info[:, :n_env]), list(self.flags[:, :n_env])
         self.reward, self.terminated, self.truncated = values[0], marks[0], marks[1]
-        named = {name: names.slices[name] for name in WIDE if name in names.slices}
+        named = _wide(names)
+        wide = {name: f"column[{at.start}:{at.stop}].copy()" for name, at in named.items()}
+        self._of_column = _describer(names, wide, {}, "values, marks, column")
         terms = names.slices["reward_terms"]
         self._terms = dict(zip(TERMS, values[terms], strict=True))
         numbers = zip(scalars(names), values[1 : terms.start], strict=True)
@@ -102,9 +105,27 @@ class BatchOutputs(Outputs):
         marked["reward_terms"] = self._marked_terms.copy()
         return marked
 
+    def by_row(self) -> Callable[[int], dict[str, Any]]:
+        """Function from an environment to its info, as a single environment gives it.
 
-def _describer(names: Rows, wide: Mapping[str, Callable[[], AnyArray]]) -> Callable[..., Any]:
-    """Function from values and marks to the info dict; `wide` makes the vector-valued entries.
+        No later step overwrites the arrays while a caller keeps the function.
+        """
+        return partial(_of_row, self.info, self.flags, self._of_column)
+
+
+def _of_row(info: AnyArray, flags: AnyArray, described: Callable[..., Any], row: int) -> Any:
+    column = info[:, row]
+    return described(column.tolist(), flags[:, row].tolist(), column)
+
+
+def _wide(names: Rows) -> dict[str, slice]:
+    return {name: names.slices[name] for name in WIDE if name in names.slices}
+
+
+def _describer(
+    names: Rows, wide: Mapping[str, str], given: dict[str, Any], arguments: str = "values, marks"
+) -> Callable[..., Any]:
+    """Function from values and marks to the info dict; `wide` has the text of the other entries.
 
     The dict is generated as one literal, because building it takes a notable part of a single
     environment's step.
@@ -115,11 +136,11 @@ def _describer(names: Rows, wide: Mapping[str, Callable[[], AnyArray]]) -> Calla
 
     text = ", ".join([
         entries(scalars(names), "values", 1),
-        *(f"{name!r}: {name}()" for name in wide),
+        *(f"{name!r}: {text}" for name, text in wide.items()),
         entries(FLAGS[SETTLED:], "marks", SETTLED),
         f"'reward_terms': {{{entries(TERMS, 'values', names.slices['reward_terms'].start)}}}",
     ])  # fmt: skip
-    return eval(f"lambda values, marks: {{{text}}}", dict(wide))
+    return eval(f"lambda {arguments}: {{{text}}}", given)
 
 
 def scalars(names: Rows) -> list[str]:

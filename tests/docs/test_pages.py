@@ -23,7 +23,7 @@ RUN = ("index", "own_arm", "sensors", "certificate", "controller", "faq", "actua
 BLOCK = re.compile(r"^```(python|yaml|bash)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 SHORT = {  # of the pages -> in the tests
     "total_steps: 500_000": "total_steps: 4_096",
-    "learn(100_000)": "learn(2_048)",
+    "learn(100_000": "learn(2_048",
     "--episodes 20": "--episodes 2",
     "--tracks state": "--tracks state --episodes 2",
 }

@@ -95,6 +95,38 @@ def test_a_pickled_environment_continues_where_it_was(env_id: str) -> None:
     np.testing.assert_array_equal(copy.reset()[0], env.reset()[0])  # the random stream, too
 
 
+def test_an_assigned_generator_draws_the_next_episode() -> None:
+    """After a seeded one, as the generator of `reset(seed=...)` does."""
+    env, seeded = (gym.make("FlexArm/OneLink-Reach-v0") for _ in range(2))
+    env.reset(seed=0)
+    env.np_random = np.random.default_rng(1)
+    assert env.np_random_seed == -1
+    expected, _ = seeded.reset(seed=1)
+    np.testing.assert_array_equal(env.reset()[0], expected)
+    assert not np.array_equal(env.reset()[0], expected)
+    env.np_random = np.random.default_rng(1)
+    np.testing.assert_array_equal(env.reset()[0], expected)
+    with pytest.raises(ValueError, match="np_random must be a Generator, got 3"):
+        env.np_random = 3  # type: ignore[assignment]
+
+
+def test_an_assigned_generator_draws_the_next_episodes_of_a_batch() -> None:
+    """At a reset and where they begin by themselves; each environment has its own."""
+    made = [gym.make_vec("FlexArm/OneLink-Reach-v0", 3, max_episode_steps=2) for _ in range(3)]
+    starts: list[Any] = []
+    for envs, seed in zip(made, (1, 1, 2), strict=True):
+        envs.reset(seed=0)
+        envs.np_random = np.random.default_rng(seed)
+        rest = np.zeros(envs.action_space.shape)
+        restarted = [envs.step(rest)[0].copy() for _ in range(3)][-1]
+        starts.append((restarted, envs.reset()[0].copy()))
+    for same, other in zip(starts[0], starts[1], strict=True):
+        np.testing.assert_array_equal(same, other)
+        assert len(np.unique(same, axis=0)) == 3
+    for one, other in zip(starts[0], starts[2], strict=True):
+        assert (one != other).any(axis=1).all()
+
+
 def test_time_limit_truncates_and_nothing_else() -> None:
     env = gym.make("FlexArm/OneLink-Reach-v0", max_episode_steps=7)
     env.reset(seed=0)
