@@ -1,6 +1,7 @@
 """`flexarm fit LOG --arm ARM`: parameters of an arm from a log of its rig, and both motions."""
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,20 @@ from agents.files import FolderError, check_folder
 from agents.metrics import write_json
 from agents.sentences import one_line, speaker
 from dynamics.load import load_arm
-from dynamics.measured.fit import BOUNDS, CONFIDENCE, Fit, Gauge, fit
+from dynamics.measured.fit import BOUNDS, CONFIDENCE, Fit, fit
 from dynamics.measured.log_file import UNITS, Columns, Log, read_log
+from dynamics.measured.motion import STARTS, Gauge
 from dynamics.model import compile_arm
 
+UNEXPLAINED = 0.9  # [of a signal's deviation] residual of a signal that the fit does not follow
 WHITE = 0.2  # largest correlation of a residual's neighbours that counts as white
 EXAMPLE = (
     "flexarm fit run.csv --arm slim --time t --command torque --encoder angle --gauge strain "
     "--gauge-at 1:0.05:0.0008 --units time=ms encoder=deg gauge=microstrain"
+)
+PLUCK_EXAMPLE = (
+    "flexarm fit pluck.csv --arm slim --time t --gauge strain --gauge-at 1:0.05:0.0008 "
+    "--units gauge=microstrain --held 1 --from 1.2"
 )
 
 
@@ -34,21 +41,29 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
             time=a.time, command=tuple(a.command), encoder=tuple(a.encoder),
             gauge=tuple(a.gauge), units=units,
         )  # fmt: skip
-        gauges = [_gauge(text, units.get("gauge", "1/m")) for text in a.gauge_at]
         log, arm = read_log(a.log, columns), load_arm(a.arm)
-        found = fit(arm, log, gauges, bounds)
+        if a.since is not None:
+            log = log.since(a.since)
+        gauges = [_gauge(text, units.get("gauge", "1/m"), arm.n_joint) for text in a.gauge_at]
+        if len(gauges) != len(a.gauge):
+            raise ValueError(
+                "--gauge-at needs a place LINK:X[:DISTANCE] for each column of --gauge, got "
+                f"{len(gauges)} places for {len(a.gauge)} columns."
+            )
+        held = dict(_held(text, arm.n_joint) for text in a.held)
+        found = fit(arm, log, gauges, bounds, start=a.start, held=held)
     except (ValueError, FolderError) as error:
         print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
     a.out.mkdir(parents=True, exist_ok=True)
     title = f"{a.log.name} and {arm.name or a.arm}"
-    kinds = ["encoder [rad]"] * log.encoder.shape[1] + [_unit(gauge) for gauge in gauges]
-    draw(a.out / "overlay.png", log, found, kinds, title)
+    units_read = ["[rad]"] * (len(found.signals) - len(gauges)) + [_unit(g) for g in gauges]
+    draw(a.out / "overlay.png", log, found, units_read, title)
     write_json(a.out / "fit.json", {"log": a.log.name, "arm": a.arm} | found.to_dict())
     print(table(found))
     if "stiffness" in bounds and "payload_mass" not in bounds:
         print(frequencies(arm, found))
-    for sentence in doubts(found):
+    for sentence in doubts(found, bool(log.command.any())):
         print(sentence)
     print(f"Everything is in {a.out}/")
     return 0
@@ -58,14 +73,19 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Fit stiffness and damping of an arm to a log of its rig.",
-        epilog=f"example: {EXAMPLE}",
+        epilog="examples:\n  a motor moves the arm:\n"
+        f"    {EXAMPLE}\n  the joint is clamped, the tip plucked and let go after 1.2 s:\n"
+        f"    {PLUCK_EXAMPLE}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add("log", type=Path, metavar="LOG", help=".csv or .txt with a header line, or .mat")
     add("--arm", required=True, help="a preset's name or an arm file")
     add("--time", required=True, metavar="COLUMN")
-    add("--command", nargs="+", required=True, metavar="COLUMN", help="torque of every joint")
-    add("--encoder", nargs="+", required=True, metavar="COLUMN", help="of every joint")
+    add("--command", nargs="+", default=[], metavar="COLUMN",
+        help="torque of every joint; none: zero throughout, as in a free decay")  # fmt: skip
+    add("--encoder", nargs="+", default=[], metavar="COLUMN",
+        help="of every joint; those of held joints may be left out")  # fmt: skip
     add("--gauge", nargs="+", default=[], metavar="COLUMN", help="strain or curvature")
     add("--gauge-at", nargs="+", default=[], metavar="LINK:X[:DISTANCE]",
         help="of every gauge: link from 1, metres from the joint, and of strain metres from the "
@@ -73,6 +93,15 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add("--units", nargs="+", default=[], metavar="KIND=UNIT",
         help="; ".join(f"{kind}: {', '.join(known)}" for kind, known in UNITS.items())
         + "; or a factor to SI (default: the first of each)")  # fmt: skip
+    add("--held", nargs="+", default=[], metavar="JOINT[:ANGLE]",
+        help="joints, from 1, that a clamp or a stiff drive holds, and their angles in rad "
+        "(default: the mean of the encoder, or 0 without one)")  # fmt: skip
+    add("--start", choices=STARTS, default=STARTS[0],
+        help="of the log: deflections and rates are estimated with the parameters, or the arm is "
+        "straight and at rest (default: %(default)s)")  # fmt: skip
+    add("--from", dest="since", type=float, metavar="SECONDS",
+        help="leave out the samples before this time, such as those before a plucked tip is let "
+        "go")  # fmt: skip
     default = " ".join(f"{name}={low:g}:{high:g}" for name, (low, high) in BOUNDS.items())
     add("--fit", nargs="+", metavar="NAME=LOW:HIGH",
         help=f"parameters and their bounds, times the arm's own (default: {default})")  # fmt: skip
@@ -103,10 +132,9 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
     return name, (low, high)
 
 
-def _gauge(text: str, unit: str) -> Gauge:
+def _gauge(text: str, unit: str, count: int) -> Gauge:
     link, *rest = _numbers(text, "--gauge-at", "LINK:X[:DISTANCE]", (2, 3))
-    if link != int(link) or link < 1:
-        raise ValueError(f"--gauge-at counts links from 1, got {text!r}.")
+    index = _counted(link, "link", count, "--gauge-at", text)
     if "strain" in unit and len(rest) < 2:
         raise ValueError(f"--gauge-at needs LINK:X:DISTANCE for {unit}, got {text!r}.")
     if unit == "1/m" and len(rest) > 1:
@@ -114,11 +142,27 @@ def _gauge(text: str, unit: str) -> Gauge:
             f"--gauge-at takes LINK:X for curvatures, got {text!r}; of strain, give the unit: "
             "--units gauge=strain."
         )
-    return Gauge(link=int(link) - 1, x=rest[0], distance=rest[1] if len(rest) > 1 else 1.0)
+    return Gauge(link=index, x=rest[0], distance=rest[1] if len(rest) > 1 else 1.0)
+
+
+def _held(text: str, count: int) -> tuple[int, float | None]:
+    """Joint, counted from 0, and its angle, if one is given."""
+    joint, *rest = _numbers(text, "--held", "JOINT[:ANGLE]", (1, 2))
+    return _counted(joint, "joint", count, "--held", text), rest[0] if rest else None
+
+
+def _counted(number: float, noun: str, count: int, option: str, text: str) -> int:
+    """Index of a link or joint that is counted from 1."""
+    if number not in range(1, count + 1):
+        raise ValueError(
+            f"{option} counts {noun}s from 1: {noun} must be between 1 and {count}, the arm's "
+            f"{noun}s, got {text!r}."
+        )
+    return int(number) - 1
 
 
 def _unit(gauge: Gauge) -> str:
-    return "curvature [1/m]" if gauge.distance == 1.0 else "strain [-]"
+    return "[1/m]" if gauge.distance == 1.0 else "[-]"
 
 
 def table(found: Fit) -> str:
@@ -127,8 +171,10 @@ def table(found: Fit) -> str:
     for (name, (low, high)), x, (least, most) in zip(
         found.bounds.items(), found.values, found.intervals, strict=True
     ):
-        span = f"{least:.4g} to {most:.4g}"
-        lines.append(f"{name:14}{x:10.4g}  {span:^21}  {low:g} to {high:g}")
+        half = max(0.5 * (most - least), sys.float_info.min)
+        digits = min(max(1 - math.floor(math.log10(half)), 0), 9)  # two of the half width
+        span = f"{least:.{digits}f} to {most:.{digits}f}"
+        lines.append(f"{name:14}{x:10.{digits}f}  {span:^21}  {low:g} to {high:g}")
     lines.append(f"\n{'residual':14}{'as described':>14}{'fitted':>12}  correlation of neighbours")
     for name, before, after, rho in zip(
         found.signals, found.rms(found.nominal), found.rms(found.fitted), found.correlation,
@@ -149,10 +195,12 @@ def frequencies(arm: Any, found: Fit) -> str:
     return sentence + "."
 
 
-def doubts(found: Fit) -> list[str]:
-    """Sentences about intervals that mean less than they say."""
+def doubts(found: Fit, driven: bool = True) -> list[str]:
+    """Sentences about a fit that means less than it says, to a log with or without torque."""
     result = [
-        f"{name} stopped at its bound; its interval means nothing." for name in found.at_bound
+        f"{name} stopped at its bound, so its interval means nothing: widen --fit or look for a "
+        "wrong unit, unless the bound is a physical one."
+        for name in found.at_bound
     ]
     coloured = [
         name for name, rho in zip(found.signals, found.correlation, strict=True) if abs(rho) > WHITE
@@ -162,31 +210,47 @@ def doubts(found: Fit) -> list[str]:
             f"The residual of {', '.join(coloured)} is not white: the arm lacks something that the "
             "rig has, and the intervals are too narrow."
         )
+    if coloured and not driven:
+        result.append(
+            "The torque is zero throughout: name --command if there was one, and begin a free "
+            "decay at its release by --from."
+        )
+    unexplained = [
+        name for name, rms, size in zip(
+            found.signals, found.rms(found.fitted), found.measured.std(axis=0), strict=True
+        ) if rms > UNEXPLAINED * size
+    ]  # fmt: skip
+    if unexplained:
+        result.append(f"The fit explains nothing of {', '.join(unexplained)}.")
+    clamped = [name.removeprefix("encoder ") for name in unexplained if name.startswith("encoder")]
+    if clamped:
+        result.append(f"If a joint was clamped, say so: --held {' '.join(clamped)}.")
     return result
 
 
-def draw(path: Path, log: Log, found: Fit, labels: list[str], title: str) -> None:
-    """Draw the command, and every measured signal beside those of the arm before and after."""
-    figure = new_figure(8.0, 1.6 + 2.0 * len(labels))
-    top, *rest = figure.subplots(
-        1 + len(labels), 1, sharex=True, height_ratios=[1, *[2] * len(labels)]
-    )
+def draw(path: Path, log: Log, found: Fit, units: list[str], title: str) -> None:
+    """Draw the commands, and every measured signal beside those of the arm before and after."""
+    driven = log.command.shape[1] > 0
+    figure = new_figure(8.0, 0.6 + driven + 2.0 * len(units))
+    heights = [1] * driven + [2] * len(units)
+    every = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)
+    every, rest = every[:, 0], every[driven:, 0]
     for k, command in enumerate(log.command.T):
-        top.step(log.time, command, where="post", color=COLOURS[k], linewidth=1.0)
-    top.set_ylabel("command\n[N m]")
-    top.set_title(title, loc="left", fontsize=10)
-    for k, (axes, label) in enumerate(zip(rest, labels, strict=True)):
+        every[0].step(log.time, command, where="post", color=COLOURS[k], linewidth=1.0)
+        every[0].set_ylabel("command\n[N m]")
+    every[0].set_title(title, loc="left", fontsize=10)
+    for k, (axes, unit) in enumerate(zip(rest, units, strict=True)):
         axes.plot(log.time, found.measured[:, k], ".", color=COLOURS[2], markersize=2.5)
         axes.plot(log.time, found.nominal[:, k], "--", color=COLOURS[1], linewidth=1.0)
         axes.plot(log.time, found.fitted[:, k], color=COLOURS[0], linewidth=1.2)
-        axes.set_ylabel(f"{found.signals[k]}\n{label.partition(' ')[2]}")
+        axes.set_ylabel(f"{found.signals[k]}\n{unit}")
     rest[-1].set_xlabel("time [s]")
     rest[-1].set_xlim(log.time[0], log.time[-1])
     figure.legend(
         rest[0].lines, ("measured", "as described", "fitted"), frameon=False, ncols=3,
         loc="outside upper right", markerscale=3,
     )  # fmt: skip
-    for axes in (top, *rest):
+    for axes in every:
         tidy(axes)
     save_figure(figure, path)
 

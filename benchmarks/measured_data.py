@@ -3,15 +3,17 @@
     python -m benchmarks.measured_data
 
 The rig is simulated, since no log of a real one may be shipped: another arm than the fitted one,
-moved by another integrator, read with noise and offsets. The command writes one log, fits it as
-`flexarm fit` does, and counts how often the intervals of many such logs hold the truth: of a rig
-that differs in the fitted parameters alone, and of one with dry friction that the arm lacks. Log,
-picture and data go to docs/results/measured_data.*, the table is that of docs/measured_data.md.
+moved by another integrator, read with noise and offsets. The command writes two logs, of a motor
+that moves the arm and of a plucked arm whose joint is clamped, and fits them as `flexarm fit` does.
+It counts how often the intervals of many such logs hold the truth: of a rig that differs in the
+fitted parameters alone, of one with dry friction that the arm lacks, and of plucks. Logs, pictures
+and data go to docs/results/measured_data*, the table is that of docs/measured_data.md.
 """
 
 import csv
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,7 +23,7 @@ import numpy as np
 
 from agents.fit import main as fit_command
 from benchmarks.output import RESULTS, argument_parser, provenance, table
-from dynamics import Arm, compile_arm, load_arm, simulate
+from dynamics import Arm, Model, compile_arm, load_arm, simulate
 from dynamics.measured.fit import Fit, Gauge, fit
 from dynamics.measured.log_file import Log
 from dynamics.types import Array
@@ -33,11 +35,17 @@ PERIOD, DURATION, TORQUE = 0.005, 3.0, 0.05  # [s], [s], [N m]
 NOISE = {"encoder": 2e-3, "gauge": 0.05}  # [rad], [of the gauge's deviation]
 GAUGE_OFFSET = 1e-4  # [-] strain
 FRICTION = (0.0, 2e-3)  # [N m] Coulomb friction of the rigs; the arm has none
+PLUCK, RELEASE = 0.02, 0.5  # [m] of the tip, [s] before it is let go
+CLAMP = 1e6  # [kg m^2] of a rotor that does not move
 LOGS = 100  # of each rig
+_PLACE = ["--gauge", "strain", "--gauge-at", f"1:{GAUGE.x}:{GAUGE.distance}"]
 COMMAND = [
-    "--arm", PRESET, "--time", "t", "--command", "torque", "--encoder", "angle",
-    "--gauge", "strain", "--gauge-at", f"1:{GAUGE.x}:{GAUGE.distance}",
+    "--arm", PRESET, "--time", "t", "--command", "torque", "--encoder", "angle", *_PLACE,
     "--units", "time=ms", "command=mN m", "encoder=deg", "gauge=microstrain",
+]  # fmt: skip
+PLUCK_COMMAND = [
+    "--arm", PRESET, "--time", "t", *_PLACE, "--units", "time=ms", "gauge=microstrain",
+    "--held", "1", "--from", str(RELEASE),
 ]  # fmt: skip
 
 
@@ -83,8 +91,27 @@ def clean_log(arm: Arm) -> Log:
     torque = TORQUE * np.sign(np.sin(2.0 * np.pi * np.cumsum(frequency) * PERIOD))
     model = compile_arm(arm)
     motion = simulate(model, np.zeros(model.n), np.zeros(model.n), Held(t, torque), t)
-    strain = [GAUGE.distance * model.strain(q, GAUGE.link, GAUGE.x)[2] for q in motion.q]
-    return Log(t, torque[:, None], motion.q[:, :1], np.array(strain)[:, None])
+    return Log(t, torque[:, None], motion.q[:, :1], _strain(model, motion.q))
+
+
+def pluck_log(arm: Arm) -> Log:
+    """Strain without noise of the clamped arm, whose tip is held aside and let go at RELEASE."""
+    joint = replace(arm.links[0].joint, rotor_inertia=CLAMP)
+    model = compile_arm(replace(arm, links=(replace(arm.links[0], joint=joint),)))
+    tip = np.array(model.chain.links[0].tip_phi)[:, 1]
+    bent = np.linalg.solve(model.stiffness[1:, 1:], tip)  # by a force at the tip
+    q = np.append(0.0, PLUCK * bent / (tip @ bent))
+    t: Array = PERIOD * np.arange(float(round((RELEASE + DURATION) / PERIOD)))
+    start = int(np.searchsorted(t, RELEASE))
+    motion = simulate(model, q, np.zeros(model.n), None, t[start:])
+    strain = np.vstack([np.tile(_strain(model, q[None]), (start, 1)), _strain(model, motion.q)])
+    none = np.zeros((t.size, 0))
+    return Log(t, none, none, strain)
+
+
+def _strain(model: Model, q: Array) -> Array:
+    """(N, 1) strain that the gauge reads at states q (N, n)."""
+    return np.array([GAUGE.distance * model.strain(x, GAUGE.link, GAUGE.x)[2:] for x in q])
 
 
 def noisy(log: Log, seed: int) -> Log:
@@ -95,27 +122,33 @@ def noisy(log: Log, seed: int) -> Log:
     return replace(log, encoder=encoder, gauge=log.gauge + spread + GAUGE_OFFSET)
 
 
-def write_log(path: Path, log: Log) -> None:
-    """Write a log in the units of a rig: ms, mN m, degrees, microstrain."""
-    columns = (1e3 * log.time, 1e3 * log.command[:, 0], np.degrees(log.encoder[:, 0]))
-    rows = zip(*columns, 1e6 * log.gauge[:, 0], strict=True)
+def columns(log: Log) -> dict[str, Array]:
+    """Columns of a log in the units of a rig: ms, mN m, degrees, microstrain."""
+    result = {"t": 1e3 * log.time}
+    if log.command.size:
+        result |= {"torque": 1e3 * log.command[:, 0], "angle": np.degrees(log.encoder[:, 0])}
+    return result | {"strain": 1e6 * log.gauge[:, 0]}
+
+
+def write_log(path: Path, named: Mapping[str, Array]) -> None:
+    """Write columns to a CSV file."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["t", "torque", "angle", "strain"])
+        writer.writerow(named)
+        rows = zip(*named.values(), strict=True)
         writer.writerows([f"{x:.7g}" for x in row] for row in rows)
 
 
-def coverage(friction: float, logs: int) -> dict[str, Any]:
+def coverage(name: str, log: Log, logs: int, held: Mapping[int, float | None]) -> dict[str, Any]:
     """Shares of intervals that hold the truth, and means and deviations of the estimates."""
-    log = clean_log(rig(friction))
-    fits = [fit(PRESET, noisy(log, seed), [GAUGE]) for seed in range(logs)]
+    fits = [fit(PRESET, noisy(log, seed), [GAUGE], held=held) for seed in range(logs)]
     values = np.array([one.values for one in fits])
-    held = np.array([holds(one) for one in fits])
+    held_truth = np.array([holds(one) for one in fits])
     return {
-        "friction": friction,
+        "rig": name,
         "logs": logs,
         "truth": truth().tolist(),
-        "held": held.mean(axis=0).tolist(),
+        "held": held_truth.mean(axis=0).tolist(),
         "mean": values.mean(axis=0).tolist(),
         "deviation": values.std(axis=0).tolist(),
         "half_width": np.mean([np.ptp(one.intervals, axis=1) / 2 for one in fits], axis=0).tolist(),
@@ -136,28 +169,42 @@ def page_table(cases: list[dict[str, Any]]) -> str:
     for case in cases:
         for k, name in enumerate(("stiffness", "damping")):
             rows.append((
-                f"{1e3 * case['friction']:g} mN m", name, f"{case['truth'][k]:.4g}",
+                case["rig"], name, f"{case['truth'][k]:.4g}",
                 f"{case['mean'][k]:.4g}", f"{case['deviation'][k]:.2g}",
                 f"{case['half_width'][k]:.2g}", f"{100 * case['held'][k]:.0f} %",
                 f"{max(map(abs, case['correlation'])):.2f}",
             ))  # fmt: skip
-    header = ("rig's friction", "parameter", "truth", "mean", "deviation", "mean half width",
+    header = ("rig", "parameter", "truth", "mean", "deviation", "mean half width",
               "hold the truth", "correlation")  # fmt: skip
     return table(header, rows, "llrrrrrr")
 
 
-def main() -> None:
-    """Write log, picture and data; put the table into the page."""
-    argument_parser("measured_data", __doc__).parse_args()
-    cases = [coverage(friction, LOGS) for friction in FRICTION]
-    write_log(RESULTS / "measured_data.csv", noisy(clean_log(rig()), 0))
+def fitted(name: str, command: list[str]) -> dict[str, Any]:
+    """Fit a log of docs/results by the command, keep its picture; returns what it writes."""
     with TemporaryDirectory() as out:
-        given = [str(RESULTS / "measured_data.csv"), *COMMAND, "--out", out]
-        if fit_command(given):
+        if fit_command([str(RESULTS / f"{name}.csv"), *command, "--out", out]):
             raise SystemExit("The fit refuses its own log.")
-        (RESULTS / "measured_data.png").write_bytes((Path(out) / "overlay.png").read_bytes())
-        found = json.loads((Path(out) / "fit.json").read_text(encoding="utf-8"))
-    data = provenance("numpy", "scipy", "numba") | {"fit": found, "cases": cases}
+        (RESULTS / f"{name}.png").write_bytes((Path(out) / "overlay.png").read_bytes())
+        found: dict[str, Any] = json.loads((Path(out) / "fit.json").read_text(encoding="utf-8"))
+    return found
+
+
+def main() -> None:
+    """Write logs, pictures and data; put the table into the page."""
+    argument_parser("measured_data", __doc__).parse_args()
+    cases = [
+        coverage(f"motor, friction of {1e3 * friction:g} mN m", clean_log(rig(friction)), LOGS, {})
+        for friction in FRICTION
+    ]
+    decay = pluck_log(rig())
+    cases.append(coverage("clamped, plucked", decay.since(RELEASE), LOGS, {0: None}))
+    write_log(RESULTS / "measured_data.csv", columns(noisy(clean_log(rig()), 0)))
+    write_log(RESULTS / "measured_data_pluck.csv", columns(noisy(decay, 0)))
+    data = provenance("numpy", "scipy", "numba") | {
+        "fit": fitted("measured_data", COMMAND),
+        "pluck": fitted("measured_data_pluck", PLUCK_COMMAND),
+        "cases": cases,
+    }
     text = json.dumps(data, indent=1) + "\n"
     (RESULTS / "measured_data.json").write_text(text, encoding="utf-8")
     print(page_table(cases))

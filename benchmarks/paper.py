@@ -127,10 +127,11 @@ def control(stored: dict[str, Any]) -> str:
 
 def measured(stored: dict[str, Any]) -> str:
     """Sentence about the intervals of fits to logs."""
-    clean, friction = stored["cases"]
+    clean, friction, plucked = stored["cases"]
     return (
         f"Of {clean['logs']} noisy logs, {100 * clean['held'][0]:.0f} % of the intervals of the "
-        f"stiffness and {100 * clean['held'][1]:.0f} % of those of the damping hold the truth. "
+        f"stiffness and {100 * clean['held'][1]:.0f} % of those of the damping hold the truth, of "
+        f"plucks {100 * plucked['held'][0]:.0f} % and {100 * plucked['held'][1]:.0f} %. "
         "With dry friction that the model lacks it is "
         f"{100 * friction['held'][0]:.0f} % and {100 * friction['held'][1]:.0f} %, and the command "
         "says so."

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dynamics.description import validate
 from dynamics.description.validate import shown
 from dynamics.types import AnyArray, Array
 
@@ -32,8 +33,8 @@ class Columns:
     """
 
     time: str
-    command: tuple[str, ...]  # per driven joint; each value holds until the next sample
-    encoder: tuple[str, ...]  # per joint
+    command: tuple[str, ...] = ()  # per driven joint; each value holds until the next sample
+    encoder: tuple[str, ...] = ()  # per joint
     gauge: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)  # by kind: time, command, ...
 
@@ -65,6 +66,16 @@ class Log:
     command: Array  # (N, n_torque) [N m] or [N], each held until the next sample
     encoder: Array  # (N, n_joint) [rad] or [m]
     gauge: Array  # (N, n_gauge) [1/m] curvature, or [-] strain
+
+    def since(self, first: float) -> "Log":
+        """The samples from a time [s] on, such as the release of a plucked arm."""
+        k = int(np.searchsorted(self.time, validate.number(first, "first time", "s")))
+        if len(self.time) - k < ROWS[0]:
+            raise ValueError(
+                f"From {first:.6g} s on the log holds {len(self.time) - k} samples, and a fit "
+                f"needs {ROWS[0]}; its time runs from {self.time[0]:.6g} to {self.time[-1]:.6g} s."
+            )
+        return Log(self.time[k:], self.command[k:], self.encoder[k:], self.gauge[k:])
 
 
 def read_log(path: str | Path, columns: Columns) -> Log:

@@ -1,36 +1,56 @@
 """`flexarm fit`: table, files and refusals; the page and its picture."""
 
 import json
+import re
+import shlex
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from agents.fit import EXAMPLE, main
-from benchmarks.measured_data import COMMAND, page_table
+from agents.fit import EXAMPLE, PLUCK_EXAMPLE, _parser, doubts, main
+from benchmarks.measured_data import COMMAND, PLUCK_COMMAND, page_table
 from benchmarks.output import RESULTS
+from dynamics.measured.fit import Fit
 from tests.paths import ROOT
 
 LOG = str(RESULTS / "measured_data.csv")
+PLUCK = str(RESULTS / "measured_data_pluck.csv")
 STORED = json.loads((RESULTS / "measured_data.json").read_text(encoding="utf-8"))
 PAGE = (ROOT / "docs" / "measured_data.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("log", "command", "key"), [(LOG, COMMAND, "fit"), (PLUCK, PLUCK_COMMAND, "pluck")]
+)
 def test_the_stored_log_gives_the_stored_fit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    log: str, command: list[str], key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([LOG, *COMMAND, "--out", str(tmp_path)]) == 0
+    assert main([log, *command, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     found = json.loads((tmp_path / "fit.json").read_text())
-    for name, stored in STORED["fit"]["parameters"].items():
+    for name, stored in STORED[key]["parameters"].items():
         assert found["parameters"][name]["value"] == pytest.approx(stored["value"], rel=1e-6)
     assert (tmp_path / "overlay.png").stat().st_size > 10_000
     for line in said.splitlines()[:-1]:
         assert line in PAGE, line
 
 
+def test_the_page_shows_the_commands_of_its_fits() -> None:
+    shown = PAGE.replace("\\\n", " ")
+    for name, command in (("measured_data", COMMAND), ("measured_data_pluck", PLUCK_COMMAND)):
+        line = next(x for x in shown.splitlines() if f"fit docs/results/{name}.csv " in x)
+        assert shlex.split(line)[3:] == command
+
+
+@pytest.mark.parametrize("example", [EXAMPLE, PLUCK_EXAMPLE])
+def test_the_examples_of_the_help_are_commands(example: str) -> None:
+    assert _parser("flexarm fit").parse_args(example.split()[2:]).time == "t"
+
+
 def test_the_page_shows_the_stored_coverage() -> None:
     assert page_table(STORED["cases"]) in PAGE
-    assert EXAMPLE.split()[0] == "flexarm"
 
 
 @pytest.mark.parametrize(
@@ -40,6 +60,7 @@ def test_the_page_shows_the_stored_coverage() -> None:
         ({"--time": ["time"]}, "holds no column 'time'; it holds"),
         ({"--gauge-at": ["1"]}, "--gauge-at takes LINK:X[:DISTANCE], got '1'"),
         ({"--gauge-at": ["0:0.02:0.001"]}, "counts links from 1"),
+        ({"--gauge-at": ["1:0.02:0.001"] * 2}, "each column of --gauge, got 2 places for 1"),
         ({"--gauge-at": ["1:0.02"]}, "needs LINK:X:DISTANCE for microstrain"),
         ({"--gauge-at": ["2:0.02:0.001"]}, "link must be"),
         ({"--gauge-at": ["1:2.0:0.001"]}, "x must be within the link"),
@@ -48,6 +69,11 @@ def test_the_page_shows_the_stored_coverage() -> None:
         ({"--fit": ["stiffness"]}, "--fit takes NAME=VALUE"),
         ({"--fit": ["stiffness=1"]}, "--fit takes NAME=LOW:HIGH"),
         ({"--fit": ["mass=0:1"]}, "mass"),
+        ({"--held": ["0"]}, "--held counts joints from 1: joint must be between 1 and 1"),
+        ({"--held": ["2"]}, "joint must be between 1 and 1, the arm's joints, got '2'"),
+        ({"--held": ["one"]}, "--held takes JOINT[:ANGLE], got 'one'"),
+        ({"--held": ["1:nan"]}, "angle of a held joint"),
+        ({"--from": ["7"]}, "its time runs from 0 to 2.995 s"),
     ],
 )
 def test_bad_command_lines_end_with_one_sentence(
@@ -70,3 +96,57 @@ def test_bad_command_lines_end_with_one_sentence(
     assert sentence in said
     assert said.count("\n") == 1
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentences"),
+    [
+        (["--from", "0"], ["gauge 1 is not white", "begin a free decay at its release by --from"]),
+        (["--fit", "stiffness=0.2:1.15"], ["stiffness stopped at its bound", "widen --fit"]),
+    ],
+)
+def test_a_doubtful_decay_is_told_with_its_remedy(
+    wrong: list[str], sentences: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The sentences are absent from the fit of the page."""
+    assert main([PLUCK, *PLUCK_COMMAND, *wrong, "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    for sentence in sentences:
+        assert sentence in said
+
+
+def test_a_pluck_without_its_clamp_is_refused_with_the_remedy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    k = PLUCK_COMMAND.index("--held")
+    given = [*PLUCK_COMMAND[:k], *PLUCK_COMMAND[k + 2 :]]
+    assert main([PLUCK, *given, "--out", str(tmp_path / "out")]) == 2
+    assert "needs 1 encoders, got 0; name a column for each joint, or hold the joints" in (
+        capsys.readouterr().err
+    )
+
+
+def test_an_unexplained_encoder_suggests_a_clamp() -> None:
+    t = 0.01 * np.arange(20.0)[:, None]
+    found = Fit(
+        bounds={"stiffness": (0.2, 5.0)}, values=np.ones(1), intervals=np.ones((1, 2)),
+        covariance=np.eye(1), signals=("encoder 2", "gauge 1"), measured=np.hstack([t, t]),
+        nominal=np.hstack([t, t]), fitted=np.hstack([0.0 * t + 0.095, t]),
+        correlation=np.zeros(2), start={},
+    )  # fmt: skip
+    assert doubts(found) == [
+        "The fit explains nothing of encoder 2.",
+        "If a joint was clamped, say so: --held 2.",
+    ]
+    assert doubts(replace(found, fitted=found.measured)) == []
+
+
+def test_the_python_of_the_page_prints_what_it_says(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    code = PAGE.partition("```python\n")[2].partition("```")[0]
+    exec(code, {})
+    said = [float(x) for x in re.findall(r"\d+\.\d+", capsys.readouterr().out)]
+    written = [float(x) for x in re.findall(r"\d+\.\d+", code.rpartition("#")[2])]
+    assert said == pytest.approx(written, rel=1e-3)

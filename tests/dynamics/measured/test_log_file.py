@@ -52,6 +52,21 @@ def test_a_mat_file_gives_the_log_of_a_csv_file(tmp_path: Path) -> None:
         assert_allclose(getattr(log, name), getattr(other, name))
 
 
+def test_a_log_may_have_a_gauge_alone_and_begin_later(tmp_path: Path) -> None:
+    columns = Columns(time="t", gauge=("strain",), units={"time": "ms"})
+    log = read_log(csv_file(tmp_path, rows(20)), columns)
+    assert log.command.shape == log.encoder.shape == (20, 0)
+    later = log.since(0.05)
+    assert_allclose(later.time, 5e-3 * np.arange(10.0, 20.0))
+    assert_allclose(later.gauge[:, 0], np.arange(10.0, 20.0))
+    for first, sentence in (
+        (0.06, "From 0.06 s on the log holds 8 samples, and a fit needs 10; its time runs from 0 "),
+        (float("nan"), "first time"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            log.since(first)
+
+
 def edited(number: int, line: str) -> list[str]:
     lines = rows()
     lines[number] = line

@@ -1,0 +1,154 @@
+"""Weighted least squares between measured signals and those of an arm: search, then solution.
+
+Constant offsets of the signals, and in the search the start too, are eliminated as linear unknowns.
+A long log has many valleys, each a cycle of the oscillation wide. The search follows the lowest
+from the log's first samples to all of them, twice as many at a time.
+"""
+
+from itertools import product
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from dynamics.measured.motion import LoggedMotion
+from dynamics.measured.unknowns import Bounds
+from dynamics.types import Array
+
+STARTS = 600  # points of the search, on a grid over the bounds
+MOST_MOTIONS = 2000  # of the search
+DIFFERENCE = 1e-5  # [of an unknown's size] half width of the differences
+SOME, MOST = 0.1, 0.5  # [of the squared signals] in the part that chooses steps, tries the grid
+FEWEST = 4  # values of the signals per unknown in the first part of a log
+ROUGH = 1e-4  # tolerance of the solutions on parts of a log
+
+
+def search(motion: LoggedMotion, bounds: Bounds) -> Array:
+    """(k,) values near the best ones within the bounds."""
+    table = motion.unknowns
+    weights = 1.0 / motion.deviation
+    parts = _parts(motion)
+    some, most = (_with_share(motion, parts, share) for share in (SOME, MOST))
+    corners = _points(motion, np.array(list(product(*bounds.values()))))
+    while not np.isfinite(starts := _projected(motion, corners, weights, [some])[1][0]).all():
+        motion.halve_steps()
+    motion.refine(starts, some)
+    grid = _points(motion, _grid(bounds, MOST_MOTIONS // (1 + np.sum(~table.asked))))
+    first = [part for part in parts if part <= most]
+    costs, found = _projected(motion, np.vstack([table.nominal, grid]), weights, first)
+    inside = ((found >= table.low) & (found <= table.high)).all(axis=2)
+    costs = np.where(inside & np.isfinite(costs), costs, np.inf)
+    best = found[0, np.argmin(costs[0])]
+    for k, part in enumerate(parts):
+        if k < len(first) and not _cost(motion, best, weights, part) < costs[k].min():
+            best = found[k, np.argmin(costs[k])]
+        motion.refine(best[None], part)
+        if part < parts[-1]:
+            best = solve(motion, best, weights, part)[0]
+    return best
+
+
+def solve(
+    motion: LoggedMotion, values: Array, weights: Array, samples: int | None = None
+) -> tuple[Array, Array, Array]:
+    """Best values (k,) near given ones, their residual (N, c) and its weighted Jacobian (N c, k).
+
+    `samples` limits the log to its first ones, and the accuracy to a rough one.
+    """
+    table = motion.unknowns
+    half = DIFFERENCE * table.size
+    known = table.precision(weights)
+    measured = motion.measured[:samples]
+
+    def residual(x: Array) -> Array:
+        return _without_offset(motion.signals(x[None], samples)[0] - measured)
+
+    def jacobian(x: Array) -> Array:
+        """Central differences; a point may stand half a width outside the bounds, but above 0."""
+        middle = np.where(table.asked, np.maximum(x, half), x)
+        points = np.vstack([middle + np.diag(half), middle - np.diag(half)])
+        above, below = np.split(motion.signals(points, samples), 2)
+        slopes = (above - below) / (2.0 * half[:, None, None])
+        result: Array = (_without_offset(slopes) * weights).reshape(x.size, -1).T
+        return result
+
+    exact = samples is None
+    found = least_squares(
+        lambda x: np.append(residual(x) * weights, known * (x - table.nominal)),
+        np.clip(values, table.low, table.high),
+        lambda x: np.vstack([jacobian(x), np.diag(known)]),
+        bounds=(table.low, table.high), x_scale=table.size,
+        xtol=1e-10 if exact else ROUGH, ftol=1e-12 if exact else ROUGH,
+    )  # fmt: skip
+    return found.x, residual(found.x), jacobian(found.x)
+
+
+def _parts(motion: LoggedMotion) -> list[int]:
+    """Numbers of first samples of the log, the last that of all, each half of the next."""
+    count, signals = motion.measured.shape
+    result = [count]
+    while result[0] // 2 * signals >= FEWEST * motion.unknowns.size.size:
+        result.insert(0, result[0] // 2)
+    return result
+
+
+def _with_share(motion: LoggedMotion, parts: list[int], share: float) -> int:
+    """The first part of the log that holds a share of the squared signals."""
+    size = np.cumsum(np.sum((_without_offset(motion.measured) / motion.deviation) ** 2, axis=1))
+    return next(part for part in parts if size[part - 1] >= share * size[-1])
+
+
+def _points(motion: LoggedMotion, parameters: Array) -> Array:
+    """(P, k) values with parameters (P, p) and a nominal start."""
+    values = np.tile(motion.unknowns.nominal, (len(parameters), 1))
+    values[:, motion.unknowns.asked] = parameters
+    return values
+
+
+def _grid(bounds: Bounds, most: int) -> Array:
+    """(P, p) points over the bounds, at equal ratios where no bound is zero."""
+    count = max(2, round(min(STARTS, most) ** (1.0 / len(bounds))))
+    axes = (np.geomspace(*b, count) if b[0] else np.linspace(*b, count) for b in bounds.values())
+    return np.array(list(product(*axes)))
+
+
+def _projected(
+    motion: LoggedMotion, values: Array, weights: Array, parts: list[int]
+) -> tuple[Array, Array]:
+    """Least costs (parts, P) of values (P, k) by the start alone, and values with that start."""
+    table = motion.unknowns
+    start = np.flatnonzero(~table.asked)
+    known = table.precision(weights)[start]
+    steps = DIFFERENCE * table.size[start]
+    moved = np.zeros((1 + start.size, len(table.nominal)))
+    moved[1 + np.arange(start.size), start] = steps
+    costs = np.empty((len(parts), len(values)))
+    found = np.tile(values, (len(parts), 1, 1))
+    size = max(1, motion.together(parts[-1]) // len(moved))
+    for k in range(0, len(values), size):
+        group = slice(k, k + size)
+        points = (values[group, None] + moved).reshape(-1, values.shape[1])
+        signals = motion.signals(points, parts[-1])
+        signals = signals.reshape(-1, len(moved), *signals.shape[1:])
+        base, slopes = signals[:, 0], (signals[:, 1:] - signals[:, :1]) / steps[:, None, None]
+        for j, part in enumerate(parts):
+            r = _without_offset(base[:, :part] - motion.measured[:part]) * weights
+            S = _without_offset(slopes[:, :, :part]) * weights
+            r, S = r.reshape(len(r), -1, 1), S.reshape(*S.shape[:2], r[0].size)
+            gradient = S @ r
+            change = -np.linalg.solve(S @ S.swapaxes(1, 2) + np.diag(known**2), gradient)
+            costs[j, group] = np.sum(r**2, axis=(1, 2)) + np.sum(gradient * change, axis=(1, 2))
+            found[j, group][:, start] += change[..., 0]
+    return costs, found
+
+
+def _cost(motion: LoggedMotion, values: Array, weights: Array, samples: int) -> float:
+    signals = motion.signals(values[None], samples)[0]
+    misfit = _without_offset(signals - motion.measured[:samples]) * weights
+    prior = motion.unknowns.precision(weights) * (values - motion.unknowns.nominal)
+    return float(np.sum(misfit**2) + np.sum(prior**2))
+
+
+def _without_offset(difference: Array) -> Array:
+    """Signals (..., N, c) less their means."""
+    result: Array = difference - difference.mean(axis=-2, keepdims=True)
+    return result

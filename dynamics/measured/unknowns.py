@@ -1,0 +1,132 @@
+"""Unknowns of a fit, a row each: parameters of the arm, and the state in which the log starts.
+
+The state at the start is not the user's question, but the motion depends on it. Bending starts as a
+sum of the arm's natural modes with its joints locked, as many as the samples can show. Their
+amplitudes and rates are known to no more than the size of the arm. Angles of joints start at the
+first reading of the encoder, which is as noisy as the others.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+from dynamics.formulations.free_parameters import FREE_PARAMETERS
+from dynamics.formulations.kinematics import Chain
+from dynamics.formulations.linearized import inertia
+from dynamics.model import Model
+from dynamics.types import Array
+
+Bounds = Mapping[str, tuple[float, float]]
+
+LOCKED = 1e8  # [-] a locked rotor's inertia over the arm's
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unknown:
+    """A number that a fit estimates, and what it changes."""
+
+    name: str
+    into: str  # what it is added to: "parameters", or "q" or "v" at the start
+    direction: Array  # (p,) or (n,) by one unit of it
+    size: float  # a large change of it
+    nominal: float = 0.0
+    low: float = -np.inf
+    high: float = np.inf
+    deviation: float = np.inf  # of the nominal value, where something is known beforehand
+    reading: int | None = None  # signal whose noise the nominal value has
+
+
+class Unknowns:
+    """The rows of a fit as arrays of k numbers."""
+
+    def __init__(self, rows: Sequence[Unknown]) -> None:
+        self.names = [row.name for row in rows]
+        self.nominal = np.array([row.nominal for row in rows])
+        self.size = np.array([row.size for row in rows])
+        self.low = np.array([row.low for row in rows])
+        self.high = np.array([row.high for row in rows])
+        self.asked = np.array([row.into == "parameters" for row in rows])  # the others: the start
+        self._rows = rows
+
+    def changes(self, into: str, values: Array) -> Array:
+        """(..., n) or (..., p) that values (..., k) add to q, v or the parameters."""
+        chosen = [j for j, row in enumerate(self._rows) if row.into == into]
+        if not chosen:
+            return np.zeros(1)
+        result: Array = values[..., chosen] @ np.stack([self._rows[j].direction for j in chosen])
+        return result
+
+    def precision(self, weights: Array) -> Array:
+        """(k,) 1 / deviation of what is known beforehand, from 1 / deviation of the signals."""
+        return np.array([
+            1.0 / row.deviation if row.reading is None else weights[row.reading]
+            for row in self._rows
+        ])  # fmt: skip
+
+
+def asked(bounds: Bounds) -> list[Unknown]:
+    """Free parameters of the arm, within their bounds (low, high)."""
+    return [
+        Unknown(
+            name=name, into="parameters", direction=unit, size=high - low,
+            nominal=FREE_PARAMETERS[name].nominal, low=low, high=high,
+        )
+        for (name, (low, high)), unit in zip(bounds.items(), np.eye(len(bounds)), strict=True)
+    ]  # fmt: skip
+
+
+def start(
+    model: Model, q: Array, rotors: Array, rates: Mapping[int, float], period: float
+) -> list[Unknown]:
+    """The state at the start.
+
+    Parameters
+    ----------
+    q : (n,) the straight arm at its first readings.
+    rotors : (n_joint, n) angle of every rotor by q.
+    rates : largest rate in the log of every free joint, in the order of the first signals.
+    period : [s] between samples.
+    """
+    unit = np.eye(model.n)[list(model.arm.joint_index)]
+    result = []
+    for signal, (joint, rate) in enumerate(rates.items()):
+        turn, name = unit[joint], f"q{joint + 1}"
+        result += [
+            Unknown(name=name, into="q", direction=turn, size=1.0, reading=signal),
+            Unknown(name=f"{name} rate", into="v", direction=turn, size=rate, deviation=rate),
+        ]
+    shapes, omegas = locked_modes(model, q, rotors[list(rates)])
+    for k, (shape, omega) in enumerate(zip(shapes, omegas.tolist(), strict=True), 1):
+        if omega * period < np.pi:
+            for name, into, by in ((f"mode {k}", "q", 1.0), (f"mode {k} rate", "v", omega)):
+                result.append(
+                    Unknown(name=name, into=into, direction=by * shape, size=1.0, deviation=1.0)
+                )
+    return result
+
+
+def locked_modes(model: Model, q: Array, rotors: Array) -> tuple[Array, Array]:
+    """Natural modes (m, n), each of a large size, with rotors (k, n) locked; rates (m,) [rad/s]."""
+    n_mode = model.n - model.n_joint
+    if not n_mode:
+        return np.zeros((0, model.n)), np.zeros(0)
+    M = inertia(model.chain, q)
+    locked = M + LOCKED * (rotors.T * np.diag(rotors @ M @ rotors.T)) @ rotors
+    squares, shapes = eigh(model.stiffness, locked)
+    shapes = shapes.T[-n_mode:]
+    sizes = np.abs(shapes * tips(model.chain)).max(axis=1, keepdims=True)
+    return shapes / sizes, np.sqrt(np.maximum(squares[-n_mode:], 0.0))
+
+
+def tips(chain: Chain) -> Array:
+    """(n,) what a unit of each coordinate does: a tip's turn [rad], or its way over the length."""
+    result: list[float] = []
+    for link in chain.links:
+        result += [] if link.welded else [1.0]
+        result += [
+            max(float(np.linalg.norm(turn)), float(np.linalg.norm(way)) / link.length)
+            for way, turn in zip(link.tip_phi, link.tip_theta, strict=False)
+        ]
+    return np.array(result)
