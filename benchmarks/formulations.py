@@ -123,7 +123,8 @@ def worst(rows: list[dict[str, float]]) -> dict[str, float]:
 
 def agreement() -> Iterator[dict[str, Any]]:
     """Other formulations compared with Gibbs-Appell on presets and spatial arms, per rotation."""
-    presets = [a for a in ARMS.values() if not any(why_not(a, name) for name in FORMULATIONS)]
+    every = [replace(a, foreshortening=bool(a.foreshortening)) for a in ARMS.values()]
+    presets = [a for a in every if not any(why_not(a, name) for name in FORMULATIONS)]
     arms = [*presets, spatial_arm(), given_arm(Case(6, 2, 3)), given_arm(Case(6, 6, 3))]
     for rotation in ROTATIONS:
         chains = [compile_arm(replace(conservative(arm), rotation=rotation)).chain for arm in arms]

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.peers.lines import Run
 from benchmarks.peers.scenes import PeerScene
 from dynamics import Arm, Mode, Model, Stepper, compile_arm
-from dynamics.description.arm import SECOND_ORDER
+from dynamics.description.arm import FOURTH_ORDER
 from dynamics.integrators.table import INTEGRATORS
 
 
@@ -46,7 +46,7 @@ class Shapes:
             )
             for link, kind, count in zip(scene.arm.links, self.kinds, self.counts, strict=True)
         )
-        return replace(scene.arm, links=links, foreshortening=self.foreshortening and SECOND_ORDER)
+        return replace(scene.arm, links=links, foreshortening=self.foreshortening and FOURTH_ORDER)
 
     @property
     def methods(self) -> tuple[str, ...]:

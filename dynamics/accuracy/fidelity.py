@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynamics.description.arm import SECOND_ORDER, Arm
+from dynamics.description.arm import FOURTH_ORDER, Arm
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
 from dynamics.formulations.damping import yields
@@ -53,7 +53,7 @@ class Fidelity:
             )
             for link, counts, segments in zip(arm.links, self.counts, self.segments, strict=True)
         )
-        return replace(arm, links=links, foreshortening=self.foreshortening and SECOND_ORDER)
+        return replace(arm, links=links, foreshortening=self.foreshortening and FOURTH_ORDER)
 
     def _modes(self, link: Link, counts: Counts) -> Iterator[Mode]:
         for direction, count in zip(DIRECTIONS, counts, strict=False):

@@ -23,7 +23,7 @@ BASE_NAMES = {  # coordinates of a base by its type
     "free": ("base_px", "base_py", "base_pz", "base_rx", "base_ry", "base_rz"),
 }
 
-SECOND_ORDER = "second-order"
+FOURTH_ORDER = "fourth-order"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,8 +155,8 @@ class Arm:
     description: str = ""
     gravity: Vector3 = (0.0, 0.0, 0.0)  # [m/s^2] in the world frame
     rotation: str = "exp"  # of a deflected tip: "exp" is a true rotation, "linear" is 1 + theta~
-    # u = -1/2 int (y'^2 + z'^2): fast rotation stiffens links. True, or SECOND_ORDER: the beam's
-    # energies to second order in the deflection, as u itself is
+    # u = -1/2 int (y'^2 + z'^2): fast rotation stiffens links. FOURTH_ORDER: beams and joints bend
+    # as the exact beam does, to fourth order of the energy
     foreshortening: bool | str = False
     base: Base = field(default_factory=Base)
     payload: Payload | None = None
@@ -173,8 +173,8 @@ class Arm:
                 f"Arm.links must have at most {MOST_COORDINATES} coordinates (joints, springs, "
                 f"modes of every segment), got {count}; use fewer Link.segments or Link.modes."
             )
-        if self.foreshortening != SECOND_ORDER:
-            validate.boolean(self.foreshortening, f"Arm.foreshortening (or {SECOND_ORDER!r})")
+        if self.foreshortening != FOURTH_ORDER:
+            validate.boolean(self.foreshortening, f"Arm.foreshortening (or {FOURTH_ORDER!r})")
         validate.instance(self.base, "Arm.base", Base)
         if self.payload is not None:
             validate.instance(self.payload, "Arm.payload", Payload)

@@ -141,6 +141,37 @@ def hierarchical(index: int, length: float) -> PowerShape | LegendreShape:
     return PowerShape(length=length, coefficients=(0.0, 0.0, square, cube))
 
 
+def unconstrained(
+    index: int, length: float, mass: float, inertia: float, root_inertia: float
+) -> LegendreShape:
+    """Mode `index` of a beam on a free hinge, as a deflection from the tangent at its root.
+
+    Bellezza, Lanari and Ulivi, "Exact modeling of the flexible slewing link" (1990). A Ritz
+    solution in Legendre polynomials of the curvature, exact to round-off.
+
+    Parameters
+    ----------
+    mass : [-] tip mass over beam mass.
+    inertia, root_inertia : [-] of the tip and of the hub at the hinge, over rho_A l^3.
+    """
+    count = index + 14
+    nodes, weights = legendre.leggauss(2 * count)
+    series = np.eye(count)
+    x, tip = 0.5 * (nodes + 1.0), 1.0
+    bent = [LegendreShape(length=1.0, series=tuple(row)) for row in series.tolist()]
+    values = np.array([x, *(s.value(x) for s in bent)])
+    ends = np.array([[tip, *(float(s.value(1.0)) for s in bent)],
+                     [1.0, *(float(s.slope(1.0)) for s in bent)]])  # fmt: skip
+    M = 0.5 * (values * weights) @ values.T
+    M += mass * np.outer(ends[0], ends[0]) + inertia * np.outer(ends[1], ends[1])
+    M[0, 0] += root_inertia
+    K = np.diag([0.0, *(1.0 / (2.0 * k + 1.0) for k in range(count))])
+    inverse = np.linalg.inv(np.linalg.cholesky(M))
+    _, turned = np.linalg.eigh(inverse @ K @ inverse.T)
+    amplitudes = inverse.T @ turned[:, index]  # column 0 is the rigid rotation
+    return LegendreShape(length=length, series=tuple(amplitudes[1:].tolist()))
+
+
 Shape = BeamShape | PowerShape | LegendreShape
 
 

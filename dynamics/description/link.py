@@ -9,7 +9,14 @@ from typing import Any
 from dynamics.description import mode_rule, validate
 from dynamics.description.joint import Joint
 from dynamics.description.mode_rule import ModesByRule, RigidLinkWarning
-from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, are_independent, shape
+from dynamics.description.mode_shapes import (
+    FREE_ROOT,
+    STIFFNESS,
+    Beam,
+    Mode,
+    are_independent,
+    shape,
+)
 from dynamics.description.validate import ZEROS, clean
 from dynamics.description.welds import StiffSegmentsWarning, stiff_segments
 from dynamics.types import Matrix3, Vector3
@@ -94,11 +101,6 @@ class Link:
         validate.instance(self.joint, "Link.joint", Joint)
         if automatic:
             clean(self, modes=self._by_rule())
-        if self.segments > 1 and any(mode.kind == "pinned-free" for mode in self.modes):
-            raise ValueError(
-                f"Link.segments ({self.segments!r}) must be 1 with pinned-free modes: "
-                "inner segments are welded at their roots."
-            )
         for name in ("damping_beta", "damping_beta_torsion"):
             if self.damping_ratio > 0.0 and getattr(self, name):
                 raise ValueError(
@@ -124,11 +126,6 @@ class Link:
         return mode_rule.modes_by_rule(self.beam, self.joint, self.stiffnesses, self.segments)
 
     def _check_body(self) -> None:
-        if self.joint.type == "prismatic" and any(m.kind == "pinned-free" for m in self.modes):
-            raise ValueError(
-                "Link.modes must not be pinned-free with a prismatic joint: it cannot "
-                "rotate their root."
-            )
         if self.body is None:
             return
         validate.instance(self.body, "Link.body", Body)
@@ -148,6 +145,7 @@ class Link:
                     f"{mode.direction!r} ({mode.kind} {mode.index}), got {stiffness!r}. "
                     f"Unit: [{'N' if mode.direction == 'axial' else 'N m^2'}]."
                 )
+        self._check_roots()
         repeated = Counter((mode.kind, mode.index, mode.direction) for mode in self.modes)
         for (kind, index, direction), count in repeated.items():
             if count > 1:
@@ -179,6 +177,19 @@ class Link:
                     "leave out the shape that repeats another."
                 )
 
+    def _check_roots(self) -> None:
+        loose = sorted(FREE_ROOT.intersection(mode.kind for mode in self.modes))
+        if loose and self.segments > 1:
+            raise ValueError(
+                f"Link.segments ({self.segments!r}) must be 1 with {loose[0]} modes: "
+                "inner segments are welded at their roots."
+            )
+        if loose and self.joint.type == "prismatic":
+            raise ValueError(
+                f"Link.modes must not be {loose[0]} with a prismatic joint: it cannot "
+                "rotate their root."
+            )
+
     def _check_lumped(self) -> None:
         if not self.lumped:
             return
@@ -197,13 +208,15 @@ class Link:
 
     @property
     def beam(self) -> Beam:
-        """Beam and tip body that determine the mode shapes."""
+        """Beam, tip body and hub that determine the mode shapes."""
+        rigid = self.joint.type == "revolute" and not self.joint.elastic
         return Beam(
             length=self.length,
             rho_A=self.rho_A,
             rho_Ip=self.rho_Ip,
             tip_mass=self.tip_mass,
             tip_inertia=self.tip_inertia,
+            root_inertia=self.joint.hub_inertia + (self.joint.rotor_inertia if rigid else 0.0),
         )
 
     @property

@@ -5,6 +5,7 @@
 | clamped-free       | s = s' = 0   | free                | cosh - cos - sigma (sinh - sin) |
 | clamped-tip-mass   | s = s' = 0   | the link's tip body | cosh - cos - sigma (sinh - sin) |
 | pinned-free        | s = s'' = 0  | free                | sin + (sin b / sinh b) sinh     |
+| unconstrained      | s = s' = 0   | the link's tip body | see `beam_shapes.unconstrained` |
 | poly               | s = s' = 0   | no condition        | (x/l)^(index + 1)               |
 | hierarchical       | s = s' = 0   | no condition        | see `beam_shapes.hierarchical`  |
 | torsion-fixed-free | s = 0        | free                | sin                             |
@@ -14,7 +15,8 @@
 
 Arguments of the raw functions are b x/l, with the wave number b/l. The index of pinned-free starts
 at the first elastic mode: the rigid rotation is the joint's. The tip body of clamped-tip-mass is
-the link's tip mass and its tip inertia about the bending axis.
+the link's tip mass and its tip inertia about the bending axis. Unconstrained shapes are the natural
+modes of the link with this body on a free joint, whose rotor and hub turn with the root.
 """
 
 import math
@@ -32,6 +34,7 @@ from dynamics.description.beam_shapes import (
     clamped_root,
     hierarchical,
     power,
+    unconstrained,
 )
 from dynamics.types import Array, Matrix3
 
@@ -39,6 +42,7 @@ KINDS: dict[str, tuple[str, ...]] = {  # kind -> directions it may act in
     "clamped-free": ("y", "z"),
     "clamped-tip-mass": ("y", "z"),
     "pinned-free": ("y",),  # the joint turns about z: only bending along y can be pinned
+    "unconstrained": ("y",),
     "poly": ("y", "z"),
     "hierarchical": ("y", "z"),
     "torsion-fixed-free": ("x",),
@@ -46,6 +50,7 @@ KINDS: dict[str, tuple[str, ...]] = {  # kind -> directions it may act in
     "axial-fixed-free": ("axial",),
     "axial-poly": ("axial",),
 }
+FREE_ROOT = {"pinned-free", "unconstrained"}  # kinds whose root a joint lets turn
 # direction of a mode -> rigidity of the link that resists it
 STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy", "axial": "EA"}
 NORMS = ("tip-unit", "mass", "raw")
@@ -86,6 +91,7 @@ class Beam:
     rho_Ip: float  # [kg m]
     tip_mass: float  # [kg]
     tip_inertia: Matrix3  # (3, 3) [kg m^2] about the tip
+    root_inertia: float = 0.0  # [kg m^2] that a free joint turns with the root
 
 
 @lru_cache(maxsize=1024)
@@ -133,6 +139,9 @@ def _raw(mode: Mode, beam: Beam) -> Shape:
         return BeamShape(
             length=length, beta=beta, grow=ratio, decay=-ratio * math.exp(-beta), sin=1.0
         )
+    if mode.kind == "unconstrained":
+        hub = beam.root_inertia / (beam.rho_A * length**3)
+        return unconstrained(index, length, *_tip_ratios(mode, beam), hub)
     free = mode.kind == "clamped-free"
     mass, inertia = (0.0, 0.0) if free else _tip_ratios(mode, beam)
     return clamped(clamped_root(index, mass, inertia), mass, inertia, length)
@@ -146,7 +155,7 @@ def _tip_ratios(mode: Mode, beam: Beam) -> tuple[float, float]:
     if max(ratios) > _HEAVIEST:
         raise ValueError(
             f"Link.tip_mass or Link.tip_inertia is {max(ratios):.3g} times that of the link; above "
-            f"{_HEAVIEST:g} clamped-tip-mass shapes lose precision; use another kind."
+            f"{_HEAVIEST:g} {mode.kind} shapes lose precision; use another kind."
         )
     return ratios
 

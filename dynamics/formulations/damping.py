@@ -2,9 +2,9 @@
 
 A damping ratio is that of every natural mode of the link alone, clamped at its joint, with its tip
 body and without a payload. Listed beam shapes and powers have it each for itself
-(link_constants.py), which is the same for shapes that are natural modes. Hierarchical shapes, more
-than one polynomial of torsion or stretching, and segments get it from the natural modes phi that
-the link has in its own coordinates, with phi' M phi = 1:
+(link_constants.py), which is the same for shapes that are natural modes. Hierarchical and
+unconstrained shapes, more than one polynomial of torsion or stretching, and segments get it from
+the natural modes phi that the link has in its own coordinates, with phi' M phi = 1:
 
     C = sum 2 zeta omega (M phi)(M phi)'
 
@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.description.arm import Arm
-from dynamics.description.joint import Joint
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import STIFFNESS
 from dynamics.formulations.gibbs_appell import mass_matrix
@@ -33,6 +32,7 @@ from dynamics.formulations.link_constants import (
 from dynamics.types import Array
 
 MODES = 5  # natural modes along a direction that have the damping ratio, of a link in segments
+WHOLE = {"hierarchical", "unconstrained"}  # kinds that are damped together
 SERIES = ("torsion-poly", "axial-poly")  # kinds of which several shapes are damped together
 Bodies = tuple[LinkConstants, ...]
 IntArray = NDArray[np.int64]
@@ -68,8 +68,8 @@ def natural_modes(link: Link) -> list[NaturalModes]:
 
     Coordinates that move no mass are left out.
     """
-    alone = replace(link, damping_ratio=0.0, joint=Joint(), modes=tuple(link.modes))
-    chain = Chain(tuple(link_constants(part, welded=True) for part in parts(alone)))
+    listed = replace(link, damping_ratio=0.0, modes=tuple(link.modes))
+    chain = Chain(tuple(link_constants(part, welded=True) for part in parts(listed)))
     n, m = len(chain.links) * len(link.modes), len(link.modes)
     M, K = np.array(mass_matrix(chain, n * [0.0]), dtype=np.float64), np.zeros((n, n))
     for k, body in enumerate(chain.links):
@@ -91,7 +91,7 @@ def yields(link: Link, direction: str) -> bool:
 def _as_a_whole(link: Link) -> bool:
     """True if the ratio of a link in one piece is that of its natural modes, not of its shapes."""
     kinds = [mode.kind for mode in link.modes]
-    return "hierarchical" in kinds or any(kinds.count(kind) > 1 for kind in SERIES)
+    return bool(WHOLE.intersection(kinds)) or any(kinds.count(kind) > 1 for kind in SERIES)
 
 
 def _matrix(link: Link) -> tuple[tuple[float, ...], ...]:

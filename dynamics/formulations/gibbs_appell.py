@@ -40,7 +40,14 @@ from dynamics.formulations.algebra import (
     tmatvec,
     transpose,
 )
-from dynamics.formulations.kinematics import Chain, Frame, damper_forces, outward, stretch
+from dynamics.formulations.kinematics import (
+    Chain,
+    Frame,
+    damper_forces,
+    elastic_forces,
+    outward,
+    stretch,
+)
 from dynamics.formulations.link_constants import LinkConstants
 
 
@@ -158,12 +165,13 @@ def joint_load(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scal
     tip = Wrench(add(body[0], load.force), add(body[1], load.moment))
     slip = plus(rate, dot(link.root_slope, f.delta_dot))
     resistance = plus(friction_torque(link, slip), mul(link.spring, stretch(f)))
+    elastic = elastic_forces(link, f.shape)
     for j, inertial in enumerate(modal):
         modal[j] = plus(
             inertial,
             dot(f.tip_phi[j], tip.force),
             dot(f.tip_theta[j], tip.moment),
-            dot(link.K[j], f.delta),
+            elastic[j],
             dot(link.damping[j], f.delta_dot),
             mul(link.root_slope[j], resistance),
         )

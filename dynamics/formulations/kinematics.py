@@ -168,14 +168,18 @@ def tip_rotation(
     omega_rel = J_l theta_dot, J_l = 1 + c theta~ + d theta~^2, bias J_l_dot theta_dot
     c = (1 - cos f)/f^2, d = (f - sin f)/f^3, f = |theta|
     """
-    shapes = link.tip_theta
+    shapes: Sequence[Vector] = link.tip_theta
     theta = combine(delta, shapes)
     rate = combine(delta_dot, shapes)
+    turning: Vector = ZERO
     if all(is_zero(x) for x in theta):
         return EYE, shapes, ZERO
-    T = skew(theta)
     if kind != "exp":
-        return madd(EYE, T), shapes, ZERO
+        return madd(EYE, skew(theta)), shapes, ZERO
+    if link.K_pairs:
+        theta, shapes, turning = _from_slopes(theta, rate, shapes)
+        rate = combine(delta_dot, shapes)
+    T = skew(theta)
     x = dot(theta, theta)
     c, dc = series(x, 2)
     d, dd = series(x, 3)
@@ -195,7 +199,42 @@ def tip_rotation(
         scale(mul(dd, x_dot), cross(theta, Tr)),
         scale(d, cross(rate, Tr)),
     )
-    return E, [J_l(u) for u in shapes], bias
+    return E, [J_l(u) for u in shapes], add(bias, J_l(turning))
+
+
+def _from_slopes(
+    slopes: Vector, rates: Vector, shapes: Sequence[Vector]
+) -> tuple[Vector, Sequence[Vector], Vector]:
+    """Rotation vector of a tip whose slopes are sines: y' = sin, not the angle itself.
+
+    A bending slope s turns the tip by asin s = k s, k = 1 + s^2/6 + 3 s^4/40 + .... Returns the
+    rotation vector, its derivatives by the amplitudes, and its second derivative in time at
+    constant modal rates. A twist, along x, is as it is.
+    """
+    b, b_dot = (0.0, *slopes[1:]), (0.0, *rates[1:])
+    x, x_dot = dot(b, b), mul(2.0, dot(b, b_dot))
+    k = plus(1.0, mul(x, plus(1.0 / 6.0, mul(3.0 / 40.0, x))))
+    dk = plus(1.0 / 6.0, mul(3.0 / 20.0, x))
+    derived = []
+    for u in shapes:
+        bent = (0.0, *u[1:])
+        own, turned = scale(k, bent), scale(mul(dk, mul(2.0, dot(b, bent))), b)
+        derived.append(add((u[0], 0.0, 0.0), own, turned))
+    k_dot = mul(dk, x_dot)
+    k_bias = plus(mul(3.0 / 20.0, mul(x_dot, x_dot)), mul(dk, mul(2.0, dot(b_dot, b_dot))))
+    theta = add((slopes[0], 0.0, 0.0), scale(k, b))
+    return theta, derived, add(scale(mul(2.0, k_dot), b_dot), scale(k_bias, b))
+
+
+def elastic_forces(link: LinkConstants, shape: Shape) -> list[Scalar]:
+    """(m) forces of bending, twist and stretching on the modes, and of foreshortening: K x."""
+    m = len(link.K)
+    pairs = [dot(row, shape.x[m:]) for row in link.K_pairs]
+    forces = []
+    for j, row in enumerate(link.K):
+        across = [mul(J[j], force) for J, force in zip(shape.J, pairs, strict=False)]
+        forces.append(plus(dot(row, shape.x[:m]), *across))
+    return forces
 
 
 def _turn(q: Scalar) -> Matrix:
@@ -338,6 +377,8 @@ def energies(
             mul(0.5, dot(f.w_tip, matvec(congruence(f.E, link.tip_inertia), f.w_tip))),
         )
         elastic = plus(elastic, mul(0.5, dot(f.delta, [dot(row, f.delta) for row in link.K])))
+        pairs = f.shape.x[len(f.delta) :] if link.K_pairs else ()
+        elastic = plus(elastic, mul(0.5, dot(pairs, [dot(row, pairs) for row in link.K_pairs])))
         elastic = plus(elastic, mul(0.5, mul(link.spring, mul(twist, twist))))
         moment = add(scale(link.mass, pose.joint), matvec(pose.R, f.rho))
         moment = add(moment, scale(link.tip_mass, pose.tip))

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from dynamics.description.arm import SECOND_ORDER, Arm, Payload
+from dynamics.description.arm import FOURTH_ORDER, Arm, Payload
 from dynamics.description.beam_shapes import Shape
 from dynamics.description.deflection import BENDING, DISPLACEMENT, TILT, TWIST
 from dynamics.description.joint import Joint
@@ -43,7 +43,8 @@ class LinkConstants:
     The integrals are (34)-(42), with eta = (x, 0, 0); K is (51)-(54). Absent terms are exact zeros.
     Foreshortening u = -1/2 int (y'^2 + z'^2) adds p shapes g_jk = int s_j' s_k' along x, which
     follow the m modes in every tuple except those of rotations, stiffness and damping. Their
-    amplitudes are -delta_j delta_k, or half of it for j = k (`kinematics.amplitudes`).
+    amplitudes are -delta_j delta_k, or half of it for j = k (`kinematics.amplitudes`). To fourth
+    order, bending u has the stiffness `K_pairs`, and `condensed` has the beam's inertia in u.
     """
 
     length: float  # [m]
@@ -65,6 +66,7 @@ class LinkConstants:
     tip_theta: tuple[Vector3, ...]  # (m) [1/m] rotation at the tip
     root_slope: tuple[float, ...]  # (m) [1/m] rotation about z at the root
     K: tuple[tuple[float, ...], ...]  # (m, m) [N/m]
+    K_pairs: tuple[tuple[float, ...], ...]  # (p, p) [N/m^3] int EI g'' g''; () if not fourth order
     damping: tuple[tuple[float, ...], ...]  # (m, m) [N s/m]
     tip_mass: float  # [kg] including the payload
     tip_inertia: Matrix3  # [kg m^2] including the payload
@@ -166,6 +168,7 @@ def link_constants(
         tip_theta=_tuples(b.tip_slope[:, None] * tilt + (b.tip * b.twist)[:m, None] * _E_X),
         root_slope=_tuples(b.root_slope[:m]),
         K=_tuples(b.K),
+        K_pairs=_tuples(b.K_pairs) if foreshortening == FOURTH_ORDER else (),
         damping=_tuples(_damping(link, b)),
         tip_mass=link.tip_mass + (payload.mass if payload is not None else 0.0),
         tip_inertia=_tuples(tip_inertia),
@@ -177,7 +180,37 @@ def link_constants(
         coulomb_speed=link.joint.coulomb_speed,
         spring=0.0,
     )
-    return _lumped(constants, link) if link.lumped and link.modes else constants
+    if link.lumped and link.modes:
+        return _lumped(constants, link)
+    return _condensed(constants, b.share * link.rho_A) if constants.K_pairs else constants
+
+
+def _condensed(k: LinkConstants, mass: float) -> LinkConstants:
+    """Put a part of a beam's mass [kg] at its tip for all that is beyond second order.
+
+    The tip body has every term of u, the beam none but products of u with the rigid motion. So the
+    mass is added at the tip, and its terms of up to second order are taken from the beam.
+    """
+    m, x = len(k.K), k.length * _E_X
+    along, bent = np.array(k.tip_phi), np.array(k.tip_phi)[:m]
+    s, c_jk, C, D = (np.array(value) for value in (k.s, k.c_jk, k.C, k.D))
+    s[:m, :m] -= mass * bent @ bent.T
+    c_jk[:m, :m] -= mass * np.cross(bent[:, None], bent[None])
+    C -= mass * np.array([_skew(x).T @ _skew(u) for u in along])
+    D[:m, :m] -= mass * np.array([[_skew(u).T @ _skew(w) for w in bent] for u in bent])
+    return replace(
+        k,
+        mass=k.mass - mass,
+        tip_mass=k.tip_mass + mass,
+        first_moment=_tuples(np.array(k.first_moment) - mass * x),
+        C0=_tuples(np.array(k.C0) - mass * _skew(x).T @ _skew(x)),
+        epsilon=_tuples(np.array(k.epsilon) - mass * along),
+        c=_tuples(np.array(k.c) - mass * np.cross(x, along)),
+        C=_tuples(C),
+        s=_tuples(s),
+        c_jk=_tuples(c_jk),
+        D=_tuples(D),
+    )
 
 
 def _lumped(constants: LinkConstants, link: Link) -> LinkConstants:
@@ -208,7 +241,9 @@ class _BeamIntegrals(NamedTuple):
     twist: Array  # (m + p) 1 for torsion, else 0
     zeroth: Array  # (m + p) int s_j
     first: Array  # (m + p) int x s_j
-    square: Array  # (m + p, m + p) int s_j s_k; to second order only of two modes
+    square: Array  # (m + p, m + p) int s_j s_k; to fourth order only of two modes
+    share: float  # [m] int g^2 / g(l)^2 of the foreshortening by first modes, mean of directions
+    K_pairs: Array  # (p, p) stiffness of foreshortening
     tip: Array  # (m + p) s_j(l)
     tip_slope: Array  # (m) s_j'(l)
     root_slope: Array  # (m + p) s_j'(0) of pinned-free modes, else 0
@@ -229,9 +264,10 @@ def _beam_integrals(link: Link, foreshortening: bool | str) -> _BeamIntegrals:
             root_slope[j] = float(shapes[j].slope(0.0))
     square = (values * weights) @ values.T
     size = np.sqrt(np.diag(square))
-    if foreshortening == SECOND_ORDER:
-        square[len(shapes) :] = square[:, len(shapes) :] = 0.0
     tip = np.array([*(float(s.value(l)) for s in shapes), *shortening_tip])
+    share = _first_share(link, pairs, np.diag(square)[len(shapes) :], shortening_tip)
+    if foreshortening == FOURTH_ORDER:
+        square[len(shapes) :] = square[:, len(shapes) :] = 0.0
     tip_slope = np.array([float(s.slope(l)) for s in shapes])
     return _BeamIntegrals(
         pairs=pairs,
@@ -244,6 +280,8 @@ def _beam_integrals(link: Link, foreshortening: bool | str) -> _BeamIntegrals:
         tip_slope=_snap(tip_slope, size[: len(shapes)] / l**1.5),
         root_slope=root_slope,
         K=_stiffness(link, shapes, x, weights),
+        share=share,
+        K_pairs=_pair_stiffness(link, shapes, pairs, x, weights),
     )
 
 
@@ -321,6 +359,37 @@ def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Arr
     K = (bent * weights) @ bent.T * same.reshape(len(shapes), len(shapes))
     size = np.sqrt(np.diag(K))
     return rigidity.reshape(-1, 1) * _snap(K, np.outer(size, size))
+
+
+def _pair_stiffness(
+    link: Link, shapes: list[Shape], pairs: tuple[tuple[int, int], ...], x: Array, weights: Array
+) -> Array:
+    """(p, p) int EI g_a'' g_b'', g_jk'' = (s_j' s_k')'; of two directions with their mean EI.
+
+    The curvature of a beam that keeps its length is y''^2 + z''^2 + u''^2, u' = -(y'^2 + z'^2)/2.
+    """
+    curved = _table(
+        [
+            shapes[j].curvature(x) * shapes[k].slope(x)
+            + shapes[j].slope(x) * shapes[k].curvature(x)
+            for j, k in pairs
+        ],
+        x.size,
+    )
+    EI = np.array([getattr(link, STIFFNESS[link.modes[j].direction]) for j, _ in pairs])
+    K = (curved * weights) @ curved.T
+    size = np.sqrt(np.diag(K))
+    return 0.5 * (EI.reshape(-1, 1) + EI) * _snap(K, np.outer(size, size))
+
+
+def _first_share(
+    link: Link, pairs: tuple[tuple[int, int], ...], squares: Array, tips: list[float]
+) -> float:
+    """[m] int g^2 / g(l)^2 of each direction's first pair, on average."""
+    first: dict[str, float] = {}
+    for (j, _), square, tip in zip(pairs, squares, tips, strict=True):
+        first.setdefault(link.modes[j].direction, float(square) / tip**2)
+    return sum(first.values()) / max(1, len(first))
 
 
 def _shortening(

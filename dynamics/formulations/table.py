@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from dynamics.description import validate
-from dynamics.description.arm import Arm
+from dynamics.description.arm import FOURTH_ORDER, Arm
 from dynamics.formulations import (
     articulated_body,
     dense_solve,
@@ -91,6 +91,11 @@ def formulation_for(arm: Arm, name: str) -> Formulation:
 def why_not(arm: Arm, name: str) -> str | None:
     """Sentence that names an unsupported field of an arm; None if all are supported."""
     supported = FORMULATIONS[name].supported
+    if supported is not None and arm.foreshortening == FOURTH_ORDER:
+        return (
+            f"Formulation {name!r} does not support Arm.foreshortening, got {FOURTH_ORDER!r}; take "
+            'true, false or "gibbs_appell".'
+        )
     for owner, field, value in _described(arm):
         if supported is not None and field not in supported[owner]:
             return (

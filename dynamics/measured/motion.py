@@ -251,9 +251,8 @@ def _check_gauges(arm: Arm, gauges: Sequence[Gauge], readings: Array) -> None:
 
 def _check_scaled(model: Model, bounds: Bounds, free: Sequence[int]) -> None:
     """Refuse parameters that scale what the arm does not have."""
-    links = list(model.chain.links)
     for name in bounds:
-        if FREE_PARAMETERS[name].apply(links, 2.0) == links:
+        if FREE_PARAMETERS[name].apply(model.chain, 2.0) == model.chain:
             raise ValueError(
                 f"{name} has no effect: the arm has no {SCALED[name]} to scale; give it some, or "
                 f"leave {name} out of the fit."

@@ -15,11 +15,12 @@ from scipy.linalg import eigh
 from scipy.sparse.csgraph import connected_components
 
 from dynamics import Arm, Body, Joint, Link, Mode
-from dynamics.description.arm import SECOND_ORDER
+from dynamics.description.arm import FOURTH_ORDER
 from dynamics.description.mode_shapes import Shape, shape
 from dynamics.description.validate import ZEROS
 from dynamics.types import Array
 
+WHOLE = {"hierarchical", "unconstrained"}  # kinds whose damping ratio is that of natural modes
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)  # round-off up to the third mode
 X, Y, Z = np.eye(3)
 
@@ -95,7 +96,7 @@ def augmented(
 ) -> tuple[Array, Array]:
     """M + W and load + W guess, W = s K + d C of all that is linear in q and v, but dampers."""
     smooth = [replace(link, joint=replace(link.joint, coulomb=0.0)) for link in arm.links]
-    linear, none = replace(arm, links=tuple(smooth)), np.zeros(arm.n)
+    linear, none = replace(arm, links=tuple(smooth), foreshortening=False), np.zeros(arm.n)
     units = np.eye(arm.n)
     K = np.array([resisting_forces(linear, e, none) for e in units]).T
     C = np.array([resisting_forces(linear, none, e, dampers=False) for e in units]).T
@@ -117,12 +118,12 @@ def resisting_forces(arm: Arm, q: Array, v: Array, dampers: bool = True) -> Arra
         x, weights = 0.5 * link.length * (NODES + 1.0), 0.5 * link.length * WEIGHTS
         root = np.zeros(len(delta))
         for j, mode in enumerate(link.modes):
-            s = shape(mode, link)
+            s = shape(mode, link.beam)
             root[j] = s.slope(0.0) if mode.direction == "y" else 0.0
             for k, other in enumerate(link.modes):
                 if other.direction != mode.direction:
                     continue
-                r = shape(other, link)
+                r = shape(other, link.beam)
                 if mode.direction in ("x", "axial"):
                     rigidity = link.GJ if mode.direction == "x" else link.EA
                     K[j, k] = rigidity * weights @ (s.slope(x) * r.slope(x))
@@ -137,12 +138,16 @@ def resisting_forces(arm: Arm, q: Array, v: Array, dampers: bool = True) -> Arra
         torsion = link.damping_beta_torsion
         torsion = link.damping_beta if torsion is None else torsion
         C += np.where(twists, torsion, link.damping_beta)[:, None] * K
+        if arm.foreshortening == FOURTH_ORDER:
+            K_delta = K @ delta + _bending_of_shortening(link, delta)
+        else:
+            K_delta = K @ delta
         slip = rate + root @ delta_dot
         joint = link.joint
         friction = joint.viscous * slip + joint.coulomb * np.tanh(slip / joint.coulomb_speed)
         friction += spring * (turn + root @ delta)
         forces += [] if welded else [friction]
-        forces += list(K @ delta + C @ delta_dot + root * friction)
+        forces += list(K_delta + C @ delta_dot + root * friction)
     result = np.array(forces)
     for joint, link in zip(arm.joint_index, arm.links, strict=True):
         whole = _damping_of_the_whole(link, viscous=not dampers)
@@ -151,6 +156,26 @@ def resisting_forces(arm: Arm, q: Array, v: Array, dampers: bool = True) -> Arra
             rows = slice(first, first + len(whole))
             result[rows] += whole @ v[rows]
     return result
+
+
+def _bending_of_shortening(link: Link, delta: Array) -> Array:
+    """(m,) gradient of 1/2 int (EIz y' y'' + EIy z' z'')(y' y'' + z' z''), by complex steps."""
+    x, weights = 0.5 * link.length * (NODES + 1.0), 0.5 * link.length * WEIGHTS
+    shapes = _shapes(link)
+
+    def energy(amplitudes: Array) -> complex:
+        rates = []
+        for direction in "yz":
+            own = [
+                (d, s) for d, (m, s) in zip(amplitudes, shapes, strict=True)
+                if m.direction == direction
+            ]  # fmt: skip
+            slope = sum((d * s.slope(x) for d, s in own), 0.0 * x)
+            rates.append(slope * sum((d * s.curvature(x) for d, s in own), 0.0 * x))
+        rigid = (link.EIz or 0.0) * rates[0] + (link.EIy or 0.0) * rates[1]
+        return complex(0.5 * weights @ (rigid * (rates[0] + rates[1])))
+
+    return np.array([energy(delta + 1e-30j * e).imag / 1e-30 for e in np.eye(len(delta))])
 
 
 def momentum(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
@@ -194,6 +219,18 @@ def _rotation(theta: Array) -> Array:
     return np.stack([E[:, :3, :3], E[:, :3, 3:6], 2.0 * E[:, :3, 6:]])
 
 
+def _angles(slopes: Array) -> Array:
+    """Rotation vectors (3, N, 3) of sections whose bending slopes are sines, twist along x."""
+    bent = slopes * (Y + Z)
+
+    def times(a: Array, b: Array) -> Array:
+        return np.stack([a[0] * b[0], a[1] * b[0] + a[0] * b[1],
+                         a[2] * b[0] + 2.0 * a[1] * b[1] + a[0] * b[2]])  # fmt: skip
+
+    x = times(bent, bent).sum(axis=-1, keepdims=True)
+    return slopes + times(x / 6.0 + 3.0 / 40.0 * times(x, x), bent)  # of asin s = s + s^3/6 + ...
+
+
 def _exponential(A: Array) -> Array:
     """exp(A) of many matrices: Taylor series of A / 16, squared four times."""
     result = term = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
@@ -226,10 +263,11 @@ def _damping_of_the_whole(link: Link, viscous: bool = False) -> Array | None:
     """
     kinds = [mode.kind for mode in link.modes]
     several = any(kinds.count(kind) > 1 for kind in ("torsion-poly", "axial-poly"))
-    if not link.damping_ratio or not (link.segments > 1 or several or "hierarchical" in kinds):
+    if not link.damping_ratio or not (link.segments > 1 or several or WHOLE & {*kinds}):
         return None
-    alone = Arm(links=(replace(link, joint=Joint(), damping_ratio=0.0, modes=tuple(link.modes)),))
-    modal, rest = slice(1, alone.n), np.zeros(alone.n)
+    joint = replace(link.joint, parallel=False)
+    alone = Arm(links=(replace(link, joint=joint, damping_ratio=0.0, modes=tuple(link.modes)),))
+    modal, rest = slice(1 + link.joint.elastic, alone.n), np.zeros(alone.n)
     M = mass_matrix(alone, rest)[modal, modal]
     K = np.array([resisting_forces(alone, e, rest) for e in np.eye(alone.n)])[modal, modal]
     C = np.zeros_like(M)
@@ -312,6 +350,7 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
 
         parts += _beam(link, delta, p, R, arm.foreshortening)
         r, theta = _deflection(link, delta, np.array([link.length]), bool(arm.foreshortening))
+        theta = _angles(theta) if arm.foreshortening == FOURTH_ORDER else theta
         p, R = p + _product(R, r), _product(R, _rotation(theta))
         mass, inertia = link.tip_mass, np.array(link.tip_inertia)
         if link.lumped and link.modes:
@@ -334,7 +373,8 @@ def _beam(
 
     Foreshortening u moves a section of mass m from x by r + u. To second order the energies keep
     the products of x + r with itself and of x with u. The latter's are those of masses m/2 at x + u
-    and -m/2 at x - u.
+    and -m/2 at x - u. To fourth order, a part of the beam's mass at the tip has all other terms: it
+    is added there, and its terms of second order are taken away.
     """
     if link.lumped and link.modes:
         mass, polar = link.rho_A * link.length, link.rho_Ip * link.length
@@ -347,13 +387,39 @@ def _beam(
     section = _product(R, _rotation(theta * X)) if link.rho_Ip else R + 0.0 * r
     polar = link.rho_Ip * share[:, None, None] * np.outer(X, X)
     found = [(mass, polar, p + _product(R, r), section)]
-    if shorten == SECOND_ORDER:
-        u = _deflection(link, delta, x, True)[0] - r
-        straight = _deflection(link, 0.0 * delta, x, False)[0]
-        for sign in (1.0, -1.0):
-            at = p + _product(R, straight + sign * u)
-            found.append((0.5 * sign * mass, 0.0 * polar, at, section))
+    if shorten == FOURTH_ORDER:
+        further = _to_second_order(link, delta, x, mass, p, R)[1:]
+        found += [(k, 0.0 * polar, at, section) for k, at in further]
+        end, none = np.array([link.length]), np.zeros((1, 3, 3))
+        m = np.array([_condensed_mass(link)])
+        whole = p + _product(R, _deflection(link, delta, end, True)[0])
+        found.append((m, none, whole, R))
+        found += [(-k, none, at, R) for k, at in _to_second_order(link, delta, end, m, p, R)]
     return found
+
+
+def _to_second_order(
+    link: Link, delta: Array, x: Array, mass: Array, p: Array, R: Array
+) -> list[tuple[Array, Array]]:
+    """Masses and their jets whose energies are those of sections at x to second order."""
+    r = _deflection(link, delta, x, False)[0]
+    u = _deflection(link, delta, x, True)[0] - r
+    straight = _deflection(link, 0.0 * delta, x, False)[0]
+    shortened = [(0.5 * k * mass, p + _product(R, straight + k * u)) for k in (1.0, -1.0)]
+    return [(mass, p + _product(R, r)), *shortened]
+
+
+def _condensed_mass(link: Link) -> float:
+    """Mass [kg] that, at the tip, moves as the beam does under the first shape's foreshortening."""
+    shares = []
+    for direction in "yz":
+        own = [(m, s) for m, s in _shapes(link) if m.direction == direction]
+        if own:
+            x = 0.5 * link.length * (NODES + 1.0)
+            inside = 0.5 * np.outer([*x, link.length], NODES + 1.0)
+            g = 0.5 * np.array([*x, link.length]) * (own[0][1].slope(inside) ** 2 @ WEIGHTS)
+            shares.append(0.5 * link.length * WEIGHTS @ g[:-1] ** 2 / g[-1] ** 2)
+    return link.rho_A * float(np.mean(shares)) if shares else 0.0
 
 
 def _base(jet: Array) -> tuple[Array, Array]:
@@ -364,7 +430,7 @@ def _base(jet: Array) -> tuple[Array, Array]:
 
 
 def _shapes(link: Link) -> list[tuple[Mode, Shape]]:
-    return [(mode, shape(mode, link)) for mode in link.modes]
+    return [(mode, shape(mode, link.beam)) for mode in link.modes]
 
 
 def _deflection(link: Link, delta: Array, x: Array, shorten: bool) -> tuple[Array, Array]:

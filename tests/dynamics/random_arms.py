@@ -8,14 +8,21 @@ from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
 from dynamics import Arm, Base, Joint, Link, Mode, Model, Payload, compile_arm
-from dynamics.description.arm import SECOND_ORDER
-from dynamics.description.mode_shapes import shape
+from dynamics.description.arm import FOURTH_ORDER
+from dynamics.description.mode_shapes import FREE_ROOT, shape
 from dynamics.types import Array
 
 Matrix = tuple[tuple[float, ...], ...]
 
 KINDS = {
-    "y": ("clamped-free", "pinned-free", "clamped-tip-mass", "poly", "hierarchical"),
+    "y": (
+        "clamped-free",
+        "pinned-free",
+        "clamped-tip-mass",
+        "unconstrained",
+        "poly",
+        "hierarchical",
+    ),
     "z": ("clamped-free", "clamped-tip-mass", "poly", "hierarchical"),
     "x": ("torsion-fixed-free", "torsion-poly"),
     "axial": ("axial-fixed-free", "axial-poly"),
@@ -37,7 +44,7 @@ def random_arm(seed: int, n_link: int, n_mode: int, *, spatial: bool = True) -> 
         links=tuple(_link(rng, int(m), spatial) for m in counts),
         gravity=tuple(rng.normal(0.0, 6.0, 3) * (1.0, 1.0, spatial)),
         payload=Payload(mass=0.3, inertia=_inertia(rng, spatial)) if rng.random() < 0.5 else None,
-        foreshortening=(False, False, True, SECOND_ORDER)[rng.integers(4)],
+        foreshortening=(False, False, True, FOURTH_ORDER)[rng.integers(4)],
     )
 
 
@@ -130,7 +137,7 @@ def torque_matrix(arm: Arm) -> Array:
         B[row, i] = 1.0
         for j, mode in enumerate(link.modes, 1):
             if mode.direction == "y" and not link.joint.elastic:
-                B[row + j, i] = shape(mode, link).slope(0.0)
+                B[row + j, i] = shape(mode, link.beam).slope(0.0)
         row += 1 + link.joint.elastic + link.segments * len(link.modes)
     return B
 
@@ -151,7 +158,7 @@ def _link(rng: Generator, count: int, spatial: bool) -> Link:
     def maybe(most: float) -> float:
         return float(rng.uniform(0.0, most) * (rng.random() < 0.6))
 
-    weldable = count < 3 and all(mode.kind != "pinned-free" for mode in modes)
+    weldable = count < 3 and all(mode.kind not in FREE_ROOT for mode in modes)
     most = {"x": 1, "y": 2, "z": 2, "axial": 1}
     few = all(directions.count(d) <= most[d] for d in directions)
     lumped = weldable and few and rng.random() < 0.4
@@ -202,7 +209,7 @@ def _amplitudes(link: Link) -> list[float]:
     part = replace(link, length=link.length / link.segments, segments=1)
     found = []
     for mode in part.modes:
-        s = shape(mode, part)
+        s = shape(mode, part.beam)
         x = np.linspace(0.0, part.length, 9)
         value, slope = float(np.abs(s.value(x)).max()), float(np.abs(s.slope(x)).max())
         found.append(TURN / (value if mode.direction == "x" else max(slope, value / part.length)))

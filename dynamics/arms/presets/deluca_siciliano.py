@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from dynamics.arms.checks import Check
 from dynamics.arms.measures import alone, hertz, mode_of_link
-from dynamics.description.arm import SECOND_ORDER, Arm
+from dynamics.description.arm import FOURTH_ORDER, Arm
 from dynamics.description.joint import Joint
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
@@ -33,7 +33,7 @@ ARM = Arm(
         "Two soft links in a horizontal plane with a payload: De Luca and Siciliano, 'Closed-form "
         "dynamic model of planar multilink lightweight robots', IEEE Trans. SMC 21(4), 1991."
     ),
-    foreshortening=SECOND_ORDER,
+    foreshortening=FOURTH_ORDER,
     links=(
         Link(
             length=0.5,  # published

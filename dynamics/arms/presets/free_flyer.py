@@ -12,7 +12,7 @@ tip force: `choose_model` takes them for a tip error of 1e-3 of the reach at ful
 
 from dynamics.arms.checks import Check
 from dynamics.arms.measures import mode_of_link
-from dynamics.description.arm import SECOND_ORDER, Arm, Base
+from dynamics.description.arm import FOURTH_ORDER, Arm, Base
 from dynamics.description.joint import Joint
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
@@ -49,7 +49,7 @@ ARM = Arm(
         mass=_MASS,
         inertia=((_INERTIA, 0.0, 0.0), (0.0, _INERTIA, 0.0), (0.0, 0.0, _INERTIA)),
     ),
-    foreshortening=SECOND_ORDER,
+    foreshortening=FOURTH_ORDER,
     # [s] damping_beta chosen: 1 % of critical in the first mode of each link, clamped, alone
     links=(
         _strip(0.5 * _SIDE, _ELBOW, 2, 3.18e-3),

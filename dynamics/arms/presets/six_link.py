@@ -11,7 +11,7 @@ from math import pi
 
 from dynamics.arms.checks import Check
 from dynamics.arms.measures import mode_of_link
-from dynamics.description.arm import SECOND_ORDER, Arm
+from dynamics.description.arm import FOURTH_ORDER, Arm
 from dynamics.description.joint import Joint
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
@@ -62,7 +62,7 @@ ARM = Arm(
         "A synthetic six-link spatial arm of laboratory size: aluminium tubes, motors at the "
         "joints, no gravity. All numbers are chosen, none is measured."
     ),
-    foreshortening=SECOND_ORDER,
+    foreshortening=FOURTH_ORDER,
     links=(
         _tube(0.30, 0.025, 0.0020, 2.0, 0.050, 0.50, _SAME, 1.06e-4),
         _tube(0.50, 0.022, 0.0020, 1.5, 0.050, 0.50, _YAW_TO_PITCH, 2.43e-4),

@@ -9,7 +9,7 @@ on this hub.
 
 from dynamics.arms.checks import Check
 from dynamics.arms.measures import mode_of_link
-from dynamics.description.arm import SECOND_ORDER, Arm
+from dynamics.description.arm import FOURTH_ORDER, Arm
 from dynamics.description.joint import Joint
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
@@ -20,7 +20,7 @@ ARM = Arm(
         "One horizontal aluminium beam with a tip mass on a torque-driven hub: SLIM of Yuan, "
         "Book and Huggins, 'Dynamics of flexible manipulator arms', 1993."
     ),
-    foreshortening=SECOND_ORDER,
+    foreshortening=FOURTH_ORDER,
     links=(
         Link(
             length=1.2192,  # 48 in, printed

@@ -212,8 +212,8 @@ REFUSED_ARMS = {
     "links must be a list": {"links": {}},
     r"links\[0\] must be a mapping": {"links": [3]},
     "rotation must be one of .*got 'euler'": {"rotation": "euler"},
-    r"foreshortening \(or 'second-order'\) must be true or false, got 1": {"foreshortening": 1},
-    "or 'second-order'. must be true or false, got 'third'": {"foreshortening": "third"},
+    r"foreshortening \(or 'fourth-order'\) must be true or false, got 1": {"foreshortening": 1},
+    "or 'fourth-order'. must be true or false, got 'third'": {"foreshortening": "third"},
     "Base.mass must be positive, got 0.0": {"base": {"type": "free"}},
     "Base.inertia must be positive definite": {"base": {"type": "free", "mass": 2.0}},
     "no principal moment above the sum .* 1, 1, 2.1": {

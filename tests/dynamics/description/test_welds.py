@@ -10,7 +10,7 @@ import pytest
 
 from dynamics import Arm, Joint, Link, Mode, StiffSegmentsWarning
 from dynamics.description.beam_shapes import clamped_root
-from dynamics.description.mode_shapes import KINDS
+from dynamics.description.mode_shapes import FREE_ROOT, KINDS
 from dynamics.description.welds import FREE_TIP, tip_compliance
 from dynamics.model import Model
 
@@ -21,7 +21,7 @@ BEAM: dict[str, Any] = {
 }  # fmt: skip
 SEGMENTS = (1, 2, 4, 8, 16)
 WELDABLE = [
-    (kind, direction) for kind, at in KINDS.items() if kind not in (*FREE_TIP, "pinned-free")
+    (kind, direction) for kind, at in KINDS.items() if kind not in (*FREE_TIP, *FREE_ROOT)
     for direction in at
 ]  # fmt: skip
 STIFF = [(kind, direction) for kind in FREE_TIP for direction in KINDS[kind]]

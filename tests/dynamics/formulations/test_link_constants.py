@@ -8,11 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.linalg import eigh
+from scipy.optimize import brentq
 
-from dynamics import ARMS, Joint, Link, Mode, Payload, load_arm
+from dynamics import ARMS, Arm, Joint, Link, Mode, Payload, load_arm
 from dynamics.description.deflection import curvature, deflection
 from dynamics.description.mode_shapes import KINDS, clamped_root, quadrature, shape
 from dynamics.formulations.link_constants import link_constants
+from dynamics.model import Model
 from tests.paths import REFERENCE
 
 CASES = sorted(
@@ -58,7 +60,7 @@ def test_links_agree_with_the_independent_method(case: str) -> None:
 
     for link, expected in zip(arm.links, data["expected"]["links"], strict=True):
         constants = link_constants(link)
-        shapes = [shape(mode, link) for mode in link.modes]
+        shapes = [shape(mode, link.beam) for mode in link.modes]
         K, M = np.array(expected["K"]), np.array(expected["M_clamped_link_only"])
         stiff = np.sqrt(np.outer(np.diag(K), np.diag(K)))
         heavy = np.sqrt(np.outer(np.diag(M), np.diag(M)))
@@ -75,7 +77,7 @@ def test_links_agree_with_the_independent_method(case: str) -> None:
 @pytest.mark.parametrize("mode", ALL_MODES, ids=str)
 def test_shapes_meet_their_conditions_at_both_ends(mode: Mode) -> None:
     link = a_link(mode)
-    s, l = shape(mode, link), link.length
+    s, l = shape(mode, link.beam), link.length
     steep = max(1.0, abs(float(s.slope(l)) * l))
     bent = max(1.0, abs(float(s.curvature(0.0)) * l**2), abs(float(s.curvature(l)) * l**2))
 
@@ -86,7 +88,7 @@ def test_shapes_meet_their_conditions_at_both_ends(mode: Mode) -> None:
             {1: 1.5, 2: 1.0}.get(mode.index, 0.0), abs=1e-13
         )
     assert abs(float(s.value(0.0))) <= 1e-14 * steep
-    if mode.kind in ("clamped-free", "clamped-tip-mass", "poly", "hierarchical"):
+    if mode.kind in ("clamped-free", "clamped-tip-mass", "unconstrained", "poly", "hierarchical"):
         assert abs(float(s.slope(0.0))) * l <= 1e-13 * steep
     if mode.kind in ("clamped-free", "pinned-free"):
         assert abs(float(s.curvature(l))) * l**2 <= 1e-12 * bent
@@ -97,11 +99,44 @@ def test_shapes_meet_their_conditions_at_both_ends(mode: Mode) -> None:
         assert abs(float(s.slope(l))) <= 1e-13 * pi * mode.index / l
 
 
+@pytest.mark.parametrize("hub", [0.0, 1e-3, 0.05, 5.0])
+@pytest.mark.parametrize("body", [(0.0, 0.0), (0.3, 0.0), (0.1, 2e-3), (40.0, 0.5)])
+def test_unconstrained_shapes_are_natural_modes_on_a_free_joint(
+    hub: float, body: tuple[float, float]
+) -> None:
+    """Frequencies of three of them beside the roots of the exact frequency equation."""
+    (m, J), l, rho_A, EI = body, 1.3, 0.4, 7.0
+    tip = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, J))
+    link = Link(length=l, rho_A=rho_A, EIz=EI, tip_mass=m, tip_inertia=tip,
+                joint=Joint(rotor_inertia=0.25 * hub, hub_inertia=0.75 * hub),
+                modes=modes("unconstrained", 3))  # fmt: skip
+    found = Model(Arm(links=(link,))).frequencies(np.zeros(4), joints="free")[-3:]
+
+    def equation(omega: float) -> float:
+        """Determinant of the conditions on e^(k(x-l)), e^(-kx), cos kx, sin kx."""
+        k = (rho_A * omega**2 / EI) ** 0.25
+        e, c, s = np.exp(-k * l), np.cos(k * l), np.sin(k * l)
+        at_0 = [(e, e, e), (1.0, -1.0, 1.0), (1.0, 0.0, -1.0), (0.0, 1.0, 0.0)]
+        at_l = [(1.0, 1.0, 1.0, 1.0), (e, -e, e, -e), (c, -s, -c, s), (s, c, -s, -c)]
+        rows = [
+            [w for w, _, _ in at_0],
+            [EI * k**2 * bent + hub * omega**2 * k * slope for _, slope, bent in at_0],
+            [EI * k**2 * bent - J * omega**2 * k * slope for _, slope, bent, _ in at_l],
+            [EI * k**3 * third + m * omega**2 * w for w, _, _, third in at_l],
+        ]
+        size = [max(map(abs, row)) for row in rows]
+        return float(np.linalg.det(np.array(rows) / np.array(size)[:, None]))
+
+    for omega in found:
+        root = brentq(equation, omega * (1.0 - 1e-5), omega * (1.0 + 1e-5), xtol=1e-12)
+        assert omega == pytest.approx(root, rel=1e-8)
+
+
 @pytest.mark.parametrize("mode", ALL_MODES, ids=str)
 def test_slope_and_curvature_are_the_derivatives(mode: Mode) -> None:
     """The integral of the derivative along the link is the difference of the end values."""
     link = a_link(mode)
-    s = shape(mode, link)
+    s = shape(mode, link.beam)
     x, weights = quadrature(link.length, (mode,))
 
     grown = float(s.value(link.length)) - float(s.value(0.0))
@@ -140,7 +175,7 @@ def test_clamped_tip_mass_shapes_are_orthogonal_with_the_tip_body(direction: str
     scale = np.sqrt(np.diag(M))
     assert_allclose(M / np.outer(scale, scale), np.eye(12), atol=1e-12)
     rigidity = {"y": link.EIz, "z": link.EIy}[direction]
-    beta = np.array([shape(mode, link).beta for mode in link.modes])
+    beta = np.array([shape(mode, link.beam).beta for mode in link.modes])
     expected = rigidity * beta**4 / (link.rho_A * link.length**4)
     assert_allclose(np.diag(K) / np.diag(M), expected, rtol=1e-11)
 
@@ -355,7 +390,7 @@ def test_the_deluca_siciliano_links_have_the_published_clamped_frequencies() -> 
         (second, (2.1783, 15.9145)),
     ):
         modes = [Mode(kind="clamped-tip-mass", index=k, direction="y") for k in (1, 2)]
-        beta = np.array([shape(mode, link).beta for mode in modes])
+        beta = np.array([shape(mode, link.beam).beta for mode in modes])
         frequency = beta**2 / (2.0 * pi) * np.sqrt(link.EIz / (link.rho_A * link.length**4))
         assert_allclose(frequency, published, atol=1e-4)
 
@@ -363,7 +398,7 @@ def test_the_deluca_siciliano_links_have_the_published_clamped_frequencies() -> 
 def test_the_slim_arm_has_its_measured_clamped_frequencies() -> None:
     """2.08 and 13.92 Hz measured by Yuan, Book and Huggins, 1993: within 1 %."""
     (link,) = ARMS["slim"].links
-    beta = np.array([shape(mode, link).beta for mode in link.modes])
+    beta = np.array([shape(mode, link.beam).beta for mode in link.modes])
     frequency = beta**2 / (2.0 * pi) * np.sqrt(link.EIz / (link.rho_A * link.length**4))
     assert_allclose(frequency, (2.08, 13.92), rtol=0.01)
 
