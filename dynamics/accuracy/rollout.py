@@ -309,7 +309,8 @@ def _trace(model: Model, integrator: str) -> TracedMethod:
 
     method, n = INTEGRATORS[integrator], model.n
     Q, V, A, W, SCRATCH = 0, n, 2 * n, 3 * n, 6 * n
-    places = Slots(n, Q, V, A, W, SCRATCH)
+    TAU = SCRATCH + method.scratch(n)
+    places = Slots(n, Q, V, A, W, SCRATCH, TAU)
     keep = SCRATCH + method.kept(n)
     graph = graphs.accelerations(model.traced, method.implicit)
     x = ca.SX.sym("x", keep)  # the part of the workspace that steps keep
@@ -339,8 +340,8 @@ def _trace(model: Model, integrator: str) -> TracedMethod:
 
     def after(function: Callable[..., None], evaluate: Callable[[Any], None]) -> Any:
         """State after a start or a step; after a step a free base's frame is its own again."""
-        w = np.zeros(SCRATCH + method.scratch(n), dtype=object)
-        w[:keep] = ca.vertsplit(x)
+        w = np.zeros(TAU + model.n_torque, dtype=object)
+        w[:keep], w[TAU:] = ca.vertsplit(x), ca.vertsplit(tau)
         with warnings.catch_warnings():  # CasADi warns of numpy.cos on symbols, which is intended
             warnings.simplefilter("ignore")
             function(w, h, evaluate, places, known)

@@ -59,6 +59,7 @@ class Chain:
     rotation: str = "exp"  # of a bent end: exp(theta~); "linear": 1 + theta~
     free_base: bool = False  # the first body turns the base in space: see free_base.py
     dampers: tuple[Damper, ...] = ()  # across bodies, beside the damping of each
+    driven_base: bool = False  # a torque turns the base: the last of the torques
 
     def split(self, x: Sequence[Scalar]) -> list[tuple[Scalar, Sequence[Scalar]]]:
         """Split coordinates into (joint, modes) per body; a welded body's joint is 0.0."""

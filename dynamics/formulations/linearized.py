@@ -116,7 +116,22 @@ def frozen_modes(chain: Chain) -> FrozenModes:
         x * (np.abs(x) > _ROUND_OFF * bound)
         for x, bound in zip((S.T @ M, S.T), bounds, strict=True)
     )
-    return FrozenModes(squares * elastic, decays * elastic, L, back.T)
+    return FrozenModes(squares * elastic, decays * elastic, L, back.T, back @ inputs(chain))
+
+
+def inputs(chain: Chain) -> Array:
+    """(n, n_torque) generalized forces B of unit torques: joints, then a driven base."""
+    columns, first = [], 0
+    for link in chain.links:
+        size = len(link.K) + (not link.welded)
+        if link.driven:
+            column = np.zeros(sum(len(x.K) + (not x.welded) for x in chain.links))
+            column[first : first + size] = (1.0, *link.root_slope)
+            columns.append(column)
+        first += size
+    if chain.driven_base:  # comes first in the chain
+        columns = [*columns[1:], columns[0]]
+    return np.array(columns).T
 
 
 def explicit_steps(chain: Chain) -> Array:

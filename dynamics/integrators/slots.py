@@ -12,4 +12,5 @@ class Slots(NamedTuple):
     a: int  # accelerations, written by `evaluate`
     implicit: int  # 3 n values: weights of stiffness, weights of damping, guess
     s: int  # scratch space, `Integrator.scratch` values per lane
+    tau: int = 0  # torques
     lanes: int = 1  # environments in one workspace; 1 unless numba compiles the method's loops

@@ -22,22 +22,17 @@ K or C couple have equal weights. Each evaluation is one linear solve.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dynamics.integrators.exponential import (
-    exponential,
-    prepare_exponential,
-    propagator,
-    start_exponential,
-)
+from dynamics.integrators.exponential import GaussStep, basis, prepare_nodes, pushes, response
 from dynamics.integrators.newmark import (
+    extrapolated_midpoint,
     generalized_alpha,
     midpoint,
     numerov,
     prepare_numerov,
-    relaxed_midpoint,
+    start_extrapolated_midpoint,
     start_generalized_alpha,
     start_midpoint,
     start_numerov,
-    start_relaxed_midpoint,
 )
 from dynamics.integrators.rosenbrock import factorize, rosenbrock, solve
 
@@ -106,6 +101,21 @@ class Integrator:
         return self.per_step * steps + self.per_call
 
 
+def _exponential(count: int) -> Integrator:
+    """Exponential step with a number of Gauss nodes; order 2, from its start under a new torque."""
+    gauss = GaussStep(count)
+    nodes = gauss.nodes
+
+    def prepare(w, h, at, aid):  # type: ignore[no-untyped-def]
+        prepare_nodes(w, h, at, aid, nodes)
+
+    return Integrator(
+        gauss.step, gauss.start, order=2, limit=UNLIMITED, per_step=count, aid="modes",
+        scratch=lambda n: gauss.scratch * n, kept=lambda n: gauss.scratch * n, prepare=prepare,
+        helpers=(response, basis, pushes, prepare_nodes),
+    )  # fmt: skip
+
+
 UNLIMITED = float("inf")
 INTEGRATORS = {
     "rk4": Integrator(rk4, start_nothing, order=4, limit=2.828, per_step=4),
@@ -121,17 +131,17 @@ INTEGRATORS = {
         generalized_alpha, start_generalized_alpha, order=2, implicit=True, limit=UNLIMITED,
         per_call=2, kept=lambda n: n,
     ),
-    "exponential": Integrator(
-        exponential, start_exponential, order=2, limit=UNLIMITED, per_call=1, aid="modes",
-        scratch=lambda n: 11 * n, kept=lambda n: 11 * n, prepare=prepare_exponential,
-        helpers=(propagator,),
-    ),
+    "exponential": _exponential(1),
+    "exponential-2": _exponential(2),
+    "exponential-3": _exponential(3),
+    "exponential-4": _exponential(4),
     "rosenbrock": Integrator(
         rosenbrock, start_nothing, order=4, limit=UNLIMITED, per_step=3, aid="jacobian",
         scratch=lambda n: 10 * n + 3 * n * n, helpers=(factorize, solve),
     ),
     "euler": Integrator(euler, start_nothing, order=1, limit=2.0),
-    "relaxed-midpoint": Integrator(
-        relaxed_midpoint, start_relaxed_midpoint, order=1, implicit=True, limit=UNLIMITED
+    "extrapolated-midpoint": Integrator(
+        extrapolated_midpoint, start_extrapolated_midpoint, order=2, implicit=True,
+        limit=UNLIMITED, per_call=1, kept=lambda n: 2 * n,
     ),
 }  # fmt: skip

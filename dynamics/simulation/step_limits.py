@@ -44,8 +44,8 @@ def amplification(arm: LinearArm, integrator: str, dt: float) -> float:
     """
     method, n = INTEGRATORS[integrator], len(arm.M)
     Q, V, A, W, GUESS, S = 0, n, 2 * n, 3 * n, 5 * n, 6 * n
-    places = Slots(n, Q, V, A, W, S)
     size = S + method.kept(n)  # values that outlive a step
+    places = Slots(n, Q, V, A, W, S, S + method.scratch(n))
     nothing = np.zeros(size + 1).view(_Row)
 
     def evaluate(w: Any) -> None:
@@ -60,7 +60,7 @@ def amplification(arm: LinearArm, integrator: str, dt: float) -> float:
             w[at : at + n * n] = -np.linalg.solve(arm.M, matrix).ravel()
 
     aid = jacobian if method.aid == "jacobian" else arm.aid(method.aid)
-    w = np.zeros(S + method.scratch(n), dtype=object)
+    w = np.zeros(S + method.scratch(n) + n, dtype=object)  # torques come last
     w[:] = [nothing] * w.size
     w[W:GUESS] = 0.0
     state = [i for i in range(size) if not W <= i < GUESS]

@@ -66,7 +66,10 @@ class TracedArm:
         base = free_base.bodies(self.arm.base)
         links, dampers = self._damped
         bodies = (*base, *(body for link in links for body in link))
-        return Chain(bodies, self.arm.gravity, self.arm.rotation, self.arm.base.spatial, dampers)
+        return Chain(
+            bodies, self.arm.gravity, self.arm.rotation, self.arm.base.spatial, dampers,
+            self.arm.base.driven,
+        )  # fmt: skip
 
     @cached_property
     def bodies(self) -> tuple[slice, ...]:

@@ -30,7 +30,7 @@ start_method, step_method = compiled(METHOD.start), compiled(METHOD.step)
 def evaluate(w):
     #evaluate
 """
-_PLACES = "AT = Slots(N, Q, V, ACC, IMPLICIT, SCRATCH, LANES)"
+_PLACES = "AT = Slots(N, Q, V, ACC, IMPLICIT, SCRATCH, TAU, LANES)"
 _CALL = "{0}_method(w, w[H], evaluate, AT, AID)"
 _MODES = "AID = FrozenModes(np.array({0!r}), np.array({1!r}))"
 _STEPS = "AID = np.array({0!r})"
@@ -58,7 +58,7 @@ def method_text(
             [jacobian], [_PLACES, _LOOPS.format(integrator)], {"#prepare": [], **calls}
         )
     known = aid(method.aid, arm.chain)
-    places = Slots(arm.n, at["Q"], at["V"], at["ACC"], at["IMPLICIT"], at["SCRATCH"])
+    places = Slots(arm.n, at["Q"], at["V"], at["ACC"], at["IMPLICIT"], at["SCRATCH"], at["TAU"])
     start = recorded("start", method.start, at["H"], places, known)
     step = recorded("step", method.step, at["H"], places, known)
     functions = [*start.functions, *step.functions]

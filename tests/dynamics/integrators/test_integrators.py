@@ -26,6 +26,7 @@ from tests.dynamics.random_arms import compiled
 METHODS = sorted(INTEGRATORS)
 LIMITED = sorted(name for name in METHODS if np.isfinite(INTEGRATORS[name].limit))
 UNLIMITED = sorted(set(METHODS) - set(LIMITED))
+FROZEN = sorted(name for name in METHODS if INTEGRATORS[name].aid == "modes")
 START = np.array([0.4, 0.01, 0.0, -0.7, 0.005, 0.0])  # [rad, m] of TWO_LINK
 TORQUE = np.array([0.3, -0.1])  # [N m]
 
@@ -42,7 +43,8 @@ def planar(n_link: int, count: int = 2, **changes: object) -> Arm:
 TWO_LINK = planar(2)
 DAMPED = planar(2, damping_beta=2e-3, joint=Joint(rotor_inertia=0.05, viscous=0.3))
 FASTEST = float(compiled(TWO_LINK).frequencies(joints="free").max())  # [rad/s]
-ANEW = {"numerov": 3}  # order if every step is a new start, where it differs
+# order if every step is a new start, where it differs; of an exponential step at least
+ANEW = {"numerov": 3, **dict.fromkeys(FROZEN, 1)}
 COARSE = {1: 1e-3 / FASTEST, 2: 0.1 / FASTEST, 4: 0.1 / FASTEST}  # [s] small enough, by order
 
 
@@ -52,6 +54,14 @@ def final(arm: Arm, integrator: str, torque: object, end: float, **options: floa
         compiled(arm), START, np.zeros(6), torque, [0.0, end], integrator=integrator, **options
     )
     return np.concatenate([motion.q[-1], motion.v[-1]])
+
+
+def assert_order(errors: list[float], integrator: str, order: int, within: float) -> None:
+    """The start of an exponential step has the lowest order of its errors, others may hide it."""
+    if integrator in FROZEN:
+        assert np.all(orders(errors) > order - within)
+    else:
+        assert_allclose(orders(errors), order, atol=within)
 
 
 def orders(errors: list[float]) -> Array:
@@ -75,7 +85,7 @@ def test_error_falls_at_the_order_of_the_method(integrator: str, arm: Arm) -> No
     order = INTEGRATORS[integrator].order
     errors = halvings(arm, integrator, TORQUE, end=0.1, coarse=COARSE[order])
 
-    assert_allclose(orders(errors), order, atol=0.3)
+    assert_order(errors, integrator, order, 0.3)
 
 
 @pytest.mark.parametrize("integrator", METHODS)
@@ -83,23 +93,26 @@ def test_free_motion_keeps_the_order_too(integrator: str) -> None:
     order = INTEGRATORS[integrator].order
     errors = halvings(TWO_LINK, integrator, None, end=0.1, coarse=COARSE[order])
 
-    assert_allclose(orders(errors), order, atol=0.15)
+    assert_order(errors, integrator, order, 0.15)
 
 
-def test_a_relaxed_guess_leaves_linear_motion_as_it_is() -> None:
+def test_an_extrapolated_guess_leaves_linear_motion_as_it_is_and_others_closer() -> None:
     """The guess reaches forces of second order in the motion alone: those of rates and posture."""
     arm, rest = compiled(replace(DAMPED, gravity=(0.0, 0.0, 0.0))), np.zeros(6)
 
-    def differ(size: float) -> float:
-        """Largest relative difference of the coordinates after a torque of this size."""
-        whole, relaxed = (
-            simulate(arm, rest, rest, size * TORQUE, [0.0, 0.2], integrator=name, dt=2e-3).q[-1]
-            for name in ("midpoint", "relaxed-midpoint")
-        )
-        return float(np.abs(relaxed / whole - 1.0).max())
+    def ends(size: float, dt: float) -> list[Array]:
+        """Coordinates after a torque of this size: by the last accelerations, by their change."""
+        names, torque = ("midpoint", "extrapolated-midpoint"), size * TORQUE
+        return [
+            simulate(arm, rest, rest, torque, [0.0, 0.5], integrator=name, dt=dt).q[-1]
+            for name in names
+        ]
 
-    assert differ(1e-6) < 1e-12
-    assert differ(1.0) > 1e-6
+    last, change = ends(1e-6, 2e-3)
+    assert np.abs(change / last - 1.0).max() < 1e-11
+    exact = simulate(arm, rest, rest, 30.0 * TORQUE, [0.0, 0.5], integrator="dop853", rtol=1e-11)
+    errors = [np.abs(q - exact.q[-1]).max() for q in ends(30.0, 2e-3)]
+    assert errors[1] < 0.1 * errors[0]
 
 
 class Jump:
@@ -119,7 +132,7 @@ class Jump:
 def test_a_jump_in_torque_keeps_the_order_if_announced(integrator: str) -> None:
     """Steps end at breakpoints; without them one step averages across the jump.
 
-    With a torque function every step is a new start, which costs Numerov's method one order.
+    With a torque function every step is a new start, which costs some methods one order.
     """
     coarse = COARSE[INTEGRATORS[integrator].order]
     exact = final(TWO_LINK, "dop853", Jump(told=True), 0.1, rtol=1e-12)
@@ -129,7 +142,7 @@ def test_a_jump_in_torque_keeps_the_order_if_announced(integrator: str) -> None:
 
     errors = [error(True, coarse / 2**k) for k in range(3)]
 
-    assert_allclose(orders(errors), ANEW.get(integrator, INTEGRATORS[integrator].order), atol=0.3)
+    assert_order(errors, integrator, ANEW.get(integrator, INTEGRATORS[integrator].order), 0.3)
     if INTEGRATORS[integrator].order > 2:
         assert error(False, coarse / 4) > 10.0 * errors[-1]
 
@@ -145,7 +158,9 @@ def test_a_smooth_torque_is_held_at_its_value_in_mid_step(integrator: str) -> No
     order = min(2, INTEGRATORS[integrator].order)
     errors = halvings(TWO_LINK, integrator, swell, end=0.1, coarse=0.5 * COARSE[order])
 
-    if integrator in ANEW:
+    if integrator in FROZEN:
+        assert np.all(orders(errors) > ANEW[integrator] - 0.3)
+    elif integrator in ANEW:
         assert np.all(orders(errors) > order - 0.15)
     else:
         assert_allclose(orders(errors), order, atol=0.15)
@@ -173,7 +188,8 @@ def drift(integrator: str, dt: float) -> float:
 
 @pytest.mark.parametrize("integrator", METHODS)
 def test_energy_drift_of_a_swing_falls_at_the_order_of_the_method(integrator: str) -> None:
-    drifts = [drift(integrator, 0.05 / FASTEST / 2**k) for k in range(3)]
+    coarse = 0.0125 if integrator == "extrapolated-midpoint" else 0.05  # errors cancel above it
+    drifts = [drift(integrator, coarse / FASTEST / 2**k) for k in range(3)]
 
     assert np.all(orders(drifts) > INTEGRATORS[integrator].order - 0.3)
 
@@ -249,7 +265,7 @@ def test_damping_breaks_a_method_exactly_where_its_eigenvalues_say(
     calm = stepper.status[0] == 0 and bool(np.all(np.abs(stepper.v[0]) < 1e-5))
     radius = amplification(linear_arm(model.chain, np.zeros(2)), integrator, dt)
     assert calm == (radius < 1.0 + 1e-6)
-    assert calm or integrator in [*LIMITED, "exponential"]
+    assert calm or integrator in [*LIMITED, *FROZEN]
     assert not (calm and integrator in LIMITED and decays > 4.0)
 
 
@@ -257,7 +273,8 @@ def test_frozen_modes_are_all_of_the_straight_arm() -> None:
     """K S = M S Omega^2 with L = S^-1; rigid motions of free joints have no frequency or decay."""
     model = compiled(planar(2, 2, damping_ratio=0.02, joint=Joint(rotor_inertia=0.05)))
     n, modes = model.n, frozen_modes(model.chain)
-    squares, decays, L, S = modes
+    squares, decays, L, S, drive = modes
+    assert_allclose(drive, S.T[:, list(model.arm.joint_index)], atol=1e-14)
     K, M = stiffness(model.chain), inertia(model.chain, np.zeros(n))
     assert_allclose(L @ S, np.eye(n), atol=1e-12)
     assert_allclose(K @ S, M @ S * squares, atol=1e-9 * np.abs(K @ S).max())
@@ -269,7 +286,8 @@ def test_frozen_modes_are_all_of_the_straight_arm() -> None:
     assert np.all(S[1:3, free] == 0.0)  # and free joints bend nothing
 
 
-def test_an_exponential_step_of_any_length_is_exact_for_small_motions() -> None:
+@pytest.mark.parametrize("integrator", FROZEN)
+def test_an_exponential_step_of_any_length_is_exact_for_small_motions(integrator: str) -> None:
     """Damped or not; another method of order 2 fails at omega dt = 3."""
     arm = planar(1, 3, damping_ratio=0.02, joint=Joint(rotor_inertia=0.05))
     arm = replace(arm, gravity=(0.0, 0.0, 0.0))
@@ -278,9 +296,9 @@ def test_an_exponential_step_of_any_length_is_exact_for_small_motions() -> None:
     dt = 3.0 / float(model.frequencies(joints="free").max())
     ends = {
         name: simulate(model, q, v, [1e-6], [0.0, 20.0 * dt], integrator=name, **options).q[-1]
-        for name, options in (("dop853", {"rtol": 1e-12}), ("exponential", {"dt": dt}))
+        for name, options in (("dop853", {"rtol": 1e-12}), (integrator, {"dt": dt}))
     }
-    error = np.abs(ends["exponential"] - ends["dop853"]).max()
+    error = np.abs(ends[integrator] - ends["dop853"]).max()
     assert error < 1e-3 * np.abs(ends["dop853"]).max()
 
 
@@ -288,11 +306,11 @@ def test_an_exponential_step_of_any_length_is_exact_for_small_motions() -> None:
 def test_a_method_evaluates_as_often_as_it_says(name: str) -> None:
     """Counted on a workspace of one coordinate with zero accelerations."""
     method, calls = INTEGRATORS[name], []
-    modes = FrozenModes(np.ones(1), np.ones(1), np.eye(1), np.eye(1))
+    modes = FrozenModes(np.ones(1), np.ones(1), np.eye(1), np.eye(1), np.eye(1))
     steps = np.array([np.inf])
     aids = {"none": None, "modes": modes, "explicit steps": steps, "jacobian": lambda w: None}
     aid = aids[method.aid]
-    at = Slots(n=1, q=0, v=1, a=2, implicit=3, s=8)
+    at = Slots(n=1, q=0, v=1, a=2, implicit=3, s=8, tau=6)
     w = np.zeros(64)
     w[:2] = 1.0
     method.prepare(w, 0.1, at, aid)

@@ -220,7 +220,7 @@ def changed(parameters: dict[str, float]) -> Arm:
 
 
 def test_free_parameters_act_like_an_arm_compiled_with_their_values(integrator: str) -> None:
-    """In every lane; an exponential step agrees less, as it keeps the modes of the nominal arm."""
+    """In every lane; an exponential step, which keeps the nominal modes, to its own error."""
     model = compiled(ARM, *FREE)
     stepper = batch(model, 3, integrator=integrator)
     assert stepper.parameters.tolist() == [[0.0, 1.0, 1.0, 1.0]] * 3
@@ -229,9 +229,12 @@ def test_free_parameters_act_like_an_arm_compiled_with_their_values(integrator: 
     free = results(stepper)
 
     fixed = compile_arm(changed(dict(zip(FREE, stepper.parameters[1], strict=True))))
-    same = batch(fixed, 1, integrator=integrator, first=1)
-    close = {"rtol": 1e-5} if INTEGRATORS[integrator].aid == "modes" else {"rtol": 1e-10}
-    assert_allclose(free[1], results(same)[0], **close, atol=1e-13)
+    same = results(batch(fixed, 1, integrator=integrator, first=1))[0]
+    error = 1e-13
+    if INTEGRATORS[integrator].aid == "modes":
+        error = 3.0 * np.abs(same - results(batch(fixed, 1, first=1))[0]).max()
+        assert error < 1e-3
+    assert_allclose(free[1], same, rtol=1e-10, atol=error)
     nominal = results(batch(compiled(ARM), 2, integrator=integrator))
     assert_allclose(free[0], nominal[0], rtol=1e-11, atol=1e-13)
     assert np.abs(free[1] - nominal[1]).max() > 1e-3

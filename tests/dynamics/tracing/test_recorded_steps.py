@@ -14,12 +14,12 @@ from dynamics.tracing.function import Function
 from dynamics.tracing.recorded_steps import EVALUATE, recorded
 
 N = 3
-AT = Slots(n=N, q=0, v=N, a=5 * N, implicit=2 * N, s=6 * N + 1)
-H = 6 * N
+AT = Slots(n=N, q=0, v=N, a=5 * N, implicit=2 * N, s=7 * N + 1, tau=6 * N)
+H = 7 * N
 RECORDED = sorted(name for name, method in INTEGRATORS.items() if method.aid != "jacobian")
 RNG = np.random.default_rng(1)
 MODES = FrozenModes(
-    np.array([0.0, 3.0, 50.0]), RNG.uniform(-1.0, 1.0, N), *RNG.uniform(-1.0, 1.0, (2, N, N))
+    np.array([0.0, 3.0, 50.0]), RNG.uniform(-1.0, 1.0, N), *RNG.uniform(-1.0, 1.0, (3, N, N))
 )
 
 
