@@ -205,6 +205,7 @@ def general_link(link: LinkConstants, symbols: Symbols) -> LinkConstants:
         tip_theta=tuple(symbols.vector() for _ in every),
         K=symbols.symmetric(len(every)),
         K_pairs=(),
+        sines=False,
         damping=zero,
         tip_mass=0.0,
         tip_inertia=((0.0,) * 3,) * 3,

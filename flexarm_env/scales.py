@@ -31,6 +31,7 @@ SLOPE_PER_DEFLECTION = 1.6  # [rad] tip slope of a beam whose first shape deflec
 BENT = 0.6  # [rad] home angle of every joint but the first
 EXTENT = 1.3  # [rad] farthest joint angle from home: of all starts, targets and paths of the tasks
 MOVE = 0.5  # [rad] angle scale: the angle of the bang-bang move that sets rate and time scales
+RIGID_PERIOD = 0.5  # [s] in place of the first joint-free one, of an arm without modes
 RIGID_RATE = 25.0  # [rad/s] of motions of an arm without flexible links
 RIGID_ACCELERATION = 10.0  # [rad/s^2] at full torque, for an arm without flexible links
 LINEAR = 0.97  # share of validity in the bang-bang test, which is linear: bent links bend more

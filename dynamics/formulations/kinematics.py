@@ -177,7 +177,7 @@ def tip_rotation(
         return EYE, shapes, ZERO
     if kind != "exp":
         return madd(EYE, skew(theta)), shapes, ZERO
-    if link.K_pairs:
+    if link.sines:
         theta, shapes, turning = _from_slopes(theta, rate, shapes)
         rate = combine(delta_dot, shapes)
     T = skew(theta)

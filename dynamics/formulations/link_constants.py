@@ -31,6 +31,7 @@ from dynamics.types import Array, Matrix3, Vector3
 _ROUND_OFF = 1e-12  # [-] integrals below this fraction of their natural size are set to zero
 _ENTRY_ROUND_OFF = 1e-14  # [-] round-off of an entry of a mounting rotation
 
+LIGHT_TIP = 1e-3  # [-] inertia of the last tip, over its link's, that turns by slopes for angles
 LUMPED_SHARE, LUMPED_TWIST = 1 / 4, 1 / 3  # of mass and polar inertia, at the tip of lumped links
 _E_X = np.array((1.0, 0.0, 0.0))
 _E_Z = np.array((0.0, 0.0, 1.0))
@@ -67,6 +68,7 @@ class LinkConstants:
     root_slope: tuple[float, ...]  # (m) [1/m] rotation about z at the root
     K: tuple[tuple[float, ...], ...]  # (m, m) [N/m]
     K_pairs: tuple[tuple[float, ...], ...]  # (p, p) [N/m^3] int EI g'' g''; () if not fourth order
+    sines: bool  # slopes at the tip are sines of its angles, to fourth order
     damping: tuple[tuple[float, ...], ...]  # (m, m) [N s/m]
     tip_mass: float  # [kg] including the payload
     tip_inertia: Matrix3  # [kg m^2] including the payload
@@ -102,7 +104,15 @@ def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
     for i, link in enumerate(arm.links):
         if link.joint.parallel:
             result[i - 1] = (replace(result[i - 1][0], bypassed=True),)
+    if result and _turns_almost_nothing(arm.links[-1], result[-1][-1]):
+        result[-1] = (*result[-1][:-1], replace(result[-1][-1], sines=False))
     return result
+
+
+def _turns_almost_nothing(link: Link, last: LinkConstants) -> bool:
+    """True if the tip's rotation moves less than LIGHT_TIP of the link's own inertia."""
+    own = link.rho_A * link.length**3 / 3.0
+    return float(np.abs(last.tip_inertia).max()) <= LIGHT_TIP * own
 
 
 def _with_rotor(joint: Joint, *bodies: LinkConstants) -> tuple[LinkConstants, ...]:
@@ -169,6 +179,7 @@ def link_constants(
         root_slope=_tuples(b.root_slope[:m]),
         K=_tuples(b.K),
         K_pairs=_tuples(b.K_pairs) if foreshortening == FOURTH_ORDER else (),
+        sines=foreshortening == FOURTH_ORDER and bool(b.pairs),
         damping=_tuples(_damping(link, b)),
         tip_mass=link.tip_mass + (payload.mass if payload is not None else 0.0),
         tip_inertia=_tuples(tip_inertia),
@@ -388,7 +399,8 @@ def _first_share(
     """[m] int g^2 / g(l)^2 of each direction's first pair, on average."""
     first: dict[str, float] = {}
     for (j, _), square, tip in zip(pairs, squares, tips, strict=True):
-        first.setdefault(link.modes[j].direction, float(square) / tip**2)
+        if link.modes[j].direction not in first:
+            first[link.modes[j].direction] = float(square) / tip**2
     return sum(first.values()) / max(1, len(first))
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of integrals over an impulse response
-WIDEST = 6.0  # [rad] of a mode's phase over which they are exact to round-off
+PANELS = 8  # of each integral: exact to round-off for phases of up to 50 rad per step
 
 
 class FrozenModes(NamedTuple):
@@ -60,10 +60,9 @@ def basis(nodes, count, j, x):  # type: ignore[no-untyped-def]
 
 def pushes(square, damping, h, end, nodes, count, j):  # type: ignore[no-untyped-def]
     """Factors of g at node j in y and y' at the time `end` h, by the first `count` nodes."""
-    panels = 1 + int(np.sqrt(square) * end * h / WIDEST)
-    width = end / panels
+    width = end / PANELS
     by_y, by_z = 0.0, 0.0
-    for panel in range(panels):
+    for panel in range(PANELS):
         for k in range(POINTS.size):
             x = width * (panel + 0.5 + 0.5 * POINTS[k])
             _, odd, swing = response(square, damping, (end - x) * h)

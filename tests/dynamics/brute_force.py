@@ -350,7 +350,8 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
 
         parts += _beam(link, delta, p, R, arm.foreshortening)
         r, theta = _deflection(link, delta, np.array([link.length]), bool(arm.foreshortening))
-        theta = _angles(theta) if arm.foreshortening == FOURTH_ORDER else theta
+        if arm.foreshortening == FOURTH_ORDER and not _light_tip(arm, i, len(whole)):
+            theta = _angles(theta)
         p, R = p + _product(R, r), _product(R, _rotation(theta))
         mass, inertia = link.tip_mass, np.array(link.tip_inertia)
         if link.lumped and link.modes:
@@ -396,6 +397,14 @@ def _beam(
         found.append((m, none, whole, R))
         found += [(-k, none, at, R) for k, at in _to_second_order(link, delta, end, m, p, R)]
     return found
+
+
+def _light_tip(arm: Arm, i: int, count: int) -> bool:
+    """The last body turns less than a thousandth of the link's inertia: slopes are its angles."""
+    link, payload = arm.links[-1], arm.payload
+    inertia = np.array(link.tip_inertia) + (np.array(payload.inertia) if payload else 0.0)
+    small = np.abs(inertia).max() <= 1e-3 * link.rho_A * link.length**3 / 3.0
+    return bool(i == count - 1 and small)
 
 
 def _to_second_order(

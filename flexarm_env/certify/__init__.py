@@ -1,0 +1,1 @@
+"""Measured errors of an environment over whole episodes: `python -m flexarm_env.certify`."""
