@@ -55,8 +55,8 @@ class Core:
         `rewards.goal_reward`; None: "sensors" with imperfect hardware, else "state".
     reward : name in `rewards.REWARDS` or weights of `rewards.TERMS`; None: the task's default.
     control_dt : [s] time between actions.
-    integrator, substeps : None: the fastest method and step that certify.py measured as accurate;
-        for an arm that was not measured, the rule of `scales.integration`.
+    integrator, substeps : None: the fastest method and step that `flexarm certify` measured as
+        accurate; for an arm that was not measured, the rule of `scales.integration`.
     torque_limit : [N m] one number or one per joint; None: see `scales.Scales`.
     base_torque : [N m] largest torque on a floating base, the last action; None: no torque acts.
     actuator : a name in `actuators.PRESETS`, a dict, or a list with one of these per joint; None:
@@ -75,8 +75,9 @@ class Core:
 
     Attributes
     ----------
-    certificate : measured errors of model and step, see `dynamics.accuracy.certificate`; None where
-        none holds; `uncertified` then says why, and the remedy.
+    certificate : errors of model and step over whole episodes, see `certify.certificate`; None
+        where none holds; `uncertified` then says why, and the remedy.
+    conditions : torques, drawn parameters and others that a certificate has to cover.
     q, v : (N, n) coordinates and rates, writable views.
     dt : [s] integration step.
     rate_scale : [rad/s] peak joint rate of a bang-bang move by `scales.MOVE` at full torque.
@@ -130,7 +131,8 @@ class Core:
             fidelity=fidelity,
             tolerance=tolerance,
             actuator=actuator,
-            randomized=self.randomize,
+            ranges=self.randomize,
+            deflection_limit=deflection_limit,
             base_torque=base_torque,
         )
         warn_of_gravity(plant, self.randomize, deflection_limit)
@@ -139,7 +141,7 @@ class Core:
         self.integrator, self.substeps = plant.integrator, plant.substeps
         self.control_dt, self.dt = plant.control_dt, plant.dt
         self.torque_limit, self.certificate = plant.torque_limit, plant.certificate
-        self.uncertified = plant.uncertified
+        self.uncertified, self.conditions = plant.uncertified, plant.conditions
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
         self._rate_limit = plant.rate_limit
         torques = tuple(self.actuation.torque_limit.tolist()) if self.actuation else ()
@@ -234,7 +236,7 @@ class Core:
         """Create the state of all environments, and a workspace per thread."""
         n_env, rows = self.n_env, self.signals.state.slices
         lanes = 1 if n_env == 1 else self.model.lanes
-        self._program = self.model.program(lanes, self.integrator, self.signals.addition)
+        self.program = self.model.program(lanes, self.integrator, self.signals.addition)
         blocks = -(-n_env // lanes)
         self._width = lanes * (blocks | 1)  # an odd number of blocks spreads rows over the cache
         self._kept: list[Outputs] = []
@@ -254,15 +256,15 @@ class Core:
     def _operations(self) -> int:
         """Operations of a control step of one environment, without the integrator's own."""
         evaluations = INTEGRATORS[self.integrator].evaluations(self.substeps)
-        return int(evaluations * self._program.OPERATIONS + self._program.FURTHER_OPERATIONS)
+        return int(evaluations * self.program.OPERATIONS + self.program.FURTHER_OPERATIONS)
 
     def _workspace(self) -> Array:
-        w = self.model.workspace(self._program)
+        w = self.model.workspace(self.program)
         self._fill_constants(w)
         return w
 
     def _fill_constants(self, w: Array) -> None:
-        lanes, first = int(self._program.LANES), int(self._program.CONSTANTS)
+        lanes, first = int(self.program.LANES), int(self.program.CONSTANTS)
         w[first : first + lanes * self._constants.size] = np.repeat(self._constants, lanes)
 
     def outputs(self) -> Any:
@@ -324,7 +326,7 @@ class Core:
         """Compiled step of all environments; it returns the number of ended episodes."""
         out = self.outputs()
         return compiled_for(
-            self._program.control_step, *self._bound(self.shares, 0, self._no_actions, out)
+            self.program.control_step, *self._bound(self.shares, 0, self._no_actions, out)
         )
 
     def restart(

@@ -14,11 +14,14 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics.load import load_arm
-from flexarm_env.accuracy.certificates import kept
-from flexarm_env.accuracy.episodes import EPISODE_ERROR, EPISODES, MOMENTUM_ERROR
-from flexarm_env.accuracy.table import CERTIFICATE, accuracy
+from flexarm_env.accuracy.certificates import covering, entries
+from flexarm_env.accuracy.table import CERTIFICATE, accuracy, kinds, sentence, steps
 from flexarm_env.accuracy.table import markdown as _table
-from flexarm_env.certify import BATCH, TIP_ERROR
+from flexarm_env.certify.__main__ import command
+from flexarm_env.certify.certificate import DISTURBANCE
+from flexarm_env.certify.certificate import EPISODES as COUNT
+from flexarm_env.certify.motions import KINDS
+from flexarm_env.certify.search import BATCH, MOMENTUM_ERROR, SLACK, TIP_ERROR
 from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core
 from flexarm_env.env import FlexArmEnv
@@ -47,8 +50,10 @@ def common_page() -> str:
         hardware=_table(("field", "laboratory", "meaning"), _hardware()),
         certificate=_table(("error", "of"), _code_first(CERTIFICATE)),
         tip_error=TIP_ERROR,
-        episodes=EPISODES,
-        episode_error=EPISODE_ERROR,
+        count=COUNT,
+        kinds=_table(("kind", "actions"), [(name, kind.text) for name, kind in KINDS.items()]),
+        disturbance=DISTURBANCE,
+        slack=SLACK,
         momentum_error=MOMENTUM_ERROR,
         batch=BATCH,
     )
@@ -76,7 +81,7 @@ def page(env_id: str) -> str:
             f'## Observations with `obs="{kind}"`\n\n' + _elements(env_id, kind)
             for kind in (["goal"] if core.layout.goal else ["state", "sensors"])
         ),
-        "## Accuracy\n\n" + _accuracy(core),
+        "## Accuracy\n\n" + _accuracy(env_id, core),
     ]
     env.close()
     return "\n\n".join(sections) + "\n"
@@ -207,14 +212,22 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
-def _accuracy(core: Core) -> str:
-    """Certificate and measured steps."""
-    entry = kept(core.arm, core.control_dt)
-    assert entry is not None, "The arm of a registered environment is measured: see certify.py."
-    tables = accuracy(entry["certificate"], entry["steps"])
-    if core.uncertified is None:
-        return tables
-    return f"{core.uncertified} The errors at those torques:\n\n{tables}"
+def _accuracy(env_id: str, core: Core) -> str:
+    """Certificate and measured steps of an id, and those of its laboratory hardware."""
+    measured = entries(core.arm, core.control_dt)
+    own = covering(measured, core.conditions)
+    assert own is not None, "A registered environment is measured: see flexarm_env/certify."
+    laboratory = gym.make(env_id.replace("Goal", ""), hardware="laboratory").unwrapped
+    assert isinstance(laboratory, FlexArmEnv)
+    drawn = covering(measured, laboratory.core.conditions)
+    text = accuracy(own, command(env_id, {}))
+    if drawn is None:
+        return f"{text}\n\nWith `hardware=\"laboratory\"`: {laboratory.core.uncertified}"
+    c = drawn["certificate"]
+    return (
+        f"{text}\n\nWith `hardware=\"laboratory\"`, over its range of payloads and stiffnesses: "
+        f"{sentence(c)}\n\n{kinds(c['episodes'])}\n\n{steps(drawn['steps'])}"
+    )
 
 
 # ---- text ---------------------------------------------------------------------------------------

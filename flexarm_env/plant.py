@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,11 +16,18 @@ from dynamics.simulation.statics import held, loaded
 from dynamics.simulation.validity import LARGEST_RATE
 from dynamics.types import Array
 from flexarm_env import arguments
-from flexarm_env.accuracy.certificates import find, fit, kept
+from flexarm_env.accuracy.certificates import (
+    Entry,
+    alike,
+    by_step,
+    covering,
+    entries,
+    fit,
+)
+from flexarm_env.accuracy.conditions import Conditions
 from flexarm_env.compiled.actuation import Actuation
 from flexarm_env.hardware.actuators import load_actuators, mounted, refuse_beside_actuators
 from flexarm_env.scales import (
-    BY_RULE,
     DEFLECTION_LIMIT,
     EXTENT,
     MOVE,
@@ -48,6 +55,7 @@ class Plant:
     control_dt: float  # [s]
     integrator: str
     substeps: int  # integration steps per control step
+    conditions: Conditions
     certificate: dict[str, Any] | None
     uncertified: str | None  # sentence that says why there is no certificate, and the remedy
 
@@ -84,30 +92,29 @@ def plan(
     fidelity: str,
     tolerance: float | None,
     actuator: Any,
-    randomized: Collection[str],
+    ranges: Mapping[str, tuple[float, float]],
+    deflection_limit: float,
     base_torque: float | None = None,
 ) -> Plant:
     """Check the keywords of `core.Core` that concern the plant, and choose what they leave open.
 
-    `randomized` names the free parameters that are drawn at a reset.
+    `ranges` are those of the free parameters that are drawn at a reset.
     """
     described = load_arm(arm)
     actuators = load_actuators(actuator, described.n_joint)
     described = mounted(described, actuators)
     if actuators:
         refuse_beside_actuators(torque_limit=torque_limit, tolerance=tolerance)
-    if randomized and tolerance is not None:
+    if ranges and tolerance is not None:
         raise ValueError(
             f"tolerance ({validate.shown(tolerance)} m) covers the arm as described, not "
-            f"parameters drawn by randomize, got {sorted(randomized)}. Leave out one of the two, "
+            f"parameters drawn by randomize, got {sorted(ranges)}. Leave out one of the two, "
             "or choose with dynamics.choose_model for the arm at the ends of the ranges, and pass "
             "the richest choice as arm, integrator and substeps."
         )
     control_dt = arguments.within("control_dt", control_dt, *arguments.CONTROL_DT, "s")
     arguments.check_base(described, base_torque)
     fitted = fit(described, control_dt, fidelity, tolerance)
-    if described.automatic and tolerance is None and (actuators or randomized):
-        fitted = replace(fitted, integrator=None, substeps=None)  # measured without these keywords
     own = scales(described)  # torques and tasks do not depend on the fidelity of the model
     holding = np.array(own.holding)
     inertia = np.array(own.inertia)
@@ -119,40 +126,42 @@ def plan(
         actuation = None
         full = limit = arguments.torque_limits(torque_limit, own.torque_limit)
     _refuse_weak("actuator" if actuators else "torque_limit", limit, holding)
+    limits = limit if base_torque is None else np.append(limit, base_torque)
+    conditions = Conditions(
+        torque_limit=tuple(limits.tolist()),
+        deflection_limit=deflection_limit,
+        ranges=dict(ranges),
+        actuators=repr(actuators) if actuators else "",
+    )
+    measured = [fitted.entry] if fitted.entry else entries(fitted.arm, control_dt)
+    entry = covering(measured, conditions)
     name, count = _step(
         fitted.arm,
         control_dt,
         fitted.integrator if integrator is None else integrator,
-        fitted.substeps if substeps is None else substeps,
+        substeps,
+        entry or alike(measured, conditions),
         actuation,
-        randomized,
     )
-    if (name, count) == (fitted.integrator, fitted.substeps):
-        certificate = fitted.certificate
+    uncertified = None
+    if entry and by_step(entry["certificate"], control_dt, name, count):
+        certificate = entry["certificate"]
     else:
-        certificate = find(fitted.arm, control_dt, name, count)
-    stronger = actuation is None and bool(np.any(limit > np.array(own.torque_limit)))
-    uncertified = _uncertified(
-        certificate is not None, bool(actuators), randomized, own.torque_limit if stronger else ()
-    )
+        certificate, uncertified = None, _uncertified(measured, conditions, entry)
     fitted_arm = fitted.arm
     if base_torque is not None:
-        limit = np.append(limit, base_torque)
         fitted_arm = replace(fitted_arm, base=replace(fitted_arm.base, driven=True))
-        uncertified = uncertified or (
-            "No certificate holds beside base_torque: errors were measured without it; measure a "
-            "scene with torques on the base, with dynamics.accuracy.certificate.certify."
-        )
     return Plant(
         arm=fitted_arm,
         scales=scales(fitted.arm),
         actuation=actuation,
-        torque_limit=limit,
+        torque_limit=limits,
         full_acceleration=float(np.min((full - holding) / inertia)),
         control_dt=control_dt,
         integrator=name,
         substeps=count,
-        certificate=None if uncertified else certificate,
+        conditions=conditions,
+        certificate=certificate,
         uncertified=uncertified,
     )
 
@@ -196,36 +205,23 @@ def warn_of_gravity(
 
 
 def _uncertified(
-    measured: bool, actuated: bool, randomized: Collection[str], exceeded: Sequence[float]
-) -> str | None:
-    """Sentence that says why no certificate holds for an environment; None if one does.
-
-    `exceeded` [N m] are the torque limits at which errors were measured, if the environment's are
-    larger.
-    """
-    remedy = "with dynamics.accuracy.certificate.certify"
-    if actuated:
-        return (
-            "No certificate holds beside actuator: errors were measured for ideal torque sources; "
-            f"measure a scene with the torques that the actuators deliver, {remedy}."
-        )
-    if randomized:
-        return (
-            f"No certificate holds for parameters drawn by randomize ({sorted(randomized)}): "
-            "errors were measured for the arm as described; measure the arm at both ends of "
-            f"each range, {remedy}."
-        )
-    if exceeded:
-        return (
-            f"No certificate holds for torques above {', '.join(f'{x:g}' for x in exceeded)} N m, "
-            f"at which errors were measured; measure a scene with larger torques {remedy}."
-        )
+    measured: Sequence[Entry], conditions: Conditions, entry: Entry | None
+) -> str:
+    """Sentence that says why no certificate holds for an environment, and the remedy."""
+    remedy = "measure them with `flexarm certify`, or give a tolerance."
     if not measured:
+        return f"No certificate holds: errors of this arm and control_dt were never measured; {remedy}"
+    if entry:
         return (
-            "No certificate holds: errors of this arm, control_dt, integrator and substeps were "
-            f"never measured; measure them {remedy}, or give a tolerance."
+            "No certificate holds for this integrator and substeps: errors were measured for "
+            f"{entry['certificate']['integrator']!r}; leave both out, or measure them with "
+            "`flexarm certify`."
         )
-    return None
+    beyond = conditions.beyond(Conditions.from_dict(measured[0]["certificate"]["holds"]))
+    return (
+        f"No certificate holds for {beyond}, which errors were not measured with; measure them "
+        "with `flexarm certify` and the keywords of the environment."
+    )
 
 
 def _step(
@@ -233,16 +229,14 @@ def _step(
     control_dt: float,
     integrator: str | None,
     substeps: int | None,
+    entry: Entry | None,
     actuation: Actuation | None,
-    randomized: Collection[str],
 ) -> tuple[str, int]:
     """Integrator and substeps: those given, else the measured ones, else those of the rule."""
     if integrator is not None:
         validate.known(integrator, "integrator", INTEGRATORS)
-    entry = kept(arm, control_dt) if integrator is None else None
-    if entry is not None:
-        usable = (x for x in entry["steps"] if _keeps_error(x["integrator"], actuation, randomized))
-        best = next(usable)
+    if entry is not None and integrator is None:
+        best = entry["steps"][0]
         name, count = best["integrator"], best["substeps"]
     else:
         name, count = integration(arm, control_dt, integrator)
@@ -257,14 +251,3 @@ def _step(
             "leave out modes of its stiffest links, take fidelity='rigid', or set substeps."
         )
     return name, count
-
-
-def _keeps_error(integrator: str, actuation: Actuation | None, randomized: Collection[str]) -> bool:
-    """True if a method keeps the error that was measured for the arm without these keywords.
-
-    Behind actuators every substep restarts the method, so a multistep method loses its accuracy.
-    Frozen modes belong to the arm as described, not to one with other parameters.
-    """
-    if actuation:
-        return integrator in BY_RULE
-    return not randomized or INTEGRATORS[integrator].aid != "modes"

@@ -6,101 +6,103 @@
 import json
 import logging
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from dynamics import cache
 from dynamics.accuracy.certificate import fidelity_of
 from dynamics.accuracy.fidelity import Fidelity, divisible, everything, rigid
-from dynamics.accuracy.model_choice import choose_model
-from dynamics.accuracy.scene import JointMotion, Scene
 from dynamics.backends.numba_llvm.fingerprint import fingerprint, hash_of_files, sources
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.load import load_arm
-from dynamics.simulation.case_file import PiecewiseConstant, Torque
-from flexarm_env.accuracy.episodes import RANDOM_SHARE, RANDOM_STEPS, keeps_tip
-from flexarm_env.scales import RIGID_PERIOD, scales
+from flexarm_env.accuracy.conditions import Conditions
 
+
+Entry = dict[str, Any]  # steps, certificate
 _log = logging.getLogger(__name__)
 
 STORE = Path(__file__).with_name("certificates.json")
-PERIODS = 4.0  # length of the bang-bang motion, in periods of the first joint-free mode
-
 FIDELITIES = ("rigid", "auto", "reference")
 AUTO_TOLERANCE = 1e-3  # [of the reach] tip error of the model that `modes: auto` gives
 REFERENCE_MODES = (3, 2)  # per segment: of bending, of torsion
 REFERENCE_METHOD = "extrapolated-midpoint"
 
 
-def scene(arm: Arm, control_dt: float) -> Scene:
-    """Motions on which an arm is certified, from its home posture at rest.
-
-    One is bang-bang at full torque, then coasting; the other has random torques. All torques are
-    constant over a control step [s]: the period is rounded to whole steps.
-    """
-    found = scales(arm)
-    limit = np.array(found.torque_limit)
-    period = 2.0 * np.pi / found.free[0] if found.free else RIGID_PERIOD
-    half = control_dt * max(1, round(0.5 * period / control_dt))
-    waves = [PiecewiseConstant(times=(0.0, half, 2.0 * half), values=(u, -u, 0.0)) for u in limit]
-    rng = np.random.default_rng(0)
-    shares = rng.uniform(-RANDOM_SHARE, RANDOM_SHARE, (limit.size, RANDOM_STEPS))
-    times = tuple((control_dt * np.arange(RANDOM_STEPS)).tolist())
-    steps = [
-        PiecewiseConstant(times=times, values=tuple((u * row).tolist()))
-        for u, row in zip(limit, shares, strict=True)
-    ]
-    rest = (0.0,) * arm.n_joint
-    motions = ((waves, 2.0 * PERIODS * half), (steps, control_dt * RANDOM_STEPS))
-    return Scene(
-        name=f"bang-bang and random torques, held for {control_dt:g} s",
-        motions=tuple(
-            JointMotion(
-                joint_angles=found.home,
-                joint_rates=rest,
-                t_end=t_end,
-                torque=Torque(signals=tuple(signals)),
-                hold=control_dt,
-            )
-            for signals, t_end in motions
-        ),
-    )
-
-
 @lru_cache(maxsize=1)
 def stored() -> dict[str, dict[str, Any]]:
-    """Contents of certificates.json: preset -> control_dt, steps, certificate."""
+    """Contents of certificates.json: preset -> control_dt, and `measured` by conditions."""
     text = STORE.read_text(encoding="utf-8") if STORE.exists() else "{}"
     result: dict[str, dict[str, Any]] = json.loads(text)
     return result
 
 
-def kept(arm: Arm, control_dt: float) -> dict[str, Any] | None:
-    """Stored entry of an arm with a control step [s]: `steps`, best first, and `certificate`.
+def entries(arm: Arm, control_dt: float) -> list[Entry]:
+    """What was measured of an arm with a control step [s]: an entry for each set of conditions.
 
-    A step has integrator, substeps, its error over episodes [of the reach] and CPU time [s]. None
-    if this arm and control step were not measured.
+    An entry has `steps`, best first, and `certificate`, the errors of the best. A step has
+    integrator, substeps, its error over episodes [of the reach] and CPU time [s].
     """
+    found: list[Entry] = []
     for name, entry in stored().items():
         if entry["control_dt"] == control_dt and load_arm(name) == arm:
-            origin = {"reproduce": f"python -m flexarm_env.certify {name}"}
-            return {**entry, "certificate": entry["certificate"] | origin}
+            found += entry["measured"]
+    return found + own_entries(arm, control_dt)
+
+
+def own_entries(arm: Arm, control_dt: float) -> list[Entry]:
+    """Entries that `flexarm certify` left in the user's cache."""
+    text = cache.load(_name(arm, control_dt))
+    return json.loads(text) if text else []
+
+
+def keep(arm: Arm, control_dt: float, entry: Entry) -> None:
+    """Keep an entry in the user's cache, in place of one of the same conditions."""
+    holds = entry["certificate"]["holds"]
+    others = [x for x in own_entries(arm, control_dt) if x["certificate"]["holds"] != holds]
+    cache.store(_name(arm, control_dt), json.dumps([*others, entry], indent=2).encode())
+
+
+def _name(arm: Arm, control_dt: float) -> str:
+    described = json.dumps(arm.to_dict())
+    return "certificates_" + fingerprint("certificates", _measuring(), described, repr(control_dt))
+
+
+@lru_cache(maxsize=1)
+def _measuring() -> str:
+    """Hash of the sources that measure errors."""
+    folder = Path(__file__).parents[1] / "certify"
+    return hash_of_files([*sources(("accuracy", "simulation")), *folder.glob("*.py")])
+
+
+def covering(measured: Sequence[Entry], conditions: Conditions) -> Entry | None:
+    """First entry whose conditions cover those of an environment."""
+    for entry in measured:
+        if not conditions.beyond(Conditions.from_dict(entry["certificate"]["holds"])):
+            return entry
     return None
 
 
-def find(arm: Arm, control_dt: float, integrator: str, substeps: int) -> dict[str, Any] | None:
-    """Stored certificate of this arm, integrator and step, or None."""
-    entry = kept(arm, control_dt)
-    if entry is None:
-        return None
-    certificate: dict[str, Any] = entry["certificate"]
-    same = certificate["integrator"] == integrator and certificate["dt"] == control_dt / substeps
-    return certificate if same else None
+def alike(measured: Sequence[Entry], conditions: Conditions) -> Entry | None:
+    """First entry of such conditions, whose steps are the best guess where none covers them."""
+    for entry in measured:
+        known = Conditions.from_dict(entry["certificate"]["holds"])
+        if known.actuators == conditions.actuators and (
+            bool(known.ranges) == bool(conditions.ranges)
+        ):
+            return entry
+    return None
+
+
+def by_step(
+    certificate: Mapping[str, Any], control_dt: float, integrator: str, substeps: int
+) -> bool:
+    """True if a certificate is of this step."""
+    same = math.isclose(certificate["dt"], control_dt / substeps, rel_tol=1e-9)
+    return same and certificate["integrator"] == integrator
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,7 @@ class Fitted:
 
     arm: Arm
     integrator: str | None = None  # None: not chosen here
-    substeps: int | None = None
-    certificate: dict[str, Any] | None = None
+    entry: Entry | None = None  # of a model that was chosen by measurement
     reason: str = ""  # of the choice for `modes: auto`
 
 
@@ -176,7 +177,7 @@ def _automatic(arm: Arm, control_dt: float) -> Fitted:
 
 
 def _chosen(arm: Arm, control_dt: float, tolerance: float) -> Fitted:
-    """Model that `choose_model` finds on the arm's `scene`."""
+    """Model that is found over episodes."""
     found = _choice(arm, control_dt, tolerance)
     if "failed" in found:
         raise (ValueError if found["refused"] else RuntimeError)(found["failed"])
@@ -185,7 +186,6 @@ def _chosen(arm: Arm, control_dt: float, tolerance: float) -> Fitted:
 
 def _fitted(found: dict[str, Any], control_dt: float) -> Fitted:
     """Model and step of a choice; a warning is logged if its links are rigid."""
-    substeps = max(1, math.ceil(control_dt / found["dt"] - 1e-9))
     arm = load_arm(found["arm"])
     if fidelity_of(arm).rigid and any(link.stiffnesses for link in arm.links):
         _log.warning(
@@ -194,24 +194,26 @@ def _fitted(found: dict[str, Any], control_dt: float) -> Fitted:
             arm.name or "the arm", found["error"], found["tolerance"],
         )  # fmt: skip
     certificate = {key: value for key, value in found.items() if key != "arm"}
-    return Fitted(arm, found["integrator"], substeps, certificate)
+    substeps = max(1, math.ceil(control_dt / found["dt"] - 1e-9))
+    step = {"integrator": found["integrator"], "substeps": substeps}
+    return Fitted(arm, entry={"steps": [step], "certificate": certificate})
 
 
 def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
-    """Result of `choose_model` on the arm's `scene`, or `failed` with the reason.
+    """Result of `certify.choice.choose`, or `failed` with the reason.
 
     It is cached, since the search may take minutes.
     """
     arm = arm.with_listed_modes()
     described = json.dumps(arm.to_dict())
-    search = hash_of_files(sources(("accuracy", "simulation")))
-    episodes = hash_of_files([Path(__file__).with_name("episodes.py")])
-    key = fingerprint("choice", search, episodes, described, repr(control_dt), repr(tolerance))
+    key = fingerprint("choice", _measuring(), described, repr(control_dt), repr(tolerance))
 
     def choose() -> str:
+        from flexarm_env.certify.choice import choose  # which builds environments by this module
+
         try:
-            keeps = partial(keeps_tip, control_dt)
-            found = choose_model(arm, scene(arm, control_dt), tolerance, acceptable=keeps).to_dict()
+            choice, core = choose(arm, control_dt, tolerance)
+            found = choice.to_dict() | {"holds": core.conditions.to_dict()}
         except (RuntimeError, ValueError) as error:
             found = {"failed": str(error), "refused": isinstance(error, ValueError)}
         return json.dumps(found, indent=2)

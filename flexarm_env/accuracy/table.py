@@ -1,14 +1,14 @@
 """Tables of a certificate and of measured steps, as on the page of an environment."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 CERTIFICATE = (
     ("error", "model and step together, from the reference"),
-    ("integration", "the step alone, from converged integration of the model"),
-    ("truncation", "the model from the rich model"),
-    ("nonlinear", "the rich model from the reference"),
-    ("residual", "the reference: tip displacement by its last refinement"),
+    ("integration", "the step alone, from the same model with fine steps"),
+    ("truncation", "the model from a rich one, of six bending and two torsion modes per link"),
+    ("nonlinear", "the rich model from the reference, whose links are cut into segments"),
+    ("residual", "the reference from a finer one with half its step"),
 )
 
 
@@ -18,29 +18,80 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
-def accuracy(certificate: dict[str, Any], steps: Iterable[dict[str, Any]]) -> str:
-    """Errors of a certificate, its model and reference, and the measured steps, best first."""
-    c = certificate
-    errors = [
-        (name, f"{1e3 * c[name]:.2g}", f"{c[name] / c['reach']:.1e}") for name, _ in CERTIFICATE
+def accuracy(entry: Mapping[str, Any], command: str) -> str:
+    """Errors of an entry of certificates.json by kind and by cause, and its steps, best first."""
+    c = entry["certificate"]
+    reason = f"Chosen for `modes: auto`: {c['reason']}\n\n" if "reason" in c else ""
+    return "\n\n".join(
+        [
+            f"{reason}{sentence(c)} Measured by `{command}`.",
+            kinds(c["episodes"]),
+            causes(c),
+            f"Model: {c['model']}. Reference: {c['reference']}.",
+            "Steps that keep the error, the best first:",
+            steps(entry["steps"]),
+        ]
+    )
+
+
+def sentence(certificate: Mapping[str, Any]) -> str:
+    """The promise of a certificate in words."""
+    c, e = certificate, certificate["episodes"]
+    times = [
+        (level, [kind["until"][k] for kind in e["kinds"].values()])
+        for k, level in enumerate(e["levels"])
     ]
+    whole = [level for level, until in times if not any(until)]
+    if whole:
+        share = max(kind["share"] for kind in e["kinds"].values())
+        return (
+            f"In {round(100 * e['share'])} of 100 whole episodes of every kind the tip stays within "
+            f"{1e3 * share * c['reach']:.2g} mm ({share:.1e} of the reach) of the reference."
+        )
+    bounds = [
+        f"within {1e3 * level * c['reach']:.2g} mm ({level:g} of the reach) up to "
+        f"{min(t for t in until if t):g} s"
+        for level, until in times
+    ]
+    return (
+        f"In {round(100 * e['share'])} of 100 episodes of every kind the tip stays "
+        f"{' and '.join(bounds)} of the reference; later it may be anywhere that the motion allows."
+    )
+
+
+def kinds(episodes: Mapping[str, Any]) -> str:
+    """Tip error of whole episodes of each kind."""
+    first, second = (f"until {level:g} [s]" for level in episodes["levels"])
     rows = [
         (
-            x["integrator"],
-            str(x["substeps"]),
-            f"{x['error']:.1e}",
-            f"{x['episode_error']:.1e}",
-            f"{1e6 * x['seconds']:.2g}",
+            name,
+            f"{x['median']:.1e}",
+            f"{x['share']:.1e} ({x['interval'][0]:.1e} to {x['interval'][1]:.1e})",
+            f"{x['worst']:.1e}",
+            f"{x['length']:.2g}",
+            *("the end" if t is None else f"{t:.2g}" for t in x["until"]),
+            f"{x['growth']:.2g}",
         )
-        for x in steps
+        for name, x in episodes["kinds"].items()
     ]
-    reason = f"Chosen for `modes: auto`: {c['reason']}\n\n" if "reason" in c else ""
-    return (
-        f"{reason}Certificate (`{c['reproduce']}`):\n\n"
-        + markdown(("error", "tip [mm]", "tip [reach]"), errors)
-        + f"\n\nModel: {c['model']}. Reference: {c['reference']}.\n\nMeasured steps:\n\n"
-        + markdown(
-            ("integrator", "substeps", "in all [reach]", "step alone, episodes", "CPU time [us]"),
-            rows,
-        )
-    )
+    head = (
+        "kind", "median [reach]", "95 % [reach]", "worst [reach]", "length [s]", first, second,
+        "growth",
+    )  # fmt: skip
+    return markdown(head, rows)
+
+
+def causes(certificate: Mapping[str, Any]) -> str:
+    """The 95 % by cause."""
+    c = certificate
+    rows = [(name, f"{1e3 * c[name]:.2g}", f"{c[name] / c['reach']:.1e}") for name, _ in CERTIFICATE]
+    return markdown(("95 % of the worst kind", "tip [mm]", "tip [reach]"), rows)
+
+
+def steps(found: Iterable[Mapping[str, Any]]) -> str:
+    """Measured steps."""
+    rows = [
+        (x["integrator"], str(x["substeps"]), f"{x['error']:.1e}", f"{1e6 * x['seconds']:.2g}")
+        for x in found
+    ]
+    return markdown(("integrator", "substeps", "95 % [reach]", "CPU time [us]"), rows)

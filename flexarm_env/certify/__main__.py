@@ -1,102 +1,49 @@
-"""Errors of an arm's model and step: `python -m flexarm_env.certify [ARM ...] [--control-dt S]`.
+"""Errors of an arm's model and step over whole episodes: `flexarm certify ARM [--set KEY=VALUE]`.
 
-ARM is a preset or an arm file; certificates.json stores the registered environments' arms only. The
-tables are those of an environment's page. Errors are measured on two motions: all joints bang-bang
-at full torque for one period of the first joint-free mode, then coasting; and random torques,
-constant over each control step. For every method in METHODS this finds the fewest substeps that
-keep the error of model and step together within TIP_ERROR of the reach, or within SLACK times the
-model's own error where that is larger. A method that errs by more than EPISODE_ERROR in an episode
-of Reach or Damp, by the step alone, is left out, and on a floating base one that loses more than
-MOMENTUM_ERROR of its momentum. Of the others it takes that with the least CPU
-time, allowing a tenth more time for a tenth of the error. Run nothing else on the machine
-meanwhile.
+ARM is a preset, an arm file or the id of an environment. The tables are those of an environment's
+page. For every method in `search.METHODS` this finds the fewest substeps that keep the tip within
+TIP_ERROR of the reach in 95 of 100 episodes of each kind in `motions.KINDS`, or within SLACK times
+the model's own error where that is larger, and on a floating base the momentum within
+MOMENTUM_ERROR. Of these it takes the method with the least CPU time, allowing a tenth more time for
+a tenth of the error. `gym.make` of the same arm and keywords finds what this measured. With no ARM
+it measures the registered environments under all conditions in `conditions`, and writes
+certificates.json. Run nothing else on the machine meanwhile.
 """
 
 import argparse
 import json
 import math
 import sys
-from functools import partial
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
+import yaml
 
-from dynamics.accuracy.certificate import Certifier
 from dynamics.accuracy.progress import Progress
 from dynamics.description.arm import Arm
-from dynamics.integrators.table import INTEGRATORS
-from dynamics.load import ArmSource, load_arm
+from dynamics.load import load_arm
 from flexarm_env import arguments
-from flexarm_env.accuracy.certificates import STORE, Fitted, fit, scene
-from flexarm_env.accuracy.episodes import (
-    EPISODE_ERROR,
-    MOMENTUM_ERROR,
-    episode_error,
-    momentum_error,
-)
+from flexarm_env.accuracy.certificates import STORE, Entry, Fitted, fit, keep
 from flexarm_env.accuracy.table import accuracy
-from flexarm_env.accuracy.timing import cpu_seconds
-from flexarm_env.core import Core
-from flexarm_env.registration import SCENES
-from flexarm_env.scales import SAFE, scales
+from flexarm_env.certify.certificate import EPISODES, Certifier
+from flexarm_env.certify.search import (
+    MOST_STEPS,
+    TIP_ERROR,
+    best_first,
+    given_step,
+    sufficient_steps,
+    timed,
+)
+from flexarm_env.registration import AGILE, IDS, SCENES, registered
+from flexarm_env.scales import scales
 
-ACCURACY = 1e-4  # [of the reach] of the reference
-METHODS = ("rk4", "numerov", "exponential", "midpoint", "relaxed-midpoint")
-TIP_ERROR = 1e-3  # [of the reach] of model and step together
-SLACK = 1.1  # [-] error with a step over that of a model that errs by more than TIP_ERROR itself
-MOST_STEPS = 24  # per control step; more than that is never the cheapest
-BATCH = 1024  # environments that are timed together
-TIMED = 500  # timing rounds, a second of each method: the choice must not depend on disturbances
-TIME_PER_DECADE = 0.1  # relative increase of CPU time that is accepted for a tenth of the error
-PERIOD_SHARE = 0.15  # [-] control step over the first joint-free period of such an arm
+PERIOD_SHARE = 0.15  # [-] control step over the first joint-free period of an own arm
 ROUND = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # [s] its control step
-
-Entry = dict[str, Any]  # control_dt, steps, certificate
-Step = dict[str, Any]  # integrator, substeps, error and episode_error [of the reach], seconds
-
-
-def fewest_steps(certifier: Certifier, control_dt: float, integrator: str) -> Step | None:
-    """Step with the fewest stable and accurate substeps of a method; None above MOST_STEPS.
-
-    One substep more has to confirm it.
-    """
-    arm, reach = certifier.arm, certifier.arm.reach
-    allowed = max(TIP_ERROR * reach, SLACK * certifier.model_error)
-    limit = SAFE * INTEGRATORS[integrator].limit
-    first, errors = int(control_dt * scales(arm).fastest / limit) + 1, [math.inf]
-    for substeps in range(first, MOST_STEPS + 2):
-        errors.append(certifier.error(integrator, control_dt / substeps))
-        if max(errors[-2:]) <= allowed:
-            return {"integrator": integrator, "substeps": substeps - 1, "error": errors[-2] / reach}
-    return None
-
-
-def timed(arm: ArmSource, control_dt: float, steps: list[Step]) -> list[Step]:
-    """The steps with `seconds` added: CPU time per control step of one environment in a batch."""
-    calls = {}
-    for k, step in enumerate(steps):
-        core = Core(task="Reach", arm=arm, control_dt=control_dt, n_env=BATCH,
-                    integrator=step["integrator"], substeps=step["substeps"])  # fmt: skip
-        core.reset(np.arange(BATCH))
-        calls[k] = partial(core.step, np.zeros((BATCH, core.arm.n_torque), np.float32))
-    seconds = cpu_seconds(calls, TIMED)
-    return [{**step, "seconds": seconds[k] / BATCH} for k, step in enumerate(steps)]
-
-
-def best_first(steps: list[Step]) -> list[Step]:
-    """Sort by CPU time, corrected for the error by TIME_PER_DECADE."""
-
-    def cost(step: Step) -> float:
-        return math.log(step["seconds"]) + TIME_PER_DECADE * math.log10(step["error"])
-
-    return sorted(steps, key=cost)
-
-
-def certifier_of(source: ArmSource, control_dt: float) -> Certifier:
-    """Errors of an arm on the motions of its `scene`."""
-    arm = load_arm(source)
-    with Progress(None) as line:
-        return Certifier(arm, scene(arm, control_dt), ACCURACY * arm.reach, line)
+OWN_STEPS = 150  # control steps of its episodes
+STEP = ("integrator", "substeps")
+KEYWORDS = (
+    "torque_limit", "base_torque", "actuator", "hardware", "randomize", "deflection_limit", *STEP,
+)  # fmt: skip
 
 
 def default_control_dt(arm: Arm) -> float:
@@ -110,55 +57,89 @@ def default_control_dt(arm: Arm) -> float:
     return max((dt for dt in ROUND if dt <= wanted), default=ROUND[0])
 
 
-def described(source: str, control_dt: float | None) -> tuple[Fitted, float]:
-    """Model that an environment steps for an arm, its and its control step [s]."""
-    known = {arm: dt for arm, dt, _ in SCENES.values()}
-    arm = load_arm(source)
-    if control_dt is None:
-        control_dt = known[source] if source in known else default_control_dt(arm)
-    dt = arguments.within("--control-dt", control_dt, *arguments.CONTROL_DT, "s")
-    return fit(arm, dt, "auto", None), dt
+def conditions(scene: str) -> list[dict[str, Any]]:
+    """Keywords under which a registered scene is measured."""
+    agile = [{"torque_limit": list(AGILE[scene])}] if scene in AGILE else []
+    return [{}, *agile, {"hardware": "laboratory"}]
 
 
-def entry(source: str, control_dt: float | None) -> Entry:
-    """Measured steps and certificate of a preset or an arm file, as certificates.json stores them.
+def entry(
+    fitted: Fitted, control_dt: float, steps: int, keywords: Mapping[str, Any], line: Progress
+) -> Entry:
+    """Measured steps and certificate of a model in episodes of a number of control steps.
 
     Raises
     ------
-    ValueError : for an arm that no environment takes, or without a step of sufficient accuracy.
-    RuntimeError : if the reference does not converge.
+    ValueError : for keywords that no environment takes, or without a step of sufficient accuracy.
     """
-    fitted, dt = described(source, control_dt)
-    arm = fitted.arm
-    _report(f"{source}: reference")
-    certifier, found = certifier_of(arm, dt), []
-    for method in METHODS:
-        _report(f"{source}: fewest steps of {method}")
-        found.append(fewest_steps(certifier, dt, method))
-    enough = []
-    for step in filter(None, found):
-        of = arm, dt, step["integrator"], step["substeps"]
-        error = episode_error(*of)
-        if error <= EPISODE_ERROR and momentum_error(*of) <= MOMENTUM_ERROR:
-            enough.append(step | {"episode_error": error})
+    others = {key: value for key, value in keywords.items() if key not in STEP}
+    certifier = Certifier(fitted.arm, {"control_dt": control_dt} | others, steps, line)
+    line.stage("steps")
+    if all(key in keywords for key in STEP):
+        enough = [given_step(certifier, *(keywords[key] for key in STEP))]
+    else:
+        enough = sufficient_steps(certifier)
     if not enough:
         raise ValueError(
             f"No method keeps the tip within {TIP_ERROR:g} of the reach with at most {MOST_STEPS} "
-            f"steps per control step of {dt:g} s; give a smaller --control-dt."
+            f"steps per control step of {control_dt:g} s; give a smaller --control-dt."
         )
-    _report(f"{source}: CPU time of {len(enough)} methods")
-    steps = best_first(timed(arm, dt, enough))
-    best = steps[0]
-    _report(f"{source}: certificate of {best['integrator']}, {best['substeps']} steps")
-    certificate = certifier.certificate(best["integrator"], dt / best["substeps"]).to_dict()
+    line.stage("times")
+    best = best_first(timed(certifier, enough))
+    certificate = certifier.certificate(best[0]["integrator"], best[0]["substeps"])
     if fitted.reason:
         certificate["reason"] = fitted.reason
-    return {"control_dt": dt, "steps": steps, "certificate": certificate}
+    return {"steps": best, "certificate": certificate}
 
 
-def is_registered(source: str, control_dt: float) -> bool:
-    """True for the preset and control step of a registered environment."""
-    return (source, control_dt) in {(arm, dt) for arm, dt, _ in SCENES.values()}
+def described(source: str, control_dt: float | None) -> tuple[Fitted, float, int, dict[str, Any]]:
+    """Model, control step [s], steps per episode and keywords of an id, a preset or an arm file."""
+    keywords: dict[str, Any] = {}
+    known = {arm: (dt, steps) for arm, dt, steps in SCENES.values()}
+    if source.removeprefix("flexarm_env:").startswith("FlexArm/"):
+        spec = IDS[registered(source)]["kwargs"]
+        keywords = {key: spec[key] for key in KEYWORDS if key in spec}
+        source = spec["arm"]
+    arm = load_arm(source)
+    dt, steps = known.get(source, (None, OWN_STEPS))
+    if control_dt is not None or dt is None:
+        dt = default_control_dt(arm) if control_dt is None else control_dt
+    dt = arguments.within("--control-dt", dt, *arguments.CONTROL_DT, "s")
+    return fit(arm, dt, "auto", None), dt, steps, keywords
+
+
+def measure_all(line: Progress, only: str | None = None) -> None:
+    """Measure the registered scenes under all their conditions, and write certificates.json."""
+    for scene, (arm, dt, steps) in SCENES.items():
+        if only not in (None, arm):
+            continue
+        measured = []
+        for keywords in conditions(scene):
+            _report(f"{arm}, {keywords or 'as it is'}")
+            found = entry(Fitted(load_arm(arm)), dt, steps, keywords, line)
+            print(accuracy(found, command(arm, keywords)) + "\n", flush=True)
+            measured.append(found)
+        stored = json.loads(STORE.read_text(encoding="utf-8")) if STORE.exists() else {}
+        stored[arm] = {"control_dt": dt, "measured": measured}
+        STORE.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+
+
+def command(source: str, keywords: Mapping[str, Any], control_dt: float | None = None) -> str:
+    """The command that measures an entry again."""
+    given = "".join(f" --set {key}={json.dumps(value)}" for key, value in keywords.items())
+    dt = "" if control_dt is None else f" --control-dt {control_dt:g}"
+    return f"flexarm certify {source}{dt}{given}"
+
+
+def setting(text: str) -> tuple[str, Any]:
+    """KEY=VALUE of the command line, the value in YAML."""
+    key, equals, value = text.partition("=")
+    if not equals or key not in KEYWORDS:
+        raise argparse.ArgumentTypeError(f"must be KEY=VALUE, KEY one of {', '.join(KEYWORDS)}")
+    try:
+        return key, yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise argparse.ArgumentTypeError(f"{key} is no YAML: {error}") from None
 
 
 def _report(sentence: str) -> None:
@@ -166,34 +147,38 @@ def _report(sentence: str) -> None:
 
 
 def main(given: list[str] | None = None, prog: str = "python -m flexarm_env.certify") -> int:
-    """Print the tables of the named arms, store those of registered ones; the exit status."""
-    known = [arm for arm, _, _ in SCENES.values()]
+    """Measure the named arms and print their tables; the exit status."""
     parser = argparse.ArgumentParser(prog=prog, description="Measure the errors of arms.")
     parser.add_argument(
-        "arms", nargs="*", metavar="ARM", default=known,
-        help="preset or arm file (.json, .yaml); default: the registered arms, " + ", ".join(known),
+        "arms", nargs="*", metavar="ARM",
+        help="preset, arm file (.json, .yaml) or id; default: all registered scenes, stored",
     )  # fmt: skip
     parser.add_argument(
         "--control-dt", type=float, metavar="S",
         help="time between actions [s]; default: that of the registered environment, else "
         f"{PERIOD_SHARE:g} of the first joint-free period, rounded down to one of {ROUND}",
     )  # fmt: skip
+    parser.add_argument(
+        "--set", type=setting, action="append", default=[], metavar="KEY=VALUE",
+        help=f"keyword of the environment, the value in YAML: {', '.join(KEYWORDS)}",
+    )  # fmt: skip
+    parser.add_argument("--store", metavar="PRESET", help="measure and store one registered scene")
     options = parser.parse_args(given)
-    for source in options.arms:
-        try:
-            measured = entry(source, options.control_dt)
-        except (ValueError, RuntimeError) as error:
-            _report(f"{prog.removeprefix('python -m ')}: {' '.join(str(error).split())}")
-            return 2
-        dt = measured["control_dt"]
-        command = f"python -m flexarm_env.certify {source}"
-        if is_registered(source, dt):
-            entries = {**json.loads(STORE.read_text(encoding="utf-8")), source: measured}
-            STORE.write_text(json.dumps(entries, indent=2) + "\n", encoding="utf-8")
-        else:
-            command += f" --control-dt {dt:g}"
-        print(f"# {source}, control step {dt:g} s\n")
-        print(accuracy(measured["certificate"] | {"reproduce": command}, measured["steps"]) + "\n")
+    try:
+        with Progress(None) as line:
+            if options.store or not options.arms:
+                measure_all(line, options.store)
+            for source in options.arms:
+                fitted, dt, steps, keywords = described(source, options.control_dt)
+                keywords |= dict(options.set)
+                _report(f"{source}: {EPISODES} episodes of each kind, control step {dt:g} s")
+                found = entry(fitted, dt, steps, keywords, line)
+                keep(fitted.arm, dt, found)
+                print(f"# {source}, control step {dt:g} s\n")
+                print(accuracy(found, command(source, dict(options.set), options.control_dt)))
+    except (ValueError, TypeError, RuntimeError) as error:
+        _report(f"{prog.removeprefix('python -m ')}: {' '.join(str(error).split())}")
+        return 2
     return 0
 
 

@@ -20,17 +20,17 @@ from dynamics.description.arm import Arm
 from dynamics.types import Array
 from flexarm_env.accuracy.certificates import REFERENCE_METHOD as METHOD
 from flexarm_env.accuracy.certificates import reference
-from flexarm_env.certify.episodes import Distances, Episodes, Trace, environment
+from flexarm_env.certify.episodes import SHARE, Distances, Episodes, Trace, environment
 from flexarm_env.certify.motions import KINDS
 from flexarm_env.core import Core
-from flexarm_env.scales import RIGID_PERIOD, scales
+from flexarm_env.scales import DEFLECTION_LIMIT, RIGID_PERIOD, scales
 
 EPISODES = 64  # of each kind
 CHECKED = 16  # of each kind, by a finer reference
-SHARE = 0.95  # of the episodes of a kind that stay within the stated error
 RICH = (6, 2)  # modes of the rich model: of bending, of torsion
 FINE = 60  # least steps of a fine model per control step
 PER_PERIOD = 400  # and per period of the first joint-free mode
+WIDER = 2.0  # times the deflection limit of other models, so that the environment's own ends episodes
 DISTURBANCE = 1e-6  # [rad] of the first joint at the start
 LEVELS = (1e-3, 1e-2)  # [of the reach] errors whose times are stated
 TIMES = 25  # of the curve over an episode
@@ -55,9 +55,13 @@ class Certifier:
 
     Parameters
     ----------
-    arm : the described arm.
+    arm : the described arm, whose modes are listed.
     keywords : of the environment, as those of `core.Core`; fidelity and steps are chosen here.
     steps : control steps of an episode.
+
+    Attributes
+    ----------
+    model : the arm as it is stepped, rotors of actuators included.
     """
 
     def __init__(
@@ -71,11 +75,17 @@ class Certifier:
     ) -> None:
         self.arm, self.keywords, self.line = arm, dict(keywords), line or Progress(False)
         base = self._core("auto", None, None, 1)
-        self.control_dt, self.reach = base.control_dt, arm.reach
+        self.model, self.control_dt, self.reach = base.arm, base.control_dt, arm.reach
         self.episodes = Episodes.drawn(base, kinds, count, steps)
         self._fine = converged_steps(arm, self.control_dt)
         self.line.stage("reference")
         self.reference = self._played(reference(arm), METHOD, self._fine)
+        self.line.stage("model")
+        self._own = self._played("auto", METHOD, self._fine)
+
+    def model_error(self) -> Distances:
+        """Distances of the model, with fine steps, from the reference."""
+        return Distances.between(self._own, self.reference, self.episodes.kinds)
 
     def error(self, integrator: str, substeps: int) -> Distances:
         """Distances of model and step from the reference."""
@@ -86,7 +96,6 @@ class Certifier:
         """The certificate of a step: JSON numbers and text."""
         kinds, own = self.episodes.kinds, self._played("auto", integrator, substeps)
         self.line.stage("causes")
-        fine = self._played("auto", METHOD, self._fine)
         many = self._played(rich(self.arm), METHOD, self._fine)
         nudged = self._played("auto", integrator, substeps, DISTURBANCE)
         total = Distances.between(own, self.reference, kinds)
@@ -94,22 +103,22 @@ class Certifier:
         core = self._core("auto", integrator, substeps, 1)
 
         def part(a: Trace, b: Trace) -> float:
-            return Distances.between(a, b, kinds).quantile(SHARE)
+            return Distances.between(a, b, kinds).worst_share
 
         return {
             "model": str(fidelity_of(self.arm)),
             "integrator": integrator,
             "dt": self.control_dt / substeps,
-            "error": total.quantile(SHARE),
-            "integration": part(own, fine),
-            "truncation": part(fine, many),
+            "error": total.worst_share,
+            "integration": part(own, self._own),
+            "truncation": part(self._own, many),
             "nonlinear": part(many, self.reference),
             "residual": self._residual(),
             "reach": self.reach,
             "cost": float(core._operations() / self.control_dt),
             "reference": str(reference(self.arm)),
             "scene": f"{SHARE:.0%} of {len(kinds) // len({*kinds})} whole episodes of each kind",
-            "holds": holds(core, self.keywords),
+            "holds": core.conditions.to_dict(),
             "episodes": summary(total, growth, self.control_dt, self.reach),
         }
 
@@ -118,22 +127,28 @@ class Certifier:
         kinds = np.array(self.episodes.kinds)
         rows = np.concatenate([np.flatnonzero(kinds == k)[:CHECKED] for k in dict.fromkeys(kinds)])
         some = self.episodes.of(rows)
-        core = self._core(reference(self.arm, finer=1), METHOD, 2 * self._fine, len(rows))
+        core = self._core(reference(self.arm, finer=1), METHOD, 2 * self._fine, len(rows), WIDER)
         finer = some.played(core)
-        coarse = Trace(self.reference.tips[:, rows], self.reference.valid[:, rows])
-        return Distances.between(coarse, finer, some.kinds).quantile(SHARE)
+        return Distances.between(self.reference.of(rows), finer, some.kinds).worst_share
 
     def _core(
-        self, model: str | Fidelity, integrator: str | None, substeps: int | None, count: int
+        self,
+        model: str | Fidelity,
+        integrator: str | None,
+        substeps: int | None,
+        count: int,
+        wider: float = 1.0,
     ) -> Core:
+        limit = wider * self.keywords.get("deflection_limit", DEFLECTION_LIMIT)
         steps = {"integrator": integrator, "substeps": substeps}
-        arm = self.arm.with_listed_modes()
-        return environment(arm, count, {**self.keywords, **steps, "fidelity": model})
+        keywords = {**self.keywords, **steps, "fidelity": model, "deflection_limit": limit}
+        return environment(self.arm, count, keywords)
 
     def _played(
         self, model: str | Fidelity, integrator: str, substeps: int, disturbance: float = 0.0
     ) -> Trace:
-        core = self._core(model, integrator, substeps, len(self.episodes.kinds))
+        wider = WIDER if integrator == METHOD and substeps == self._fine else 1.0
+        core = self._core(model, integrator, substeps, len(self.episodes.kinds), wider)
         trace = self.episodes.played(core, disturbance)
         self.line.motion()
         return trace
@@ -145,18 +160,19 @@ def summary(total: Distances, growth: Distances, control_dt: float, reach: float
     shown = np.unique(np.linspace(0, steps - 1, TIMES).round().astype(int))
     kinds, curves = {}, {}
     for kind in dict.fromkeys(total.kinds):
-        own = total.of(kind) / reach
-        largest = np.nan_to_num(np.nanmax(np.vstack([own, 0.0 * own[:1]]), axis=0))
-        curve = _curve(own)
+        own = total.of(kind)
+        rows = np.array(total.kinds) == kind
+        largest = total.per_episode[rows] / reach
+        curve = total.curve(kind) / reach
         low, high = interval(largest, SHARE)
         kinds[kind] = {
             "median": _short(np.median(largest)),
-            "share": _short(np.quantile(largest, SHARE)),
+            "share": _short(total.share(kind) / reach),
             "interval": [_short(low), _short(high)],
             "worst": _short(largest.max()),
             "length": _short(control_dt * np.isfinite(own).sum(axis=0).mean()),
             "until": [_until(curve, level, control_dt) for level in LEVELS],
-            "growth": _short(_growth(growth.of(kind)) / (DISTURBANCE * reach)),
+            "growth": _short(np.median(growth.per_episode[rows]) / (DISTURBANCE * reach)),
         }
         curves[kind] = [None if np.isnan(x) else _short(x) for x in curve[shown]]
     times = [_short(x) for x in control_dt * (shown + 1)]
@@ -171,36 +187,10 @@ def interval(values: Array, share: float) -> tuple[float, float]:
     return float(ordered[int(max(low - 1, 0))]), float(ordered[int(min(high, n - 1))])
 
 
-def holds(core: Core, keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """Conditions under which a certificate holds: the torques, drawn parameters and actuators."""
-    return {
-        "torque_limit": core.torque_limit.tolist(),
-        "ranges": {name: list(pair) for name, pair in core.randomize.items()},
-        "actuator": keywords.get("actuator"),
-        "base_torque": keywords.get("base_torque"),
-        "deflection_limit": core.settings.deflection_limit,
-    }
-
-
-def _curve(largest: Array) -> Array:
-    """(T,) quantile SHARE of the episodes that go on; NaN where none does."""
-    result = np.full(len(largest), np.nan)
-    for k, row in enumerate(largest):
-        if np.isfinite(row).any():
-            result[k] = np.quantile(row[np.isfinite(row)], SHARE)
-    return result
-
-
 def _until(curve: Array, level: float, control_dt: float) -> float | None:
     """[s] first time at which a curve exceeds a level; None if it does not."""
     above = np.flatnonzero(curve > level)
     return _short(control_dt * (above[0] + 1)) if above.size else None
-
-
-def _growth(largest: Array) -> float:
-    """Median over episodes of the largest distance."""
-    values = np.nanmax(np.vstack([largest, 0.0 * largest[:1]]), axis=0)
-    return float(np.median(np.nan_to_num(values)))
 
 
 def _short(x: Any) -> float:

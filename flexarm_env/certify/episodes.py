@@ -1,6 +1,7 @@
 """Whole episodes of an environment, and the distance of its tip between two models of the arm."""
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,14 +14,16 @@ from dynamics.description.arm import Arm
 from dynamics.simulation.statics import RigidArm
 from dynamics.tracing import graphs
 from dynamics.types import AnyArray, Array
-from flexarm_env.certify.motions import KINDS, Kind
+from flexarm_env.certify.motions import KINDS, Kind, Recorded, recorded
 from flexarm_env.compiled.termination import FLAGS
 from flexarm_env.core import Core
 from flexarm_env.scales import RIGID_PERIOD, Scales
 from flexarm_env.tasks import TASKS
 
+SHARE = 0.95  # of the episodes of a kind that stay within a stated error
 CHUNK = 4096  # states whose tips are computed together
-TERMINATED = FLAGS.index("terminated")
+TERMINATED, DIVERGED = FLAGS.index("terminated"), FLAGS.index("diverged")
+THREADS = max(1, min(8, os.cpu_count() or 1))
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,11 @@ class Trace:
 
     tips: Array  # (T, N, 3) [m]
     valid: AnyArray  # (T, N) the episode has not ended
+    diverged: AnyArray  # (N,) it ended since the simulation diverged
+
+    def of(self, rows: AnyArray) -> "Trace":
+        """Some of the episodes."""
+        return Trace(self.tips[:, rows], self.valid[:, rows], self.diverged[rows])
 
 
 @dataclass(frozen=True)
@@ -40,57 +48,63 @@ class Episodes:
     v: Array  # (N, n)
     actions: Array  # (T, N, n_torque)
     arm: Arm
-    seed: int = 0
+    seeds: tuple[int, ...]  # (N,) of the drawn parameters
 
     @classmethod
     def drawn(cls, core: Core, names: Sequence[str], count: int, steps: int) -> "Episodes":
         """`count` episodes of each kind for the arm and torques of an environment."""
-        found, arm = core.scales, core.arm
-        period = 2.0 * np.pi / found.free[0] if found.free else RIGID_PERIOD
-        q, v, actions = [], [], []
+        arm, played = core.arm, recorded(core.arm.name, core.torque_limit)
+        period = 2.0 * np.pi / core.scales.free[0] if core.scales.free else RIGID_PERIOD
+        names = [name for name in names if name in played or KINDS[name].actions]
+        parts: list[tuple[Array, Array, Array]] = []
         for name in names:
-            rng = np.random.default_rng([0, sum(name.encode())])
-            shape = (steps, count, arm.n_torque)
-            shares = KINDS[name].actions(rng, shape, core.control_dt / period)
-            start = _start(arm, found, KINDS[name], count, rng)
-            q.append(start[0])
-            v.append(start[1])
-            actions.append(_with_holding(core, start[0], shares))
+            if name in played:
+                parts.append(_as_recorded(arm, played[name], count, steps))
+            else:
+                parts.append(_random(core, name, count, steps, core.control_dt / period))
+        q, v = (np.vstack([part[k] for part in parts]) for k in range(2))
+        actions = np.concatenate([part[2] for part in parts], axis=1)
         kinds = tuple(name for name in names for _ in range(count))
-        return cls(kinds, np.vstack(q), np.vstack(v), np.concatenate(actions, axis=1), arm)
+        seeds = tuple(range(len(kinds)))
+        return cls(kinds, q, v, actions, arm, seeds)
 
     def of(self, rows: AnyArray) -> "Episodes":
         """Some of the episodes."""
-        kinds = tuple(np.array(self.kinds)[rows].tolist())
-        chosen = self.actions[:, rows]
-        return Episodes(kinds, self.q[rows], self.v[rows], chosen, self.arm, self.seed)
+        kinds, seeds = (tuple(np.array(x)[rows].tolist()) for x in (self.kinds, self.seeds))
+        return Episodes(kinds, self.q[rows], self.v[rows], self.actions[:, rows], self.arm, seeds)
 
-    def played(self, core: Core, disturbance: float = 0.0) -> Trace:
+    def played(
+        self, core: Core, disturbance: float = 0.0, watch: Callable[[], None] | None = None
+    ) -> Trace:
         """Play the episodes on an environment of as many arms, of any model of the arm.
 
-        Drawn parameters of episode i come from the seed `seed` + i. The first joint starts
-        `disturbance` [rad] beside the start.
+        The first joint starts `disturbance` [rad] beside the start. `watch` is called after every
+        control step.
         """
         rows = np.arange(core.n_env)
-        for row in rows.tolist():
-            core.seed(row, seeding.np_random(self.seed + row)[0])
+        for row, seed in enumerate(self.seeds):
+            core.seed(row, seeding.np_random(seed)[0])
         q, v = transferred(self.q, self.v, self.arm, core.arm)
         q[:, core.arm.joint_index[0]] += disturbance
         core.reset(rows, {"state": {"q": q, "v": v}})
-        states, valid = [], np.ones(core.n_env, dtype=bool)
-        going = []
+        states, going = [], []
+        valid, diverged = np.ones(core.n_env, dtype=bool), np.zeros(core.n_env, dtype=bool)
         for action in self.actions.astype(np.float32):
             out, _ = core.step(np.ascontiguousarray(action))
-            valid &= ~out.flags[TERMINATED, : core.n_env].astype(bool)
+            flags = out.flags[:, : core.n_env].astype(bool)
+            diverged |= valid & flags[DIVERGED]
+            valid &= ~flags[TERMINATED]
             going.append(valid.copy())
             states.append(core.q.copy())
+            if watch:
+                watch()
         tips = _tips(core, np.concatenate(states))
-        return Trace(tips.reshape(len(states), core.n_env, 3), np.array(going))
+        return Trace(tips.reshape(len(states), core.n_env, 3), np.array(going), diverged)
 
 
 @dataclass(frozen=True)
 class Distances:
-    """Tip distance between two traces until either ends."""
+    """Tip distance between two traces until either ends; infinite where one alone diverges."""
 
     largest: Array  # (T, N) [m] up to each time; NaN after the end of an episode
     kinds: tuple[str, ...]
@@ -98,8 +112,11 @@ class Distances:
     @classmethod
     def between(cls, a: Trace, b: Trace, kinds: tuple[str, ...]) -> "Distances":
         apart = np.linalg.norm(a.tips - b.tips, axis=2)
-        largest = np.maximum.accumulate(np.where(a.valid & b.valid, apart, 0.0), axis=0)
-        return cls(np.where(a.valid & b.valid, largest, np.nan), kinds)
+        both = a.valid & b.valid
+        largest = np.maximum.accumulate(np.where(both, apart, 0.0), axis=0)
+        largest = np.where(both, largest, np.nan)
+        largest[0, a.diverged != b.diverged] = np.inf
+        return cls(largest, kinds)
 
     def of(self, kind: str) -> Array:
         """(T, n) of the episodes of a kind."""
@@ -108,13 +125,49 @@ class Distances:
     @cached_property
     def per_episode(self) -> Array:
         """(N,) [m] largest of each episode; zero of one that ends at once."""
-        return np.nan_to_num(np.nanmax(np.vstack([self.largest, 0.0 * self.largest[:1]]), axis=0))
+        return np.max(np.nan_to_num(self.largest, nan=0.0, posinf=np.inf), axis=0)
 
-    def quantile(self, share: float) -> float:
-        """[m] largest over the kinds of the quantile of their episodes."""
-        names = np.array(self.kinds)
-        values = [np.quantile(self.per_episode[names == kind], share) for kind in {*self.kinds}]
-        return float(max(values))
+    def share(self, kind: str) -> float:
+        """[m] within which SHARE of the episodes of a kind stay."""
+        own = self.per_episode[np.array(self.kinds) == kind]
+        return float(np.quantile(own, SHARE, method="higher"))
+
+    @property
+    def worst_share(self) -> float:
+        """[m] largest `share` of all kinds."""
+        return max(map(self.share, {*self.kinds}))
+
+    def curve(self, kind: str) -> Array:
+        """(T,) [m] within which SHARE of the episodes that go on stay; NaN where none does."""
+        result = np.full(len(self.largest), np.nan)
+        for k, row in enumerate(self.of(kind)):
+            going = row[~np.isnan(row)]
+            if going.size:
+                result[k] = np.quantile(going, SHARE, method="higher")
+        return result
+
+
+def _random(
+    core: Core, name: str, count: int, steps: int, step: float
+) -> tuple[Array, Array, Array]:
+    """Starts and actions of a kind; `step` is a control step in periods."""
+    rng, kind = np.random.default_rng([0, sum(name.encode())]), KINDS[name]
+    assert kind.actions is not None
+    shares = kind.actions(rng, (steps, count, core.torque_limit.size), step)
+    q, v = _start(core.arm, core.scales, kind, count, rng)
+    return q, v, _with_holding(core, q, shares)
+
+
+def _as_recorded(
+    arm: Arm, found: Recorded, count: int, steps: int
+) -> tuple[Array, Array, Array]:
+    """Starts and actions of recorded episodes; the actions end with zeros."""
+    q, actions = np.zeros((count, arm.n)), np.zeros((steps, count, found.actions.shape[2]))
+    chosen = np.arange(count) % len(found.start)
+    q[:, list(arm.joint_index)] = found.start[chosen]
+    known = found.actions[:steps, chosen]
+    actions[: len(known)] = known
+    return q, np.zeros_like(q), actions
 
 
 def _start(arm: Arm, found: Scales, kind: Kind, count: int, rng: Any) -> tuple[Array, Array]:
@@ -159,4 +212,4 @@ def _tips(core: Core, q: Array) -> Array:
 
 def environment(arm: Any, count: int, keywords: Mapping[str, Any]) -> Core:
     """A batch of an environment without a limit of time."""
-    return Core(task="Reach", arm=arm, n_env=count, **keywords)
+    return Core(task="Reach", arm=arm, n_env=count, threads=THREADS, **keywords)

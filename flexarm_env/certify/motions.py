@@ -7,6 +7,7 @@ kind is as hard for every arm.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ class Kind:
     """A kind of motion."""
 
     text: str  # for the pages
-    actions: Actions  # (generator, (steps, episodes, torques), control step [periods]) -> [-1, 1]
+    actions: Actions | None  # (generator, (steps, episodes, torques), control step [periods])
     shaken: bool = False  # links vibrate at the start, as in Damp
 
 
@@ -68,7 +69,36 @@ KINDS = {
         text="links that vibrate as at the start of Damp, under held torques", actions=held,
         shaken=True,
     ),
+    "classical": Kind(
+        text="torques recorded in Reach from the best classical controller of the ranking, where "
+        "the arm and its torque limits have one", actions=None,
+    ),
+    "learned": Kind(text="the same from the best learned controller", actions=None),
 }  # fmt: skip
+RECORDED = Path(__file__).with_name("recorded")  # by `python -m agents.recorded`
+LEVELS = 127  # of a recorded action, from 0 to 1
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Episodes of a controller at an arm's own torque limits."""
+
+    start: Array  # (N, n_joint) [rad], at rest
+    actions: Array  # (T, N, n_torque)
+
+
+def recorded(arm: str, torque_limit: Array) -> dict[str, Recorded]:
+    """Recorded episodes by kind, for the name of an arm and its torque limits [N m]."""
+    for path in sorted(RECORDED.glob(f"{arm}*.npz")):
+        with np.load(path) as file:
+            limit = file["torque_limit"]
+            if limit.shape == torque_limit.shape and np.allclose(limit, torque_limit):
+                return {
+                    kind: Recorded(file[f"{kind}_start"], file[f"{kind}_actions"] / LEVELS)
+                    for kind in ("classical", "learned")
+                    if f"{kind}_start" in file
+                }
+    return {}
 
 
 def _steps(duration: float) -> int:

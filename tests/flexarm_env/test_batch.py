@@ -344,7 +344,7 @@ def test_read_only_actions_are_accepted_without_compiling_again() -> None:
     envs.reset(seed=0)
     actions.flags.writeable = False
     np.testing.assert_array_equal(envs.step(actions)[0], expected)
-    assert len(envs.core._program.control_step.overloads) == 1
+    assert len(envs.core.program.control_step.overloads) == 1
 
 
 def test_threads_of_a_batch_are_a_count() -> None:

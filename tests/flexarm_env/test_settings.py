@@ -176,7 +176,7 @@ def test_a_change_reaches_every_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     built: Any = gym.make_vec(ID, num_envs=40, threads=2, deflection_limit=0.03)
     changed: Any = gym.make_vec(ID, num_envs=40, threads=2)
     changed.set_attr("deflection_limit", 0.03)
-    program = built.core._program
+    program = built.core.program
     first, count = int(program.CONSTANTS), int(program.LANES) * built.core._constants.size
     for core in (built.core, changed.core):
         assert len(core.workspaces) == 2

@@ -53,7 +53,7 @@ ARM = Arm(
     # [s] damping_beta chosen: 1 % of critical in the first mode of each link, clamped, alone
     links=(
         _strip(0.5 * _SIDE, _ELBOW, 2, 3.18e-3),
-        _strip(0.0, _GRIPPER, 1, 2.42e-3),
+        _strip(0.0, _GRIPPER, 2, 2.42e-3),
     ),
 )
 

@@ -1,0 +1,50 @@
+"""Conditions under which errors of an environment were measured, and those of one to be made."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+Range = tuple[float, float]
+ROUND_OFF = 1e-9  # [-] of a limit
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """Torques, drawn parameters, actuators and bending of the episodes of an environment."""
+
+    torque_limit: tuple[float, ...]  # [N m] of each action
+    deflection_limit: float  # [-]
+    ranges: Mapping[str, Range] = field(default_factory=dict)  # of parameters drawn at a reset
+    actuators: str = ""  # their description; empty for ideal torque sources
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> "Conditions":
+        """Conditions from JSON numbers and text."""
+        ranges = {name: tuple(pair) for name, pair in stored["ranges"].items()}
+        return cls(
+            torque_limit=tuple(stored["torque_limit"]),
+            deflection_limit=stored["deflection_limit"],
+            ranges=ranges,
+            actuators=stored["actuators"],
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON numbers and text."""
+        return asdict(self) | {"ranges": {name: list(pair) for name, pair in self.ranges.items()}}
+
+    def beyond(self, measured: "Conditions") -> str | None:
+        """What of these conditions the measured ones do not cover, as words; None if nothing."""
+        if self.actuators != measured.actuators:
+            return "these actuators" if self.actuators else "ideal torque sources"
+        if len(self.torque_limit) != len(measured.torque_limit):
+            return "base_torque"
+        for own, most in zip(self.torque_limit, measured.torque_limit, strict=True):
+            if own > most * (1.0 + ROUND_OFF):
+                return f"torques above {', '.join(f'{x:g}' for x in measured.torque_limit)} N m"
+        for name, (low, high) in self.ranges.items():
+            known = measured.ranges.get(name)
+            if known is None or low < known[0] - ROUND_OFF or high > known[1] + ROUND_OFF:
+                return f"{name} drawn from {low:g} to {high:g} by randomize"
+        if self.deflection_limit > measured.deflection_limit * (1.0 + ROUND_OFF):
+            return f"deflections above {measured.deflection_limit:g} of a link's length"
+        return None
