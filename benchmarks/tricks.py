@@ -49,7 +49,7 @@ def _expect_nothing(array, first):  # type: ignore[no-untyped-def]
 
 
 def _search_for_signature(core: Core) -> None:
-    core.__dict__["_control_step"] = core._program.control_step
+    core.__dict__["_control_step"] = core.program.control_step
 
 
 def _new_outputs(core: Core) -> None:

@@ -162,8 +162,8 @@ The error of an episode is the largest distance of the two tips until one of the
 bending too far for instance. A table has its median, the 95 % within which 95 of 100 episodes stay,
 with an interval of 95 % confidence, and the worst; the mean length of the episodes; the times at
 which the 95 % of the episodes that still go on passes a thousandth and a hundredth of the reach;
-and `growth`: how many times farther apart the tips get than they start, where the first joint
-starts {disturbance:g} rad beside its place. Where it is large, two simulations that differ by
+and `growth`: how far apart the tips get, in units of {disturbance:g} of the reach, where every
+joint starts {disturbance:g} rad beside its place. Where it is large, two simulations that differ by
 anything at all part company, and comparing trajectories stops to mean anything. The errors of the
 worst kind by cause:
 
@@ -174,8 +174,9 @@ order; a damping ratio is that of every natural mode of the link in either. `ref
 the values of `fidelity`, so that anyone can play any motion on it.
 
 For each integrator the table of steps has the fewest substeps that keep the error of model and step
-together within {tip_error:g} of the reach, or within {slack:g} times that of the model where motions
-grow apart in time, and on a floating base the momentum within {momentum_error:g} of the base's own.
+together within {tip_error:g} of the reach, or within {slack:g} times that of the model where
+motions grow apart in time, and on a floating base the momentum within {momentum_error:g} of the
+base's own.
 The environment uses the first row. It has the least CPU time, where a tenth more time is accepted
 for a tenth of the error. CPU time is per control step of one environment in a batch of {batch}, on
 the machine that measured.

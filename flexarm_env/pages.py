@@ -222,10 +222,10 @@ def _accuracy(env_id: str, core: Core) -> str:
     drawn = covering(measured, laboratory.core.conditions)
     text = accuracy(own, command(env_id, {}))
     if drawn is None:
-        return f"{text}\n\nWith `hardware=\"laboratory\"`: {laboratory.core.uncertified}"
+        return f'{text}\n\nWith `hardware="laboratory"`: {laboratory.core.uncertified}'
     c = drawn["certificate"]
     return (
-        f"{text}\n\nWith `hardware=\"laboratory\"`, over its range of payloads and stiffnesses: "
+        f'{text}\n\nWith `hardware="laboratory"`, over its range of payloads and stiffnesses: '
         f"{sentence(c)}\n\n{kinds(c['episodes'])}\n\n{steps(drawn['steps'])}"
     )
 

@@ -204,13 +204,13 @@ def warn_of_gravity(
         )  # fmt: skip
 
 
-def _uncertified(
-    measured: Sequence[Entry], conditions: Conditions, entry: Entry | None
-) -> str:
+def _uncertified(measured: Sequence[Entry], conditions: Conditions, entry: Entry | None) -> str:
     """Sentence that says why no certificate holds for an environment, and the remedy."""
     remedy = "measure them with `flexarm certify`, or give a tolerance."
     if not measured:
-        return f"No certificate holds: errors of this arm and control_dt were never measured; {remedy}"
+        return (
+            f"No certificate holds: errors of this arm and control_dt were never measured; {remedy}"
+        )
     if entry:
         return (
             "No certificate holds for this integrator and substeps: errors were measured for "

@@ -285,8 +285,8 @@ def _damping_inputs_strains(arm: Arm) -> tuple[Array, Array, Array]:
 def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> tuple[str, int]:
     """Integrator and substeps per control step that keep the tip within 1e-3 of the reach.
 
-    A rule for arms whose steps were never measured (see certify.py). Without `integrator` it takes
-    the method of BY_RULE with the fewest evaluations of the accelerations.
+    A rule for arms whose steps were never measured (see flexarm_env/certify). Without `integrator`
+    it takes the method of BY_RULE with the fewest evaluations of the accelerations.
     """
     found = scales(arm)
     first = min(found.free, default=RIGID_RATE)

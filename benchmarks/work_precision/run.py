@@ -218,7 +218,7 @@ def default_of(setting: Setting) -> tuple[str, Step]:
     """Integrator and step of an environment with this arm."""
     entry = stored().get(setting.arm.name)
     if entry is not None and entry["control_dt"] == setting.period:
-        best = entry["steps"][0]
+        best = entry["measured"][0]["steps"][0]
         return best["integrator"], Step(1, best["substeps"])
     core = Core(task="Reach", arm=setting.arm, control_dt=setting.period)
     return core.integrator, Step(1, core.substeps)

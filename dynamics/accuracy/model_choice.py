@@ -118,8 +118,8 @@ class SceneErrors(ModelErrors):
         """Largest step [s] within the budget and its integration error [m].
 
         Steps shrink as the method's order predicts until one fits; a smaller one has to confirm it.
-        The largest fitting step is then bracketed to the root of STEP_RATIO. Without such a step below
-        the cost `cheapest`, the last step that was tried.
+        The largest fitting step is then bracketed to the root of STEP_RATIO. Without such a step
+        below the cost `cheapest`, the last step that was tried.
         """
         budget, rollout = self.step_budget(fidelity), self.rollout(fidelity)
         motions, method = self.scene.motions, INTEGRATORS[integrator]

@@ -66,7 +66,8 @@ _BODY = LinkConstants(
     mass=0.0, first_moment=_O, epsilon=(), s=(), c_jk=(), c=(),
     C=(), D=(), C0=validate.ZEROS, tip_phi=(), tip_theta=(), root_slope=(), K=(), K_pairs=(),
     sines=False, damping=(), tip_mass=0.0, tip_inertia=validate.ZEROS,
-    rotation=validate.IDENTITY, offset=_O, rotor_inertia=0.0, viscous=0.0, coulomb=0.0, coulomb_speed=1.0,
+    rotation=validate.IDENTITY, offset=_O, rotor_inertia=0.0, viscous=0.0, coulomb=0.0,
+    coulomb_speed=1.0,
 )  # fmt: skip
 
 

@@ -21,7 +21,6 @@ from dynamics.description.arm import Arm
 from dynamics.load import load_arm
 from flexarm_env.accuracy.conditions import Conditions
 
-
 Entry = dict[str, Any]  # steps, certificate
 _log = logging.getLogger(__name__)
 

@@ -45,8 +45,8 @@ def sentence(certificate: Mapping[str, Any]) -> str:
     if whole:
         share = max(kind["share"] for kind in e["kinds"].values())
         return (
-            f"In {round(100 * e['share'])} of 100 whole episodes of every kind the tip stays within "
-            f"{1e3 * share * c['reach']:.2g} mm ({share:.1e} of the reach) of the reference."
+            f"In {round(100 * e['share'])} of 100 whole episodes of every kind the tip stays "
+            f"within {1e3 * share * c['reach']:.2g} mm ({share:.1e} of the reach) of the reference."
         )
     bounds = [
         f"within {1e3 * level * c['reach']:.2g} mm ({level:g} of the reach) up to "
@@ -84,7 +84,8 @@ def kinds(episodes: Mapping[str, Any]) -> str:
 def causes(certificate: Mapping[str, Any]) -> str:
     """The 95 % by cause."""
     c = certificate
-    rows = [(name, f"{1e3 * c[name]:.2g}", f"{c[name] / c['reach']:.1e}") for name, _ in CERTIFICATE]
+    names = [name for name, _ in CERTIFICATE]
+    rows = [(name, f"{1e3 * c[name]:.2g}", f"{c[name] / c['reach']:.1e}") for name in names]
     return markdown(("95 % of the worst kind", "tip [mm]", "tip [reach]"), rows)
 
 

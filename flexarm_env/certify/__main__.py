@@ -20,6 +20,7 @@ from typing import Any
 import yaml
 
 from dynamics.accuracy.progress import Progress
+from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.load import load_arm
 from flexarm_env import arguments
@@ -73,7 +74,8 @@ def entry(
     ValueError : for keywords that no environment takes, or without a step of sufficient accuracy.
     """
     others = {key: value for key, value in keywords.items() if key not in STEP}
-    certifier = Certifier(fitted.arm, {"control_dt": control_dt} | others, steps, line)
+    known = {"control_dt": control_dt} | others
+    certifier = Certifier(fitted.arm, known, steps, line, count=EPISODES)
     line.stage("steps")
     if all(key in keywords for key in STEP):
         enough = [given_step(certifier, *(keywords[key] for key in STEP))]
@@ -165,6 +167,8 @@ def main(given: list[str] | None = None, prog: str = "python -m flexarm_env.cert
     parser.add_argument("--store", metavar="PRESET", help="measure and store one registered scene")
     options = parser.parse_args(given)
     try:
+        if options.store is not None:
+            validate.choice(options.store, "--store", [arm for arm, _, _ in SCENES.values()])
         with Progress(None) as line:
             if options.store or not options.arms:
                 measure_all(line, options.store)

@@ -30,8 +30,8 @@ CHECKED = 16  # of each kind, by a finer reference
 RICH = (6, 2)  # modes of the rich model: of bending, of torsion
 FINE = 60  # least steps of a fine model per control step
 PER_PERIOD = 400  # and per period of the first joint-free mode
-WIDER = 2.0  # times the deflection limit of other models, so that the environment's own ends episodes
-DISTURBANCE = 1e-6  # [rad] of the first joint at the start
+WIDER = 2.0  # times the deflection limit, of models other than the environment's, which ends them
+DISTURBANCE = 1e-6  # [rad] of every joint at the start
 LEVELS = (1e-3, 1e-2)  # [of the reach] errors whose times are stated
 TIMES = 25  # of the curve over an episode
 CONFIDENCE = 0.95
@@ -103,7 +103,7 @@ class Certifier:
         core = self._core("auto", integrator, substeps, 1)
 
         def part(a: Trace, b: Trace) -> float:
-            return Distances.between(a, b, kinds).worst_share
+            return Distances.between(a.until(own), b.until(own), kinds).worst_share
 
         return {
             "model": str(fidelity_of(self.arm)),
@@ -113,7 +113,7 @@ class Certifier:
             "integration": part(own, self._own),
             "truncation": part(self._own, many),
             "nonlinear": part(many, self.reference),
-            "residual": self._residual(),
+            "residual": self._residual(own),
             "reach": self.reach,
             "cost": float(core._operations() / self.control_dt),
             "reference": str(reference(self.arm)),
@@ -122,14 +122,15 @@ class Certifier:
             "episodes": summary(total, growth, self.control_dt, self.reach),
         }
 
-    def _residual(self) -> float:
+    def _residual(self, own: Trace) -> float:
         """[m] from the reference to a finer one with half the step, for some of the episodes."""
         kinds = np.array(self.episodes.kinds)
         rows = np.concatenate([np.flatnonzero(kinds == k)[:CHECKED] for k in dict.fromkeys(kinds)])
         some = self.episodes.of(rows)
         core = self._core(reference(self.arm, finer=1), METHOD, 2 * self._fine, len(rows), WIDER)
-        finer = some.played(core)
-        return Distances.between(self.reference.of(rows), finer, some.kinds).worst_share
+        ends = own.of(rows)
+        coarse, finer = self.reference.of(rows).until(ends), some.played(core).until(ends)
+        return Distances.between(coarse, finer, some.kinds).worst_share
 
     def _core(
         self,
@@ -147,7 +148,7 @@ class Certifier:
     def _played(
         self, model: str | Fidelity, integrator: str, substeps: int, disturbance: float = 0.0
     ) -> Trace:
-        wider = WIDER if integrator == METHOD and substeps == self._fine else 1.0
+        wider = 1.0 if model == "auto" else WIDER
         core = self._core(model, integrator, substeps, len(self.episodes.kinds), wider)
         trace = self.episodes.played(core, disturbance)
         self.line.motion()

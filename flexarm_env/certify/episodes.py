@@ -38,6 +38,12 @@ class Trace:
         """Some of the episodes."""
         return Trace(self.tips[:, rows], self.valid[:, rows], self.diverged[rows])
 
+    def until(self, other: "Trace") -> "Trace":
+        """The episodes as far as those of another trace."""
+        valid = self.valid & other.valid
+        longer = self.valid.sum(axis=0) >= other.valid.sum(axis=0)
+        return Trace(self.tips, valid, self.diverged & ~longer)
+
 
 @dataclass(frozen=True)
 class Episodes:
@@ -78,14 +84,14 @@ class Episodes:
     ) -> Trace:
         """Play the episodes on an environment of as many arms, of any model of the arm.
 
-        The first joint starts `disturbance` [rad] beside the start. `watch` is called after every
+        Every joint starts `disturbance` [rad] beside the start. `watch` is called after every
         control step.
         """
         rows = np.arange(core.n_env)
         for row, seed in enumerate(self.seeds):
             core.seed(row, seeding.np_random(seed)[0])
         q, v = transferred(self.q, self.v, self.arm, core.arm)
-        q[:, core.arm.joint_index[0]] += disturbance
+        q[:, list(core.arm.joint_index)] += disturbance
         core.reset(rows, {"state": {"q": q, "v": v}})
         states, going = [], []
         valid, diverged = np.ones(core.n_env, dtype=bool), np.zeros(core.n_env, dtype=bool)
@@ -104,7 +110,7 @@ class Episodes:
 
 @dataclass(frozen=True)
 class Distances:
-    """Tip distance between two traces until either ends; infinite where one alone diverges."""
+    """Tip distance between two traces until either ends; infinite where one of them diverges."""
 
     largest: Array  # (T, N) [m] up to each time; NaN after the end of an episode
     kinds: tuple[str, ...]
@@ -115,7 +121,9 @@ class Distances:
         both = a.valid & b.valid
         largest = np.maximum.accumulate(np.where(both, apart, 0.0), axis=0)
         largest = np.where(both, largest, np.nan)
-        largest[0, a.diverged != b.diverged] = np.inf
+        lengths = a.valid.sum(axis=0), b.valid.sum(axis=0)
+        lost = np.where(a.diverged, lengths[0] < lengths[1], b.diverged & (lengths[1] < lengths[0]))
+        largest[0, lost] = np.inf
         return cls(largest, kinds)
 
     def of(self, kind: str) -> Array:
@@ -158,9 +166,7 @@ def _random(
     return q, v, _with_holding(core, q, shares)
 
 
-def _as_recorded(
-    arm: Arm, found: Recorded, count: int, steps: int
-) -> tuple[Array, Array, Array]:
+def _as_recorded(arm: Arm, found: Recorded, count: int, steps: int) -> tuple[Array, Array, Array]:
     """Starts and actions of recorded episodes; the actions end with zeros."""
     q, actions = np.zeros((count, arm.n)), np.zeros((steps, count, found.actions.shape[2]))
     chosen = np.arange(count) % len(found.start)

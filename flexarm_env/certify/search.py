@@ -60,8 +60,7 @@ class Limits:
         """True if errors over episodes stay within the limits."""
         whole = all(found.share(kind) <= most * self.reach for kind, most in self.share.items())
         return whole and not any(
-            np.any(found.curve(kind) > allowed * self.reach)
-            for kind, allowed in self.curve.items()
+            np.any(found.curve(kind) > allowed * self.reach) for kind, allowed in self.curve.items()
         )
 
 
@@ -92,7 +91,8 @@ def fewest_steps(
         if method.evaluations(substeps) > most:
             return None
         found = certifier.error(integrator, substeps)
-        if limits.keep(found) and momentum_error(certifier.arm, certifier.keywords, integrator, substeps) <= MOMENTUM_ERROR:
+        lost = momentum_error(certifier.arm, certifier.keywords, integrator, substeps)
+        if limits.keep(found) and lost <= MOMENTUM_ERROR:
             error = found.worst_share / certifier.reach
             return {"integrator": integrator, "substeps": substeps, "error": float(f"{error:.3g}")}
     return None

@@ -2,8 +2,8 @@
 
 The link has its first two natural modes on the free hub and bends to fourth order: with these the
 tip stays within a thousandth of the reach in whole episodes at full torque. The joint-free
-frequencies are exact, 7.442 and 17.66 Hz; the joint-locked ones are 2.100 and 14.018 Hz, 0.2 % above
-the exact 2.096 and 13.989 Hz (measured 2.08 and 13.92 Hz).
+frequencies are exact, 7.442 and 17.66 Hz; the joint-locked ones are 2.100 and 14.018 Hz, 0.2 %
+above the exact 2.096 and 13.989 Hz (measured 2.08 and 13.92 Hz).
 """
 
 from dynamics.arms.checks import Check

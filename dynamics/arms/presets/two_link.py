@@ -6,7 +6,8 @@ that is held over a control step becomes unstable: an artefact that no motor has
 turns a rotor of 5e-6 kg m^2 through a gear of 100. Frequencies with locked joints are unchanged.
 
 Both links bend to fourth order. Link 1 has both shapes of a beam without mass, link 2 that under a
-tip force: with these the tip stays within a thousandth of the reach in whole episodes at full torque.
+tip force: with these the tip stays within a thousandth of the reach in whole episodes at full
+torque.
 """
 
 from dataclasses import replace

@@ -1,6 +1,5 @@
 """Arms that are no presets: models for `modes: auto`, rigid choices, tables of any arm."""
 
-import json
 import logging
 from pathlib import Path
 from typing import Any
@@ -9,10 +8,9 @@ import gymnasium as gym
 import pytest
 
 from dynamics import Arm, load_arm
-from flexarm_env import certify, pages
-from flexarm_env.accuracy import certificates
-from flexarm_env.accuracy.certificates import AUTO_TOLERANCE, fit, stored
-from flexarm_env.registration import SCENES
+from flexarm_env.accuracy.certificates import AUTO_TOLERANCE, fit
+from flexarm_env.certify import choice
+from flexarm_env.core import Core
 
 DT = 0.02
 OWN: dict[str, Any] = {
@@ -28,7 +26,7 @@ OWN: dict[str, Any] = {
 
 @pytest.fixture
 def searched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[float]:
-    """Tolerances that `choose_model` was asked for; it answers with one mode, or fails at 1 m."""
+    """Tolerances that a choice was asked for; it answers with one mode, or fails for "hard"."""
     tolerances: list[float] = []
 
     class Found:
@@ -43,13 +41,13 @@ def searched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[float]:
         def to_dict(self) -> dict[str, Any]:
             return self.data
 
-    def answer(arm: Arm, scene: object, tolerance: float, acceptable: object) -> Found:
+    def answer(arm: Arm, control_dt: float, tolerance: float) -> tuple[Found, Core]:
         tolerances.append(tolerance)
         if arm.name == "hard":
             raise RuntimeError("No model is within that.")
-        return Found(arm, tolerance)
+        return Found(arm, tolerance), Core(task="Reach", arm=arm, control_dt=control_dt)
 
-    monkeypatch.setattr(certificates, "choose_model", answer)
+    monkeypatch.setattr(choice, "choose", answer)
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path / "cache"))
     return tolerances
 
@@ -63,7 +61,8 @@ def test_an_automatic_arm_is_measured_to_a_thousandth_of_its_reach_and_cached(
     assert searched == [AUTO_TOLERANCE * arm.reach]
     assert found[0] == found[1]
     assert len(found[0].arm.links[0].modes) == 1
-    assert (found[0].integrator, found[0].substeps) == ("midpoint", 2)
+    assert found[0].entry is not None
+    assert found[0].entry["steps"] == [{"integrator": "midpoint", "substeps": 2}]
     assert "modes: auto of own: One mode suffices." in caplog.text
 
 
@@ -82,7 +81,7 @@ def test_an_automatic_arm_without_a_sufficient_model_keeps_the_rule_and_says_so(
     arm = load_arm({**OWN, "name": "hard"})
     found = fit(arm, DT, "auto", None)
     assert found.arm == arm
-    assert found.certificate is None
+    assert found.entry is None
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
     assert "No model is within that." in record.getMessage()
@@ -120,114 +119,8 @@ def test_a_tolerance_that_ends_in_rigid_links_says_so(caplog: pytest.LogCaptureF
     arm = load_arm({**OWN, "links": [{**OWN["links"][0], "modes": []}]})
     found = fit(arm, DT, "auto", 0.4)
     assert not found.arm.links[0].modes
-    assert found.certificate is not None
+    assert found.entry is not None
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
     assert "The chosen model of own has rigid links" in record.getMessage()
-    assert f"{found.certificate['error']:.2g} m" in record.getMessage()
-
-
-# ---- python -m flexarm_env.certify --------------------------------------------------------------
-
-
-@pytest.fixture
-def unmeasured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A copy of certificates.json; every measurement answers with that of slim."""
-    known = stored()["slim"]
-
-    class Measured:
-        def to_dict(self) -> dict[str, Any]:
-            return dict(known["certificate"])
-
-    class Certifies:
-        def certificate(self, integrator: str, dt: float) -> Measured:
-            return Measured()
-
-    store = tmp_path / "certificates.json"
-    store.write_text(certificates.STORE.read_text(encoding="utf-8"), encoding="utf-8")
-    monkeypatch.setattr(certify, "STORE", store)
-    monkeypatch.setattr(
-        certify, "fewest_steps",
-        lambda certifier, dt, method: next(
-            (x for x in known["steps"] if x["integrator"] == method), None
-        ),
-    )  # fmt: skip
-    monkeypatch.setattr(certify, "timed", lambda arm, dt, steps: steps)
-    errors = {step["integrator"]: step["episode_error"] for step in known["steps"]}
-    monkeypatch.setattr(certify, "episode_error", lambda arm, dt, method, count: errors[method])
-    monkeypatch.setattr(certify, "certifier_of", lambda arm, dt: Certifies())
-    return store
-
-
-def test_the_table_of_an_automatic_arm_says_what_was_chosen(
-    unmeasured: Path, searched: list[float], capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    path = tmp_path / "own.json"
-    for name, sentence in (("own", "One mode suffices."), ("hard", "No model was found within")):
-        path.write_text(json.dumps({**OWN, "name": name}))
-        assert certify.main([str(path)]) == 0
-        assert f"Chosen for `modes: auto`: {sentence}" in capsys.readouterr().out
-
-
-def test_the_printed_table_of_a_registered_arm_is_that_of_its_page(
-    unmeasured: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert certify.main(["slim"]) == 0
-    table = capsys.readouterr().out.split("\n\n", 1)[1].strip()
-    assert "| integration |" in table
-    assert table in pages.page("FlexArm/OneLink-Reach-v0")
-    assert json.loads(unmeasured.read_text())["slim"] == stored()["slim"]
-
-
-@pytest.mark.parametrize("source", ["gu-petkov", "own.json", "own.yaml", "slim at 0.01 s"])
-def test_any_preset_and_arm_file_is_printed_and_not_stored(
-    source: str, unmeasured: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    before = unmeasured.read_bytes()
-    given = [source]
-    if source.startswith("own"):
-        path = tmp_path / source
-        path.write_text(json.dumps({**OWN, "links": [{**OWN["links"][0], "modes": []}]}))
-        given = [str(path)]
-    elif source.startswith("slim"):
-        given = ["slim", "--control-dt", "0.01"]
-    assert certify.main(given) == 0
-    shown = capsys.readouterr()
-    assert f"`python -m flexarm_env.certify {given[0]} --control-dt 0.0" in shown.out
-    assert "| residual |" in shown.out
-    assert "| exponential |" in shown.out
-    assert "fewest steps of rk4" in shown.err
-    assert unmeasured.read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        (["slimm"], "Unknown arm 'slimm'"),
-        (["missing.yaml"], "no such file: missing.yaml in /"),
-        (["stanford"], "joint 3 is prismatic"),
-        (["slim", "--control-dt", "0"], "--control-dt"),
-    ],
-)
-def test_what_cannot_be_certified_is_one_sentence_and_a_status(
-    given: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert certify.main(given) == 2
-    shown = capsys.readouterr()
-    assert sentence in shown.err
-    assert shown.err.count("\n") == 1
-    assert shown.out == ""
-
-
-def test_an_arm_that_no_method_follows_needs_a_shorter_control_step(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(certify, "fewest_steps", lambda *setting: None)
-    assert certify.main(["gu-petkov"]) == 2
-    assert "give a smaller --control-dt" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", [arm for arm, _, _ in SCENES.values()])
-def test_the_control_step_by_rule_is_near_the_registered_one(name: str) -> None:
-    registered = next(dt for arm, dt, _ in SCENES.values() if arm == name)
-    assert certify.default_control_dt(load_arm(name)) == registered
+    assert f"{found.entry['certificate']['error']:.2g} m" in record.getMessage()

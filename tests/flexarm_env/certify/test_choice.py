@@ -1,0 +1,82 @@
+"""Models chosen over episodes, for `tolerance` and `modes: auto`."""
+
+import logging
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from dynamics import load_arm
+from dynamics.accuracy.progress import Progress
+from flexarm_env.accuracy.certificates import fit
+from flexarm_env.certify.certificate import Certifier
+from flexarm_env.certify.motions import KINDS, bang_bang, held, sines, white
+
+ENV_ID = "FlexArm/OneLink-Reach-v0"
+
+
+def test_a_tolerance_holds_in_other_episodes_than_those_of_the_choice() -> None:
+    env: Any = gym.make(ENV_ID, tolerance=0.012).unwrapped
+    assert env.certificate["error"] <= 0.012
+    assert env.certificate["holds"]["torque_limit"] == env.torque_limit.tolist()
+    kinds = ("white", "bang-bang")
+    certifier = Certifier(env.arm, {"control_dt": 0.02}, 150, kinds=kinds, count=32)
+    error = certifier.error(env.core.integrator, env.core.substeps).worst_share
+    assert 0.1 * env.certificate["error"] < error < 1.5 * 0.012
+
+
+def test_fidelity_changes_the_model_and_not_the_task() -> None:
+    rigid, auto, fine = (
+        gym.make(ENV_ID, fidelity=name).unwrapped for name in ("rigid", "auto", "reference")
+    )
+    assert [env.core.arm.n for env in (rigid, auto, fine)] == [1, 3, 13]  # type: ignore[attr-defined]
+    for env in (rigid, fine):
+        assert env.torque_limit == auto.torque_limit  # type: ignore[attr-defined]
+        assert env.certificate is None  # type: ignore[attr-defined]
+    for bad, words in (
+        ({"fidelity": "best"}, r"Unknown fidelity 'best'. Known"),
+        ({"fidelity": "rigid", "tolerance": 0.1}, "not both"),
+        ({"tolerance": -1.0}, "tolerance must be positive"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            gym.make(ENV_ID, **bad)  # type: ignore[arg-type]
+
+
+def test_drawn_parameters_have_no_tolerance() -> None:
+    with pytest.raises(ValueError, match=r"tolerance \(0.01 m\) covers the arm as described.*ends"):
+        gym.make(ENV_ID, randomize={"payload_mass": (0.0, 0.1)}, tolerance=0.01)
+
+
+def test_a_tolerance_that_nothing_meets_is_refused(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO), pytest.raises(RuntimeError, match="Take a larger"):
+        fit(load_arm("slim"), 0.02, "auto", 1e-7)
+
+
+@pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.actions])
+def test_actions_of_a_kind_are_within_their_limits_and_differ_between_episodes(name: str) -> None:
+    kind = KINDS[name]
+    assert kind.actions is not None
+    found = kind.actions(np.random.default_rng(0), (100, 6, 2), 0.1)
+    assert found.shape == (100, 6, 2)
+    assert 0.3 < np.abs(found).max() <= 1.0
+    assert (np.std(found[:, :, 0], axis=1).max()) > 0.1
+
+
+def test_times_of_the_kinds_are_in_periods() -> None:
+    shape = (60, 1, 1)
+    rng = np.random.default_rng(0)
+    assert len(np.unique(white(rng, shape, 0.1))) == 60
+    assert len(np.unique(held(rng, shape, 0.1))) == 4  # 1.5 periods of ten steps
+    assert np.abs(bang_bang(rng, shape, 0.1)).min() == 1.0
+    assert np.abs(np.diff(sines(rng, shape, 0.01)[:, 0, 0])).max() < 0.11
+
+
+def test_progress_shows_stages_only_if_asked(capsys: pytest.CaptureFixture[str]) -> None:
+    for shown in (None, False, True):
+        with Progress(shown) as line:
+            line.stage("reference")
+            line.motion()
+            line.result("0.1 m")
+        text = capsys.readouterr().err
+        assert ("reference: 1 motions" in text and "0.1 m" in text) == (shown is True)

@@ -1,0 +1,144 @@
+"""`flexarm certify`: what it prints, keeps and refuses."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import pytest
+
+from dynamics import load_arm
+from flexarm_env import pages
+from flexarm_env.accuracy.certificates import stored
+from flexarm_env.certify import __main__ as command
+from flexarm_env.certify.search import TIME_PER_DECADE, best_first
+from flexarm_env.registration import SCENES
+
+OWN = {
+    "name": "own",
+    "links": [
+        {
+            "length": 0.8, "rho_A": 0.4, "EIz": 30.0, "tip_mass": 0.1, "damping_ratio": 0.01,
+            "modes": [{"kind": "clamped-tip-mass", "index": 1, "direction": "y"}],
+            "joint": {"rotor_inertia": 0.05},
+        }
+    ],
+}  # fmt: skip
+
+
+@pytest.fixture
+def unmeasured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[Any, ...]]:
+    """Settings that were to be measured; every measurement answers with that of slim."""
+    given: list[tuple[Any, ...]] = []
+
+    def entry(*setting: Any) -> dict[str, Any]:
+        given.append(setting)
+        found: dict[str, Any] = json.loads(json.dumps(stored()["slim"]["measured"][0]))
+        return found
+
+    monkeypatch.setattr(command, "entry", entry)
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path / "cache"))
+    return given
+
+
+def test_the_printed_table_of_an_id_is_that_of_its_page(
+    unmeasured: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.main(["FlexArm/OneLink-Reach-v0"]) == 0
+    table = capsys.readouterr().out.split("\n\n", 1)[1].strip()
+    assert "| integration |" in table
+    assert table in pages.page("FlexArm/OneLink-Reach-v0")
+
+
+def test_keywords_of_an_id_and_of_the_command_are_measured(
+    unmeasured: list[tuple[Any, ...]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["FlexArm/OneLink-ReachAgile-v0", "--set", "hardware=laboratory"]
+    assert command.main([*given, "--set", "deflection_limit=0.05"]) == 0
+    _, dt, steps, keywords, _ = unmeasured[-1]
+    assert (dt, steps) == SCENES["OneLink"][1:]
+    wanted = {"torque_limit": (3.0,), "hardware": "laboratory", "deflection_limit": 0.05}
+    assert keywords == wanted
+    assert '--set hardware="laboratory"' in capsys.readouterr().out
+
+
+def test_an_environment_finds_what_the_command_measured(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A real run with few episodes."""
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(command, "EPISODES", 2)
+    monkeypatch.setattr("flexarm_env.certify.search.TIMED", 1)
+    path = tmp_path / "own.json"
+    path.write_text(json.dumps(OWN))
+    keywords: Any = {"arm": str(path), "control_dt": 0.02, "deflection_limit": 0.05}
+    before: Any = gym.make("FlexArm/OneLink-Reach-v0", **keywords).unwrapped
+    assert "never measured" in before.uncertified
+
+    step = ["--set", "integrator=exponential-2", "--set", "substeps=1"]
+    given = [str(path), "--control-dt", "0.02", "--set", "deflection_limit=0.05"]
+    assert command.main([*given, *step]) == 0
+
+    after: Any = gym.make("FlexArm/OneLink-Reach-v0", **keywords).unwrapped
+    assert (after.core.integrator, after.core.substeps) == ("exponential-2", 1)
+    assert after.certificate["holds"]["deflection_limit"] == 0.05
+    assert 0.0 < after.certificate["error"] < 0.05 * after.reach
+    wider: Any = gym.make("FlexArm/OneLink-Reach-v0", arm=str(path), control_dt=0.02).unwrapped
+    assert wider.certificate is None
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        (["slimm"], "Unknown arm 'slimm'"),
+        (["missing.yaml"], "no such file: missing.yaml in /"),
+        (["stanford"], "joint 3 is prismatic"),
+        (["slim", "--control-dt", "0"], "--control-dt"),
+        (["FlexArm/OneLnk-Reach-v0"], "did you mean"),
+        (["slim", "--set", "hardware=lab"], "lab"),
+        (["slim", "--set", "integrator=euler", "--set", "substeps=1"], "diverges"),
+        (["--store", "slimm"], "must be one of"),
+    ],
+)
+def test_what_cannot_be_certified_is_one_sentence_and_a_status(
+    given: list[str], sentence: str, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(command, "EPISODES", 2)
+    assert command.main(given) == 2
+    shown = capsys.readouterr()
+    assert sentence in shown.err
+    assert len([line for line in shown.err.splitlines() if "certify" in line]) == 1
+    assert shown.out == ""
+
+
+@pytest.mark.parametrize("given", ["payload=1", "hardware", "randomize={"])
+def test_a_keyword_that_is_none_is_refused_by_the_parser(
+    given: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        command.main(["slim", "--set", given])
+    assert "--set" in capsys.readouterr().err
+
+
+def test_an_arm_that_no_method_follows_needs_a_shorter_control_step(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "EPISODES", 2)
+    monkeypatch.setattr(command, "sufficient_steps", lambda certifier: [])
+    assert command.main(["slim"]) == 2
+    assert "give a smaller --control-dt" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", [arm for arm, _, _ in SCENES.values()])
+def test_the_control_step_by_rule_is_near_the_registered_one(name: str) -> None:
+    registered = next(dt for arm, dt, _ in SCENES.values() if arm == name)
+    assert command.default_control_dt(load_arm(name)) == registered
+
+
+def test_a_tenth_of_the_error_may_cost_a_tenth_more_time() -> None:
+    fast = {"seconds": 1.0, "error": 1e-3}
+    accurate = {"seconds": 0.99 * math.exp(2.0 * TIME_PER_DECADE), "error": 1e-5}
+    slow = {"seconds": 1.01 * math.exp(2.0 * TIME_PER_DECADE), "error": 1e-5}
+    assert best_first([slow, fast, accurate]) == [accurate, fast, slow]
