@@ -135,7 +135,7 @@ TRIALS = {
         Trial(
             _one(50.0, (0.0, -9.81, 0.0), length=1.0, rho_A=0.2, EIz=1.0),
             _scene("soft beam", release((0.0,), t_end=0.5)),
-            0.02, "poly", 2, 12,
+            5e-3, "poly", 2, 12,
         ),
         Trial(
             SPATIAL, _scene("spatial, both joints", bang_bang((3.0, 2.0), pulse=0.1, t_end=0.3)),

@@ -21,7 +21,7 @@ from flexarm_env.certify.__main__ import command
 from flexarm_env.certify.certificate import DISTURBANCE
 from flexarm_env.certify.certificate import EPISODES as COUNT
 from flexarm_env.certify.motions import KINDS
-from flexarm_env.certify.search import BATCH, MOMENTUM_ERROR, SLACK, TIP_ERROR
+from flexarm_env.certify.search import BATCH, MOMENTUM_ERROR, SHAKEN, SLACK, TIP_ERROR
 from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core
 from flexarm_env.env import FlexArmEnv
@@ -54,6 +54,7 @@ def common_page() -> str:
         kinds=_table(("kind", "actions"), [(name, kind.text) for name, kind in KINDS.items()]),
         disturbance=DISTURBANCE,
         slack=SLACK,
+        shaken=SHAKEN,
         momentum_error=MOMENTUM_ERROR,
         batch=BATCH,
     )

@@ -13,6 +13,7 @@ from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.certify.certificate import Certifier
 from flexarm_env.certify.episodes import Distances
 from flexarm_env.certify.momentum import momentum_error
+from flexarm_env.certify.motions import KINDS
 from flexarm_env.core import Core
 from flexarm_env.scales import SAFE, scales
 
@@ -23,7 +24,8 @@ METHODS = (
 TIP_ERROR = 1e-3  # [of the reach] of model and step together, in SHARE of the episodes of a kind
 MARGIN = 0.8  # of TIP_ERROR: other episodes scatter by as much
 ALONE = 1.2  # [-] error with a step over that of the model, where this leaves no margin
-SLACK = 2.0  # [-] the same at every time, where the model errs by more than TIP_ERROR
+SLACK, SHAKEN = 3.5, 12.0  # [-] the same at every time, where the model errs by more than TIP_ERROR
+# SHAKEN where links vibrate from the start, which the model itself follows for long
 LOST = 1e-2  # [of the reach] error of the model beyond which no step is judged
 MOMENTUM_ERROR = 1e-3  # [of the base's own momentum] that a step may lose on a floating base
 MOST_STEPS = 24  # per control step; more than that is never the cheapest
@@ -41,7 +43,7 @@ class Limits:
 
     Where the model keeps TIP_ERROR over whole episodes, so must the step: with a MARGIN for other
     draws, unless the model leaves none. Where it does not, since motions grow apart in time, the
-    error may be SLACK times the model's at every time.
+    error may be SLACK times the model's at every time, or SHAKEN times.
     """
 
     def __init__(self, certifier: Certifier) -> None:
@@ -53,7 +55,8 @@ class Limits:
             if share <= TIP_ERROR:
                 self.share[kind] = min(TIP_ERROR, max(MARGIN * TIP_ERROR, ALONE * share))
             else:
-                allowed = np.maximum(TIP_ERROR, SLACK * curve)
+                slack = SHAKEN if KINDS[kind].shaken else SLACK
+                allowed = np.maximum(TIP_ERROR, slack * curve)
                 self.curve[kind] = np.where(curve > LOST, np.inf, allowed)
 
     def keep(self, found: Distances) -> bool:

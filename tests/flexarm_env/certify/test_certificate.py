@@ -1,6 +1,5 @@
 """Certificates: each environment has its own, and a default keeps the error that is stated."""
 
-from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -8,9 +7,8 @@ import numpy as np
 import pytest
 
 import flexarm_env
-from dynamics import Mode, compile_arm, load_arm, simulate
-from dynamics.accuracy.fidelity import everything, rigid
-from dynamics.simulation.case_file import PiecewiseConstant, Torque
+from benchmarks.episode_errors import independent, solved
+from dynamics import load_arm
 from flexarm_env.accuracy.certificates import entries, stored
 from flexarm_env.certify.__main__ import conditions
 from flexarm_env.certify.certificate import Certifier, interval
@@ -19,8 +17,8 @@ from flexarm_env.certify.motions import KINDS
 from flexarm_env.certify.search import TIP_ERROR
 from flexarm_env.registration import SCENES
 
-SIX_LINKS = pytest.param("SixLink", marks=pytest.mark.slow)
-SCENE_NAMES = ["OneLink", "TwoLink", "FreeFlyer", SIX_LINKS]
+SLOW = [pytest.param(scene, marks=pytest.mark.slow) for scene in ("FreeFlyer", "SixLink")]
+SCENE_NAMES = ["OneLink", "TwoLink", *SLOW]
 MEASURED = ("error", "integration", "truncation", "nonlinear", "residual")
 LONG = 3.0  # of the stated median, which that of few episodes stays within
 
@@ -48,17 +46,19 @@ def test_every_environment_has_the_certificate_of_its_own_step(
 
 @pytest.mark.parametrize("scene", ["OneLink", "TwoLink", "FreeFlyer"])
 def test_arms_of_few_links_keep_a_thousandth_of_the_reach_in_whole_episodes(scene: str) -> None:
-    for entry in stored()[SCENES[scene][0]]["measured"]:
+    """And a little more at agile torques, and with the payloads of the laboratory."""
+    for k, entry in enumerate(stored()[SCENES[scene][0]]["measured"]):
         for kind, found in entry["certificate"]["episodes"]["kinds"].items():
-            assert found["share"] <= TIP_ERROR, kind
+            assert found["share"] <= TIP_ERROR * (1.5 if k else 1.0), kind
 
 
 def test_six_links_keep_a_thousandth_for_half_a_second() -> None:
+    """From rest; where links vibrate from the start, a tenth of that."""
     kinds = stored()["six-link"]["measured"][0]["certificate"]["episodes"]["kinds"]
-    for level, least in enumerate((0.5, 1.2)):
-        until = [found["until"][level] for found in kinds.values()]
-        kept = [t is None or t >= least for t in until]
-        assert sum(kept) >= len(kept) - 1, (level, until)  # bang-bang leaves it earlier
+    for kind, found in kinds.items():
+        short = 0.15 if KINDS[kind].shaken else 1.0
+        for until, least in zip(found["until"], (0.5, 1.2), strict=True):
+            assert until is None or until >= short * least, kind
 
 
 @pytest.mark.parametrize("scene", ["OneLink", "TwoLink"])
@@ -99,51 +99,18 @@ def test_a_second_path_measures_the_same_error(scene: str) -> None:
     own = episodes.played(core)
     certifier = Certifier(arm, {"control_dt": dt}, steps, kinds=("white",), count=count)
     assert np.array_equal(certifier.episodes.actions, episodes.actions)
-    wanted = certifier.error(core.integrator, core.substeps).largest
+    wanted = certifier.error(core.integrator, core.substeps).per_episode
 
-    model = compile_arm(independent(arm))
-    truth = np.stack(
-        [solved(model, episodes, row, core.torque_limit, dt) for row in range(count)], axis=1
-    )
-    found = Distances.between(own, Trace(truth, own.valid, own.diverged), episodes.kinds).largest
+    truth = solved(arm, episodes, core.torque_limit, dt)
+    other = Trace(truth, own.valid, own.diverged)
+    found = Distances.between(own, other, episodes.kinds).per_episode
 
-    rows = np.nan_to_num(wanted).max(axis=0)
-    assert np.nan_to_num(found).max(axis=0) == pytest.approx(rows, rel=0.2)
+    assert found == pytest.approx(wanted, rel=0.2)
 
 
-def independent(arm: Any) -> Any:
-    """The arm in other segments, with powers of x as shapes."""
-    segments, modes = (5, 3) if arm.n_joint <= 2 else (3, 2)
-    fine = rigid(arm, foreshortening=True, polynomial=True)
-    fine = replace(fine, counts=everything(arm, modes, 1), segments=(segments,) * arm.n_joint).arm(
-        arm
-    )
-    links = tuple(
-        replace(link, modes=tuple(replace(m, kind="poly") for m in link.modes))
-        for link in fine.links
-    )
-    return replace(fine, links=links)
-
-
-def solved(model: Any, episodes: Episodes, row: int, limit: Any, dt: float) -> Any:
-    """(T, 3) [m] tips of one episode, by SciPy with error control."""
-    times = dt * np.arange(len(episodes.actions) + 1)
-    actions = episodes.actions[:, row].astype(np.float32).astype(float)
-    signals = tuple(
-        PiecewiseConstant(times=tuple(times[:-1].tolist()), values=tuple(values.tolist()))
-        for values in (actions * limit).T
-    )
-    q = model.rigid(np.zeros(model.n))
-    joints = list(episodes.arm.joint_index)
-    q[list(model.arm.joint_index)] = episodes.q[row, joints]
-    rest = np.zeros(model.n)
-    return simulate(model, q, rest, Torque(signals=signals), times, rtol=1e-8).tip[1:]
-
-
-def test_modes_of_both_paths_differ() -> None:
-    arm = independent(load_arm("slim"))
-    assert {type(mode) for link in arm.links for mode in link.modes} == {Mode}
-    assert {mode.kind for link in arm.links for mode in link.modes} == {"poly"}
+def test_shapes_of_both_paths_differ() -> None:
+    modes = [mode for link in independent(load_arm("slim")).links for mode in link.modes]
+    assert {mode.kind for mode in modes} == {"poly"}
 
 
 def test_what_diverges_in_one_model_alone_has_an_infinite_error() -> None:
