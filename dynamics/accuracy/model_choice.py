@@ -9,7 +9,6 @@ shapes. The ladder lists all measured models and steps.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from dynamics.accuracy.choice import Choice, Rung, metres
 from dynamics.accuracy.fidelity import (
@@ -24,7 +23,7 @@ from dynamics.accuracy.fidelity import (
     rigid,
 )
 from dynamics.accuracy.progress import Progress
-from dynamics.accuracy.reference import ModelErrors
+from dynamics.accuracy.reference import ModelErrors, largest_distance
 from dynamics.accuracy.rollout import SAMPLES, STRIDES
 from dynamics.accuracy.scene import Scene
 from dynamics.description import validate
@@ -42,129 +41,6 @@ STEPPING = tuple(name for name, method in INTEGRATORS.items() if method.aid != "
 STEP_RATIO = 10.0**0.1  # of a step and the smaller one that has to confirm it
 LARGEST_FALL = 0.25  # of a step to the next smaller one that is tried
 MOST_STEPS = 1e6  # per motion
-
-
-class Errors(Protocol):
-    """A measure of the tip errors [m] of an arm's models, from a reference of its own."""
-
-    arm: Arm
-    name: str  # of the motions
-    tolerance: float
-    residual: float  # tip displacement by the last refinement of the reference
-    progress: Progress
-
-    @property
-    def model_tolerance(self) -> float:
-        """Error allowed in a model with converged integration."""
-
-    def converge(self) -> str:
-        """Compute the reference; return a description of it."""
-
-    def error(self, fidelity: Fidelity) -> float:
-        """Distance of a model, with converged integration, from the reference."""
-
-    def apart(self, fidelity: Fidelity, other: Fidelity) -> float:
-        """Distance of two models with converged integration."""
-
-    def step_budget(self, fidelity: Fidelity) -> float:
-        """Share of the tolerance that a model leaves for its integration error."""
-
-    def operations(self, fidelity: Fidelity) -> int:
-        """Operations of an evaluation of the accelerations."""
-
-    def estimate(self, fidelity: Fidelity) -> float:
-        """The same without a trace, to put models in order."""
-
-    def steps(self, fidelity: Fidelity, cheapest: float) -> "Iterator[Step]":
-        """For each integrator the largest step within the budget, unless it exceeds `cheapest`."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """An integrator's largest sufficient step with a model."""
-
-    model: Fidelity
-    integrator: str
-    dt: float  # [s]
-    rung: Rung
-
-    @property
-    def cost(self) -> float:
-        return math.inf if self.rung.cost is None else self.rung.cost
-
-
-class SceneErrors(ModelErrors):
-    """Tip errors on the motions of a scene, and the largest steps that a tolerance allows there."""
-
-    def steps(self, fidelity: Fidelity, cheapest: float) -> Iterator[Step]:
-        """For each integrator the largest step within the budget, unless it exceeds `cheapest`."""
-        for name in STEPPING:
-            dt, integration = self._largest_step(fidelity, name, cheapest)
-            fits = integration <= self.step_budget(fidelity)
-            work = self._cost(fidelity, name, dt)
-            cheapest = min(cheapest, work) if fits else cheapest
-            rung = Rung(
-                description=f"{name}, dt {dt:.4g} s",
-                error=self.error(fidelity) + integration,
-                integration=integration,
-                operations=self.rollout(fidelity).method(name).operations,
-                cost=work if fits else None,
-            )
-            yield Step(fidelity, name, dt, rung)
-
-    def _largest_step(
-        self, fidelity: Fidelity, integrator: str, cheapest: float
-    ) -> tuple[float, float]:
-        """Largest step [s] within the budget and its integration error [m].
-
-        Steps shrink as the method's order predicts until one fits; a smaller one has to confirm it.
-        The largest fitting step is then bracketed to the root of STEP_RATIO. Without such a step
-        below the cost `cheapest`, the last step that was tried.
-        """
-        budget, rollout = self.step_budget(fidelity), self.rollout(fidelity)
-        motions, method = self.scene.motions, INTEGRATORS[integrator]
-        found: dict[float, float] = {}  # step -> integration error
-
-        def error(dt: float) -> float:
-            if dt not in found:
-                found[dt] = self.integration(fidelity, integrator, dt)
-            return found[dt]
-
-        def near(dt: float) -> float:
-            return max(rollout.step(motion, dt) for motion in motions)
-
-        def finer(dt: float, ratio: float) -> float:
-            while near(dt * ratio) > (1.0 - 1e-9) * dt:
-                ratio /= STEP_RATIO
-            return near(dt * ratio)
-
-        fastest = max(rollout.fastest(motion) for motion in motions)
-        shortest = min(motion.t_end for motion in motions)
-        dt = shortest / (SAMPLES / STRIDES[0])
-        if fastest:
-            dt = min(dt, STABILITY_SHARE * method.limit / fastest)
-        dt, bad = near(dt), math.inf
-        while True:
-            while max(error(dt), error(finer(dt, 1.0 / STEP_RATIO))) > budget:
-                if error(dt) <= budget:  # by chance
-                    dt = finer(dt, 1.0 / STEP_RATIO)
-                bad = dt
-                if self._cost(fidelity, integrator, dt) > cheapest or shortest / dt > MOST_STEPS:
-                    return dt, error(dt)
-                fall = (budget / error(dt)) ** (1.0 / method.order)
-                dt = finer(dt, min(max(fall, LARGEST_FALL), 1.0 / STEP_RATIO))
-            between = near(math.sqrt(dt * bad))
-            if bad / dt <= STEP_RATIO**0.5 or between in found:
-                return dt, error(dt)
-            if error(between) <= budget:
-                dt = between
-            else:
-                bad = between
-
-    def _cost(self, fidelity: Fidelity, integrator: str, dt: float) -> float:
-        """Operations per simulated second, largest over the motions."""
-        rollout = self.rollout(fidelity)
-        return max(rollout.cost(motion, integrator, dt) for motion in self.scene.motions)
 
 
 def choose_model(
@@ -194,25 +70,19 @@ def choose_model(
     validate.instance(scene, "scene", Scene).check(arm)
     tolerance = validate.positive(tolerance, "tolerance", "m")
     with Progress(progress) as line:
-        return search(SceneErrors(arm, scene, tolerance, line))
+        return _choice(ModelErrors(arm, scene, tolerance, line))
 
 
-def search(errors: Errors) -> Choice:
-    """The cheapest model, integrator and step within a tolerance, by any measure of errors.
-
-    Raises
-    ------
-    RuntimeError : if the reference does not converge, or no model or step is accurate enough.
-    """
+def _choice(errors: ModelErrors) -> Choice:
     reference = errors.converge()
     ladder: list[Rung] = []
     sufficient = _cheapest_sufficient(errors, ladder)
     errors.progress.stage("steps")
-    steps = list(errors.steps(sufficient, math.inf))
+    steps = list(_steps(errors, sufficient))
     ladder += [step.rung for step in steps]
     rival = _rival(errors, sufficient)
     if rival:
-        further = list(errors.steps(rival, min(step.cost for step in steps)))
+        further = list(_steps(errors, rival, min(step.cost for step in steps)))
         ladder += [_rung(errors, rival, None), *(step.rung for step in further)]
         steps += further
     step = min(steps, key=lambda step: step.cost)
@@ -233,7 +103,7 @@ def search(errors: Errors) -> Choice:
         cost=best.cost,
         reason=_reason(errors, chosen, best),
         reference=reference,
-        scene=errors.name,
+        scene=errors.scene.name,
         ladder=tuple(ladder),
     )
 
@@ -269,7 +139,7 @@ def _most_segments(arm: Arm) -> tuple[int, ...]:
     return tuple(MOST_SEGMENTS if cut else 1 for cut in divisible(arm))
 
 
-def _cheapest_sufficient(errors: Errors, ladder: list[Rung]) -> Fidelity:
+def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
     """Cheapest model within the model tolerance, of the first kind that has one.
 
     Kinds and families that fail with all their modes are not refined step by step. A further family
@@ -316,11 +186,11 @@ def _alike(kind: _Kind, fidelity: Fidelity) -> Fidelity:
     return replace(kind.start, counts=counts, segments=fidelity.segments)
 
 
-def _suffices(errors: Errors, fidelity: Fidelity) -> bool:
+def _suffices(errors: ModelErrors, fidelity: Fidelity) -> bool:
     return errors.error(fidelity) <= errors.model_tolerance
 
 
-def _refined(errors: Errors, kind: _Kind) -> list[Fidelity]:
+def _refined(errors: ModelErrors, kind: _Kind) -> list[Fidelity]:
     """Models from the kind's start up to a sufficient one; each adds the change of largest gain."""
     path, gains = [kind.start], dict[Change, float]()
     while errors.error(path[-1]) > errors.model_tolerance:
@@ -339,7 +209,7 @@ def _refined(errors: Errors, kind: _Kind) -> list[Fidelity]:
     return path
 
 
-def _gain(errors: Errors, before: Fidelity, after: Fidelity) -> float:
+def _gain(errors: ModelErrors, before: Fidelity, after: Fidelity) -> float:
     """Logarithm of the error ratio over the logarithm of the cost ratio."""
     far = 1e3 * errors.arm.reach
     limited = [min(max(errors.error(f), 1e-15), far) for f in (before, after)]
@@ -347,7 +217,7 @@ def _gain(errors: Errors, before: Fidelity, after: Fidelity) -> float:
     return math.log(limited[0] / limited[1]) / math.log(max(work, 1.01))
 
 
-def _pruned(errors: Errors, fidelity: Fidelity) -> Fidelity:
+def _pruned(errors: ModelErrors, fidelity: Fidelity) -> Fidelity:
     """Remove modes and segments that the tolerance does not need, cheapest remainder first.
 
     The highest modes are first removed together. A removal that has failed once is not tried again
@@ -358,7 +228,7 @@ def _pruned(errors: Errors, fidelity: Fidelity) -> Fidelity:
         fidelity = fidelity.without_highest()
     while True:
         options = {c: f for c, f in fidelity.reductions().items() if c not in needed}
-        for change in sorted(options, key=lambda c: errors.estimate(options[c])):
+        for change in sorted(options, key=lambda c: errors.rollout(options[c]).estimate):
             if _suffices(errors, options[change]):
                 fidelity = options[change]
                 break
@@ -367,12 +237,12 @@ def _pruned(errors: Errors, fidelity: Fidelity) -> Fidelity:
             return fidelity
 
 
-def _rung(errors: Errors, fidelity: Fidelity, best: Fidelity | None) -> Rung:
+def _rung(errors: ModelErrors, fidelity: Fidelity, best: Fidelity | None) -> Rung:
     truncation = nonlinear = None
     if best is not None:
         nonlinear = errors.error(best)
         if nonlinear < math.inf:
-            truncation = errors.apart(fidelity, best)
+            truncation = largest_distance(errors.tips(fidelity), errors.tips(best))
     return Rung(
         description=str(fidelity),
         error=errors.error(fidelity),
@@ -382,7 +252,21 @@ def _rung(errors: Errors, fidelity: Fidelity, best: Fidelity | None) -> Rung:
     )
 
 
-def _rival(errors: Errors, sufficient: Fidelity) -> Fidelity | None:
+@dataclass(frozen=True)
+class _Step:
+    """An integrator's largest sufficient step with a model."""
+
+    model: Fidelity
+    integrator: str
+    dt: float  # [s]
+    rung: Rung
+
+    @property
+    def cost(self) -> float:
+        return math.inf if self.rung.cost is None else self.rung.cost
+
+
+def _rival(errors: ModelErrors, sufficient: Fidelity) -> Fidelity | None:
     """The cheapest refinement with a larger step budget, if the sufficient model's is small.
 
     The refined model may be the cheaper one, because its steps may be longer.
@@ -399,7 +283,80 @@ def _rival(errors: Errors, sufficient: Fidelity) -> Fidelity | None:
     return min(rivals, key=errors.operations, default=None)
 
 
-def _reason(errors: Errors, chosen: Fidelity, best: Rung) -> str:
+def _steps(errors: ModelErrors, fidelity: Fidelity, cheapest: float = math.inf) -> Iterator[_Step]:
+    """For each integrator the largest step within the budget, unless it exceeds `cheapest`."""
+    for name in STEPPING:
+        dt, integration = _largest_step(errors, fidelity, name, cheapest)
+        fits = integration <= errors.step_budget(fidelity)
+        work = _cost(errors, fidelity, name, dt)
+        cheapest = min(cheapest, work) if fits else cheapest
+        rung = Rung(
+            description=f"{name}, dt {dt:.4g} s",
+            error=errors.error(fidelity) + integration,
+            integration=integration,
+            operations=errors.rollout(fidelity).method(name).operations,
+            cost=work if fits else None,
+        )
+        yield _Step(fidelity, name, dt, rung)
+
+
+def _largest_step(
+    errors: ModelErrors, fidelity: Fidelity, integrator: str, cheapest: float
+) -> tuple[float, float]:
+    """Largest step [s] within the budget and its integration error [m].
+
+    Steps shrink as the method's order predicts until one fits; a smaller one has to confirm it.
+    The largest fitting step is then bracketed to the root of STEP_RATIO. Without such a step below
+    the cost `cheapest`, the last step that was tried.
+    """
+    budget, rollout = errors.step_budget(fidelity), errors.rollout(fidelity)
+    motions, method = errors.scene.motions, INTEGRATORS[integrator]
+    found: dict[float, float] = {}  # step -> integration error
+
+    def error(dt: float) -> float:
+        if dt not in found:
+            found[dt] = errors.integration(fidelity, integrator, dt)
+        return found[dt]
+
+    def near(dt: float) -> float:
+        return max(rollout.step(motion, dt) for motion in motions)
+
+    def finer(dt: float, ratio: float) -> float:
+        while near(dt * ratio) > (1.0 - 1e-9) * dt:
+            ratio /= STEP_RATIO
+        return near(dt * ratio)
+
+    fastest = max(rollout.fastest(motion) for motion in motions)
+    shortest = min(motion.t_end for motion in motions)
+    dt = shortest / (SAMPLES / STRIDES[0])
+    if fastest:
+        dt = min(dt, STABILITY_SHARE * method.limit / fastest)
+    dt, bad = near(dt), math.inf
+    while True:
+        while max(error(dt), error(finer(dt, 1.0 / STEP_RATIO))) > budget:
+            if error(dt) <= budget:  # by chance
+                dt = finer(dt, 1.0 / STEP_RATIO)
+            bad = dt
+            if _cost(errors, fidelity, integrator, dt) > cheapest or shortest / dt > MOST_STEPS:
+                return dt, error(dt)
+            fall = (budget / error(dt)) ** (1.0 / method.order)
+            dt = finer(dt, min(max(fall, LARGEST_FALL), 1.0 / STEP_RATIO))
+        between = near(math.sqrt(dt * bad))
+        if bad / dt <= STEP_RATIO**0.5 or between in found:
+            return dt, error(dt)
+        if error(between) <= budget:
+            dt = between
+        else:
+            bad = between
+
+
+def _cost(errors: ModelErrors, fidelity: Fidelity, integrator: str, dt: float) -> float:
+    """Operations per simulated second, largest over the motions."""
+    rollout = errors.rollout(fidelity)
+    return max(rollout.cost(motion, integrator, dt) for motion in errors.scene.motions)
+
+
+def _reason(errors: ModelErrors, chosen: Fidelity, best: Rung) -> str:
     simpler = [errors.error(f) for f in chosen.reductions().values()]
     less = f"; the next simpler model errs by {metres(min(simpler))} m" if simpler else ""
     if simpler and min(simpler) <= errors.model_tolerance:

@@ -30,7 +30,6 @@ class ModelErrors:
         self, arm: Arm, scene: Scene, tolerance: float, progress: Progress | None = None
     ) -> None:
         self.arm, self.scene, self.tolerance = arm, scene, tolerance
-        self.name = scene.name
         self.progress = progress or Progress(False)
         self.residual = 0.0  # [m] tip displacement by the last refinement of the reference
         self.reference: Tips = []
@@ -69,10 +68,6 @@ class ModelErrors:
         """[m] distance of a model, with converged integration, from the reference."""
         return largest_distance(self.tips(fidelity), self.reference)
 
-    def apart(self, fidelity: Fidelity, other: Fidelity) -> float:
-        """[m] distance of two models with converged integration."""
-        return largest_distance(self.tips(fidelity), self.tips(other))
-
     def integration(self, fidelity: Fidelity, integrator: str, dt: float) -> float:
         """[m] integration error of a model by steps of about `dt` [s] as in use."""
         rollout = self.rollout(fidelity)
@@ -90,12 +85,7 @@ class ModelErrors:
         return self.tolerance - self.residual - self.error(fidelity)
 
     def operations(self, fidelity: Fidelity) -> int:
-        """Operations of an evaluation of the accelerations."""
         return self.rollout(fidelity).operations
-
-    def estimate(self, fidelity: Fidelity) -> float:
-        """The same without a trace, to put models in order."""
-        return self.rollout(fidelity).estimate
 
     def converge(self) -> str:
         """Refine the reference until its tip settles; return a description of it.

@@ -15,6 +15,7 @@ from typing import Any
 from dynamics import cache
 from dynamics.accuracy.certificate import fidelity_of
 from dynamics.accuracy.fidelity import Fidelity, divisible, everything, rigid
+from dynamics.accuracy.model_choice import choose_model
 from dynamics.backends.numba_llvm.fingerprint import fingerprint, hash_of_files, sources
 from dynamics.description import validate
 from dynamics.description.arm import Arm
@@ -199,7 +200,7 @@ def _fitted(found: dict[str, Any], control_dt: float) -> Fitted:
 
 
 def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
-    """Result of `certify.choice.choose`, or `failed` with the reason.
+    """Result of `choose_model` on the motions of `certify.motions`, or `failed` with the reason.
 
     It is cached, since the search may take minutes.
     """
@@ -208,11 +209,12 @@ def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
     key = fingerprint("choice", _measuring(), described, repr(control_dt), repr(tolerance))
 
     def choose() -> str:
-        from flexarm_env.certify.choice import choose  # which builds environments by this module
+        from flexarm_env.certify.scene import scene  # which builds environments by this module
 
         try:
-            choice, core = choose(arm, control_dt, tolerance)
-            found = choice.to_dict() | {"holds": core.conditions.to_dict()}
+            motions, conditions = scene(arm, control_dt)
+            found = choose_model(arm, motions, tolerance).to_dict()
+            found["holds"] = conditions.to_dict()
         except (RuntimeError, ValueError) as error:
             found = {"failed": str(error), "refused": isinstance(error, ValueError)}
         return json.dumps(found, indent=2)

@@ -8,9 +8,8 @@ import gymnasium as gym
 import pytest
 
 from dynamics import Arm, load_arm
+from flexarm_env.accuracy import certificates
 from flexarm_env.accuracy.certificates import AUTO_TOLERANCE, fit
-from flexarm_env.certify import choice
-from flexarm_env.core import Core
 
 DT = 0.02
 OWN: dict[str, Any] = {
@@ -41,13 +40,13 @@ def searched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[float]:
         def to_dict(self) -> dict[str, Any]:
             return self.data
 
-    def answer(arm: Arm, control_dt: float, tolerance: float) -> tuple[Found, Core]:
+    def answer(arm: Arm, scene: object, tolerance: float) -> Found:
         tolerances.append(tolerance)
         if arm.name == "hard":
             raise RuntimeError("No model is within that.")
-        return Found(arm, tolerance), Core(task="Reach", arm=arm, control_dt=control_dt)
+        return Found(arm, tolerance)
 
-    monkeypatch.setattr(choice, "choose", answer)
+    monkeypatch.setattr(certificates, "choose_model", answer)
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path / "cache"))
     return tolerances
 

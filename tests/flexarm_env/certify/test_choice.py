@@ -12,18 +12,32 @@ from dynamics.accuracy.progress import Progress
 from flexarm_env.accuracy.certificates import fit
 from flexarm_env.certify.certificate import Certifier
 from flexarm_env.certify.motions import KINDS, bang_bang, held, sines, white
+from flexarm_env.certify.scene import STEPS, scene
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 
 
-def test_a_tolerance_holds_in_other_episodes_than_those_of_the_choice() -> None:
+def test_a_tolerance_holds_in_episodes_as_long_as_those_of_the_choice() -> None:
     env: Any = gym.make(ENV_ID, tolerance=0.012).unwrapped
     assert env.certificate["error"] <= 0.012
     assert env.certificate["holds"]["torque_limit"] == env.torque_limit.tolist()
     kinds = ("white", "bang-bang")
-    certifier = Certifier(env.arm, {"control_dt": 0.02}, 150, kinds=kinds, count=32)
+    certifier = Certifier(env.arm, {"control_dt": 0.02}, STEPS, kinds=kinds, count=16)
     error = certifier.error(env.core.integrator, env.core.substeps).worst_share
     assert 0.1 * env.certificate["error"] < error < 1.5 * 0.012
+
+
+def test_a_scene_has_the_motions_of_the_certificate() -> None:
+    found, conditions = scene(load_arm("two-link"), 0.05)
+    assert len(found.motions) == 2
+    limits = conditions.torque_limit
+    for motion in found.motions:
+        assert motion.hold == 0.05
+        assert all(abs(t / 0.05 - round(t / 0.05)) < 1e-9 for t in motion.knots)
+        assert motion.torque is not None
+        torques = np.array([motion.torque(t + 0.01) for t in motion.knots[:-1]])
+        assert (np.abs(torques) <= limits).all()
+        assert np.abs(torques / limits).max() > 0.5
 
 
 def test_fidelity_changes_the_model_and_not_the_task() -> None:
