@@ -59,18 +59,23 @@ def sentence(certificate: Mapping[str, Any]) -> str:
     )
 
 
+def shown(value: float | None, form: str = ".1e", factor: float = 1.0) -> str:
+    """A number of a certificate; None stands for episodes that diverge."""
+    return "diverges" if value is None else f"{factor * value:{form}}"
+
+
 def kinds(episodes: Mapping[str, Any]) -> str:
     """Tip error of whole episodes of each kind."""
     first, second = (f"until {level:g} [s]" for level in episodes["levels"])
     rows = [
         (
             name,
-            f"{x['median']:.1e}",
-            f"{x['share']:.1e} ({x['interval'][0]:.1e} to {x['interval'][1]:.1e})",
-            f"{x['worst']:.1e}",
+            shown(x["median"]),
+            f"{shown(x['share'])} ({' to '.join(map(shown, x['interval']))})",
+            shown(x["worst"]),
             f"{x['length']:.2g}",
             *("the end" if t is None else f"{t:.2g}" for t in x["until"]),
-            f"{x['growth']:.2g}",
+            shown(x["growth"], ".2g"),
         )
         for name, x in episodes["kinds"].items()
     ]
@@ -85,14 +90,17 @@ def causes(certificate: Mapping[str, Any]) -> str:
     """The 95 % by cause."""
     c = certificate
     names = [name for name, _ in CERTIFICATE]
-    rows = [(name, f"{1e3 * c[name]:.2g}", f"{c[name] / c['reach']:.1e}") for name in names]
+    rows = [
+        (name, shown(c[name], ".2g", 1e3), shown(c[name], ".1e", 1.0 / c["reach"]))
+        for name in names
+    ]
     return markdown(("95 % of the worst kind", "tip [mm]", "tip [reach]"), rows)
 
 
 def steps(found: Iterable[Mapping[str, Any]]) -> str:
     """Measured steps."""
     rows = [
-        (x["integrator"], str(x["substeps"]), f"{x['error']:.1e}", f"{1e6 * x['seconds']:.2g}")
+        (x["integrator"], str(x["substeps"]), shown(x["error"]), f"{1e6 * x['seconds']:.2g}")
         for x in found
     ]
     return markdown(("integrator", "substeps", "95 % [reach]", "CPU time [us]"), rows)

@@ -110,18 +110,18 @@ class Certifier:
         growth = Distances.between(own, nudged, kinds)
         core = self._core("auto", integrator, substeps, 1)
 
-        def part(a: Trace, b: Trace) -> float:
-            return Distances.between(a.until(own), b.until(own), kinds).worst_share
+        def part(a: Trace, b: Trace) -> float | None:
+            return _finite(Distances.between(a.until(own), b.until(own), kinds).worst_share)
 
         return {
             "model": str(fidelity_of(self.arm)),
             "integrator": integrator,
             "dt": self.control_dt / substeps,
-            "error": total.worst_share,
+            "error": _finite(total.worst_share),
             "integration": part(own, self._own),
             "truncation": part(self._own, many),
             "nonlinear": part(many, self.reference),
-            "residual": self._residual(own),
+            "residual": _finite(self._residual(own)),
             "reach": self.reach,
             "cost": float(core._operations() / self.control_dt),
             "reference": str(reference(self.arm)),
@@ -197,10 +197,16 @@ def interval(values: Array, share: float) -> tuple[float, float]:
 
 
 def _until(curve: Array, level: float, control_dt: float) -> float | None:
-    """[s] first time at which a curve exceeds a level; None if it does not."""
+    """[s] first time at which a curve exceeds a level; None if it never does."""
     above = np.flatnonzero(curve > level)
     return _short(control_dt * (above[0] + 1)) if above.size else None
 
 
-def _short(x: Any) -> float:
-    return float(f"{float(x):.3g}")
+def _short(x: Any) -> float | None:
+    """Three digits; None if an episode diverges."""
+    return float(f"{float(x):.3g}") if np.isfinite(x) else None
+
+
+def _finite(x: float) -> float | None:
+    """The number, or None if it is infinite: more of the episodes diverge than may leave it."""
+    return x if np.isfinite(x) else None
