@@ -17,6 +17,9 @@ _FAST: dict[str, Any] = {
     "nogil": True,
 }
 compiled = njit(**_FAST, inline="always")
+# without contraction, which depends on the order in which numba emits operations: numbers that are
+# stored once and used in every step are the same in every process
+exact = njit(error_model="numpy", nogil=True)
 
 
 def on_disk(**options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -34,7 +34,7 @@ _PLACES = "AT = Slots(N, Q, V, ACC, IMPLICIT, SCRATCH, TAU, LANES)"
 _CALL = "{0}_method(w, w[H], evaluate, AT, AID)"
 _MODES = "AID = FrozenModes(np.array({0!r}), np.array({1!r}))"
 _STEPS = "AID = np.array({0!r})"
-_PREPARE = "prepare_method = compiled(INTEGRATORS[{0!r}].prepare)"
+_PREPARE = "prepare_method = exact(INTEGRATORS[{0!r}].prepare)"
 _PREPARED = "prepare_method(w, w[H], AT, AID)"
 
 

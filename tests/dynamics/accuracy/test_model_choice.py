@@ -198,22 +198,6 @@ def test_a_reference_that_does_not_converge_is_refused(monkeypatch: pytest.Monke
         choose_model(trial.arm, trial.scene, trial.tolerance)
 
 
-def test_a_further_condition_decides_between_the_steps() -> None:
-    """The cheapest method is left out, and the next best taken; without any, the reason is told."""
-    trial, free = TRIALS["soft beam"], chosen("soft beam")
-
-    def other(arm: Any, integrator: str, dt: float) -> bool:
-        assert arm == free.arm
-        return integrator != free.integrator
-
-    choice = choose_model(trial.arm, trial.scene, trial.tolerance, acceptable=other)
-    assert choice.integrator != free.integrator
-    assert choice.cost >= free.cost
-    assert any("not acceptable" in rung.description for rung in choice.ladder)
-    with pytest.raises(RuntimeError, match="and is acceptable"):
-        choose_model(trial.arm, trial.scene, trial.tolerance, acceptable=lambda *_: False)
-
-
 def test_a_damped_arm_gets_no_larger_model_than_an_undamped_one() -> None:
     trial, bare = TRIALS["laboratory arm"], chosen("laboratory arm").arm.links[0]
     arm = replace(trial.arm, links=(replace(trial.arm.links[0], damping_ratio=0.02),))
