@@ -17,7 +17,7 @@ COMMANDS = {  # module whose `main` runs the command, and its line in the help
     "evaluate": ("agents.evaluate", "evaluate a run's policy or a classical controller"),
     "sweep": ("agents.sweep.command", "search the settings of an experiment, by Ray"),
     "leaderboard": ("agents.leaderboard.run", "rank controllers on tasks and tracks"),
-    "certify": ("flexarm_env.certify", "measure the errors of an arm's model and step"),
+    "certify": ("flexarm_env.certify.run", "measure the errors of an arm's model and step"),
     "fit": ("agents.fit", "fit an arm's stiffness and damping to a log of its rig"),
     "arms": ("flexarm_env.__main__", "list the preset arms and the environments of each"),
 }

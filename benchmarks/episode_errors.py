@@ -27,9 +27,9 @@ from dynamics.accuracy.fidelity import everything, rigid
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.simulation.case_file import PiecewiseConstant, Torque
 from dynamics.types import Array
+from flexarm_env.accuracy.motions import KINDS
 from flexarm_env.certify.certificate import Certifier
 from flexarm_env.certify.episodes import Distances, Episodes, Trace
-from flexarm_env.certify.motions import KINDS
 from flexarm_env.certify.search import METHODS, MOST_FROZEN, timed
 from flexarm_env.registration import SCENES
 from flexarm_env.scales import SAFE, scales

@@ -17,7 +17,7 @@ PAGE = ROOT / "docs" / "paper.md"
 SCENES = {"OneLink": "one link", "TwoLink": "two links", "SixLink": "six links, spatial"}
 SIZE = "batch of 16384"
 BATCH = f"{SIZE}, 1 thread, float64 [steps/s]"
-ERROR = "error in all, 95 % of episodes [reach]"
+ERROR = "error in all at full torque [reach]"  # of the former defaults, see benchmarks/speed.py
 
 
 def blocks() -> dict[str, str]:

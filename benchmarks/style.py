@@ -16,7 +16,7 @@ BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
 VERMILLION, ORANGE, PURPLE = "#D55E00", "#E69F00", "#CC79A7"
 WINE = "#661100"
 CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, WINE)
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "h", "d", "8")
 STABLE, FAILED = "#DCEBF5", ORANGE  # cells of a map; they differ in lightness too
 ENGINES = {  # beginning of an engine's name: its line in every chart
     "ours, one environment": {"color": BLUE, "marker": "o"},

@@ -75,9 +75,8 @@ class Core:
 
     Attributes
     ----------
-    certificate : errors of model and step over whole episodes, see `certify.certificate`; None
-        where none holds; `uncertified` then says why, and the remedy.
-    conditions : torques, drawn parameters and others that a certificate has to cover.
+    certificate : errors of model and step over episodes that cover the `conditions`, see
+        `certify.certificate`; None where none holds; `uncertified` says why, and the remedy.
     q, v : (N, n) coordinates and rates, writable views.
     dt : [s] integration step.
     rate_scale : [rad/s] peak joint rate of a bang-bang move by `scales.MOVE` at full torque.
@@ -140,8 +139,8 @@ class Core:
         self.arm, self.scales, self.actuation = plant.arm, plant.scales, plant.actuation
         self.integrator, self.substeps = plant.integrator, plant.substeps
         self.control_dt, self.dt = plant.control_dt, plant.dt
-        self.torque_limit, self.certificate = plant.torque_limit, plant.certificate
-        self.uncertified, self.conditions = plant.uncertified, plant.conditions
+        self.torque_limit, self.conditions = plant.torque_limit, plant.conditions
+        self.certificate, self.uncertified = plant.certificate, plant.uncertified
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
         self._rate_limit = plant.rate_limit
         torques = tuple(self.actuation.torque_limit.tolist()) if self.actuation else ()

@@ -15,12 +15,12 @@ import numpy as np
 
 from dynamics.load import load_arm
 from flexarm_env.accuracy.certificates import covering, entries
+from flexarm_env.accuracy.motions import KINDS
 from flexarm_env.accuracy.table import CERTIFICATE, accuracy, kinds, sentence, steps
 from flexarm_env.accuracy.table import markdown as _table
-from flexarm_env.certify.__main__ import command
 from flexarm_env.certify.certificate import DISTURBANCE
 from flexarm_env.certify.certificate import EPISODES as COUNT
-from flexarm_env.certify.motions import KINDS
+from flexarm_env.certify.run import command
 from flexarm_env.certify.search import BATCH, MOMENTUM_ERROR, SHAKEN, SLACK, TIP_ERROR
 from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core

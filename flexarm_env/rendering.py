@@ -135,6 +135,9 @@ class Renderer:
                     if core.arm.foreshortening:
                         shape[:, 0] += shortening(part, delta, x)
                     theta = np.array(constant.tip_theta).T @ delta
+                    if constant.sines:  # slopes are sines, as in formulations/kinematics.py
+                        square = theta[1:] @ theta[1:]
+                        theta[1:] *= 1.0 + square * (1.0 / 6.0 + 3.0 / 40.0 * square)
                 R = R @ E
                 line.append(end + shape @ R.T)
                 end, E = line[-1][-1], _rotation(theta)

@@ -11,24 +11,20 @@ r = [x, 0, 0] + sum_j delta_j r_j(x); the shape s_j of a mode acts along one dir
 | "axial"   | (s, 0, 0)        | (0, 0, 0)        |
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from dynamics.description.arm import FOURTH_ORDER, Arm, Payload
-from dynamics.description.beam_shapes import Shape
-from dynamics.description.deflection import BENDING, DISPLACEMENT, TILT, TWIST
+from dynamics.description.deflection import TILT
 from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link
-from dynamics.description.mode_shapes import STIFFNESS, quadrature, shape
 from dynamics.description.validate import IDENTITY, ZEROS
+from dynamics.description.beam_integrals import BeamIntegrals, beam_integrals
 from dynamics.types import Array, Matrix3, Vector3
 
-_ROUND_OFF = 1e-12  # [-] integrals below this fraction of their natural size are set to zero
 _ENTRY_ROUND_OFF = 1e-14  # [-] round-off of an entry of a mounting rotation
 
 LIGHT_TIP = 1e-3  # [-] inertia of the last tip, over its link's, that turns by slopes for angles
@@ -149,7 +145,7 @@ def link_constants(
     welded: bool = False,
 ) -> LinkConstants:
     """All constants of one link without segments; `payload` is added to its tip body."""
-    b = _beam_integrals(link, foreshortening)
+    b = beam_integrals(link, foreshortening)
     m = len(link.modes)
     second = link.rho_A * b.square
     mass, first_moment, C0 = _undeflected(link)
@@ -244,58 +240,6 @@ def _lumped(constants: LinkConstants, link: Link) -> LinkConstants:
     )
 
 
-class _BeamIntegrals(NamedTuple):
-    """Integrals over 0 <= x <= l of m modal and p foreshortening shapes, and their end values."""
-
-    pairs: tuple[tuple[int, int], ...]  # (p) modes of each foreshortening shape
-    along: Array  # (m + p, 3) direction of displacement; zero for torsion
-    twist: Array  # (m + p) 1 for torsion, else 0
-    zeroth: Array  # (m + p) int s_j
-    first: Array  # (m + p) int x s_j
-    square: Array  # (m + p, m + p) int s_j s_k; to fourth order only of two modes
-    share: float  # [m] int g^2 / g(l)^2 of the foreshortening by first modes, mean of directions
-    K_pairs: Array  # (p, p) stiffness of foreshortening
-    tip: Array  # (m + p) s_j(l)
-    tip_slope: Array  # (m) s_j'(l)
-    root_slope: Array  # (m + p) s_j'(0) of pinned-free modes, else 0
-    K: Array  # (m, m) stiffness
-
-
-def _beam_integrals(link: Link, foreshortening: bool | str) -> _BeamIntegrals:
-    l = link.length
-    x, weights = quadrature(l, link.modes)
-    shapes = [shape(mode, link.beam) for mode in link.modes]
-    pairs, shortening, shortening_tip = _shortening(link, shapes, x, weights, bool(foreshortening))
-    values = np.vstack([_table([s.value(x) for s in shapes], x.size), shortening])
-    along = np.array([DISPLACEMENT[mode.direction] for mode in link.modes]).reshape(-1, 3)
-    twist = np.array([TWIST[mode.direction][0] for mode in link.modes])
-    root_slope = np.zeros(len(values))
-    for j, mode in enumerate(link.modes):
-        if mode.kind == "pinned-free":
-            root_slope[j] = float(shapes[j].slope(0.0))
-    square = (values * weights) @ values.T
-    size = np.sqrt(np.diag(square))
-    tip = np.array([*(float(s.value(l)) for s in shapes), *shortening_tip])
-    share = _first_share(link, pairs, np.diag(square)[len(shapes) :], shortening_tip)
-    if foreshortening == FOURTH_ORDER:
-        square[len(shapes) :] = square[:, len(shapes) :] = 0.0
-    tip_slope = np.array([float(s.slope(l)) for s in shapes])
-    return _BeamIntegrals(
-        pairs=pairs,
-        along=np.vstack([along, np.tile(_E_X, (len(pairs), 1))]),
-        twist=np.append(twist, np.zeros(len(pairs))),
-        zeroth=_snap(values @ weights, math.sqrt(l) * size),
-        first=_snap(values @ (weights * x), l**1.5 * size),
-        square=_snap(square, np.outer(size, size)),
-        tip=_snap(tip, size / math.sqrt(l)),
-        tip_slope=_snap(tip_slope, size[: len(shapes)] / l**1.5),
-        root_slope=root_slope,
-        K=_stiffness(link, shapes, x, weights),
-        share=share,
-        K_pairs=_pair_stiffness(link, shapes, pairs, x, weights),
-    )
-
-
 def _undeflected(link: Link) -> tuple[float, Array, Array]:
     """Mass [kg], first moment [kg m] and C0 [kg m^2] of the straight link with hub and body."""
     mass = link.rho_A * link.length
@@ -311,7 +255,7 @@ def _undeflected(link: Link) -> tuple[float, Array, Array]:
     return mass, moment, C0
 
 
-def _modal_inertia(link: Link, b: _BeamIntegrals) -> tuple[Array, Array, list[Array]]:
+def _modal_inertia(link: Link, b: BeamIntegrals) -> tuple[Array, Array, list[Array]]:
     """s [kg], c [kg m] and C [kg m] of the modes, with rotary inertia and hub as rotors.
 
     A rotor of inertia I about the unit axis e that modes turn at t_j per unit rate adds I t_j t_k
@@ -330,7 +274,7 @@ def _modal_inertia(link: Link, b: _BeamIntegrals) -> tuple[Array, Array, list[Ar
     return s, c, C
 
 
-def _damping(link: Link, b: _BeamIntegrals) -> Array:
+def _damping(link: Link, b: BeamIntegrals) -> Array:
     """(m, m) [N s/m] 2 zeta sqrt(K_jj m_jj) on the diagonal, or beta K.
 
     m_jj is the mass that a mode displaces, beam and tip mass without payload; of a torsion mode the
@@ -353,98 +297,11 @@ def _exact_right_angles(rotation: Matrix3) -> Array:
     return np.where(np.abs(np.abs(R) - 1.0) < _ENTRY_ROUND_OFF, np.sign(R), R)
 
 
-def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Array:
-    """(m, m) int GJ or EA s_j' s_k' (torsion, axial), int EI s_j'' s_k'' (bending).
-
-    Modes in different directions are not coupled.
-    """
-    bent = _table(
-        [
-            s.curvature(x) if mode.direction in BENDING else s.slope(x)
-            for s, mode in zip(shapes, link.modes, strict=True)
-        ],
-        x.size,
-    )
-    rigidity = np.array([getattr(link, STIFFNESS[mode.direction]) for mode in link.modes])
-    same = np.array([[j.direction == k.direction for k in link.modes] for j in link.modes])
-    K = (bent * weights) @ bent.T * same.reshape(len(shapes), len(shapes))
-    size = np.sqrt(np.diag(K))
-    return rigidity.reshape(-1, 1) * _snap(K, np.outer(size, size))
-
-
-def _pair_stiffness(
-    link: Link, shapes: list[Shape], pairs: tuple[tuple[int, int], ...], x: Array, weights: Array
-) -> Array:
-    """(p, p) int EI g_a'' g_b'', g_jk'' = (s_j' s_k')'; of two directions with their mean EI.
-
-    The curvature of a beam that keeps its length is y''^2 + z''^2 + u''^2, u' = -(y'^2 + z'^2)/2.
-    """
-    curved = _table(
-        [
-            shapes[j].curvature(x) * shapes[k].slope(x)
-            + shapes[j].slope(x) * shapes[k].curvature(x)
-            for j, k in pairs
-        ],
-        x.size,
-    )
-    EI = np.array([getattr(link, STIFFNESS[link.modes[j].direction]) for j, _ in pairs])
-    K = (curved * weights) @ curved.T
-    size = np.sqrt(np.diag(K))
-    return 0.5 * (EI.reshape(-1, 1) + EI) * _snap(K, np.outer(size, size))
-
-
-def _first_share(
-    link: Link, pairs: tuple[tuple[int, int], ...], squares: Array, tips: list[float]
-) -> float:
-    """[m] int g^2 / g(l)^2 of each direction's first pair, on average."""
-    first: dict[str, float] = {}
-    for (j, _), square, tip in zip(pairs, squares, tips, strict=True):
-        if link.modes[j].direction not in first:
-            first[link.modes[j].direction] = float(square) / tip**2
-    return sum(first.values()) / max(1, len(first))
-
-
-def _shortening(
-    link: Link, shapes: list[Shape], x: Array, weights: Array, wanted: bool
-) -> tuple[tuple[tuple[int, int], ...], Array, list[float]]:
-    """Foreshortening: pairs j, k of modes, g_jk = int_0^x s_j' s_k' at the points x, and at l."""
-    directions = [mode.direction for mode in link.modes]
-    pairs = tuple(
-        (j, k)
-        for j in range(len(shapes))
-        for k in range(j, len(shapes))
-        if wanted and directions[j] == directions[k] in BENDING
-    )
-    if not pairs:
-        return (), _table([], x.size), []
-    # integrate the Legendre interpolant through the nodes of the quadrature
-    node = 2.0 * x / link.length - 1.0
-    basis = legendre.legvander(node, x.size - 1)
-    norms = (2.0 * np.arange(x.size) + 1.0) / link.length
-    to_series = norms[:, None] * (basis * weights[:, None]).T
-    slopes = [s.slope(x) for s in shapes]
-    series = [
-        legendre.legint(to_series @ (slopes[j] * slopes[k]), lbnd=-1.0, scl=link.length / 2.0)
-        for j, k in pairs
-    ]
-    values = _table([np.asarray(legendre.legval(node, c)) for c in series], x.size)
-    return pairs, values, [float(legendre.legval(1.0, c)) for c in series]
-
-
-def _table(rows: list[Array], columns: int) -> Array:
-    return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
-
-
 def _pairs(second: Array, product: Callable[[Array, Array], Array], along: Array) -> list[Any]:
     """second[j][k] * product(u_j, u_k) for every pair of modes."""
     return [
         [second[j, k] * product(u, w) for k, w in enumerate(along)] for j, u in enumerate(along)
     ]
-
-
-def _snap(values: Array, size: Array) -> Array:
-    """Set values that are round-off relative to their natural size to zero."""
-    return np.where(np.abs(values) <= _ROUND_OFF * size, 0.0, values)
 
 
 def _skew(a: Array) -> Array:

@@ -21,6 +21,7 @@ from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.load import load_arm
 from flexarm_env.accuracy.conditions import Conditions
+from flexarm_env.accuracy.scene import scene
 
 Entry = dict[str, Any]  # steps, certificate
 _log = logging.getLogger(__name__)
@@ -41,7 +42,7 @@ def stored() -> dict[str, dict[str, Any]]:
 
 
 def entries(arm: Arm, control_dt: float) -> list[Entry]:
-    """What was measured of an arm with a control step [s]: an entry for each set of conditions.
+    """Entries of an arm and a control step [s], one for each set of conditions.
 
     An entry has `steps`, best first, and `certificate`, the errors of the best. A step has
     integrator, substeps, its error over episodes [of the reach] and CPU time [s].
@@ -209,8 +210,6 @@ def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
     key = fingerprint("choice", _measuring(), described, repr(control_dt), repr(tolerance))
 
     def choose() -> str:
-        from flexarm_env.certify.scene import scene  # which builds environments by this module
-
         try:
             motions, conditions = scene(arm, control_dt)
             found = choose_model(arm, motions, tolerance).to_dict()

@@ -33,7 +33,7 @@ class Conditions:
         return asdict(self) | {"ranges": {name: list(pair) for name, pair in self.ranges.items()}}
 
     def beyond(self, measured: "Conditions") -> str | None:
-        """What of these conditions the measured ones do not cover, as words; None if nothing."""
+        """Words for a part of these conditions that measured ones do not cover; None if there is none."""
         if self.actuators != measured.actuators:
             return "these actuators" if self.actuators else "ideal torque sources"
         if len(self.torque_limit) != len(measured.torque_limit):

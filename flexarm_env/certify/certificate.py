@@ -20,8 +20,8 @@ from dynamics.description.arm import Arm
 from dynamics.types import Array
 from flexarm_env.accuracy.certificates import REFERENCE_METHOD as METHOD
 from flexarm_env.accuracy.certificates import reference
+from flexarm_env.accuracy.motions import KINDS
 from flexarm_env.certify.episodes import SHARE, Distances, Episodes, Trace, environment
-from flexarm_env.certify.motions import KINDS
 from flexarm_env.core import Core
 from flexarm_env.scales import DEFLECTION_LIMIT, RIGID_PERIOD, scales
 

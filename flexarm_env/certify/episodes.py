@@ -14,7 +14,7 @@ from dynamics.description.arm import Arm
 from dynamics.simulation.statics import RigidArm
 from dynamics.tracing import graphs
 from dynamics.types import AnyArray, Array
-from flexarm_env.certify.motions import KINDS, Kind, Recorded, recorded
+from flexarm_env.accuracy.motions import KINDS, Kind, Recorded, recorded
 from flexarm_env.compiled.termination import FLAGS
 from flexarm_env.core import Core
 from flexarm_env.scales import RIGID_PERIOD, Scales

@@ -9,11 +9,11 @@ import numpy as np
 
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.types import Array
+from flexarm_env.accuracy.motions import KINDS
 from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.certify.certificate import Certifier
 from flexarm_env.certify.episodes import Distances
 from flexarm_env.certify.momentum import momentum_error
-from flexarm_env.certify.motions import KINDS
 from flexarm_env.core import Core
 from flexarm_env.scales import SAFE, scales
 

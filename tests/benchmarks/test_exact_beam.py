@@ -102,7 +102,7 @@ def error(name: str, shapes: Shapes, method: str, rate: int) -> float:
 @pytest.mark.parametrize(
     ("name", "shapes", "method", "rate"),
     [
-        ("S1", Shapes(("poly",), (3,), True, 8), "exponential", 48),
+        ("S1", Shapes(("poly",), (3,), True, 8), "exponential-4", 48),
         ("S3", Shapes(("poly",), (2,), True, 12, axial=1), "midpoint", 32),
         ("korayem", Shapes(("poly", "poly"), (3, 3), True, 8), "midpoint", 384),
     ],

@@ -4,7 +4,7 @@ import json
 import runpy
 import sys
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +78,9 @@ def test_methods_and_engines_differ_in_marker_as_well_as_colour() -> None:
         [style.series(k) for k in range(7)],
     ):
         assert len({look["marker"] for look in looks}) == len(looks)
-    assert len({style.method(name)["color"] for name in INTEGRATORS}) == len(INTEGRATORS)
+    colours = [style.method(name)["color"] for name in INTEGRATORS]
+    assert len({*colours}) == len(style.CYCLE)
+    assert all(a != b for a, b in pairwise(colours))
 
 
 def test_an_engine_that_nobody_knows_still_has_a_line() -> None:

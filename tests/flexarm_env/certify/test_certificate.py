@@ -11,10 +11,10 @@ import flexarm_env
 from benchmarks.episode_errors import independent, solved
 from dynamics import load_arm
 from flexarm_env.accuracy.certificates import entries, stored
-from flexarm_env.certify.__main__ import conditions
+from flexarm_env.accuracy.motions import KINDS
 from flexarm_env.certify.certificate import Certifier, interval
 from flexarm_env.certify.episodes import Distances, Episodes, Trace, environment
-from flexarm_env.certify.motions import KINDS
+from flexarm_env.certify.run import conditions
 from flexarm_env.certify.search import TIP_ERROR
 from flexarm_env.registration import SCENES
 

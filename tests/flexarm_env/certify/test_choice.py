@@ -10,9 +10,9 @@ import pytest
 from dynamics import load_arm
 from dynamics.accuracy.progress import Progress
 from flexarm_env.accuracy.certificates import fit
+from flexarm_env.accuracy.motions import KINDS, bang_bang, held, sines, white
+from flexarm_env.accuracy.scene import STEPS, scene
 from flexarm_env.certify.certificate import Certifier
-from flexarm_env.certify.motions import KINDS, bang_bang, held, sines, white
-from flexarm_env.certify.scene import STEPS, scene
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 

@@ -11,7 +11,7 @@ import pytest
 from dynamics import load_arm
 from flexarm_env import pages
 from flexarm_env.accuracy.certificates import stored
-from flexarm_env.certify import __main__ as command
+from flexarm_env.certify import run as command
 from flexarm_env.certify.search import TIME_PER_DECADE, best_first
 from flexarm_env.registration import SCENES
 

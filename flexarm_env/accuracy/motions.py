@@ -75,7 +75,9 @@ KINDS = {
     ),
     "learned": Kind(text="the same from the best learned controller", actions=None),
 }  # fmt: skip
-RECORDED = Path(__file__).with_name("recorded")  # by `python -m agents.recorded`
+RECORDED = (
+    Path(__file__).parents[1] / "certify" / "recorded"
+)  # by `python -m agents.leaderboard.recorded`
 LEVELS = 127  # of a recorded action, from 0 to 1
 
 

@@ -1,4 +1,4 @@
-"""Torques of the best controllers in Reach, for certificates: `python -m agents.recorded`.
+"""Torques of the best controllers, for certificates: `python -m agents.leaderboard.recorded`.
 
 For every registered scene with a ranking on exact states this plays episodes that the ranking does
 not have, under its best classical and its best learned controller, and stores starts and actions in
@@ -18,8 +18,8 @@ from agents.leaderboard.run import built
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch, record
 from dynamics.types import AnyArray
+from flexarm_env.accuracy.motions import LEVELS, RECORDED
 from flexarm_env.certify.certificate import EPISODES
-from flexarm_env.certify.motions import LEVELS, RECORDED
 
 RANKING = Path("docs/results/leaderboard.json")
 TRACK = "state"

@@ -1,0 +1,186 @@
+"""Errors of an arm's model and step over whole episodes: `flexarm certify ARM [--set KEY=VALUE]`.
+
+ARM is a preset, an arm file or the id of an environment. The tables are those of an environment's
+page. For every method in `search.METHODS` this finds the fewest substeps that keep the tip within
+TIP_ERROR of the reach in 95 of 100 episodes of each kind in `motions.KINDS`, or within SLACK times
+the model's own error where that is larger, and on a floating base the momentum within
+MOMENTUM_ERROR. Of these it takes the method with the least CPU time, allowing a tenth more time for
+a tenth of the error. `gym.make` of the same arm and keywords finds what this measured. With no ARM
+it measures the registered environments under all conditions in `conditions`, and writes
+certificates.json. Run nothing else on the machine meanwhile.
+"""
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+
+from dynamics.accuracy.progress import Progress
+from dynamics.description import validate
+from dynamics.description.arm import Arm
+from dynamics.load import load_arm
+from flexarm_env import arguments
+from flexarm_env.accuracy.certificates import STORE, Entry, Fitted, fit, keep
+from flexarm_env.accuracy.table import accuracy
+from flexarm_env.certify.certificate import EPISODES, Certifier
+from flexarm_env.certify.search import (
+    MOST_STEPS,
+    TIP_ERROR,
+    best_first,
+    given_step,
+    sufficient_steps,
+    timed,
+)
+from flexarm_env.registration import AGILE, IDS, SCENES, registered
+from flexarm_env.scales import scales
+
+PERIOD_SHARE = 0.15  # [-] control step over the first joint-free period of an own arm
+ROUND = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # [s] its control step
+OWN_STEPS = 150  # control steps of its episodes
+STEP = ("integrator", "substeps")
+KEYWORDS = (
+    "torque_limit", "base_torque", "actuator", "hardware", "randomize", "deflection_limit", *STEP,
+)  # fmt: skip
+
+
+def default_control_dt(arm: Arm) -> float:
+    """Control step [s] of an arm that is not registered.
+
+    It is PERIOD_SHARE of the first joint-free period, or ROUND[-1] for rigid links, rounded down
+    to one of ROUND.
+    """
+    free = scales(arm).free
+    wanted = PERIOD_SHARE * 2.0 * math.pi / free[0] if free else ROUND[-1]
+    return max((dt for dt in ROUND if dt <= wanted), default=ROUND[0])
+
+
+def conditions(scene: str) -> list[dict[str, Any]]:
+    """Keywords under which a registered scene is measured."""
+    agile = [{"torque_limit": list(AGILE[scene])}] if scene in AGILE else []
+    return [{}, *agile, {"hardware": "laboratory"}]
+
+
+def entry(
+    fitted: Fitted, control_dt: float, steps: int, keywords: Mapping[str, Any], line: Progress
+) -> Entry:
+    """Measured steps and certificate of a model in episodes of a number of control steps.
+
+    Raises
+    ------
+    ValueError : for keywords that no environment takes, or without a step of sufficient accuracy.
+    """
+    others = {key: value for key, value in keywords.items() if key not in STEP}
+    known = {"control_dt": control_dt} | others
+    certifier = Certifier(fitted.arm, known, steps, line, count=EPISODES)
+    line.stage("steps")
+    if all(key in keywords for key in STEP):
+        enough = [given_step(certifier, *(keywords[key] for key in STEP))]
+    else:
+        enough = sufficient_steps(certifier)
+    if not enough:
+        raise ValueError(
+            f"No method keeps the tip within {TIP_ERROR:g} of the reach with at most {MOST_STEPS} "
+            f"steps per control step of {control_dt:g} s; give a smaller --control-dt."
+        )
+    line.stage("times")
+    best = best_first(timed(certifier, enough))
+    certificate = certifier.certificate(best[0]["integrator"], best[0]["substeps"])
+    if fitted.reason:
+        certificate["reason"] = fitted.reason
+    return {"steps": best, "certificate": certificate}
+
+
+def described(source: str, control_dt: float | None) -> tuple[Fitted, float, int, dict[str, Any]]:
+    """Model, control step [s], steps per episode and keywords of an id, a preset or an arm file."""
+    keywords: dict[str, Any] = {}
+    known = {arm: (dt, steps) for arm, dt, steps in SCENES.values()}
+    if source.removeprefix("flexarm_env:").startswith("FlexArm/"):
+        spec = IDS[registered(source)]["kwargs"]
+        keywords = {key: spec[key] for key in KEYWORDS if key in spec}
+        source = spec["arm"]
+    arm = load_arm(source)
+    dt, steps = known.get(source, (None, OWN_STEPS))
+    if control_dt is not None or dt is None:
+        dt = default_control_dt(arm) if control_dt is None else control_dt
+    dt = arguments.within("--control-dt", dt, *arguments.CONTROL_DT, "s")
+    return fit(arm, dt, "auto", None), dt, steps, keywords
+
+
+def measure_all(line: Progress, only: str | None = None) -> None:
+    """Measure the registered scenes under all their conditions, and write certificates.json."""
+    for scene, (arm, dt, steps) in SCENES.items():
+        if only not in (None, arm):
+            continue
+        measured = []
+        for keywords in conditions(scene):
+            _report(f"{arm}, {keywords or 'as it is'}")
+            found = entry(Fitted(load_arm(arm)), dt, steps, keywords, line)
+            print(accuracy(found, command(arm, keywords)) + "\n", flush=True)
+            measured.append(found)
+        stored = json.loads(STORE.read_text(encoding="utf-8")) if STORE.exists() else {}
+        stored[arm] = {"control_dt": dt, "measured": measured}
+        STORE.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+
+
+def command(source: str, keywords: Mapping[str, Any], control_dt: float | None = None) -> str:
+    """The command that measures an entry again."""
+    given = "".join(f" --set {key}={json.dumps(value)}" for key, value in keywords.items())
+    dt = "" if control_dt is None else f" --control-dt {control_dt:g}"
+    return f"flexarm certify {source}{dt}{given}"
+
+
+def setting(text: str) -> tuple[str, Any]:
+    """KEY=VALUE of the command line, the value in YAML."""
+    key, equals, value = text.partition("=")
+    if not equals or key not in KEYWORDS:
+        raise argparse.ArgumentTypeError(f"must be KEY=VALUE, KEY one of {', '.join(KEYWORDS)}")
+    try:
+        return key, yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise argparse.ArgumentTypeError(f"{key} is no YAML: {error}") from None
+
+
+def _report(sentence: str) -> None:
+    print(sentence, file=sys.stderr, flush=True)
+
+
+def main(given: list[str] | None = None, prog: str = "python -m flexarm_env.certify") -> int:
+    """Measure the named arms and print their tables; the exit status."""
+    parser = argparse.ArgumentParser(prog=prog, description="Measure the errors of arms.")
+    parser.add_argument(
+        "arms", nargs="*", metavar="ARM",
+        help="preset, arm file (.json, .yaml) or id; default: all registered scenes, stored",
+    )  # fmt: skip
+    parser.add_argument(
+        "--control-dt", type=float, metavar="S",
+        help="time between actions [s]; default: that of the registered environment, else "
+        f"{PERIOD_SHARE:g} of the first joint-free period, rounded down to one of {ROUND}",
+    )  # fmt: skip
+    parser.add_argument(
+        "--set", type=setting, action="append", default=[], metavar="KEY=VALUE",
+        help=f"keyword of the environment, the value in YAML: {', '.join(KEYWORDS)}",
+    )  # fmt: skip
+    parser.add_argument("--store", metavar="PRESET", help="measure and store one registered scene")
+    options = parser.parse_args(given)
+    try:
+        if options.store is not None:
+            validate.choice(options.store, "--store", [arm for arm, _, _ in SCENES.values()])
+        with Progress(None) as line:
+            if options.store or not options.arms:
+                measure_all(line, options.store)
+            for source in options.arms:
+                fitted, dt, steps, keywords = described(source, options.control_dt)
+                keywords |= dict(options.set)
+                _report(f"{source}: {EPISODES} episodes of each kind, control step {dt:g} s")
+                found = entry(fitted, dt, steps, keywords, line)
+                keep(fitted.arm, dt, found)
+                print(f"# {source}, control step {dt:g} s\n")
+                print(accuracy(found, command(source, dict(options.set), options.control_dt)))
+    except (ValueError, TypeError, RuntimeError) as error:
+        _report(f"{prog.removeprefix('python -m ')}: {' '.join(str(error).split())}")
+        return 2
+    return 0
