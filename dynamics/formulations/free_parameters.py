@@ -15,7 +15,9 @@ def _payload_mass(chain: Chain, p: Any) -> Chain:
 
 def _stiffness(chain: Chain, p: Any) -> Chain:
     def scaled(link: LinkConstants) -> LinkConstants:
-        return replace(link, K=_scaled(link.K, p), spring=p * link.spring if link.spring else 0.0)
+        spring = p * link.spring if link.spring else 0.0
+        K, K_pairs = _scaled(link.K, p), _scaled(link.K_pairs, p)
+        return replace(link, K=K, K_pairs=K_pairs, spring=spring)
 
     return replace(chain, links=tuple(map(scaled, chain.links)))
 
