@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 from benchmarks.validation.entries import Number, Table
 from benchmarks.validation.slim import BEAM, HALF, SLIM, locked, on_hub
 from benchmarks.work_precision.scenes import undamped
-from dynamics import ARMS, Arm, Model, compile_arm
+from dynamics import ARMS, Arm, Mode, Model, compile_arm
 from dynamics.types import Array
 
 CHAPTER = "Yuan, Book and Huggins 1993: joint PD control"
@@ -108,10 +108,11 @@ def balance(step: Step) -> tuple[float, float]:
 
 
 def stiffened(gains: Sequence[float]) -> Array:
-    """(N, 2) [Hz] lowest two frequencies of undamped SLIM with its joint on a spring K_P."""
+    """(N, 2) [Hz] lowest two frequencies of SLIM, of clamped shapes, its joint on a spring K_P."""
     import scipy.linalg
 
-    link = replace(BEAM, modes=STEPS["slim"].arm.links[0].modes)
+    modes = tuple(Mode(kind="clamped-tip-mass", index=k, direction="y") for k in (1, 2))
+    link = replace(BEAM, modes=modes)
     model = compile_arm(replace(SLIM, links=(link,)))
     M, K = model.mass_matrix(np.zeros(model.n)), model.stiffness
     first = np.diag([1.0, *[0.0] * (model.n - 1)])
