@@ -92,7 +92,8 @@ def test_a_stored_policy_on_a_base_acts_as_in_training(
     """Over ends of episodes, with stacked observations, in two environments with equal seeds."""
     scale = {"reference": 50.0, "residual": 2.0}.get(learned, 1.0)
     about: dict[str, Any] = {"stack": 2, "base": described(name, learned, scale)}
-    plain, inner = (SB3VecEnv(ENV_ID, 3, **KNOWN_PLANT) for _ in range(2))
+    short: dict[str, Any] = {**KNOWN_PLANT, "max_episode_steps": 15}
+    plain, inner = (SB3VecEnv(ENV_ID, 3, **short) for _ in range(2))
     learner = VecFrameStack(HybridVecEnv(inner, base_of(about["base"], inner.envs)), 2)
     model = PPO("MlpPolicy", learner, n_steps=8, batch_size=8, seed=0)
     model.policy.action_net.weight.data *= 200.0  # corrections that matter
@@ -102,7 +103,7 @@ def test_a_stored_policy_on_a_base_acts_as_in_training(
     learner.seed(5)
     plain.seed(5)
     stacked, observation = learner.reset(), plain.reset()
-    state, starts, apart, corrections = None, np.ones(3, bool), 0, []
+    state, starts, ends, corrections = None, np.ones(3, bool), 0, []
     for _ in range(100):
         latest = stacked[:, stacked.shape[1] // 2 :][:, :n]
         np.testing.assert_allclose(latest, observation, atol=1e-3)
@@ -111,9 +112,9 @@ def test_a_stored_policy_on_a_base_acts_as_in_training(
         corrections.append(correction)
         stacked = learner.step(correction)[0]
         observation, _, starts, _ = plain.step(action)
-        apart += starts.any() and not starts.all()
+        ends += int(starts.any())
     assert np.std(corrections) > 0.1
-    assert apart > 3 or learned == "reference"
+    assert ends > 3
     plain.close()
     learner.close()
 
