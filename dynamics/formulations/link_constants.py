@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from dynamics.description.arm import FOURTH_ORDER, Arm, Payload
+from dynamics.description.beam_integrals import BeamIntegrals, beam_integrals
 from dynamics.description.deflection import TILT
 from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link
 from dynamics.description.validate import IDENTITY, ZEROS
-from dynamics.description.beam_integrals import BeamIntegrals, beam_integrals
 from dynamics.types import Array, Matrix3, Vector3
 
 _ENTRY_ROUND_OFF = 1e-14  # [-] round-off of an entry of a mounting rotation

@@ -33,7 +33,7 @@ class Conditions:
         return asdict(self) | {"ranges": {name: list(pair) for name, pair in self.ranges.items()}}
 
     def beyond(self, measured: "Conditions") -> str | None:
-        """Words for a part of these conditions that measured ones do not cover; None if there is none."""
+        """Words for a part of these conditions that measured ones do not cover, or None."""
         if self.actuators != measured.actuators:
             return "these actuators" if self.actuators else "ideal torque sources"
         if len(self.torque_limit) != len(measured.torque_limit):
