@@ -9,14 +9,12 @@ from numpy.testing import assert_allclose
 
 from dynamics import Arm, Diverged, Joint, Link, Mode, Stepper, simulate
 from dynamics.formulations.linearized import (
-    explicit_steps,
     frozen_modes,
     inertia,
     linear_arm,
     stiffness,
 )
 from dynamics.integrators.exponential import FrozenModes
-from dynamics.integrators.newmark import SAFE
 from dynamics.integrators.slots import Slots
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.simulation.step_limits import amplification, fastest, largest_step
@@ -389,27 +387,3 @@ def test_divergence_is_reported_with_time_and_remedy(
     time = float(str(caught.value).split("t = ")[1].split(" s")[0])
     start = 0.02 if callable(torque) else 0.0
     assert start <= time <= start + 0.01
-
-
-def test_numerov_stays_stable_far_beyond_its_own_limit() -> None:
-    """Its own limit, sqrt(6) over the highest frequency of the straight arm, is the first step."""
-    chain = compiled(TWO_LINK).chain
-    steps = explicit_steps(chain)
-    arm = linear_arm(chain, np.zeros(6))
-    own = linear_arm(chain, np.zeros(6))
-    object.__setattr__(own, "aid", lambda kind: np.full(6, np.inf))
-
-    assert steps.min() == pytest.approx(SAFE * np.sqrt(6.0) / FASTEST, rel=1e-9)
-    assert np.isinf(steps[[0, 3]]).all()
-    for share in (0.9, 1.1, 3.0, 30.0):
-        dt = share * np.sqrt(6.0) / FASTEST
-        assert (amplification(own, "numerov", dt) < 1.0 + 1e-6) == (share < 1.0)
-        assert amplification(arm, "numerov", dt) < 1.0 + 1e-6
-
-
-def test_coupled_coordinates_become_fast_together() -> None:
-    """Powers of x couple all modes of a link; hierarchical shapes couple none."""
-    for kind, distinct in (("poly", 1), ("hierarchical", 3)):
-        modes = tuple(Mode(kind=kind, index=k, direction="y") for k in (1, 2, 3))
-        steps = explicit_steps(compiled(planar(1, modes=modes)).chain)
-        assert len(np.unique(steps[1:])) == distinct
