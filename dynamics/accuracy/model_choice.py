@@ -28,7 +28,7 @@ from dynamics.accuracy.rollout import SAMPLES, STRIDES
 from dynamics.accuracy.scene import Scene
 from dynamics.description import validate
 from dynamics.description.arm import Arm
-from dynamics.integrators.table import INTEGRATORS
+from dynamics.integrators.table import INTEGRATORS, usable
 from dynamics.load import ArmSource, load_arm
 
 STABILITY_SHARE = 0.7  # of a method's stability limit: frequencies change with the pose
@@ -36,8 +36,6 @@ TRIALS = 3  # changes with the largest known gain that are measured again at eac
 SMALL_BUDGET = 0.3  # of the tolerance: below it, a refined model with longer steps may be cheaper
 LARGER_BUDGET = 2.0  # ratio of step budgets from which such a refined model is tried
 USELESS = 0.05  # gain below which no single change helps, and all modes are raised together
-STEPPING = tuple(name for name, method in INTEGRATORS.items() if method.aid != "jacobian")
-# a Jacobian costs 3 (one link) to 19 (six links) evaluations: never the cheapest method
 STEP_RATIO = 10.0**0.1  # of a step and the smaller one that has to confirm it
 LARGEST_FALL = 0.25  # of a step to the next smaller one that is tried
 MOST_STEPS = 1e6  # per motion
@@ -285,7 +283,10 @@ def _rival(errors: ModelErrors, sufficient: Fidelity) -> Fidelity | None:
 
 def _steps(errors: ModelErrors, fidelity: Fidelity, cheapest: float = math.inf) -> Iterator[_Step]:
     """For each integrator the largest step within the budget, unless it exceeds `cheapest`."""
-    for name in STEPPING:
+    arm = fidelity.arm(errors.arm)
+    for name in usable(arm.n, arm.base.spatial):
+        if INTEGRATORS[name].aid == "jacobian":
+            continue  # it costs 3 (one link) to 19 (six links) evaluations: never the cheapest
         dt, integration = _largest_step(errors, fidelity, name, cheapest)
         fits = integration <= errors.step_budget(fidelity)
         work = _cost(errors, fidelity, name, dt)

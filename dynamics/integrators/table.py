@@ -101,6 +101,11 @@ class Integrator:
         return self.per_step * steps + self.per_call
 
 
+def usable(n: int, spatial: bool) -> list[str]:
+    """Methods for an arm of n coordinates; on a spatial base these are new after every step."""
+    return [name for name, method in INTEGRATORS.items() if not (spatial and method.kept(n))]
+
+
 def _exponential(count: int) -> Integrator:
     """Exponential step with a number of Gauss nodes; order 2, from its start under a new torque."""
     gauss = GaussStep(count)

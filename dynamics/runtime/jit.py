@@ -18,8 +18,8 @@ _FAST: dict[str, Any] = {
 }
 compiled = njit(**_FAST, inline="always")
 # without contraction, which depends on the order in which numba emits operations: numbers that are
-# stored once and used in every step are the same in every process
-exact = njit(error_model="numpy", nogil=True)
+# stored once and used in every step are the same in every process. What is not set is the caller's
+exact = njit(fastmath=False, error_model="numpy", nogil=True)
 
 
 def on_disk(**options: Any) -> Callable[[Callable[..., Any]], Any]:

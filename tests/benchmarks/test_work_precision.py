@@ -37,8 +37,8 @@ def runs(scene: dict[str, Any], integrator: str) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_errors_fall_at_the_order_of_the_method(scene: dict[str, Any], integrator: str) -> None:
-    """Errors are those from the same model's converged integration."""
-    fine = [p for p in runs(scene, integrator) if p["integration"] > work_precision.ENOUGH][-4:]
+    """Errors are those from the same model's converged integration; at one step they may cancel."""
+    fine = [p for p in runs(scene, integrator) if p["integration"] > work_precision.ENOUGH][-5:]
     logs = np.log([[p["dt"], p["integration"]] for p in fine]).T
     assert np.polyfit(*logs, 1)[0] > INTEGRATORS[integrator].order - 0.3
     assert fine[-1]["integration"] < 1e-4

@@ -22,7 +22,7 @@ from dynamics.backends.numba_llvm.module_text import (
     straight_line_text,
 )
 from dynamics.backends.numba_llvm.stepper_entries import ENTRIES, FORCES, FREE_BASE, STEPS
-from dynamics.integrators.table import INTEGRATORS
+from dynamics.integrators.table import INTEGRATORS, usable
 from dynamics.runtime.numba_internals import DIGEST
 from dynamics.tracing import graphs
 from dynamics.tracing.function import Function, finite_check, traced
@@ -48,8 +48,8 @@ def program(
 def generate(arm: TracedArm, dtype: str, lanes: int, integrator: str, added: Addition) -> str:
     """Text of the module of `program`."""
     method = INTEGRATORS[integrator]
-    if arm.arm.base.spatial and method.kept(arm.n):
-        others = [name for name, other in INTEGRATORS.items() if not other.kept(arm.n)]
+    others = usable(arm.n, arm.arm.base.spatial)
+    if integrator not in others:
         raise ValueError(
             f"integrator {integrator!r} remembers earlier steps, but a free base has new "
             f"coordinates after every step; take one of {others}."

@@ -33,7 +33,7 @@ def test_without_active_limits_the_plan_begins_as_lqr(monkeypatch: pytest.Monkey
     plan, gain, models = laws(REACH)
     model = models.at(np.zeros(1))
     for x in np.random.default_rng(0).normal(size=(5, len(model.A))):
-        x *= 0.1 * plan.cost.limit / np.abs(gain.of(model)[0] @ x)
+        x *= 0.01 * plan.cost.limit / np.abs(gain.of(model)[0] @ x)
         estimate = steady(plan, model, x, np.zeros(1))
         assert plan([estimate]) == pytest.approx(gain([estimate]), rel=1e-6)
 

@@ -110,14 +110,14 @@ def test_near_the_target_one_step_leads_from_no_torques_to_those_of_lqr(effort: 
 
 
 def test_a_motion_costs_less_than_that_of_lqr_where_torques_are_limited() -> None:
-    """Six links far from the target, whose seven integration steps are linearized as one."""
+    """Six links far from the target, whose twelve integration steps are linearized as one."""
     law = law_of(make_batch(DAMP, 1, {"obs": "state"}))
     estimates = about(law, [0.0, 0.4, -0.3, 0.2, 0.1, 0.3], 1.5, 4)
     scene, none = law._scene(estimates), np.zeros((law.steps, 4, 1, law.limit.size))
     first = law._moved(scene, none, none, np.zeros(1), scene.gain)
     changes = law._changes(scene, first)
     assert np.abs(first.action + changes).max() <= 1.0 + 1e-9
-    assert (law.steppers(1).substeps, law.coarse(1).substeps) == (7, 1)
+    assert (law.steppers(1).substeps, law.coarse(1).substeps) == (12, 1)
     tried = law._moved(scene, first.action, changes, nmpc.SHARES)
     costs = law._costs(scene, tried)
     assert np.all(costs.min(axis=1) < law._costs(scene, first)[:, 0])

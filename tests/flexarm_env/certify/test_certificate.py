@@ -116,10 +116,11 @@ def test_shapes_of_both_paths_differ() -> None:
 
 
 def test_what_diverges_in_one_model_alone_has_an_infinite_error() -> None:
-    tips, valid = np.zeros((3, 4, 3)), np.ones((3, 4), dtype=bool)
+    tips, whole = np.zeros((3, 4, 3)), np.ones((3, 4), dtype=bool)
     kinds = tuple(KINDS)[:1] * 4
-    calm = Trace(tips, valid, np.zeros(4, dtype=bool))
-    lost = Trace(tips, valid, np.array([False, True, False, False]))
+    calm = Trace(tips, whole, np.zeros(4, dtype=bool))
+    lost = Trace(tips, whole.copy(), np.array([False, True, False, False]))
+    lost.valid[2, 1] = False
     found = Distances.between(calm, lost, kinds)
     assert np.isinf(found.per_episode).tolist() == [False, True, False, False]
     assert found.worst_share == np.inf

@@ -245,7 +245,7 @@ def test_a_motors_inertia_and_friction_are_added_to_the_joint() -> None:
     env = rod({**SERVO, **own})
     assert env.unwrapped.arm.links[0].joint.rotor_inertia == pytest.approx(70.0**2 * 1e-6)
     assert env.unwrapped.certificate is None
-    assert "beside actuator" in env.unwrapped.uncertified
+    assert "errors of this arm" in env.unwrapped.uncertified
 
 
 def test_torques_are_observed_in_units_of_the_limit() -> None:

@@ -50,15 +50,19 @@ def test_filters_know_the_tip_better_than_the_late_encoder(env_id: str) -> None:
 
 @pytest.mark.parametrize("env_id", [REACH, DAMP])
 def test_what_the_filters_know_is_what_exact_states_show(env_id: str) -> None:
-    """Believed states in the scales of obs="state", while the arm moves, without noise or delay."""
+    """Believed states in the scales of obs="state", without noise or delay.
+
+    To a twentieth of the largest that was seen: LQG takes most of the vibration away.
+    """
     envs, exact = (make_batch(env_id, 16, {"obs": obs}) for obs in ("sensors", "state"))
     subject: Any = controller("lqg", envs, WEIGHTS)
     observation, _ = envs.reset(seed=0)
     shown, _ = exact.reset(seed=0)
-    state: Any = None
+    state, largest = None, np.zeros_like(shown)
     for _ in range(30):
         action, state = subject.predict(observation, state)
         observation, before = envs.step(action.astype(np.float32))[0], shown
+        largest = np.maximum(largest, np.abs(before))
         shown = exact.step(action.astype(np.float32))[0]
     parts = exact.unwrapped.observation_slices
     known, models = subject.known(state), subject.observer.models
@@ -66,8 +70,8 @@ def test_what_the_filters_know_is_what_exact_states_show(env_id: str) -> None:
     expected = [(places, models.joints, "joint_error"), (places, models.modal, "modal_amplitude")]
     expected += [(speeds, models.joints, "joint_rate"), (speeds, models.modal, "modal_rate")]
     for found, columns, name in expected:
-        truth = before[:, parts[name]]
-        assert np.abs(found[:, columns] - truth).max() < 0.05 * np.abs(truth).max()
+        error = np.abs(found[:, columns] - before[:, parts[name]]).max()
+        assert error < 0.05 * largest[:, parts[name]].max()
 
 
 def test_on_a_path_the_filters_know_the_torque_that_follows_it() -> None:
