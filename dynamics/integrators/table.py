@@ -114,6 +114,7 @@ def _exponential(count: int) -> Integrator:
     def prepare(w, h, at, aid):  # type: ignore[no-untyped-def]
         prepare_nodes(w, h, at, aid, nodes)
 
+    prepare.__qualname__ += f"_{count}"  # cached machine code is linked by name
     return Integrator(
         gauss.step, gauss.start, order=2, limit=UNLIMITED, per_step=count, aid="modes",
         scratch=lambda n: gauss.scratch * n, kept=lambda n: gauss.scratch * n, prepare=prepare,

@@ -300,6 +300,12 @@ def test_an_exponential_step_of_any_length_is_exact_for_small_motions(integrator
     assert error < 1e-3 * np.abs(ends["dop853"]).max()
 
 
+def test_compiled_functions_have_names_of_their_own() -> None:
+    """Two processes may compile two of one name; who loads the code of both gets one of them."""
+    functions = {method.prepare for method in INTEGRATORS.values()}
+    assert len({(f.__module__, f.__qualname__) for f in functions}) == len(functions) > 3
+
+
 @pytest.mark.parametrize("name", INTEGRATORS)
 def test_a_method_evaluates_as_often_as_it_says(name: str) -> None:
     """Counted on a workspace of one coordinate with zero accelerations."""
