@@ -15,13 +15,11 @@ from typing import Any
 from dynamics import cache
 from dynamics.accuracy.certificate import fidelity_of
 from dynamics.accuracy.fidelity import Fidelity, divisible, everything, rigid
-from dynamics.accuracy.model_choice import choose_model
 from dynamics.backends.numba_llvm.fingerprint import fingerprint, hash_of_files, sources
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.load import load_arm
 from flexarm_env.accuracy.conditions import Conditions
-from flexarm_env.accuracy.scene import scene
 
 Entry = dict[str, Any]  # steps, certificate
 _log = logging.getLogger(__name__)
@@ -201,19 +199,19 @@ def _fitted(found: dict[str, Any], control_dt: float) -> Fitted:
 
 
 def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
-    """Result of `choose_model` on the motions of `certify.motions`, or `failed` with the reason.
+    """Result of `certify.choice.chosen`, or `failed` with the reason.
 
     It is cached, since the search may take minutes.
     """
+    from flexarm_env.certify import choice  # whose episodes are environments, which fit a model
+
     arm = arm.with_listed_modes()
     described = json.dumps(arm.to_dict())
     key = fingerprint("choice", _measuring(), described, repr(control_dt), repr(tolerance))
 
     def choose() -> str:
         try:
-            motions, conditions = scene(arm, control_dt)
-            found = choose_model(arm, motions, tolerance).to_dict()
-            found["holds"] = conditions.to_dict()
+            found = choice.chosen(arm, control_dt, tolerance)
         except (RuntimeError, ValueError) as error:
             found = {"failed": str(error), "refused": isinstance(error, ValueError)}
         return json.dumps(found, indent=2)

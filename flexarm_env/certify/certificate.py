@@ -91,9 +91,9 @@ class Certifier:
         """An environment as it is by default."""
         return self._core("auto", None, None, 1)
 
-    def trace(self, integrator: str, substeps: int) -> Trace:
-        """The episodes of the model with a step."""
-        return self._played("auto", integrator, substeps)
+    def trace(self, integrator: str, substeps: int, disturbance: float = 0.0) -> Trace:
+        """The episodes of the model with a step; joints start `disturbance` [rad] off."""
+        return self._played("auto", integrator, substeps, disturbance)
 
     def error(self, integrator: str, substeps: int) -> Distances:
         """Distances of model and step from the reference."""

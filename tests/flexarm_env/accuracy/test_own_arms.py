@@ -8,8 +8,9 @@ import gymnasium as gym
 import pytest
 
 from dynamics import Arm, load_arm
-from flexarm_env.accuracy import certificates
 from flexarm_env.accuracy.certificates import AUTO_TOLERANCE, fit
+from flexarm_env.accuracy.scene import scene
+from flexarm_env.certify import choice
 
 DT = 0.02
 OWN: dict[str, Any] = {
@@ -28,25 +29,20 @@ def searched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[float]:
     """Tolerances that a choice was asked for; it answers with one mode, or fails for "hard"."""
     tolerances: list[float] = []
 
-    class Found:
-        def __init__(self, arm: Arm, tolerance: float) -> None:
-            link = arm.to_dict()["links"][0]
-            self.data = {
-                "arm": {"name": arm.name, "links": [{**link, "modes": link["modes"][:1]}]},
-                "integrator": "midpoint", "dt": 0.5 * DT, "tolerance": tolerance,
-                "error": 0.5 * tolerance, "reason": "One mode suffices.",
-            }  # fmt: skip
-
-        def to_dict(self) -> dict[str, Any]:
-            return self.data
-
-    def answer(arm: Arm, scene: object, tolerance: float) -> Found:
+    def answer(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
         tolerances.append(tolerance)
         if arm.name == "hard":
             raise RuntimeError("No model is within that.")
-        return Found(arm, tolerance)
+        link = arm.to_dict()["links"][0]
+        _, conditions = scene(arm, control_dt)
+        return {
+            "arm": {"name": arm.name, "links": [{**link, "modes": link["modes"][:1]}]},
+            "integrator": "midpoint", "dt": 0.5 * DT, "tolerance": tolerance,
+            "error": 0.5 * tolerance, "reason": "One mode suffices.",
+            "holds": conditions.to_dict(),
+        }  # fmt: skip
 
-    monkeypatch.setattr(certificates, "choose_model", answer)
+    monkeypatch.setattr(choice, "chosen", answer)
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path / "cache"))
     return tolerances
 

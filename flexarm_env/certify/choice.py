@@ -1,0 +1,82 @@
+"""The cheapest model and step that keep the tip within a tolerance in whole episodes.
+
+`dynamics.choose_model` compares models on two short motions, without compiling them. Its choice
+plays whole episodes beside the reference; where it errs by more, the search is made again for less.
+"""
+
+import logging
+import math
+from typing import Any
+
+from dynamics.accuracy.model_choice import choose_model
+from dynamics.description.arm import Arm
+from dynamics.load import load_arm
+from flexarm_env.accuracy.motions import KINDS
+from flexarm_env.accuracy.scene import scene
+from flexarm_env.certify.certificate import DISTURBANCE, Certifier, summary
+from flexarm_env.certify.episodes import SHARE, Distances
+
+EPISODES = 16  # of each kind
+LENGTH = 150  # control steps
+SEARCHES = 3
+MORE = 3  # times the steps of the search, tried before another search
+MARGIN = 0.8  # of the tolerance that a new search aims at
+_log = logging.getLogger(__name__)
+
+
+def chosen(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
+    """JSON values of a `dynamics.Choice` whose error [m] is that of whole episodes.
+
+    A warning is logged if the best that was found errs by more than the tolerance: motions of arms
+    of many links grow apart in time, whatever the model.
+
+    Raises
+    ------
+    ValueError, RuntimeError : if `dynamics.choose_model` finds nothing on the short motions.
+    """
+    motions, conditions = scene(arm, control_dt)
+    wanted, best = tolerance, {"error": math.inf}
+    for search in range(SEARCHES):
+        try:
+            found = choose_model(arm, motions, wanted).to_dict()
+        except RuntimeError:
+            if search == 0:
+                raise
+            break
+        measured = _in_episodes(found, control_dt, tolerance)
+        best = min(best, found | measured, key=lambda x: x["error"])
+        if best["error"] <= tolerance:
+            break
+        wanted *= min(MARGIN, MARGIN * tolerance / measured["error"])
+    if math.isinf(best["error"]):
+        raise RuntimeError(
+            "Every model that keeps the tolerance on short motions diverges in whole episodes."
+        )
+    if best["error"] > tolerance:
+        _log.warning(
+            "No model of %s keeps the tip within %.3g m in whole episodes; the best keeps %.0f %% "
+            "of them within %.2g m.", arm.name or "the arm", tolerance, 100 * SHARE, best["error"],
+        )  # fmt: skip
+    return best | {"tolerance": tolerance, "holds": conditions.to_dict()}
+
+
+def _in_episodes(found: dict[str, Any], control_dt: float, tolerance: float) -> dict[str, Any]:
+    """The fewest steps of a chosen model that keep a tolerance, and its errors with these."""
+    arm = load_arm(found["arm"])
+    kinds = [name for name, kind in KINDS.items() if kind.actions]
+    certifier = Certifier(arm, {"control_dt": control_dt}, LENGTH, kinds=kinds, count=EPISODES)
+    least = max(1, math.ceil(control_dt / found["dt"] - 1e-9))
+    most = MORE * least if certifier.model_error().worst_share <= tolerance else least
+    for substeps in range(least, most + 1):
+        total = certifier.error(found["integrator"], substeps)
+        if total.worst_share <= tolerance:
+            break
+    own = certifier.trace(found["integrator"], substeps)
+    nudged = certifier.trace(found["integrator"], substeps, DISTURBANCE)
+    growth = Distances.between(own, nudged, total.kinds)
+    return {
+        "dt": control_dt / substeps,
+        "error": total.worst_share,
+        "scene": f"{SHARE:.0%} of {EPISODES} whole episodes of each kind",
+        "episodes": summary(total, growth, control_dt, arm.reach),
+    }
