@@ -28,6 +28,7 @@ from dynamics.tracing import graphs
 from dynamics.tracing.operation_counts import operations
 from dynamics.types import Array
 
+ROUND_OFF = 1e-9  # relative, of the lengths of steps that are meant to be equal
 SAMPLES = 256  # least number of tip positions at which motions are compared
 STRIDES = (8, 4, 2, 1)  # distances between compared samples; large steps take a large stride
 EXPLICIT_WORK = 1e8  # [operations] (under a second) above which an implicit method starts
@@ -50,6 +51,7 @@ class TracedMethod:
     """
 
     method: Integrator
+    prepared: Callable[[Array, float], Array]  # state with the constants of a step length
     start: Any  # (state, torque, step) -> state
     step: Any  # the same
     graph: Any  # of one evaluation
@@ -158,9 +160,11 @@ class Rollout:
             for six in (x[:SIZE], x[q.size : q.size + SIZE]):  # into the base's own frame
                 six[:3] = local(six[:3].tolist(), self.arm.base.quaternion)
             x[3:SIZE] = 0.0
-        states, starts = [x], _starts(motion, pieces, used)
+        states, starts, known = [x], _starts(motion, pieces, used), 0.0
         for (begin, width), starting in zip(pieces, starts, strict=True):
             h = width / steps
+            if abs(h - known) > ROUND_OFF * h:
+                x, known = method.prepared(x, h), h
             tau = self._torque(motion, [begin + h * (k + 0.5) for k in range(steps)])
             if starting:
                 x = method.start(x, tau[:, 0], h)
@@ -334,9 +338,11 @@ def _trace(model: Model, integrator: str) -> TracedMethod:
 
     known = jacobian if method.aid == "jacobian" else aid(method.aid, model.chain)
 
-    def start(w: Any, h: Any, *rest: Any) -> None:
-        method.prepare(w, h, places, known)
-        method.start(w, h, *rest)
+    def prepared(state: Array, step: float) -> Array:
+        w = np.zeros(TAU + model.n_torque)
+        w[:keep] = state[:keep]
+        method.prepare(w, step, places, known)
+        return np.concatenate([w[:keep], state[keep:]])
 
     def after(function: Callable[..., None], evaluate: Callable[[Any], None]) -> Any:
         """State after a start or a step; after a step a free base's frame is its own again."""
@@ -358,8 +364,8 @@ def _trace(model: Model, integrator: str) -> TracedMethod:
         w[A:W] = ca.vertsplit(results[-1])
 
     whole = ca.vertcat(x, *attitude)
-    functions = (start, method.step)
+    functions = (method.start, method.step)
     first, step = (ca.Function("step", [whole, tau, h], [after(f, evaluate)]) for f in functions)
     own = [after(f, given) for f in (method.start, method.step)]
     own = [ca.Function("own", [h, whole, tau, *results], [state]) for state in own]
-    return TracedMethod(method, first, step, graph, own)
+    return TracedMethod(method, prepared, first, step, graph, own)
