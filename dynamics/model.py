@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.backends.numba_llvm.module_text import Addition
 from dynamics.backends.numba_llvm.program import inverse_dynamics, program
 from dynamics.backends.numba_llvm.stepper_entries import LANES, LANES_OF
 from dynamics.description import validate
@@ -21,6 +20,7 @@ from dynamics.formulations.link_constants import parts
 from dynamics.load import ArmSource, load_arm
 from dynamics.runtime.jit import aligned_zeros
 from dynamics.tracing import graphs
+from dynamics.tracing.assembly import Addition
 from dynamics.tracing.operation_counts import operations
 from dynamics.tracing.traced_arm import TracedArm
 from dynamics.types import Array

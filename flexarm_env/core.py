@@ -43,7 +43,7 @@ DIVERGED = FLAGS.index("diverged")
 class Core:
     """N environments of one arm and one task.
 
-    A control step of all environments is one compiled call, see `compiled.step_entry`.
+    A control step of all environments is one compiled call, see `compiled.control_step`.
 
     Parameters
     ----------

@@ -13,6 +13,7 @@ from tests.imports import (
     imported,
     imports,
     largest_folder,
+    module_name,
     room,
     sources,
 )
@@ -21,6 +22,8 @@ from tests.paths import ROOT
 PACKAGES = ("dynamics", "flexarm_env", "agents", "benchmarks")
 LONGEST_FILE = 400  # lines
 MOST_MODULES = 16  # of a folder
+TENSORS = "flexarm_env.tensors"
+NUMBA = ("dynamics.backends.numba_llvm", "dynamics.runtime")
 FORBIDDEN = {
     "dynamics": {"gymnasium", "stable_baselines3", "torch", "matplotlib"},
     "flexarm_env": {"torch"},
@@ -64,6 +67,8 @@ def test_packages_do_not_import_what_they_must_not_know(package: str) -> None:
     for path in sources(package):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         found = {name.split(".")[0] for name in imported(tree)} & FORBIDDEN[package]
+        if module_name(path).startswith(TENSORS):
+            found -= {"torch"}
         assert not found, f"{path.relative_to(ROOT)} imports {sorted(found)}"
 
 
@@ -105,3 +110,12 @@ def test_docstrings_name_their_subject() -> None:
                 opening = next((x for x in riddles if text.startswith(f"{x} ")), None)
                 where = f"{path.relative_to(ROOT)}: {text.splitlines()[0] if text else ''}"
                 assert opening is None, where
+
+
+def test_each_compiler_is_known_in_one_place() -> None:
+    """Numba and LLVM to their backend and its runtime; the programs that it prints know neither."""
+    known = {"numba": NUMBA, "llvmlite": NUMBA}
+    for path in sources("dynamics", "flexarm_env", "agents"):
+        found = imported(ast.parse(path.read_text(encoding="utf-8")))
+        for name in {x.split(".")[0] for x in found} & set(known):
+            assert module_name(path).startswith(known[name]), f"{path.relative_to(ROOT)}: {name}"

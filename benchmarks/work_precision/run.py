@@ -31,9 +31,9 @@ from benchmarks.output import RESULTS, argument_parser, provenance
 from benchmarks.work_precision import charts as precision_charts
 from benchmarks.work_precision.scenes import GOOD, SETTINGS, Level, Setting
 from dynamics import Arm, Diverged, Model, Stepper, compile_arm, simulate
-from dynamics.backends.numba_llvm.integrator_text import LONGEST
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.tracing import graphs
+from dynamics.tracing.method import LONGEST
 from dynamics.tracing.operation_counts import operations
 from dynamics.types import Array
 from flexarm_env.accuracy.certificates import stored

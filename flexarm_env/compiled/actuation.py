@@ -22,6 +22,7 @@ from dynamics.formulations.link_constants import chain_constants
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
 from dynamics.tracing.function import Function, traced
+from dynamics.tracing.statements import Call
 from dynamics.types import Array, Symbols
 from flexarm_env.hardware.actuators import Actuator, Law
 from flexarm_env.scales import SAFE, scales
@@ -30,12 +31,9 @@ UNLIMITED = 1e30  # [N m]
 REFUSED = "rosenbrock"  # its Jacobian would need the slopes of the actuator
 EXPLICIT_PART = 1.0  # largest omega h of actuators if the integrator itself has no stability limit
 
-_SUBSTEP = ("mark(w)", "#start", "#step", "follow(w)")
-# marks of step_entry.py for an arm behind actuators
-DRIVEN = {
-    "#evaluate": ["drive(w)", "accelerations(w)"],
-    "#advance": ["for _ in range(substeps):", *(f"    {x}" for x in _SUBSTEP)],
-}
+# with actuators in place of ideal torque sources: evaluation of the accelerations, and a substep
+EVALUATION = (Call("drive"), Call("accelerations"))
+SUBSTEP = (Call("mark"), Call("start"), Call("step"), Call("follow"))
 
 
 class Actuation:

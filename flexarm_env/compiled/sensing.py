@@ -12,26 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.runtime.jit import compiled
 from dynamics.types import Array, Symbols
 from flexarm_env.hardware.sensors import FINEST, Hardware
 
-# marks of step_entry.py for an arm with imperfect sensors
-NOISY = {
-    "#noise": ["noise(w)"],
-    "#sensors": [
-        "from flexarm_env.compiled.sensing import normal",
-        "",
-        "",
-        "@compiled",
-        "def noise(w):",
-        "    for k in range(N_NOISE):",
-        "        for b in range(LANES):",
-        "            w[NOISE + k * LANES + b] = normal(w[DRAWN + b], w[ELAPSED + b], k)",
-        "",
-        "",
-    ],
-}
 KEYS = 2.0**24  # episode keys; integers below it are exact in float32
 
 
@@ -155,17 +138,3 @@ def _chosen(values: list[Any], index: Any) -> Any:
     import casadi as ca
 
     return sum((ca.fabs(index - k) < 0.5) * value for k, value in enumerate(values))
-
-
-@compiled
-def normal(key, step, k):  # type: ignore[no-untyped-def]
-    """Number k of a step: mean 0, standard deviation 1 (a finaliser of splitmix64)."""
-    z = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    z ^= (np.uint64(step) * np.uint64(256) + np.uint64(k)) * np.uint64(0xD1342543DE82EF95)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    low, mask = np.uint64(0), np.uint64(0xFFFF)
-    for shift in range(4):
-        low += (z >> np.uint64(16 * shift)) & mask
-    return (np.float64(low) - 131070.0) * (math.sqrt(3.0) / 65536.0)

@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from dynamics.backends.numba_llvm.fingerprint import hash_of_files
-from dynamics.backends.numba_llvm.module_text import Addition
 from dynamics.model import Model
 from dynamics.tracing import graphs
+from dynamics.tracing.assembly import Addition
 from dynamics.tracing.function import Function, traced
 from dynamics.types import Symbols
-from flexarm_env.compiled.actuation import DRIVEN, Actuation
+from flexarm_env.compiled.actuation import Actuation
+from flexarm_env.compiled.control_step import control_step
 from flexarm_env.compiled.episode import WAVES
 from flexarm_env.compiled.rows import Rows
-from flexarm_env.compiled.sensing import NOISY, Sensing
-from flexarm_env.compiled.step_entry import ENTRIES, EXACT, FLOATING, IDEAL, STANDING
+from flexarm_env.compiled.sensing import Sensing
 from flexarm_env.compiled.termination import FLAGS, flags, lost
 from flexarm_env.observations import Layout, curvature_columns
 from flexarm_env.rewards import TERMS, Measured
@@ -40,7 +40,7 @@ class Signals:
 
     Attributes
     ----------
-    state : rows of an environment's state, for `episode.begin` and `step_entry`.
+    state : rows of an environment's state, for `episode.begin` and `control_step`.
     memory : rows of the state between "v" and "free", with their sizes.
     drawn : rows of the state behind "free", drawn at every reset, with their sizes.
     info : rows of the reward and the info entries.
@@ -96,21 +96,6 @@ class Signals:
         sizes |= {"TARGET_NOW": m, "READINGS_NOW": self.readings}
         sizes |= {"FLAGS": len(FLAGS), "INFO": self.info.total}
         sizes |= {"OBSERVATION": self.layout.size, "RATE_BEFORE": m if self.actuation else 0}
-        counts = {
-            "N_STATE": 2 * self.model.n, "N_JOINT": m, "N_ACTION": u,
-            "N_MEMORY": sum(self.memory.values()),
-            "N_FREE": len(self.model.free_parameters), "N_FLAG": len(FLAGS),
-            "N_INFO": self.info.total, "N_OBSERVATION": self.layout.size,
-            "N_ACTUATOR": self.memory["actuator"], "N_READING": self.readings,
-            "N_KEPT": u + 1 + m + self.memory["actuator"] + self.readings,
-            "N_DRAWN": sum(self.drawn.values()), "N_NOISE": self.noise,
-            "FIRST_TARGET": self.state.slices["target"].start,
-            "FIRST_ACTUATOR": self.state.slices["actuator"].start,
-            "FIRST_READING": self.state.slices["actuator"].stop,
-        }  # fmt: skip
-        if self.model.arm.base.n:
-            counts |= {"N_ANCHOR": 3, "FIRST_ANCHOR": self.state.slices["anchor"].start}
-        lines = [f"{name} = np.uint64({count})" for name, count in counts.items()]
         parts = [(part.name, part.entries, part.bound) for part in self.layout.parts]
 
         def functions(at: Mapping[str, int]) -> list[Function]:
@@ -128,11 +113,12 @@ class Signals:
             key=f"environment {_SOURCES} {self.moving} {parts} {actuation} {sensing}",
             sizes=sizes,
             functions=functions,
-            entries="\n".join([*lines, ENTRIES]),
-            marks=(
-                (DRIVEN if self.actuation else IDEAL)
-                | (NOISY if self.sensing else EXACT)
-                | (FLOATING if self.model.arm.base.n else STANDING)
+            entry=control_step(
+                self.state,
+                self.info.total,
+                self.layout.size,
+                self.noise,
+                driven=self.actuation is not None,
             ),
         )
 

@@ -1,8 +1,7 @@
 """Text of a generated module: straight-line functions, constants, entry points."""
 
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 
 from dynamics.tracing.function import Function
 
@@ -16,17 +15,6 @@ from dynamics.runtime.work_queue import first_chunk, take_chunk
 from dynamics.integrators.exponential import FrozenModes
 from dynamics.integrators.slots import Slots
 """
-
-
-@dataclass(frozen=True, kw_only=True)
-class Addition:
-    """Contents of a generated module beside an arm's accelerations and its integrator."""
-
-    key: str  # tells it from other additions to the same arm
-    sizes: Mapping[str, int]  # further slots of the workspace: name -> how many
-    functions: Callable[[Mapping[str, int]], list[Function]]  # of the workspace, from all slots
-    entries: str  # text of the functions that Python calls
-    marks: Mapping[str, Sequence[str]] = field(default_factory=dict)  # lines its marks stand for
 
 
 def straight_line_text(function: Function) -> str:
@@ -78,17 +66,3 @@ def _slot_table(slots: int, first: Mapping[str, int]) -> list[str]:
     runs = [f"{a}:{b} {name}" for (name, a), b in zip(starts, ends, strict=True) if a < b]
     text = f"Slots of the workspace w, LANES numbers each: {', '.join(runs)}."
     return textwrap.wrap(text, 98, initial_indent="# ", subsequent_indent="# ")
-
-
-def expanded(text: str, marks: Mapping[str, Sequence[str]]) -> str:
-    """Text with other lines, which may be marks again, in place of those that are marks."""
-    lines = []
-    for line in text.splitlines():
-        mark = line.lstrip()
-        if mark in marks:
-            indent = line[: len(line) - len(mark)]
-            own = expanded("\n".join(marks[mark]), marks) if marks[mark] else ""
-            lines += [indent + other for other in own.splitlines()]
-        else:
-            lines.append(line)
-    return "\n".join(lines) + "\n"

@@ -9,24 +9,23 @@ import json
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from itertools import accumulate
 from types import ModuleType
 
 from dynamics import cache
+from dynamics.backends.numba_llvm.block_text import block_lines
+from dynamics.backends.numba_llvm.control_step_text import control_step_text
 from dynamics.backends.numba_llvm.fingerprint import fingerprint
-from dynamics.backends.numba_llvm.integrator_text import method_text
-from dynamics.backends.numba_llvm.module_text import (
-    Addition,
-    expanded,
-    module_text,
-    straight_line_text,
-)
-from dynamics.backends.numba_llvm.stepper_entries import ENTRIES, FORCES, FREE_BASE, STEPS
-from dynamics.integrators.table import INTEGRATORS, usable
+from dynamics.backends.numba_llvm.integrator_text import setting
+from dynamics.backends.numba_llvm.module_text import module_text, straight_line_text
+from dynamics.backends.numba_llvm.stepper_entries import FORCES, step_length, stepper_text
 from dynamics.runtime.numba_internals import DIGEST
 from dynamics.tracing import graphs
+from dynamics.tracing.assembly import Addition, assembled
 from dynamics.tracing.function import Function, finite_check, traced
+from dynamics.tracing.statements import Call, ControlStep
 from dynamics.tracing.traced_arm import TracedArm
+
+STEPPER, INVERSE_DYNAMICS = "stepper", "inverse dynamics"  # loops of `stepper_entries`
 
 _importing = threading.RLock()
 
@@ -47,44 +46,28 @@ def program(
 
 def generate(arm: TracedArm, dtype: str, lanes: int, integrator: str, added: Addition) -> str:
     """Text of the module of `program`."""
-    method = INTEGRATORS[integrator]
-    others = usable(arm.n, arm.arm.base.spatial)
-    if integrator not in others:
-        raise ValueError(
-            f"integrator {integrator!r} remembers earlier steps, but a free base has new "
-            f"coordinates after every step; take one of {others}."
-        )
-    graphs.check_rest(arm)
-    sizes = {
-        **({"ATTITUDE": 4} if arm.arm.base.spatial else {}),
-        "Q": arm.n, "V": arm.n, "TAU": arm.n_torque,
-        "PARAMETERS": len(arm.free_parameters) + arm.n_gravity,
-        "IMPLICIT": 3 * arm.n * method.implicit, "ACC": arm.n, "H": 1,
-        "SCRATCH": method.scratch(arm.n),
-        **added.sizes,
-    }  # fmt: skip
-    starts = list(accumulate(sizes.values(), initial=0))
-    at = dict(zip(sizes, starts, strict=False))
-    inputs = [at[name] for name in ("Q", "V", "TAU", "PARAMETERS", "IMPLICIT")]
-    graph = graphs.accelerations(arm, method.implicit)
-    own = traced("accelerations", graph, inputs, at["ACC"])
-    further = added.functions(at)
-    stepped = method_text(integrator, arm, at, inputs)
-    free_base = FREE_BASE if arm.arm.base.spatial else dict.fromkeys(FREE_BASE, ())
-    marks = {
-        "#evaluate": ["accelerations(w)"], **STEPS, **stepped.marks, **free_base, **added.marks,
-    }  # fmt: skip
+    program = assembled(arm, dtype, lanes, integrator, added)
+    method = setting(program.method, block_lines([Call("evaluate")], program.routines))
+    steps = step_length(method.prepare)
+    if isinstance(program.entry, ControlStep):
+        entries = control_step_text(program.entry, program.routines, steps)
+    elif program.entry == STEPPER:
+        columns = [f"N_TORQUE = {arm.n_torque}", f"N_MEASURED = {arm.n_measure}"]
+        loops = stepper_text(program.routines, steps, arm.arm.base.spatial)
+        entries = "\n".join([*columns, loops])
+    else:
+        entries = FORCES
     return module_text(
-        title=f"{arm.arm.name or 'arm'}, {lanes} lanes, {integrator}, {dtype}",
+        title=program.title,
         lanes=lanes,
-        slots=starts[-1],
-        operations=(len(own.lines), sum(len(function.lines) for function in further)),
-        constants=at | {"N": arm.n},
-        functions=[
-            straight_line_text(function)
-            for function in (own, *further, *_renewal(arm, at), *stepped.functions)
-        ],
-        entries=expanded("\n".join([*stepped.setting, added.entries]), marks),
+        slots=program.slots,
+        operations=(
+            len(program.accelerations.lines),
+            sum(len(function.lines) for function in program.further),
+        ),
+        constants=dict(program.at) | {"N": arm.n},
+        functions=[straight_line_text(function) for function in program.functions],
+        entries="\n".join([*method.text, entries]),
     )
 
 
@@ -100,9 +83,7 @@ def stepping(arm: TracedArm) -> Addition:
         ]
 
     sizes = {"CHECK": 1, "GOOD": 1, "MEASURED": arm.n_measure}
-    columns = [f"N_TORQUE = {arm.n_torque}", f"N_MEASURED = {arm.n_measure}"]
-    entries = "\n".join([*columns, ENTRIES])
-    return Addition(key="stepper", sizes=sizes, functions=functions, entries=entries)
+    return Addition(key=STEPPER, sizes=sizes, functions=functions, entry=STEPPER)
 
 
 def inverse_dynamics(arm: TracedArm) -> Addition:
@@ -114,18 +95,7 @@ def inverse_dynamics(arm: TracedArm) -> Addition:
         return [traced("generalized_forces", graph, inputs, at["FORCES"])]
 
     sizes = {"FORCES": arm.n}
-    return Addition(key="inverse dynamics", sizes=sizes, functions=functions, entries=FORCES)
-
-
-def _renewal(arm: TracedArm, at: Mapping[str, int]) -> list[Function]:
-    """The function that follows every step with a free base."""
-    if not arm.arm.base.spatial:
-        return []
-    places = {**at, "GRAVITY": at["PARAMETERS"] + len(arm.free_parameters)}
-    graph, sizes = graphs.renewal(arm.arm.gravity)
-    inputs = [places[name] for name in list(sizes)[:3]]
-    outputs = [places[name] + i for name, size in sizes.items() for i in range(size)]
-    return [traced("renew", graph, inputs, outputs)]
+    return Addition(key=INVERSE_DYNAMICS, sizes=sizes, functions=functions, entry=INVERSE_DYNAMICS)
 
 
 def cached_module(key: str, build: Callable[[], str]) -> ModuleType:

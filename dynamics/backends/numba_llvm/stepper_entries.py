@@ -1,23 +1,28 @@
-"""Entry points of a stepper's generated module: loops over blocks of environments, as templates.
+"""Entry points of a stepper's generated module: loops over blocks of environments.
 
 They are text because numba compiles functions of a module, and the functions that they call are
 the module's own: `accelerations(w)`, `measure(w)` and `check(w)` of the arm, the straight-line
-functions of the integrator. A line that is a mark, such as #step, stands for the lines that
-`module_text.expanded` puts in its place. `python -m dynamics source ARM` prints the result.
+functions of the integrator. `python -m dynamics source ARM` prints the result.
 """
+
+from collections.abc import Sequence
+
+from dynamics.backends.numba_llvm.block_text import Routines, block_lines, filled
+from dynamics.tracing.statements import Call, Clear, Substeps
 
 LANES = 16  # of a batch's blocks in float64; twice as many fit the same registers in float32
 LANES_OF = {"float64": LANES, "float32": 2 * LANES}
 
+# The block of lines in place of a name in braces.
 # w[H] is the step length that w was prepared for, zero at first
-STEPS = {
-    "#steps": [
-        "h = w.dtype.type(dt)", "if w[H] != h:", "    for b in range(LANES):",
-        "        w[H + b] = h", "    #prepare",
-    ],
-}  # fmt: skip
-# #steps: above; #prepare, #start, #step: integrator_text.py; #enter and others: FREE_BASE
-ENTRIES = """
+_STEPS = """
+h = w.dtype.type(dt)
+if w[H] != h:
+    for b in range(LANES):
+        w[H + b] = h
+    {prepare}
+"""
+_ENTRIES = """
 gather, scatter = row_moves(int(LANES))
 take_states, put_states = block_moves(int(LANES), int(N // LANES))
 take_torques, _ = block_moves(int(LANES), N_TORQUE)
@@ -26,7 +31,7 @@ _, put_measured = block_moves(int(LANES), N_MEASURED)
 
 @outermost
 def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, measured):
-    #steps
+    {steps}
     start, stop = first_chunk(rows, thread)
     while start < stop:
         for first in range(start, stop, LANES):
@@ -34,17 +39,7 @@ def advance(rows, thread, q, v, torque, parameters, dt, substeps, w, status, mea
             take_states(w, V, v, first)
             take_torques(w, TAU, torque, first)
             gather(w, PARAMETERS, parameters, first)
-            #enter
-            for b in range(LANES):
-                w[CHECK + b] = 0.0
-                w[GOOD + b] = 0.0
-            #start
-            for _ in range(substeps):
-                #step
-                #renew
-                check(w)
-            measure(w)
-            #leave
+            {advance}
             kept = 0
             for b in range(LANES):
                 kept += np.int64(w[GOOD + b]) == substeps
@@ -74,7 +69,7 @@ def measure_states(q, v, w, out):
         first = block * LANES
         gather(w, Q, q, first)
         gather(w, V, v, first)
-        #enter
+        {enter}
         measure(w)
         for b in range(min(LANES, rows - first)):
             scatter(w, MEASURED + b, out, first + b)
@@ -91,9 +86,9 @@ def evaluate_states(q, v, torque, parameters, w, out):
         gather(w, V, v, first)
         gather(w, TAU, torque, first)
         gather(w, PARAMETERS, parameters, first)
-        #enter
+        {enter}
         accelerations(w)
-        #result
+        {result}
         for b in range(min(LANES, rows - first)):
             scatter(w, ACC + b, out, first + b)
 
@@ -120,10 +115,22 @@ def forces_of_states(q, v, a, w, out):
         for b in range(min(LANES, rows - first)):
             scatter(w, FORCES + b, out, first + b)
 """
-# the marks of an arm with a free base; see formulations/free_base.py
-FREE_BASE = {
-    "#enter": ["enter(w, LANES, Q, V, ATTITUDE)", "renew(w)"],
-    "#renew": ["renew(w)"],
-    "#leave": ["leave(w, LANES, Q, V, ATTITUDE)"],
-    "#result": ["turn(w, LANES, ACC, ATTITUDE, 1.0)"],
-}
+# conversions of a free base's state, see formulations/free_base.py
+_ENTER = ("enter(w, LANES, Q, V, ATTITUDE)", "renew(w)")
+_LEAVE = ("leave(w, LANES, Q, V, ATTITUDE)",)
+_RESULT = ("turn(w, LANES, ACC, ATTITUDE, 1.0)",)
+
+
+def step_length(prepare: Sequence[str]) -> list[str]:
+    """Lines that store a new step length, and prepare the method for it."""
+    return filled(_STEPS, prepare=prepare).strip().splitlines()
+
+
+def stepper_text(routines: Routines, steps: Sequence[str], spatial: bool) -> str:
+    """Entry points; `steps` are the lines of `step_length`, `spatial` is of a free base."""
+    enter, leave, result = (_ENTER, _LEAVE, _RESULT) if spatial else ((), (), ())
+    renew = (Call("renew"),) if spatial else ()
+    counted = Substeps((Call("step"), *renew, Call("check")))
+    lines = block_lines((Clear("CHECK"), Clear("GOOD"), Call("start"), counted), routines)
+    advance = [*enter, *lines, "measure(w)", *leave]
+    return filled(_ENTRIES, steps=steps, advance=advance, enter=enter, result=result)

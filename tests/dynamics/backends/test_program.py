@@ -14,12 +14,12 @@ import pytest
 
 from dynamics import Arm, Joint, Link, Mode, Stepper, compile_arm, load_arm
 from dynamics.backends.numba_llvm import fingerprint as keys
-from dynamics.backends.numba_llvm import integrator_text
 from dynamics.backends.numba_llvm.fingerprint import fingerprint
-from dynamics.backends.numba_llvm.integrator_text import method_text
 from dynamics.backends.numba_llvm.program import cached_module
 from dynamics.backends.numba_llvm.stepper_entries import LANES
 from dynamics.tracing import graphs
+from dynamics.tracing import method as methods
+from dynamics.tracing.method import traced_method
 from dynamics.tracing.traced_arm import TracedArm
 from tests.dynamics.random_arms import random_arm
 from tests.paths import ROOT
@@ -290,8 +290,8 @@ def test_a_jacobian_too_long_to_compile_is_refused(monkeypatch: pytest.MonkeyPat
     arm = TracedArm(load_arm("slim"))
     count = graphs.state_jacobian(arm).n_instructions()
     inputs, at = [0, 10, 20, 30, 40], {"SCRATCH": 50}
-    monkeypatch.setattr(integrator_text, "LONGEST", count)
-    assert [f.name for f in method_text("rosenbrock", arm, at, inputs).functions] == ["AID"]
-    monkeypatch.setattr(integrator_text, "LONGEST", count - 1)
+    monkeypatch.setattr(methods, "LONGEST", count)
+    assert [f.name for f in traced_method("rosenbrock", arm, at, inputs).functions] == ["AID"]
+    monkeypatch.setattr(methods, "LONGEST", count - 1)
     with pytest.raises(ValueError, match=f"takes {count} operations .* 'midpoint'"):
-        method_text("rosenbrock", arm, at, inputs)
+        traced_method("rosenbrock", arm, at, inputs)

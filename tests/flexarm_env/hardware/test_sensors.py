@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 import flexarm_env  # noqa: F401
-from flexarm_env.compiled.sensing import normal
+from dynamics.backends.numba_llvm.noise import normal
 from flexarm_env.hardware.sensors import PRESETS, Hardware, load_hardware
 from flexarm_env.observations import curvature_columns, curvature_scale
 

@@ -1,0 +1,154 @@
+"""Statements of a program as lines of a generated module, for blocks of environments."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+
+from dynamics.tracing.statements import (
+    ROW_PER_ENVIRONMENT,
+    Call,
+    Clear,
+    Copy,
+    Load,
+    Noise,
+    Prefetch,
+    Rows,
+    Statement,
+    Statements,
+    Store,
+    Substeps,
+    WhereLost,
+)
+
+Routines = Mapping[str, Statements]
+
+
+def filled(template: str, **blocks: Sequence[str]) -> str:
+    """Text with a block of lines, indented, in place of each line that is a name in braces."""
+    lines = []
+    for line in template.splitlines():
+        name = line.strip()
+        if name.startswith("{") and name[1:-1] in blocks:
+            indent = line[: line.index("{")]
+            lines += [indent + other for other in blocks[name[1:-1]]]
+        else:
+            lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def indented(lines: Iterable[str]) -> list[str]:
+    """Lines, one level further in."""
+    return [f"    {line}" for line in lines]
+
+
+def block_lines(statements: Iterable[Statement], routines: Routines) -> list[str]:
+    """Lines for LANES environments side by side, from the one at `column` on."""
+    return [line for x in statements for line in _block(x, routines)]
+
+
+def _block(statement: Statement, routines: Routines) -> list[str]:
+    match statement:
+        case Call(name) if name in routines:
+            return block_lines(routines[name], routines)
+        case Call(name):
+            return [f"{name}(w)"]
+        case Clear(slot):
+            return ["for b in range(LANES):", f"    w[{slot} + b] = 0.0"]
+        case Noise():
+            return ["noise(w)"]
+        case Substeps(body):
+            return ["for _ in range(substeps):", *indented(block_lines(body, routines))]
+        case Copy(source, target, rows):
+            return _each(rows, f"put(w, {source} + k * LANES, w, {target} + k * LANES)")
+        case Prefetch(rows, following):
+            return _each(rows, f"expect({rows.array}, {_place(rows, following)})")
+        case Load(slots, rows) if rows.array in ROW_PER_ENVIRONMENT:
+            return [f"take_{rows.array}(w, {slots}, {rows.array}, column)"]
+        case Store(slots, rows) if rows.array in ROW_PER_ENVIRONMENT:
+            return [f"put_{rows.array}(w, {slots}, {rows.array}, column)"]
+        case Load(slots, rows):
+            return _each(rows, f"take(w, {slots} + k * LANES, {rows.array}, {_place(rows)})")
+        case Store(slots, rows):
+            return _each(rows, f"put(w, {slots} + k * LANES, {rows.array}, {_place(rows)})")
+        case WhereLost(flag, restored, then):
+            return _where_lost(flag, restored, block_lines(then, routines))
+
+
+def _each(rows: Rows, line: str) -> list[str]:
+    return [f"for k in range(N_{rows.name}):", f"    {line}"]
+
+
+def _place(rows: Rows, following: bool = False) -> str:
+    """Number of an element in its flat array: of row k and the block's first environment."""
+    if rows.array in ROW_PER_ENVIRONMENT:
+        return f"column * N_{rows.name} + k * LANES"
+    return f"{_row(rows)} * width + column" + (" + LANES" if following else "")
+
+
+def _row(rows: Rows) -> str:
+    return f"(FIRST_{rows.name} + k)" if rows.first else "k"
+
+
+def _where_lost(flag: str, restored: Iterable[Load], then: Iterable[str]) -> list[str]:
+    """Restore some lanes; call for all of them."""
+    loads = [
+        line
+        for x in restored
+        for line in _each(x.rows, f"{_slot(x.slots)} = {_element(x.rows, 'column + b')}")
+    ]
+    lines = [f"if w[{flag} + b] > 0.0:", *indented(loads)]
+    return [
+        "lost = 0",
+        "for b in range(LANES):",
+        f"    lost += w[{flag} + b] > 0.0",
+        "if lost > 0:",
+        *indented(["for b in range(LANES):", *indented(lines), *then]),
+    ]
+
+
+def listed_lines(statements: Iterable[Statement], routines: Routines) -> list[str]:
+    """Lines for environments that `rows` lists, up to LANES of them from the entry `first` on.
+
+    Lanes beyond the last entry repeat it, and store nothing.
+    """
+    lines = []
+    for kind, group in groupby(statements, _lane_by_lane):
+        moves = list(group)
+        if not kind:
+            lines += block_lines(moves, routines)
+            continue
+        lanes = "min(LANES, count - first)" if kind == "store" else "LANES"
+        at = "first + b" if kind == "store" else "min(first + b, count - np.uint64(1))"
+        body = [line for x in moves for line in _lane(x)]
+        lines += [f"for b in range({lanes}):", f"    i = np.uint64(rows[{at}])", *indented(body)]
+    return lines
+
+
+def _lane_by_lane(statement: Statement) -> str:
+    """Kind of a statement that moves numbers of one lane at a time; empty for others."""
+    if isinstance(statement, Store):
+        return "store"
+    return "load" if isinstance(statement, Load | Copy | Clear) else ""
+
+
+def _lane(statement: Statement) -> list[str]:
+    match statement:
+        case Clear(slot):
+            return [f"w[{slot} + b] = 0.0"]
+        case Copy(source, target, rows):
+            return _each(rows, f"{_slot(target)} = {_slot(source)}")
+        case Load(slots, rows):
+            return _each(rows, f"{_slot(slots)} = {_element(rows, 'i')}")
+        case Store(slots, rows) if rows.array in ROW_PER_ENVIRONMENT:
+            return [f"scatter(w, {slots} + b, {rows.array}, i)"]
+        case Store(slots, rows):
+            flag = " != 0.0" if rows.array == "flags" else ""
+            return _each(rows, f"{_element(rows, 'i')} = {_slot(slots)}{flag}")
+    raise TypeError(f"No lines of one lane for {statement}.")
+
+
+def _slot(name: str) -> str:
+    return f"w[{name} + k * LANES + b]"
+
+
+def _element(rows: Rows, environment: str) -> str:
+    return f"{rows.array}[{_row(rows).strip('()')}, {environment}]"

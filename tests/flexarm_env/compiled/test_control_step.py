@@ -1,0 +1,69 @@
+"""The control step as a program: everything it names exists, and nothing is left out."""
+
+from typing import Any
+
+import gymnasium as gym
+import pytest
+
+import flexarm_env  # noqa: F401
+from dynamics.tracing.assembly import Program, assembled
+from dynamics.tracing.statements import Call, ControlStep, Copy, Load, Store, walked
+
+CASES: dict[str, tuple[str, dict[str, Any]]] = {
+    "plain": ("OneLink-Reach", {}),
+    "laboratory": ("OneLink-Reach", {"hardware": "laboratory"}),
+    "actuators": ("OneLink-Track", {"actuator": "quanser-servo"}),
+    "free base": ("FreeFlyer-Reach", {"randomize": {"payload_mass": (0.0, 0.1)}}),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def batch(request: pytest.FixtureRequest) -> tuple[Any, Program]:
+    """An environment's core, and its program."""
+    name, keywords = CASES[request.param]
+    core: Any = gym.make(f"FlexArm/{name}-v0", **keywords).unwrapped.core  # type: ignore[attr-defined]
+    added = core.signals.addition
+    return core, assembled(core.model.traced, "float64", 1, core.integrator, added)
+
+
+def test_every_called_function_and_slot_exists(batch: tuple[Any, Program]) -> None:
+    _, program = batch
+    known = {function.name for function in program.functions} | set(program.routines)
+    assert isinstance(program.entry, ControlStep)
+    inside = [x for routine in program.routines.values() for x in walked(routine)]
+    for statement in (*program.entry.statements, *inside):
+        match statement:
+            case Call(name):
+                assert name in known
+            case Load(slots, rows) | Store(slots, rows) | Copy(_, slots, rows):
+                assert program.at[slots] + rows.count <= program.slots
+                assert rows.count > 0
+
+
+def test_every_function_is_called(batch: tuple[Any, Program]) -> None:
+    _, program = batch
+    assert isinstance(program.entry, ControlStep)
+    inside = [x for routine in program.routines.values() for x in walked(routine)]
+    called = {x.name for x in (*program.entry.statements, *inside) if isinstance(x, Call)}
+    assert {function.name for function in program.functions} <= called
+
+
+def test_a_step_reads_and_keeps_the_whole_state(batch: tuple[Any, Program]) -> None:
+    """Only the reference, the free base's anchor and what an episode draws are not written back."""
+    core, program = batch
+    assert isinstance(program.entry, ControlStep)
+    step = [x for x in program.entry.step if getattr(x, "rows", None)]
+    read = {
+        i
+        for x in step
+        if isinstance(x, Load) and x.rows.array == "state"
+        for i in range(x.rows.first, x.rows.first + x.rows.count)
+    }
+    kept = {
+        i
+        for x in step
+        if isinstance(x, Store) and x.rows.array == "state"
+        for i in range(x.rows.first, x.rows.first + x.rows.count)
+    }
+    assert read == set(range(core.signals.state.total))
+    assert kept == set(range(core.signals.state.slices["centre"].start))
