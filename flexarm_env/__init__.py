@@ -16,6 +16,7 @@ if Path(dynamics.__file__).resolve().parents[1] != Path(__file__).resolve().pare
         "folder."
     )
 
+from dynamics.extras import missing
 from flexarm_env.env import FlexArmEnv
 from flexarm_env.plant import GravityWarning
 from flexarm_env.registration import IDS, register, registered
@@ -33,6 +34,7 @@ __all__ = [
     "GravityWarning",
     "SB3VecEnv",
     "TipTrackingReward",
+    "TorchVecEnv",
     "VibrationSuppressionReward",
     "registered",
 ]
@@ -41,9 +43,16 @@ register()
 
 
 def __getattr__(name: str) -> Any:
-    """Import `SB3VecEnv` on first use, because stable-baselines3 is optional."""
+    """Import `SB3VecEnv` and `TorchVecEnv` on first use: what they need is optional."""
     if name == "SB3VecEnv":
         from flexarm_env.sb3 import SB3VecEnv
 
         return SB3VecEnv
+    if name == "TorchVecEnv":
+        try:
+            from flexarm_env.tensors.vec_env import TorchVecEnv
+        except ModuleNotFoundError as error:
+            raise missing(error, name, "train") from None
+
+        return TorchVecEnv
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

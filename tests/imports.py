@@ -45,6 +45,7 @@ ROOMS = (
     "flexarm_env.env",
     "flexarm_env.vector",
     "flexarm_env.sb3",
+    "flexarm_env.tensors",
     "flexarm_env",
     "agents.sentences",
     "agents.signals",

@@ -1,0 +1,1 @@
+"""Batches whose observations, rewards and actions are torch tensors."""

@@ -1,0 +1,192 @@
+"""Batch of environments with torch tensors in and out."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+
+from dynamics.description import validate
+from flexarm_env.compiled.outputs import BatchOutputs
+from flexarm_env.env import Changeable
+from flexarm_env.tensors.privileged import Privileged
+from flexarm_env.vector import FlexArmVectorEnv
+
+Observation = Any  # a tensor, or with obs="goal" a dict of tensors
+Info = dict[str, Any]  # tensors by name; "reward_terms" is a dict of tensors
+REFUSED = {
+    "autoreset_mode": "an environment whose episode ends restarts in the same step",
+    "render_mode": "pictures come from gymnasium.make_vec(id, render_mode=...)",
+    "vectorization_mode": "there is one compiled batch",
+    "wrappers": "wrappers take NumPy arrays; transform the tensors instead",
+    "vector_kwargs": "give its entries as keywords",
+}
+
+
+class TorchVecEnv(Changeable):
+    """N environments of a registered id, stepped together, as torch tensors.
+
+    An environment whose episode ends restarts in the same step: its observation is the first one of
+    the new episode, its reward, flags and info belong to the step that ended, and
+    `info["final_obs"]` holds the last observation of that episode (of all others, the present one).
+    Tensors share the batch's memory; a later step does not overwrite a tensor that is still in use.
+
+    Parameters
+    ----------
+    id : a registered id, such as "FlexArm/OneLink-Reach-v0".
+    num_envs : number of environments.
+    device : "cpu".
+    keywords : those of `gymnasium.make_vec` for this id: `hardware`, `obs`, `dtype`, `threads`, ...
+
+    Attributes
+    ----------
+    single_observation_space, single_action_space : Gymnasium's spaces of one environment.
+    device : of all tensors.
+    core : the batch.
+
+    Raises
+    ------
+    ValueError : with the keyword, its value and the remedy.
+    """
+
+    def __init__(
+        self, id: str, num_envs: int, device: str | torch.device = "cpu", **keywords: Any
+    ) -> None:
+        self.device = _known_device(device)
+        for name in REFUSED.keys() & keywords.keys():
+            raise ValueError(
+                f"{name} is not a keyword of TorchVecEnv, got {validate.shown(keywords[name])}; "
+                f"leave it out: {REFUSED[name]}."
+            )
+        envs = gym.make_vec(
+            id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **keywords
+        )
+        assert isinstance(envs, FlexArmVectorEnv)
+        self.envs, self.num_envs = envs, envs.num_envs
+        self.single_observation_space = envs.single_observation_space
+        self.single_action_space = envs.single_action_space
+        self._shape = (self.num_envs, envs.core.arm.n_torque)
+        self._state = torch.from_numpy(envs.core.state)[:, : self.num_envs]
+        self._privileged = Privileged(envs.core)
+        self._all = np.arange(self.num_envs)
+        self.core = envs.core
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Control steps after which an episode is truncated; -1: never."""
+        return self.envs.max_episode_steps
+
+    @max_episode_steps.setter
+    def max_episode_steps(self, given: int | None) -> None:
+        self.envs.max_episode_steps = given
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[Observation, Info]:
+        """Start episodes in all environments; environment i gets `seed + i` or `seed[i]`.
+
+        `options` are those of `gymnasium.make_vec`: "state" and "target".
+        """
+        self.core.claim()
+        try:
+            self.envs.seed_streams(seed)
+            out = self.core.reset(self._all, options)
+        finally:
+            self.core.busy = False
+        return self._observed(torch.from_numpy(out.obs)), _info(out)
+
+    def step(
+        self, actions: torch.Tensor
+    ) -> tuple[Observation, torch.Tensor, torch.Tensor, torch.Tensor, Info]:
+        """Advance all by one control step.
+
+        Parameters
+        ----------
+        actions : (N, n_torque) tensor on the device; clipped to [-1, 1].
+
+        Returns
+        -------
+        Observation (N, size) float32; reward (N,) in the batch's dtype; terminated, truncated (N,)
+        bool; info, tensors of N rows by name.
+        """
+        array = self._actions(actions)
+        self.core.claim()
+        try:
+            out, ended = self.core.step(array)
+            reward = torch.from_numpy(self.envs.rewarded(out))
+            terminated, truncated = map(torch.from_numpy, (out.terminated, out.truncated))
+            obs, info = torch.from_numpy(out.obs), _info(out)
+            info["final_obs"] = self._observed(obs.clone() if ended else obs)
+            if ended:
+                self._restart(np.flatnonzero(out.terminated | out.truncated), out)
+        finally:
+            self.core.busy = False
+        return self._observed(obs), reward, terminated, truncated, info
+
+    def privileged(self) -> torch.Tensor:
+        """(N, size) float32 true state, drawn parameters and delay, scaled; see its slices.
+
+        After a step that ended an episode it is about the new one, as the observation is.
+        """
+        return self._privileged(self._state)
+
+    @property
+    def privileged_slices(self) -> dict[str, slice]:
+        """Columns of `privileged` by name: joint angles and rates, modes, target, and so on."""
+        return self._privileged.slices
+
+    def close(self) -> None:
+        """Close the batch."""
+        self.envs.close()
+
+    def _actions(self, actions: torch.Tensor) -> Any:
+        """Actions as an array on the same memory, where they are contiguous float32."""
+        if not isinstance(actions, torch.Tensor):
+            raise ValueError(
+                f"Actions must be a torch tensor, got {validate.shown(actions)}; "
+                "torch.as_tensor(actions, dtype=torch.float32) makes one."
+            )
+        if actions.device.type != self.device.type:
+            raise ValueError(
+                f"Actions must be on {self.device}, where the batch is, got {actions.device}; "
+                f"move them with actions.to({str(self.device)!r})."
+            )
+        if tuple(actions.shape) != self._shape:
+            raise ValueError(f"Actions must have shape {self._shape}, got {tuple(actions.shape)}.")
+        return actions.detach().to(torch.float32).contiguous().numpy()
+
+    def _restart(self, rows: Any, out: BatchOutputs) -> None:
+        """Start new episodes in `rows`; of their outputs only observations are replaced."""
+        fresh = self.core.outputs()  # another set: tensors of this one are in use
+        self.core.restart(rows, fresh)
+        out.obs[rows] = fresh.obs[rows]
+
+    def _observed(self, elements: torch.Tensor) -> Observation:
+        return self.core.layout.observed(elements)
+
+
+def _known_device(device: Any) -> torch.device:
+    try:
+        found = torch.device(device)
+    except (RuntimeError, TypeError):
+        raise ValueError(f"device must be 'cpu', got {validate.shown(device)}.") from None
+    if found.type != "cpu":
+        raise ValueError(
+            f"device must be 'cpu', got {str(found)!r}: batches are stepped by the processor; "
+            "move tensors to the device of a network with tensor.to(device)."
+        )
+    return found
+
+
+def _info(out: BatchOutputs) -> Info:
+    """Info as tensors on the same memory."""
+    named = out.described()
+    terms = named.pop("reward_terms")
+    info: Info = {name: torch.from_numpy(array) for name, array in named.items()}
+    info["reward_terms"] = {name: torch.from_numpy(array) for name, array in terms.items()}
+    return info

@@ -1,0 +1,168 @@
+"""A batch of tensors gives the numbers of Gymnasium's batch, on the same memory."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+import flexarm_env
+from flexarm_env import TorchVecEnv
+
+N, STEPS = 20, 40
+CASES: dict[str, tuple[str, dict[str, Any]]] = {
+    "plain": ("OneLink-Reach", {}),
+    "laboratory": ("OneLink-Reach", {"hardware": "laboratory", "dtype": "float32"}),
+    "goals": ("TwoLink-Reach", {"obs": "goal"}),
+    "free base": ("FreeFlyer-Reach", {"randomize": {"payload_mass": (0.0, 0.1)}}),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request: pytest.FixtureRequest) -> tuple[str, dict[str, Any]]:
+    """An id and keywords, with episodes that end within the test."""
+    name, keywords = CASES[request.param]
+    return f"FlexArm/{name}-v0", keywords | {"max_episode_steps": 15}
+
+
+def actions() -> Any:
+    return np.random.default_rng(0).uniform
+
+
+def arrays(obs: Any) -> list[Any]:
+    """Arrays of an observation, which may be a dict."""
+    return [np.asarray(x) for x in (obs.values() if isinstance(obs, dict) else [obs])]
+
+
+def test_tensors_equal_the_arrays_of_gymnasium(case: tuple[str, dict[str, Any]]) -> None:
+    """Bit for bit, across the ends of episodes; the last observation is Gymnasium's."""
+    env_id, keywords = case
+    envs, tensors = (
+        gym.make_vec(env_id, num_envs=N, autoreset_mode="SameStep", **keywords),
+        TorchVecEnv(env_id, N, **keywords),
+    )
+    first, _ = envs.reset(seed=3)
+    obs, _ = tensors.reset(seed=3)
+    for a, b in zip(arrays(first), arrays(obs), strict=True):
+        np.testing.assert_array_equal(a, b)
+    draw, ends = actions(), 0
+    for _ in range(STEPS):
+        action = draw(-1.0, 1.0, envs.action_space.shape).astype(np.float32)
+        expected = envs.step(action)
+        obs, *outcome, info = tensors.step(torch.from_numpy(action))
+        for a, b in zip(arrays(expected[0]), arrays(obs), strict=True):
+            np.testing.assert_array_equal(a, b)
+        for a, b in zip(expected[1:4], outcome, strict=True):
+            np.testing.assert_array_equal(a, b.numpy())
+        done = expected[2] | expected[3]
+        for i in np.flatnonzero(done):
+            ends += 1
+            final = expected[4]["final_info"]["tip_error"][i]
+            assert info["tip_error"][i].item() == final
+            last = arrays(expected[4]["final_obs"][i])
+            for a, b in zip(last, arrays(info["final_obs"]), strict=True):
+                np.testing.assert_array_equal(a, b[i])
+        for i in np.flatnonzero(~done):
+            assert info["tip_error"][i].item() == expected[4]["tip_error"][i]
+    assert ends > N
+
+
+def test_tensors_are_not_overwritten_while_they_are_kept() -> None:
+    """Also where episodes end, and others begin in the same step."""
+    envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", N, max_episode_steps=3)
+    kept, copies = [], []
+    kept.append(envs.reset(seed=0)[0])
+    copies.append(kept[0].clone())
+    for _ in range(8):
+        obs, reward, *_, info = envs.step(torch.rand(N, 1) - 0.5)
+        kept += [obs, reward, info["tip_error"], info["final_obs"]]
+        copies += [x.clone() for x in kept[-4:]]
+    for a, b in zip(kept, copies, strict=True):
+        torch.testing.assert_close(a, b, rtol=0.0, atol=0.0)
+
+
+def test_results_share_the_memory_of_the_batch() -> None:
+    envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", N)
+    envs.reset(seed=0)
+    obs, reward, terminated, _, info = envs.step(torch.zeros(N, 1))
+    sets = envs.core._kept
+    assert obs.data_ptr() in [out.obs.ctypes.data for out in sets]
+    assert reward.data_ptr() in [out.reward.ctypes.data for out in sets]
+    assert terminated.dtype == torch.bool
+    assert info["final_obs"].data_ptr() == obs.data_ptr()
+    assert not obs.requires_grad
+
+
+def test_numbers_of_a_critic_are_those_of_the_state() -> None:
+    """Joints, the target, the elapsed share, and parameters from -1 to 1 over their ranges."""
+    keywords: dict[str, Any] = {"hardware": "laboratory", "max_episode_steps": 10}
+    envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", 64, **keywords)
+    envs.reset(seed=1)
+    for _ in range(4):
+        envs.step(torch.rand(64, 1) - 0.5)
+    core, found, at = envs.core, envs.privileged(), envs.privileged_slices
+    assert found.shape == (64, sum(s.stop - s.start for s in at.values()))
+    assert found.dtype == torch.float32
+    q, v = core.joint_state()
+    error = (core.joint_target() - q) / 0.5
+    np.testing.assert_allclose(found[:, at["joint_error"]], error, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(found[:, at["joint_rate"]], v / core.rate_scale, rtol=1e-5)
+    assert found[:, at["elapsed"]] == pytest.approx(0.4)
+    for j, (low, high) in enumerate(core.randomize.values()):
+        share = 2.0 * (core.parameters[:, j] - low) / (high - low) - 1.0
+        np.testing.assert_allclose(found[:, at["parameters"].start + j], share, atol=1e-6)
+    drawn = found[:, at["delay"]]
+    assert 0.0 <= drawn.min() <= drawn.max() <= 1.0
+
+
+def test_a_critic_follows_changed_ranges() -> None:
+    envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", 8, randomize={"payload_mass": (0.0, 0.1)})
+    envs.reset(seed=1)
+    before = envs.privileged()[:, envs.privileged_slices["parameters"]]
+    envs.randomize = {"payload_mass": (0.0, 0.2)}
+    after = envs.privileged()[:, envs.privileged_slices["parameters"]]
+    torch.testing.assert_close(0.5 * (before + 1.0), after + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "sentence"),
+    [
+        ({"autoreset_mode": "NextStep"}, "autoreset_mode is not a keyword .* same step"),
+        ({"render_mode": "human"}, "pictures come from"),
+        ({"wrappers": []}, "wrappers take NumPy arrays"),
+        ({"device": "cuda"}, r"tensor.to\(device\)"),
+        ({"device": "abacus"}, "device must be 'cpu', got 'abacus'"),
+    ],
+)
+def test_what_it_cannot_do_is_refused_with_a_remedy(
+    keywords: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        TorchVecEnv("FlexArm/OneLink-Reach-v0", 2, **keywords)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        (np.zeros((2, 1)), "torch.as_tensor"),
+        (torch.zeros(2), r"shape \(2, 1\)"),
+        (torch.full((2, 1), torch.nan), "finite"),
+        (torch.zeros(2, 1, device="meta"), r"actions.to\('cpu'\)"),
+    ],
+)
+def test_wrong_actions_are_refused(given: Any, sentence: str) -> None:
+    envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", 2)
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match=sentence):
+        envs.step(given)
+
+
+def test_keywords_change_as_in_the_batch() -> None:
+    envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", 2)
+    envs.max_episode_steps = 5
+    envs.deflection_limit = 0.08
+    assert (envs.core.max_steps, envs.core.settings.deflection_limit) == (5, 0.08)
+    with pytest.raises(ValueError, match="cannot change"):
+        envs.obs = "sensors"  # type: ignore[attr-defined]
+    assert flexarm_env.TorchVecEnv is TorchVecEnv
