@@ -10,9 +10,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from dynamics.arms import ARMS
-from dynamics.description.arm import Arm, Base, Payload
+from dynamics.description.arm import Arm, Base
 from dynamics.description.joint import Joint
-from dynamics.description.link import Body, Link
+from dynamics.description.link import Body, Link, Payload
 from dynamics.description.mode_rule import RigidLinkWarning
 from dynamics.description.mode_shapes import Mode
 from dynamics.description.plausibility import ImplausibleArmWarning

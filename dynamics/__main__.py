@@ -88,7 +88,7 @@ def listing() -> str:
     """The presets, one per line: name, links, coordinates, reach, description."""
     width = max(len(name) for name in ARMS)
     rows = [
-        f"{arm.name:{width}} {arm.n_joint} links  {arm.n:2} coordinates  {arm.reach:.2f} m  "
+        f"{arm.name:{width}} {len(arm.links)} links  {arm.n:2} coordinates  {arm.reach:.2f} m  "
         f"{arm.description}"
         for arm in ARMS.values()
     ]

@@ -157,7 +157,7 @@ class Model:
 
         A strain gauge reads the curvature times the gauge's distance from the neutral axis.
         """
-        described = self.arm.links[validate.integer(link, "link", 0, self.n_joint - 1)]
+        described = self.arm.links[validate.integer(link, "link", 0, len(self.arm.links) - 1)]
         if not 0.0 <= validate.number(x, "x", "m") <= described.length:
             raise ValueError(f"x must be within the link, 0 to {described.length} m, got {x!r}.")
         segment = parts(described)[0]

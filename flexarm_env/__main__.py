@@ -24,7 +24,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m flexarm_env"
 def table() -> str:
     """Presets, one per line: name, links, coordinates, reach, and ids as `environments` has."""
     rows = [COLUMNS] + [
-        (name, f"{arm.n_joint}", f"{arm.n}", f"{arm.reach:.2f}", environments(name))
+        (name, f"{len(arm.links)}", f"{arm.n}", f"{arm.reach:.2f}", environments(name))
         for name, arm in ARMS.items()
     ]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -108,7 +108,7 @@ def is_planar(arm: Arm) -> bool:
     """
     turned = arm.links if arm.base.n else arm.links[1:]  # against what carries them
     parallel = all(link.joint.rotation[2][2] == 1.0 for link in turned)
-    flat = all(link.joint.offset[2] == 0.0 for link in turned)
+    flat = all(link.joint.offset[2] == link.joint.root[2] == 0.0 for link in turned)
     bending = all(mode.direction == "y" for link in arm.links for mode in link.modes)
     return parallel and flat and bending
 

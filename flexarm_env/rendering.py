@@ -114,7 +114,7 @@ class Renderer:
         at = core.arm.base.n
         for link, constants in zip(core.arm.links, self.constants, strict=True):
             end = end + R @ E @ np.array(link.joint.offset)
-            joints = 1 + link.joint.elastic  # the rotor, and the twist of its spring
+            joints = link.joint.moves + link.joint.elastic  # the rotor, the twist of its spring
             angle = sum(q[at : at + joints].tolist())
             c, s = math.cos(angle), math.sin(angle)
             if link.joint.parallel:
@@ -123,8 +123,9 @@ class Renderer:
             base = R @ E
             E = E @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
             at += joints
+            end = end + R @ E @ np.array(link.joint.root)
             line = []
-            for part, constant in zip(parts(link), constants[joints - 1 :], strict=True):
+            for part, constant in zip(parts(link), constants[-link.segments :], strict=True):
                 delta = factor * q[at : at + len(part.modes)]
                 at += len(part.modes)
                 x = np.linspace(0.0, part.length, POINTS)

@@ -86,11 +86,16 @@ def home_posture(n_joint: int) -> tuple[float, ...]:
 def scales(arm: Arm) -> Scales:
     """Scales of an arm; refuses an arm with a joint that does not turn."""
     for i, link in enumerate(arm.links, 1):
-        if link.joint.type != "revolute":
+        if link.joint.type == "prismatic":
             raise ValueError(
                 f"Environments take arms whose joints turn, but joint {i} is {link.joint.type}; "
                 "follow such an arm with dynamics.simulate."
             )
+    if not arm.n_joint:
+        raise ValueError(
+            "Environments take arms with a joint that turns, got only fixed joints; give one the "
+            'type "revolute".'
+        )
     with validate.double_precision("The arm's frequencies and scales"):
         return _derived(arm)
 
@@ -230,7 +235,7 @@ def _bang_bang(
     forces = np.vstack([np.zeros((n, m)), inverse @ B * inertia])  # per unit acceleration
     step = _exponential(np.block([[A, forces], [np.zeros((m, 2 * n + m))]]) * dt)
     x = np.zeros((2 * n, m))  # one column per joint that is driven alone
-    peak_strain, peak = np.zeros((2 * m, m)), np.zeros((2 * n, m))
+    peak_strain, peak = np.zeros((len(strains), m)), np.zeros((2 * n, m))
     swing = np.zeros((2, len(shapes), m))
     amplitudes = shapes @ M
     amplitudes[:, [i - base for i in arm.joint_index]] = 0.0  # of the modes with locked joints
@@ -252,32 +257,37 @@ def _damping_inputs_strains(arm: Arm) -> tuple[Array, Array, Array]:
     """Matrices of the bang-bang test.
 
     (n, n) modal and spring damping; (n, n_joint) generalized forces of unit joint torques; and
-    (2 n_joint, 3, n) tip deflection and tip slope of each link, over their limits of validity.
+    (2 n_link, 3, n) tip deflection and tip slope of each link, over their limits of validity.
     """
-    n, m = arm.n, arm.n_joint
-    C, B = np.zeros((n, n)), np.zeros((n, m))
-    deflection, slope = np.zeros((m, 3, n)), np.zeros((m, 3, n))
+    n, count = arm.n, len(arm.links)
+    C, B = np.zeros((n, n)), np.zeros((n, arm.n_joint))
+    deflection, slope = np.zeros((count, 3, n)), np.zeros((count, 3, n))
     links, dampers = damped_chain(arm)
     for damper in dampers:
         rows = slice(damper.first, damper.first + len(damper.u))
         C[rows, rows] += damper.rate * np.outer(damper.u, damper.u)
-    for i, (start, link) in enumerate(zip(arm.joint_index, links, strict=True)):
-        B[start, i] = 1.0
-        stop = start + 1
-        if arm.links[i].joint.elastic:
-            stop, link = stop + 1, link[1:]  # the rotor has no modes
-            C[start + 1, start + 1] = link[0].viscous
-        for k, part in enumerate(link):
-            count = len(part.tip_theta)
-            modes = slice(stop, stop + count)
-            stop += count
-            theta = np.array(part.tip_theta).reshape(count, 3)
-            beyond = (len(link) - 1 - k) * part.length  # [m] of the link behind this part
-            shift = np.array(part.tip_phi)[:count].reshape(count, 3)
+    stop, joint = arm.base.n, -1
+    for i, (link, bodies) in enumerate(zip(arm.links, links, strict=True)):
+        for k, body in enumerate(bodies, 1):
+            joint += body.driven
+            start, stop = stop, stop + (not body.welded)
+            if body.driven:
+                B[start, joint] = 1.0
+            elif not body.welded:
+                C[start, start] = body.viscous  # of a joint's spring
+            size = len(body.K)
+            modes = slice(stop, stop + size)
+            stop += size
+            if not size:
+                continue  # a rotor, or the carrier of a root beside its joint
+            theta = np.array(body.tip_theta).reshape(size, 3)
+            beyond = (len(bodies) - k) * body.length  # [m] of the link behind this segment
+            shift = np.array(body.tip_phi)[:size].reshape(size, 3)
             shift = shift + np.cross(theta, (beyond, 0.0, 0.0))
-            C[modes, modes] += np.array(part.damping).reshape(count, count)
-            B[modes, i] = part.root_slope if link[0].driven else 0.0
-            deflection[i, :, modes] = shift.T / arm.links[i].length / DEFLECTION_LIMIT
+            C[modes, modes] += np.array(body.damping).reshape(size, size)
+            if body.driven:
+                B[modes, joint] = body.root_slope
+            deflection[i, :, modes] = shift.T / link.length / DEFLECTION_LIMIT
             slope[i, :, modes] = theta.T / (SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT)
     return C, B, np.concatenate([deflection, slope])
 

@@ -160,7 +160,7 @@ class Chords:
     """Angles between the roots of the bent links and their chords, one per joint, from gauges.
 
     A tip force that bends a link of length l to the curvature k at its root turns its chord by
-    k l / 3. A joint turns its own link along y.
+    k l / 3. A joint turns its own link along y; a link on a fixed joint counts for none.
     """
 
     def __init__(self, env: Any, name: str) -> None:
@@ -170,8 +170,9 @@ class Chords:
         columns = curvature_columns(core.arm)
         self.turn = np.zeros((len(columns), core.arm.n_joint))
         for row, column in enumerate(columns):
-            if column % 2 == 0:
-                self.turn[row, column // 2] = core.arm.links[column // 2].length / 3.0
+            link, across = divmod(column, 2)
+            if not across and link in core.arm.joints:
+                self.turn[row, core.arm.joints.index(link)] = core.arm.links[link].length / 3.0
 
     def __call__(self, observation: AnyArray) -> Array:
         """(..., m) [rad]."""

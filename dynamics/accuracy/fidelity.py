@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynamics.description.arm import FOURTH_ORDER, Arm
-from dynamics.description.link import Link
+from dynamics.description.link import Link, about_origin
 from dynamics.description.mode_shapes import Mode
 from dynamics.formulations.damping import yields
 
@@ -130,7 +130,7 @@ def rigid(arm: Arm, foreshortening: bool = False, polynomial: bool = False) -> F
     """Fidelity without modes."""
     return Fidelity(
         counts=everything(arm, 0, 0),
-        segments=(1,) * arm.n_joint,
+        segments=(1,) * len(arm.links),
         foreshortening=foreshortening,
         polynomial=polynomial,
     )
@@ -143,15 +143,15 @@ def everything(arm: Arm, bending: int, torsion: int) -> tuple[Counts, ...]:
     link whose own modes stretch it gets as many axial modes as torsion modes; others are too stiff
     along their axis for stretching to move the tip. A link before a parallel drive bends along y.
     """
-    return tuple(_possible(arm, i, bending, torsion) for i in range(arm.n_joint))
+    return tuple(_possible(arm, i, bending, torsion) for i in range(len(arm.links)))
 
 
 def _possible(arm: Arm, i: int, bending: int, torsion: int) -> Counts:
     link = arm.links[i]
     y, z, x = (yields(link, d) for d in "yzx")
-    payload = arm.payload.inertia[0][0] if arm.payload else 0.0
+    payload = float(about_origin(arm.payload)[0, 0]) if arm.payload else 0.0
     inertia = link.rho_Ip + link.tip_inertia[0][0] + payload
-    twists = x and (i < arm.n_joint - 1 or inertia > 0.0)
+    twists = x and (i < len(arm.links) - 1 or inertia > 0.0)
     stretches = (torsion,) if link.in_direction("axial") else ()
     if not divisible(arm)[i]:
         return bending * y, 0, 0, *stretches
@@ -166,7 +166,7 @@ def lumped(arm: Arm, counts: tuple[Counts, ...]) -> tuple[Counts, ...]:
     """
     result = []
     for row, link, payload in zip(counts, arm.links, arm.carried, strict=True):
-        inertia = np.diag(link.tip_inertia) + (np.diag(payload.inertia) if payload else 0.0)
+        inertia = np.diag(link.tip_inertia) + (np.diag(about_origin(payload)) if payload else 0.0)
         most = (1 + (inertia[2] > 0.0), 1 + (inertia[1] > 0.0), 1, 1)
         result.append(tuple(map(min, row, most)))
     return tuple(result)

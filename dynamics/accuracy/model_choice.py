@@ -120,7 +120,7 @@ def _kinds(arm: Arm) -> list[list[_Kind]]:
     """Kinds in order of cost, each with its families of shapes, whose costs have to be measured."""
     few, most = everything(arm, 3, 2), everything(arm, MOST_MODES, 2)
     few = tuple(f if d else m for f, m, d in zip(few, most, divisible(arm), strict=True))
-    whole, cut = (1,) * arm.n_joint, _most_segments(arm)
+    whole, cut = (1,) * len(arm.links), _most_segments(arm)
     result = []
     for foreshortening, modes in ((False, (5, 3)), (True, (4, 2))):
         start = rigid(arm, foreshortening, polynomial=True)

@@ -26,7 +26,7 @@ def transferred(q: Array, v: Array, source: Arm, target: Arm) -> tuple[Array, Ar
     for k, name in enumerate(target.names):
         if not name.startswith("d"):
             moved[:, k], turned[:, k] = q[:, places[name]], v[:, places[name]]
-    for i in range(source.n_joint):
+    for i in range(len(source.links)):
         own, other = _modal(source, i), _modal(target, i)
         if own and other:
             given, bent = Bent(source, i), Bent(target, i)

@@ -7,8 +7,10 @@ import math
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
+import numpy as np
+
 from dynamics.description import parallel_drive, validate
-from dynamics.description.link import Body, Link
+from dynamics.description.link import Body, Link, Payload, about_origin
 from dynamics.description.mode_rule import AUTO, ModesByRule
 from dynamics.description.rotations import Quaternion, to_rotation_vector
 from dynamics.description.validate import ZEROS, clean
@@ -24,24 +26,6 @@ BASE_NAMES = {  # coordinates of a base by its type
 }
 
 FOURTH_ORDER = "fourth-order"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Payload:
-    """Rigid body fixed to the last link's tip, added to that link's tip mass and tip inertia.
-
-    Mode shapes do not depend on it.
-    """
-
-    mass: float  # [kg]
-    inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the tip, in the deformed end frame
-
-    def __post_init__(self) -> None:
-        clean(
-            self,
-            mass=validate.nonnegative(self.mass, "Payload.mass", "kg"),
-            inertia=validate.inertia(self.inertia, "Payload.inertia"),
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +151,7 @@ class Arm:
             raise ValueError("Arm.links must hold at least one link on a fixed base, got [].")
         for i, link in enumerate(links):
             validate.instance(link, f"Arm.links[{i}]", Link)
-        count = sum(1 + link.joint.elastic + link.segments * len(link.modes) for link in links)
+        count = sum(link.n for link in links)
         if count > MOST_COORDINATES:
             raise ValueError(
                 f"Arm.links must have at most {MOST_COORDINATES} coordinates (joints, springs, "
@@ -192,13 +176,13 @@ class Arm:
                 raise ValueError(f"Arm.payload ({self.payload!r}) needs a link to be fixed to.")
             return
         last = self.links[-1]
-        if not _joint_inertia(last, self.payload) > 0.0:
+        if not _joint_inertia(self.links, self.payload) > 0.0:
             raise ValueError(
                 "The last link has no inertia about its joint axis (the mass matrix would be "
                 f"singular), got Link.body = {last.body!r}; give mass off the axis or inertia."
             )
         polar = last.rho_Ip + last.tip_inertia[0][0]
-        polar += self.payload.inertia[0][0] if self.payload else 0.0
+        polar += float(about_origin(self.payload)[0, 0]) if self.payload else 0.0
         if last.in_direction("x") and polar == 0.0:
             raise ValueError(
                 "The last link has a torsion mode but no inertia about x (the mass matrix would be "
@@ -212,8 +196,13 @@ class Arm:
 
     @property
     def n_joint(self) -> int:
-        """Number of joints, one per link."""
-        return len(self.links)
+        """Number of joints that move, one per link unless it is fixed to the link before."""
+        return len(self.joints)
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """(n_joint,) index of the link behind each joint that moves."""
+        return tuple(i for i, link in enumerate(self.links) if link.joint.moves)
 
     @property
     def n_torque(self) -> int:
@@ -225,10 +214,12 @@ class Arm:
         """Coordinate names: those of the base, then per link "q1", "d1_1", "d1_2", ..., "q2", ...
 
         In an elastic joint q is the rotor; the spring deflection follows it: "q1", "s1", "d1_1".
+        A fixed joint has no q.
         """
         names = list(self.base.names)
         for i, link in enumerate(self.links, 1):
-            names.append(f"q{i}")
+            if link.joint.moves:
+                names.append(f"q{i}")
             if link.joint.elastic:
                 names.append(f"s{i}")
             names += [f"d{i}_{j}" for j in range(1, link.segments * len(link.modes) + 1)]
@@ -242,11 +233,12 @@ class Arm:
     @property
     def reach(self) -> float:
         """Length of the stretched arm with joint offsets [m]."""
-        return sum(link.length + math.hypot(*link.joint.offset) for link in self.links)
+        between = (x for link in self.links for x in (link.joint.offset, link.joint.root))
+        return sum(link.length for link in self.links) + sum(math.hypot(*x) for x in between)
 
     @property
     def carried(self) -> tuple[Payload | None, ...]:
-        """(n_joint,) payload per link: None except for the last link."""
+        """Payload per link: None except for the last link."""
         return (*len(self.links) * (None,), self.payload)[1:]
 
     @property
@@ -265,21 +257,32 @@ class Arm:
         return _plain(self)
 
 
-def _joint_inertia(link: Link, payload: Payload | None) -> float:
-    """Positive if the last link's joint moves any inertia [kg m^2], or mass [kg] if prismatic.
+def _joint_inertia(links: tuple[Link, ...], payload: Payload | None) -> float:
+    """Positive if the last joint moves any inertia [kg m^2], or mass [kg] if prismatic.
 
-    Off-axis mass is not weighted by its squared distance, so only the sign is meaningful.
+    Off-axis mass is not weighted by its squared distance, so only the sign is meaningful. Of links
+    fixed to the last that moves, any mass counts.
     """
+    moving = [link for link in links if link.joint.moves]
+    if not moving:
+        return 1.0  # nothing turns
+    link = moving[-1]
+    fixed = links[links.index(link) + 1 :]
+    if fixed:
+        own = sum(x.rho_A * x.length + x.tip_mass + (x.body.mass if x.body else 0.0) for x in fixed)
+        return own + sum(float(np.trace(about_origin(x.body))) for x in fixed if x.body)
     tip_mass, tip_inertia = link.tip_mass, link.tip_inertia[2][2]
     if payload is not None:
-        tip_mass, tip_inertia = tip_mass + payload.mass, tip_inertia + payload.inertia[2][2]
+        tip_mass = tip_mass + payload.mass
+        tip_inertia = tip_inertia + float(about_origin(payload)[2, 2])
     rotor = link.joint.rotor_inertia if link.joint.stiffness is None else 0.0
     body = link.body or Body(mass=0.0)
     if link.joint.type == "prismatic":
         return rotor + link.rho_A * link.length + body.mass + tip_mass
     off_axis = link.rho_A * link.length + tip_mass  # [kg] off the axis if the link has a length
-    own = body.inertia[2][2] + body.mass * math.hypot(*body.com[:2]) + tip_inertia
-    return rotor + link.joint.hub_inertia + own + off_axis * link.length
+    root = math.hypot(*link.joint.root[:2])
+    own = body.inertia[2][2] + body.mass * (math.hypot(*body.com[:2]) + root) + tip_inertia
+    return rotor + link.joint.hub_inertia + own + off_axis * (link.length + root)
 
 
 def _plain(value: Any) -> Any:

@@ -6,9 +6,9 @@ from dataclasses import MISSING, fields
 from typing import Any
 
 from dynamics.description import denavit_hartenberg, mode_rule, validate
-from dynamics.description.arm import MOST_LINKS, Arm, Base, Payload
+from dynamics.description.arm import MOST_LINKS, Arm, Base
 from dynamics.description.joint import Joint
-from dynamics.description.link import MOST_MODES, Body, Link
+from dynamics.description.link import MOST_MODES, Body, Link, Payload
 from dynamics.description.mode_shapes import Mode
 from dynamics.description.plausibility import warn_if_implausible
 from dynamics.description.rotations import from_euler

@@ -6,12 +6,16 @@ from dynamics.description import validate
 from dynamics.description.validate import IDENTITY
 from dynamics.types import Matrix3, Vector3
 
-TYPES = ("revolute", "prismatic")
+TYPES = ("revolute", "prismatic", "fixed")
+MOVING = ("rotor_inertia", "hub_inertia", "viscous", "coulomb", "stiffness", "parallel")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """Joint that turns about its local z axis (revolute) or slides along it (prismatic).
+    """Joint that turns about its local z axis (revolute), slides along it (prismatic) or is fixed.
+
+    A fixed joint welds the link to the tip before, at any angle; it has neither coordinate nor
+    torque.
 
     Units are those of a revolute joint. For a prismatic joint q is a length [m], rotor_inertia a
     mass [kg], and the other units are [N s/m], [N], [m/s], [N/m].
@@ -24,12 +28,13 @@ class Joint:
 
     rotation: Matrix3 = IDENTITY  # (3, 3) [-] joint frame at q = 0 to end frame of the link before
     offset: Vector3 = (0.0, 0.0, 0.0)  # [m] from that link's tip to the joint, in its end frame
+    root: Vector3 = (0.0, 0.0, 0.0)  # [m] from the joint to the link's root, in the link's frame
     rotor_inertia: float = 0.0  # [kg m^2] acts on the joint rate, relative to the joint's base
     hub_inertia: float = 0.0  # [kg m^2] about z; acts on the absolute rate of the link's root
     viscous: float = 0.0  # [N m s/rad] friction
     coulomb: float = 0.0  # [N m] friction torque, times tanh(rate / coulomb_speed)
     coulomb_speed: float = 0.05  # [rad/s]
-    type: str = "revolute"  # | "prismatic"
+    type: str = "revolute"  # | "prismatic" | "fixed"
     stiffness: float | None = None  # [N m/rad] of a spring between rotor and link; None: no spring
     spring_damping: float = 0.0  # [N m s/rad] damper parallel to that spring
     parallel: bool = False  # driven through a parallelogram along the link before
@@ -39,6 +44,7 @@ class Joint:
         cleaned = {
             "rotation": validate.rotation(self.rotation, "Joint.rotation"),
             "offset": validate.vector(self.offset, "Joint.offset", "m"),
+            "root": validate.vector(self.root, "Joint.root", "m"),
             "rotor_inertia": nonnegative(self.rotor_inertia, "Joint.rotor_inertia", "kg m^2"),
             "hub_inertia": nonnegative(self.hub_inertia, "Joint.hub_inertia", "kg m^2"),
             "viscous": nonnegative(self.viscous, "Joint.viscous", "N m s/rad"),
@@ -53,6 +59,8 @@ class Joint:
             object.__setattr__(self, name, value)
         validate.boolean(self.parallel, "Joint.parallel")
         self._check_spring()
+        if not self.moves:
+            self._check_fixed()
 
     def _check_spring(self) -> None:
         if self.stiffness is None and self.spring_damping > 0.0:
@@ -65,6 +73,19 @@ class Joint:
                 f"Joint.rotor_inertia must be positive with Joint.stiffness ({self.stiffness!r}), "
                 "got 0.0: the rotor is a separate body in front of the spring."
             )
+
+    def _check_fixed(self) -> None:
+        for name in MOVING:
+            if getattr(self, name):
+                raise ValueError(
+                    f"Joint.{name} ({getattr(self, name)!r}) needs a joint that moves, got type "
+                    f'"fixed"; leave {name} out, or give another type.'
+                )
+
+    @property
+    def moves(self) -> bool:
+        """True if the joint has a coordinate and a torque: it is not fixed."""
+        return self.type != "fixed"
 
     @property
     def elastic(self) -> bool:

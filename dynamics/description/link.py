@@ -6,6 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from dynamics.description import mode_rule, validate
 from dynamics.description.joint import Joint
 from dynamics.description.mode_rule import ModesByRule, RigidLinkWarning
@@ -19,7 +21,7 @@ from dynamics.description.mode_shapes import (
 )
 from dynamics.description.validate import ZEROS, clean
 from dynamics.description.welds import StiffSegmentsWarning, stiff_segments
-from dynamics.types import Matrix3, Vector3
+from dynamics.types import Array, Matrix3, Vector3
 
 MOST_MODES = 200
 _UNSTATED: Any = None
@@ -28,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """Mass properties of a rigid link of any form, in the frame of the link."""
+    """Rigid body fixed to the root of a link, in the frame of the link."""
 
     mass: float  # [kg]
     com: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of mass
@@ -44,6 +46,33 @@ class Body:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Payload:
+    """Rigid body fixed to the last link's tip, in the deformed end frame.
+
+    It is added to that link's tip mass and tip inertia; mode shapes do not depend on it.
+    """
+
+    mass: float  # [kg]
+    com: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of mass, from the tip
+    inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the centre of mass
+
+    def __post_init__(self) -> None:
+        clean(
+            self,
+            mass=validate.nonnegative(self.mass, "Payload.mass", "kg"),
+            com=validate.vector(self.com, "Payload.com", "m"),
+            inertia=validate.inertia(self.inertia, "Payload.inertia"),
+        )
+
+
+def about_origin(body: Body | Payload) -> Array:
+    """(3, 3) [kg m^2] inertia of a body about the origin of its frame."""
+    com = np.array(body.com)
+    moved = body.mass * ((com @ com) * np.eye(3) - np.outer(com, com))
+    return np.array(body.inertia) + moved
+
+
+@dataclass(frozen=True, kw_only=True)
 class Link:
     """Slender link behind a joint; flexible with modes, rigid without.
 
@@ -51,7 +80,7 @@ class Link:
     `mode_rule`. If it states none it is rigid, with a RigidLinkWarning.
 
     A rigid link may have a `body` in place of a mass per unit length, or both. With a body, the
-    length may be zero.
+    length may be zero. The body of a flexible link moves with its root, as the housing of a motor.
     """
 
     length: float  # [m] joint axis to tip
@@ -70,7 +99,7 @@ class Link:
     segments: int = 1  # equal parts welded together, each with all modes: for large deflections
     lumped: bool = False  # deflection moves a quarter of the beam's mass, at the tip: heavy tips
     joint: Joint = field(default_factory=Joint)
-    body: Body | None = None  # only for a rigid link
+    body: Body | None = None  # fixed to the root
 
     def __post_init__(self) -> None:
         given = self.modes
@@ -99,6 +128,11 @@ class Link:
                 unit = "N" if name == "EA" else "N m^2"
                 clean(self, **{name: validate.nonnegative(value, f"Link.{name}", unit)})
         validate.instance(self.joint, "Link.joint", Joint)
+        if self.body is not None:
+            validate.instance(self.body, "Link.body", Body)
+        if automatic or self.modes:
+            validate.positive(self.length, "Link.length", "m")
+            validate.positive(self.rho_A, "Link.rho_A", "kg/m")
         if automatic:
             clean(self, modes=self._by_rule())
         for name in ("damping_beta", "damping_beta_torsion"):
@@ -121,18 +155,15 @@ class Link:
             warnings.warn(stiff, StiffSegmentsWarning, stacklevel=3)
 
     def _by_rule(self) -> ModesByRule:
-        if self.body is not None:
-            raise ValueError('Link.modes must be [] beside Link.body, a rigid link, got "auto".')
-        return mode_rule.modes_by_rule(self.beam, self.joint, self.stiffnesses, self.segments)
+        return mode_rule.modes_by_rule(
+            self.beam, self.joint, self.stiffnesses, self.segments, self.body is None
+        )
 
     def _check_body(self) -> None:
-        if self.body is None:
-            return
-        validate.instance(self.body, "Link.body", Body)
-        if self.modes or self.segments > 1:
+        if self.body is not None and self.segments > 1 and not self.modes:
             raise ValueError(
-                f"Link.body is for a rigid link in one piece, got {len(self.modes)} modes and "
-                f"{self.segments} segments; use rho_A and tip_mass."
+                f"Link.segments ({self.segments!r}) must be 1 for a rigid link with a body; leave "
+                "it out."
             )
 
     def _check_modes(self) -> None:
@@ -184,10 +215,20 @@ class Link:
                 f"Link.segments ({self.segments!r}) must be 1 with {loose[0]} modes: "
                 "inner segments are welded at their roots."
             )
-        if loose and self.joint.type == "prismatic":
+        if loose and self.joint.type != "revolute":
             raise ValueError(
-                f"Link.modes must not be {loose[0]} with a prismatic joint: it cannot "
+                f"Link.modes must not be {loose[0]} with a {self.joint.type} joint: it cannot "
                 "rotate their root."
+            )
+        if loose and any(self.joint.root):
+            raise ValueError(
+                f"Link.modes must not be {loose[0]} with Joint.root ({self.joint.root!r}): their "
+                "root is on the joint's axis; take clamped-free or clamped-tip-mass modes."
+            )
+        if "pinned-free" in loose and self.body is not None:
+            raise ValueError(
+                "Link.modes must not be pinned-free beside Link.body, which turns with the joint, "
+                "not with their root; take clamped-free modes."
             )
 
     def _check_lumped(self) -> None:
@@ -210,14 +251,22 @@ class Link:
     def beam(self) -> Beam:
         """Beam, tip body and hub that determine the mode shapes."""
         rigid = self.joint.type == "revolute" and not self.joint.elastic
+        root = self.joint.hub_inertia + (self.joint.rotor_inertia if rigid else 0.0)
+        if self.body is not None:
+            root += float(about_origin(self.body)[2, 2])
         return Beam(
             length=self.length,
             rho_A=self.rho_A,
             rho_Ip=self.rho_Ip,
             tip_mass=self.tip_mass,
             tip_inertia=self.tip_inertia,
-            root_inertia=self.joint.hub_inertia + (self.joint.rotor_inertia if rigid else 0.0),
+            root_inertia=root,
         )
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates: joint, spring and modes of all segments."""
+        return self.joint.moves + self.joint.elastic + self.segments * len(self.modes)
 
     @property
     def stiffnesses(self) -> tuple[str, ...]:

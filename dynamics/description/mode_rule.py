@@ -38,13 +38,16 @@ class ModesByRule(tuple[Mode, ...]):
 
 
 def modes_by_rule(
-    beam: Beam, joint: Joint, stiffnesses: Collection[str], segments: int
+    beam: Beam, joint: Joint, stiffnesses: Collection[str], segments: int, bare_root: bool
 ) -> ModesByRule:
-    """Modes for the directions whose stiffness is among `stiffnesses`, names of Link fields."""
+    """Modes for the directions whose stiffness is among `stiffnesses`, names of Link fields.
+
+    `bare_root` is false where a body is fixed to the root.
+    """
     modes: list[Mode] = []
     for direction in "yz":
         if STIFFNESS[direction] in stiffnesses:
-            kind = "hierarchical" if segments > 1 else _bending(beam, joint, direction)
+            kind = "hierarchical" if segments > 1 else _bending(beam, joint, direction, bare_root)
             modes += _first(BENDING, kind, direction)
     if STIFFNESS["x"] in stiffnesses:
         if segments > 1 and beam.rho_Ip > 0.0:
@@ -58,8 +61,8 @@ def _first(count: int, kind: str, direction: str) -> list[Mode]:
     return [Mode(kind=kind, index=k + 1, direction=direction) for k in range(count)]
 
 
-def _bending(beam: Beam, joint: Joint, direction: str) -> str:
-    pinned = direction == "y" and _is_pinned(beam, joint)
+def _bending(beam: Beam, joint: Joint, direction: str, bare_root: bool) -> str:
+    pinned = direction == "y" and bare_root and _is_pinned(beam, joint)
     return "pinned-free" if pinned else _clamped(beam, direction)
 
 
@@ -95,7 +98,7 @@ def rigid_in_silence(name: str, stiffnesses: Collection[str]) -> str:
 
 def _is_pinned(beam: Beam, joint: Joint) -> bool:
     tip = beam.tip_mass > 0.0 or any(map(any, beam.tip_inertia))
-    if joint.type != "revolute" or joint.elastic or joint.parallel or tip:
+    if joint.type != "revolute" or joint.elastic or joint.parallel or any(joint.root) or tip:
         return False
     own = beam.rho_A * beam.length**3 / 3.0
     return joint.rotor_inertia + joint.hub_inertia < LIGHT * own

@@ -43,7 +43,7 @@ def warn_if_implausible(arm: Arm, stacklevel: int) -> None:
 def _oddities(link: Link) -> Iterator[str]:
     """Quantities of a link that no arm has."""
     least, most = LENGTHS
-    offset = math.hypot(*link.joint.offset)
+    offset = max(math.hypot(*link.joint.offset), math.hypot(*link.joint.root))
     if link.length > most or 0.0 < link.length < least:
         yield f"a length of {link.length:g} m"
     elif offset > most:

@@ -51,10 +51,12 @@ def damped_chain(arm: Arm) -> tuple[list[Bodies], tuple[Damper, ...]]:
     """Bodies of every link, and the dampers across the segments of links."""
     links: list[Bodies] = []
     dampers: list[Damper] = []
-    for joint, link, bodies in zip(arm.joint_index, arm.links, chain_constants(arm), strict=True):
+    stop = arm.base.n
+    for link, bodies in zip(arm.links, chain_constants(arm), strict=True):
+        stop += link.n
         if link.segments > 1 and link.damping_ratio and link.modes:
             before, own = bodies[: -link.segments], bodies[-link.segments :]
-            betas, across = _split(link, joint + 1 + link.joint.elastic)
+            betas, across = _split(link, stop - link.segments * len(link.modes))
             viscous = [_with(body, beta) for body, beta in zip(own, betas, strict=True)]
             bodies, dampers = (*before, *viscous), dampers + across
         elif link.damping_ratio and _as_a_whole(link):
@@ -84,8 +86,12 @@ def natural_modes(link: Link) -> list[NaturalModes]:
 
 
 def yields(link: Link, direction: str) -> bool:
-    """True if a link has a rigidity in a direction, with or without modes in it."""
-    return link.body is None and bool(getattr(link, STIFFNESS[direction]))
+    """True if a link has a rigidity in a direction, with or without modes in it.
+
+    A link with a body and no modes at all is rigid.
+    """
+    bends = link.body is None or bool(link.modes)
+    return bends and bool(getattr(link, STIFFNESS[direction]))
 
 
 def _as_a_whole(link: Link) -> bool:

@@ -65,7 +65,7 @@ _BODY = LinkConstants(
     length=0.0, welded=True, prismatic=False, driven=False, bypassed=False, spring=0.0, pairs=(),
     mass=0.0, first_moment=_O, epsilon=(), s=(), c_jk=(), c=(),
     C=(), D=(), C0=validate.ZEROS, tip_phi=(), tip_theta=(), root_slope=(), K=(), K_pairs=(),
-    sines=False, damping=(), tip_mass=0.0, tip_inertia=validate.ZEROS,
+    sines=False, damping=(), tip_mass=0.0, tip_moment=_O, tip_inertia=validate.ZEROS, carried_at=_O,
     rotation=validate.IDENTITY, offset=_O, rotor_inertia=0.0, viscous=0.0, coulomb=0.0,
     coulomb_speed=1.0,
 )  # fmt: skip
@@ -229,7 +229,10 @@ def momentum(chain: Chain, q: Scalars, v: Scalars) -> tuple[Vector, Vector]:
         w_end = tmatvec(f.E, f.w_tip)
         spin = add(spin, matvec(f.E, matvec(link.tip_inertia, w_end)))
         beam = matvec(pose.R, beam)
+        moment = matvec(pose.R, matvec(f.E, link.tip_moment))
+        spin = add(matvec(pose.R, spin), cross(moment, pose.tip_velocity))
         body = scale(link.tip_mass, pose.tip_velocity)
+        body = add(body, cross(matvec(pose.R, f.w_tip), moment))
         linear = add(linear, beam, body)
-        angular = add(angular, matvec(pose.R, spin), cross(pose.joint, beam), cross(pose.tip, body))
+        angular = add(angular, spin, cross(pose.joint, beam), cross(pose.tip, body))
     return linear, angular

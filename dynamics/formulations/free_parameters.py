@@ -4,13 +4,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from dynamics.formulations.algebra import add, madd, matmul, mscale, scale, skew, transpose
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.link_constants import LinkConstants
 
 
 def _payload_mass(chain: Chain, p: Any) -> Chain:
     last = chain.links[-1]
-    return replace(chain, links=(*chain.links[:-1], replace(last, tip_mass=last.tip_mass + p)))
+    arm = skew(last.carried_at)
+    moment: Any = add(last.tip_moment, scale(p, last.carried_at))
+    inertia: Any = madd(last.tip_inertia, mscale(p, matmul(transpose(arm), arm)))
+    heavier = replace(last, tip_mass=last.tip_mass + p, tip_moment=moment, tip_inertia=inertia)
+    return replace(chain, links=(*chain.links[:-1], heavier))
 
 
 def _stiffness(chain: Chain, p: Any) -> Chain:
@@ -52,7 +57,7 @@ class FreeParameter:
 
 
 FREE_PARAMETERS = {
-    "payload_mass": FreeParameter(0.0, _payload_mass),  # [kg] added at the last tip
+    "payload_mass": FreeParameter(0.0, _payload_mass),  # [kg] added at the payload's centre of mass
     "stiffness": FreeParameter(1.0, _stiffness),  # [-] scales every K and joint spring
     "damping": FreeParameter(1.0, _damping),  # [-] scales all damping of modes and joint springs
     "friction": FreeParameter(1.0, _friction),  # [-] scales viscous and Coulomb friction

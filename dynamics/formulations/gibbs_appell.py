@@ -121,9 +121,10 @@ def _own_bias(f: Frame) -> tuple[Vector, Vector, list[Scalar]]:
 
 def _tip_body_bias(f: Frame) -> tuple[Vector, Vector]:
     """Force and moment about the tip that accelerate the body at the tip."""
-    J = congruence(f.E, f.link.tip_inertia)
-    moment = add(matvec(J, f.w_dot_tip), cross(f.w_tip, matvec(J, f.w_tip)))
-    return scale(f.link.tip_mass, f.a_tip), moment
+    J, s = congruence(f.E, f.link.tip_inertia), matvec(f.E, f.link.tip_moment)
+    moment = add(matvec(J, f.w_dot_tip), cross(f.w_tip, matvec(J, f.w_tip)), cross(s, f.a_tip))
+    swung = add(cross(f.w_dot_tip, s), cross(f.w_tip, cross(f.w_tip, s)))
+    return add(scale(f.link.tip_mass, f.a_tip), swung), moment
 
 
 class Wrench(NamedTuple):
@@ -279,7 +280,8 @@ def with_tip_body(f: Frame, outer: Inertia) -> Inertia:
     """Add the inertia of the body at the tip."""
     m, J = f.link.tip_mass, congruence(f.E, f.link.tip_inertia)
     A = symmetric(lambda i, j: plus(outer.A[i][j], m if i == j else 0.0))
-    return Inertia(A, outer.B, symmetric(lambda i, j: plus(outer.D[i][j], J[i][j])))
+    B = madd(outer.B, skew(matvec(f.E, f.link.tip_moment)))
+    return Inertia(A, B, symmetric(lambda i, j: plus(outer.D[i][j], J[i][j])))
 
 
 NO_INERTIA = Inertia(ZEROS, ZEROS, ZEROS)

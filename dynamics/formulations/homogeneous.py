@@ -208,13 +208,13 @@ def transformed(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[
             matmul(W_bias, bent.E), mscale(2.0, matmul(W_dot, bent.rate)), matmul(W, bent.bias)
         )
         W_tip_dot = madd(matmul(W_dot, bent.E), matmul(W, bent.rate))
-        mass = (link.tip_mass, 0.0, 0.0, 0.0)
+        mass = (link.tip_mass, *link.tip_moment)
         result.append(
             Transformed(
                 link=link, shape=shape, A=A, bend=bent, W=W, W_dot=W_dot, W_bias=W_bias,
                 X=None if link.welded else X, X_modal=[matmul(W, M) for M in bent.M],
                 G=G, D=D, C=C, spin=spin, delta=delta, rates=rates, tip_rate=W_tip_dot,
-                tip_bias=W_tip_bias, tip=affine(pseudo(link.tip_inertia), ZERO, mass),
+                tip_bias=W_tip_bias, tip=affine(pseudo(link.tip_inertia), link.tip_moment, mass),
             )
         )  # fmt: skip
     return result

@@ -246,6 +246,8 @@ def _turn(q: Scalar) -> Matrix:
 
 def _mounting(link: LinkConstants, joint: Scalar) -> tuple[Matrix, Vector]:
     """Rotation and position of a link's frame in the end frame of the link before."""
+    if link.welded:
+        return link.rotation, link.offset
     if link.prismatic:
         axis = transpose(link.rotation)[2]
         return link.rotation, add(link.offset, scale(joint, axis))
@@ -276,7 +278,7 @@ def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Fram
         mounting, place = _mounting(link, joint)
         along = (0.0, 0.0, rate)
         spin, slide = (ZERO, along) if link.prismatic else (along, ZERO)
-        R = R_base if link.welded else matmul(R_base, mounting)
+        R = matmul(R_base, mounting)
         offset = matvec(R_base, place)
         before, before_dot = tmatvec(R, w_base), tmatvec(R, w_dot_base)
         a = tmatvec(R, add(a_tip, matvec(_phi(w_base, w_dot_base), offset)))
@@ -361,7 +363,7 @@ def energies(
     for f, pose, (rate, _) in zip(frames, poses(frames), chain.split(v), strict=True):
         link = f.link
         u = pose.joint_velocity
-        u_end = add(u, cross(f.w, f.r), f.r_dot)
+        u_end, s = add(u, cross(f.w, f.r), f.r_dot), matvec(f.E, link.tip_moment)
         x_dot = f.shape.x_dot
         eps_dot = combine(x_dot, link.epsilon)
         slip = plus(rate, dot(link.root_slope, f.delta_dot))
@@ -375,6 +377,7 @@ def energies(
             mul(0.5, dot(x_dot, [dot(row, x_dot) for row in link.s])),
             mul(0.5 * link.rotor_inertia, mul(slip, slip)),
             mul(0.5 * link.tip_mass, dot(u_end, u_end)),
+            dot(u_end, cross(f.w_tip, s)),
             mul(0.5, dot(f.w_tip, matvec(congruence(f.E, link.tip_inertia), f.w_tip))),
         )
         elastic = plus(elastic, mul(0.5, dot(f.delta, [dot(row, f.delta) for row in link.K])))
@@ -382,6 +385,6 @@ def energies(
         elastic = plus(elastic, mul(0.5, dot(pairs, [dot(row, pairs) for row in link.K_pairs])))
         elastic = plus(elastic, mul(0.5, mul(link.spring, mul(twist, twist))))
         moment = add(scale(link.mass, pose.joint), matvec(pose.R, f.rho))
-        moment = add(moment, scale(link.tip_mass, pose.tip))
+        moment = add(moment, scale(link.tip_mass, pose.tip), matvec(pose.R, s))
         gravity = minus(gravity, dot(chain.gravity, moment))
     return kinetic, elastic, gravity

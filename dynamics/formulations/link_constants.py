@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.description.arm import FOURTH_ORDER, Arm, Payload
+from dynamics.description.arm import FOURTH_ORDER, Arm
 from dynamics.description.beam_integrals import BeamIntegrals, beam_integrals
 from dynamics.description.deflection import TILT
 from dynamics.description.joint import Joint
-from dynamics.description.link import Body, Link
+from dynamics.description.link import Body, Link, Payload, about_origin
 from dynamics.description.validate import IDENTITY, ZEROS
 from dynamics.types import Array, Matrix3, Vector3
 
@@ -45,7 +45,7 @@ class LinkConstants:
     """
 
     length: float  # [m]
-    welded: bool  # no joint: fixed to the tip of the body before
+    welded: bool  # no coordinate of a joint: fixed to the tip of the body before
     prismatic: bool  # the joint slides along z instead of turning about it
     driven: bool  # a torque acts on the joint; false for a weld and for a joint spring's deflection
     bypassed: bool  # the next joint has a parallel drive, grounded on the base of this joint
@@ -67,7 +67,9 @@ class LinkConstants:
     sines: bool  # slopes at the tip are sines of its angles, to fourth order
     damping: tuple[tuple[float, ...], ...]  # (m, m) [N s/m]
     tip_mass: float  # [kg] including the payload
-    tip_inertia: Matrix3  # [kg m^2] including the payload
+    tip_moment: Vector3  # [kg m] first moment of the body at the tip, about the tip
+    tip_inertia: Matrix3  # [kg m^2] including the payload, about the tip
+    carried_at: Vector3  # [m] from the tip to the payload's centre of mass
     rotation: Matrix3  # [-] mounting
     offset: Vector3  # [m] mounting
     rotor_inertia: float  # [kg m^2]
@@ -83,18 +85,7 @@ def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
     A damping ratio that belongs to a link as a whole is not in them: see damping.py.
     """
     result = [
-        _with_rotor(
-            link.joint,
-            *(
-                link_constants(
-                    part,
-                    payload if k == link.segments - 1 else None,
-                    foreshortening=arm.foreshortening,
-                    welded=k > 0,
-                )
-                for k, part in enumerate(parts(link))
-            ),
-        )
+        _with_rotor(link.joint, *_on_root(link, payload, arm.foreshortening))
         for link, payload in zip(arm.links, arm.carried, strict=True)
     ]
     for i, link in enumerate(arm.links):
@@ -111,11 +102,33 @@ def _turns_almost_nothing(link: Link, last: LinkConstants) -> bool:
     return float(np.abs(last.tip_inertia).max()) <= LIGHT_TIP * own
 
 
+def _on_root(
+    link: Link, payload: Payload | None, foreshortening: bool | str
+) -> tuple[LinkConstants, ...]:
+    """Bodies of a link without its rotor; a body in front carries a root beside the joint."""
+    first, *others = parts(link)
+    fixed = Joint(type="fixed", offset=link.joint.root)
+    carrier = Link(length=0.0, body=Body(mass=0.0), joint=replace(link.joint, root=(0.0, 0.0, 0.0)))
+    pieces = [carrier, replace(first, joint=fixed)] if any(link.joint.root) else [first]
+    last = len(pieces) + len(others) - 1
+    return tuple(
+        link_constants(
+            piece,
+            payload if k == last else None,
+            foreshortening=foreshortening,
+            welded=k > 0 or not link.joint.moves,
+        )
+        for k, piece in enumerate([*pieces, *others])
+    )
+
+
 def _with_rotor(joint: Joint, *bodies: LinkConstants) -> tuple[LinkConstants, ...]:
     """Bodies of a link; an elastic joint adds a rotor body in front and a spring behind it."""
     if joint.stiffness is None:
         return bodies
-    mounted = replace(joint, hub_inertia=0.0, stiffness=None, spring_damping=0.0)
+    mounted = replace(
+        joint, hub_inertia=0.0, stiffness=None, spring_damping=0.0, root=(0.0, 0.0, 0.0)
+    )
     rotor = link_constants(Link(length=0.0, body=Body(mass=0.0), joint=mounted))
     sprung = replace(
         bodies[0], driven=False, spring=joint.stiffness, viscous=joint.spring_damping,
@@ -132,9 +145,9 @@ def parts(link: Link) -> list[Link]:
     bare = replace(
         link, length=link.length / link.segments, segments=1, modes=listed, damping_ratio=0.0
     )
-    middle = replace(bare, joint=Joint(), tip_mass=0.0, tip_inertia=ZEROS)
-    first = replace(middle, joint=link.joint)
-    return [first, *[middle] * (link.segments - 2), replace(bare, joint=Joint())]
+    middle = replace(bare, joint=Joint(), tip_mass=0.0, tip_inertia=ZEROS, body=None)
+    first = replace(middle, joint=link.joint, body=link.body)
+    return [first, *[middle] * (link.segments - 2), replace(bare, joint=Joint(), body=None)]
 
 
 def link_constants(
@@ -150,9 +163,8 @@ def link_constants(
     second = link.rho_A * b.square
     mass, first_moment, C0 = _undeflected(link)
     s, c, C = _modal_inertia(link, b)
-    tip_inertia = np.array(link.tip_inertia)
-    if payload is not None:
-        tip_inertia = tip_inertia + np.array(payload.inertia)
+    payload = payload or Payload(mass=0.0)
+    tip_inertia = np.array(link.tip_inertia) + about_origin(payload)
     tilt = np.array([TILT[mode.direction] for mode in link.modes]).reshape(-1, 3)
     constants = LinkConstants(
         length=link.length,
@@ -177,8 +189,10 @@ def link_constants(
         K_pairs=_tuples(b.K_pairs) if foreshortening == FOURTH_ORDER else (),
         sines=foreshortening == FOURTH_ORDER and bool(b.pairs),
         damping=_tuples(_damping(link, b)),
-        tip_mass=link.tip_mass + (payload.mass if payload is not None else 0.0),
+        tip_mass=link.tip_mass + payload.mass,
+        tip_moment=_tuples(payload.mass * np.array(payload.com)),
         tip_inertia=_tuples(tip_inertia),
+        carried_at=payload.com,
         rotation=_tuples(_exact_right_angles(link.joint.rotation)),
         offset=link.joint.offset,
         rotor_inertia=link.joint.rotor_inertia,

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamics.description.arm import Arm, Payload
+from dynamics.description.arm import Arm
 from dynamics.description.joint import Joint
-from dynamics.description.link import Link
+from dynamics.description.link import Link, Payload
 from dynamics.formulations.algebra import (
     ZERO,
     ZEROS,
@@ -90,9 +90,10 @@ def _rigid_link(link: Link, payload: Payload | None) -> RigidLink:
     if link.body is not None:
         shares.append((link.body.mass, link.body.com, np.array(link.body.inertia)))
     if payload is not None:
-        shares.append((payload.mass, tip, np.array(payload.inertia)))
+        x, y, z = payload.com
+        shares.append((payload.mass, (link.length + x, y, z), np.array(payload.inertia)))
     masses = np.array([m for m, _, _ in shares])
-    places = np.array([c for _, c, _ in shares])
+    places = np.array([np.add(c, link.joint.root) for _, c, _ in shares])
     mass = float(masses.sum())
     com = masses @ places / (mass or 1.0)
     inertia = np.sum([J for _, _, J in shares], axis=0)
@@ -102,7 +103,7 @@ def _rigid_link(link: Link, payload: Payload | None) -> RigidLink:
         joint=link.joint,
         rotation=link.joint.rotation,
         offset=link.joint.offset,
-        tip=tip,
+        tip=tuple(np.add(tip, link.joint.root).tolist()),
         mass=mass,
         com=tuple(com.tolist()),
         inertia=tuple(map(tuple, inertia.tolist())),
@@ -123,11 +124,14 @@ def inverse_dynamics(
     Parameters
     ----------
     links : from `rigid_links`.
-    q, v, a : (n,) [rad or m] joint coordinates, rates, accelerations; floats or symbols.
+    q, v, a : (n,) [rad or m] coordinates, rates, accelerations of the joints that move; floats or
+        symbols.
     gravity : (3,) [m/s^2] in the world frame.
     wrench : force [N] and moment [N m] that the last link exerts on its surroundings at its tip,
         in the last link's frame: f_{N,N+1} and n_{N,N+1}.
     """
+    moving = [link.joint.moves for link in links]
+    q, v, a = (_spread(x, moving) for x in (q, v, a))
     w, w_dot, Phi = ZERO, ZERO, ZEROS
     p_dd: Vector = scale(-1.0, gravity)  # acceleration of the frame's origin; of the base, -g
     before, loads = ZERO, []  # before: from joint to tip of the link before, in its frame
@@ -154,7 +158,14 @@ def inverse_dynamics(
         f = matvec(R, f)
         n = add(matvec(R, n), cross(shift, f))
     rotors = [mul(link.joint.rotor_inertia, rise) for link, rise in zip(links, a, strict=True)]
-    return [plus(tau, rotor) for tau, rotor in zip(reversed(torques), rotors, strict=True)]
+    found = zip(reversed(torques), rotors, moving, strict=True)
+    return [plus(tau, rotor) for tau, rotor, moves in found if moves]
+
+
+def _spread(x: Sequence[Scalar], moving: Sequence[bool]) -> list[Scalar]:
+    """One entry per link: zero where the joint is fixed."""
+    entries = iter(x)
+    return [next(entries) if moves else 0.0 for moves in moving]
 
 
 def _joint(link: RigidLink, q: Scalar) -> tuple[Matrix, Vector]:

@@ -109,8 +109,9 @@ def body_of(f: Frame) -> Body:
 
 def _tip_momentum(f: Frame, t: Twist) -> Twist:
     """Momentum of the body at a link's tip from the tip's twist."""
-    J = congruence(f.E, f.link.tip_inertia)
-    return Twist(matvec(J, t.w), scale(f.link.tip_mass, t.u), ())
+    J, s = congruence(f.E, f.link.tip_inertia), matvec(f.E, f.link.tip_moment)
+    turning = add(matvec(J, t.w), cross(s, t.u))
+    return Twist(turning, add(scale(f.link.tip_mass, t.u), cross(t.w, s)), ())
 
 
 def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
@@ -138,7 +139,9 @@ def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]
         wrench = _link_wrench(f)
         momentum = _tip_momentum(f, Twist(f.w_tip, ZERO, ()))
         tip = _tip_momentum(f, Twist(f.w_dot_tip, f.a_tip, ()))
-        tip = Twist(add(tip.w, cross(f.w_tip, momentum.w)), tip.u, ())
+        tip = Twist(
+            add(tip.w, cross(f.w_tip, momentum.w)), add(tip.u, cross(f.w_tip, momentum.u)), ()
+        )
         for j, (at_joint, at_tip) in enumerate(zip(*columns, strict=True)):
             h[j] = plus(h[j], at_joint @ wrench, at_tip @ tip)
         modal, friction = resistance(f.link, rate, f.delta, f.delta_dot)

@@ -284,8 +284,9 @@ def _with_held(arm: Arm, held: Mapping[int, float | None]) -> Arm:
     links = list(arm.links)
     for k in held:
         index = arm.joint_index[k]
-        joint = replace(links[k].joint, rotor_inertia=LOCKED * float(M[index, index]))
-        links[k] = replace(links[k], joint=joint)
+        link = links[arm.joints[k]]
+        joint = replace(link.joint, rotor_inertia=LOCKED * float(M[index, index]))
+        links[arm.joints[k]] = replace(link, joint=joint)
     return replace(arm, links=tuple(links))
 
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynamics.description.arm import Arm, Payload
+from dynamics.description.arm import Arm
+from dynamics.description.link import Payload
 from dynamics.formulations.gibbs_appell import bias
 from dynamics.formulations.link_constants import chain_constants
 from dynamics.model import Model
@@ -46,6 +47,8 @@ class RigidArm:
             base = R = R @ turn
             tip = joint + R @ np.array((body.length, 0.0, 0.0))
             moment = body.mass * joint + R @ np.array(body.first_moment) + body.tip_mass * tip
+            if any(body.tip_moment):
+                moment = moment + R @ np.array(body.tip_moment)
             energy -= moment @ self.gravity
             if body.bypassed:
                 base = R @ np.swapaxes(turn, 1, 2)

@@ -30,10 +30,10 @@ def _rates(model: Model, trajectory: Trajectory) -> list[str]:
     first = float(model.frequencies(trajectory.q[0]).min())
     fastest = np.abs(trajectory.v[:, joints]).max(axis=0)
     return [
-        f"Joint {i} turns at up to {rate:.3g} rad/s, more than half the first frequency with "
+        f"Joint {i + 1} turns at up to {rate:.3g} rad/s, more than half the first frequency with "
         f"joints locked ({first:.3g} rad/s): linear modes lose stiffness; set Arm.foreshortening."
-        for i, (rate, link) in enumerate(zip(fastest.tolist(), model.arm.links, strict=True), 1)
-        if link.joint.type == "revolute" and rate > LARGEST_RATE * first
+        for i, rate in zip(model.arm.joints, fastest.tolist(), strict=True)
+        if model.arm.links[i].joint.type == "revolute" and rate > LARGEST_RATE * first
     ]
 
 

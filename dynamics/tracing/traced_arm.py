@@ -39,7 +39,7 @@ class TracedArm:
 
     @property
     def n_joint(self) -> int:
-        """Number of joints."""
+        """Number of joints that move."""
         return self.arm.n_joint
 
     @property
@@ -94,7 +94,7 @@ class TracedArm:
     @cached_property
     def measurements(self) -> dict[str, slice]:
         """Columns of the measurements (`graphs.measure`), by name."""
-        m = self.n_joint
+        m = len(self.arm.links)
         return slices({
             "tip": 3, "tip_velocity": 3, "rigid_tip": 3, "deflection": m, "slope": m,
             "curvature": 2 * m,

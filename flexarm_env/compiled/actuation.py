@@ -213,10 +213,10 @@ def _steady_damping(law: Law) -> float:
 def _slip(arm: Arm) -> Array:
     """(n_joint, n) matrix from coordinates to actuator angles: a link's root against its hub."""
     result = np.zeros((arm.n_joint, arm.n))
-    for i, (start, link) in enumerate(zip(arm.joint_index, chain_constants(arm), strict=True)):
-        slope = link[0].root_slope
+    bodies = [body for link in chain_constants(arm) for body in link if body.driven]
+    for i, (start, body) in enumerate(zip(arm.joint_index, bodies, strict=True)):
         result[i, start] = 1.0
-        result[i, start + 1 : start + 1 + len(slope)] = slope
+        result[i, start + 1 : start + 1 + len(body.root_slope)] = body.root_slope
     return result
 
 

@@ -344,10 +344,12 @@ class Signals:
         return ca.vertcat(c * x + d * y, c * y - d * x, z)
 
     def _in_first_link(self, vector: Any, angle: Any) -> Any:
-        """Components of a vector in the base along the axes of the undeformed first link."""
+        """Components of a vector in the base along the axes of the first joint's link, straight."""
         import casadi as ca
 
-        x, y, z = ca.vertsplit(ca.mtimes(ca.DM(self.model.arm.links[0].joint.rotation).T, vector))
+        arm = self.model.arm
+        turns = [ca.DM(x.joint.rotation) for x in arm.links[: arm.joints[0] + 1]]
+        x, y, z = ca.vertsplit(ca.mtimes(reduce(ca.mtimes, turns).T, vector))
         c, d = ca.cos(angle), ca.sin(angle)
         return ca.vertcat(c * x + d * y, c * y - d * x, z)
 

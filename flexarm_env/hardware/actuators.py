@@ -250,7 +250,7 @@ def _load(source: object) -> Actuator:
 def mounted(arm: Arm, actuators: tuple[Actuator, ...]) -> Arm:
     """The arm with its motors' rotor inertia and friction added to the joints."""
     links = list(arm.links)
-    for i, motor in enumerate(actuators):
+    for i, motor in zip(arm.joints, actuators, strict=False):
         if isinstance(motor, DCMotor):
             joint = links[i].joint
             joint = replace(

@@ -20,7 +20,10 @@ from dynamics.description.mode_shapes import shape
 from dynamics.description.validate import ZEROS
 from dynamics.types import Array
 from tests.dynamics.jets import (
+    NODES,
+    WEIGHTS,
     _angles,
+    _bending_of_shortening,
     _constant,
     _deflection,
     _product,
@@ -30,7 +33,6 @@ from tests.dynamics.jets import (
 )
 
 WHOLE = {"hierarchical", "unconstrained"}  # kinds whose damping ratio is that of natural modes
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)  # round-off up to the third mode
 X, Y, Z = np.eye(3)
 
 
@@ -158,33 +160,14 @@ def resisting_forces(arm: Arm, q: Array, v: Array, dampers: bool = True) -> Arra
         forces += [] if welded else [friction]
         forces += list(K_delta + C @ delta_dot + root * friction)
     result = np.array(forces)
-    for joint, link in zip(arm.joint_index, arm.links, strict=True):
+    stop = arm.base.n
+    for link in arm.links:
+        stop += link.joint.moves + link.joint.elastic + link.segments * len(link.modes)
         whole = _damping_of_the_whole(link, viscous=not dampers)
         if whole is not None:
-            first = joint + 1 + link.joint.elastic
-            rows = slice(first, first + len(whole))
+            rows = slice(stop - len(whole), stop)
             result[rows] += whole @ v[rows]
     return result
-
-
-def _bending_of_shortening(link: Link, delta: Array) -> Array:
-    """(m,) gradient of 1/2 int (EIz y' y'' + EIy z' z'')(y' y'' + z' z''), by complex steps."""
-    x, weights = 0.5 * link.length * (NODES + 1.0), 0.5 * link.length * WEIGHTS
-    shapes = _shapes(link)
-
-    def energy(amplitudes: Array) -> complex:
-        rates = []
-        for direction in "yz":
-            own = [
-                (d, s) for d, (m, s) in zip(amplitudes, shapes, strict=True)
-                if m.direction == direction
-            ]  # fmt: skip
-            slope = sum((d * s.slope(x) for d, s in own), 0.0 * x)
-            rates.append(slope * sum((d * s.curvature(x) for d, s in own), 0.0 * x))
-        rigid = (link.EIz or 0.0) * rates[0] + (link.EIy or 0.0) * rates[1]
-        return complex(0.5 * weights @ (rigid * (rates[0] + rates[1])))
-
-    return np.array([energy(delta + 1e-30j * e).imag / 1e-30 for e in np.eye(len(delta))])
 
 
 def momentum(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
@@ -219,11 +202,12 @@ def _damping_of_the_whole(link: Link, viscous: bool = False) -> Array | None:
     """
     kinds = [mode.kind for mode in link.modes]
     several = any(kinds.count(kind) > 1 for kind in ("torsion-poly", "axial-poly"))
-    if not link.damping_ratio or not (link.segments > 1 or several or WHOLE & {*kinds}):
+    whole = link.segments > 1 or several or WHOLE & {*kinds}
+    if not (link.damping_ratio and link.modes and whole):
         return None
     joint = replace(link.joint, parallel=False)
     alone = Arm(links=(replace(link, joint=joint, damping_ratio=0.0, modes=tuple(link.modes)),))
-    modal, rest = slice(1 + link.joint.elastic, alone.n), np.zeros(alone.n)
+    modal, rest = slice(alone.n - link.segments * len(link.modes), alone.n), np.zeros(alone.n)
     M = mass_matrix(alone, rest)[modal, modal]
     K = np.array([resisting_forces(alone, e, rest) for e in np.eye(alone.n)])[modal, modal]
     C = np.zeros_like(M)
@@ -246,26 +230,39 @@ def _damping_of_the_whole(link: Link, viscous: bool = False) -> Array | None:
 def _parts(arm: Arm) -> list[tuple[Link, bool, float]]:
     """All segments of all links, whether they are welded to the one before, springs at joints.
 
-    A joint with a spring is two: a rotor without a link, and a free joint beside the spring.
+    A joint with a spring is two: a rotor without a link, and a free joint beside the spring. A root
+    beside its joint is a link of its own.
     """
     parts = []
     for link in arm.links:
         joint, spring = link.joint, link.joint.stiffness or 0.0
         if spring:
-            mounted = replace(joint, hub_inertia=0.0, stiffness=None, spring_damping=0.0)
-            parts.append((Link(length=0.0, body=Body(mass=0.0), joint=mounted), False, 0.0))
-            joint = Joint(
-                type=joint.type, hub_inertia=joint.hub_inertia, viscous=joint.spring_damping
+            mounted = replace(
+                joint, hub_inertia=0.0, stiffness=None, spring_damping=0.0, root=(0.0, 0.0, 0.0)
             )
+            parts.append((_nothing(mounted), False, 0.0))
+            joint = Joint(
+                type=joint.type, hub_inertia=joint.hub_inertia, viscous=joint.spring_damping,
+                root=joint.root,
+            )  # fmt: skip
+        if any(joint.root):
+            carrier = replace(joint, root=(0.0, 0.0, 0.0))
+            parts.append((_nothing(carrier), not joint.moves, spring))
+            joint, spring = Joint(type="fixed", offset=joint.root), 0.0
         if _damping_of_the_whole(link) is not None:
             link = replace(link, damping_ratio=0.0)
         for k in range(link.segments):
             part = replace(link, length=link.length / link.segments, segments=1)
             if k < link.segments - 1:
                 part = replace(part, tip_mass=0.0, tip_inertia=ZEROS)
-            part = replace(part, joint=Joint() if k else joint)
-            parts.append((part, k > 0, 0.0 if k else spring))
+            body = None if k else part.body
+            part = replace(part, joint=Joint(type="fixed") if k else joint, body=body)
+            parts.append((part, not part.joint.moves, 0.0 if k else spring))
     return parts
+
+
+def _nothing(joint: Joint) -> Link:
+    return Link(length=0.0, body=Body(mass=0.0), joint=joint)
 
 
 def _by_part(arm: Arm, x: Array) -> list[tuple[Array, Array]]:
@@ -314,7 +311,8 @@ def _bodies(arm: Arm, jet: Array) -> tuple[Bodies, list[tuple[float, Array]]]:
             mass = mass + link.rho_A * link.length / 4.0
             inertia = inertia + link.rho_Ip * link.length / 3.0 * np.outer(X, X)
         if i == len(whole) - 1 and arm.payload:
-            mass, inertia = mass + arm.payload.mass, inertia + np.array(arm.payload.inertia)
+            load, at = arm.payload, p + _product(R, _constant(arm.payload.com))
+            parts.append((np.array([load.mass]), np.array(load.inertia)[None], at, R))
         parts.append((np.array([mass]), inertia[None], p, R))
     m, J, ps, Rs = zip(*parts, strict=True)
     joined = Bodies(
@@ -358,7 +356,11 @@ def _beam(
 def _light_tip(arm: Arm, i: int, count: int) -> bool:
     """The last body turns less than a thousandth of the link's inertia: slopes are its angles."""
     link, payload = arm.links[-1], arm.payload
-    inertia = np.array(link.tip_inertia) + (np.array(payload.inertia) if payload else 0.0)
+    inertia = np.array(link.tip_inertia)
+    if payload:
+        com = np.array(payload.com)
+        inertia = inertia + np.array(payload.inertia)
+        inertia += payload.mass * ((com @ com) * np.eye(3) - np.outer(com, com))
     small = np.abs(inertia).max() <= 1e-3 * link.rho_A * link.length**3 / 3.0
     return bool(i == count - 1 and small)
 

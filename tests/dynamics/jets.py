@@ -90,3 +90,23 @@ def _deflection(link: Link, delta: Array, x: Array, shorten: bool) -> tuple[Arra
                 both[2] = d[2] * e[0] + 2.0 * d[1] * e[1] + d[0] * e[2]
                 r -= 0.5 * np.multiply.outer(both, np.outer(common, X))
     return r[..., None], theta
+
+
+def _bending_of_shortening(link: Link, delta: Array) -> Array:
+    """(m,) gradient of 1/2 int (EIz y' y'' + EIy z' z'')(y' y'' + z' z''), by complex steps."""
+    x, weights = 0.5 * link.length * (NODES + 1.0), 0.5 * link.length * WEIGHTS
+    shapes = _shapes(link)
+
+    def energy(amplitudes: Array) -> complex:
+        rates = []
+        for direction in "yz":
+            own = [
+                (d, s) for d, (m, s) in zip(amplitudes, shapes, strict=True)
+                if m.direction == direction
+            ]  # fmt: skip
+            slope = sum((d * s.slope(x) for d, s in own), 0.0 * x)
+            rates.append(slope * sum((d * s.curvature(x) for d, s in own), 0.0 * x))
+        rigid = (link.EIz or 0.0) * rates[0] + (link.EIy or 0.0) * rates[1]
+        return complex(0.5 * weights @ (rigid * (rates[0] + rates[1])))
+
+    return np.array([energy(delta + 1e-30j * e).imag / 1e-30 for e in np.eye(len(delta))])

@@ -70,7 +70,11 @@ def random_state(arm: Arm, seed: int = 0) -> tuple[Array, Array]:
     """Coordinates and rates: any joint angles, moderate deflections."""
     rng = np.random.default_rng([seed, arm.n])
     sizes = np.array(
-        [x for k in arm.links for x in (0.0, *[TURN] * k.joint.elastic, *_amplitudes(k))]
+        [
+            x
+            for k in arm.links
+            for x in (*[0.0] * k.joint.moves, *[TURN] * k.joint.elastic, *_amplitudes(k))
+        ]
     )
     sizes = np.concatenate([np.zeros(arm.base.n), sizes])
     q, v = rng.uniform(-1.0, 1.0, (2, arm.n)) * (sizes, 20.0 * sizes)
@@ -133,7 +137,12 @@ def torque_matrix(arm: Arm) -> Array:
     """(n, n_joint) B: a joint torque also turns the root of shapes that are not clamped."""
     B = np.zeros((arm.n, arm.n_joint))
     row = arm.base.n
-    for i, link in enumerate(arm.links):
+    i = -1
+    for link in arm.links:
+        i += link.joint.moves
+        if not link.joint.moves:
+            row += link.segments * len(link.modes)
+            continue
         B[row, i] = 1.0
         for j, mode in enumerate(link.modes, 1):
             if mode.direction == "y" and not link.joint.elastic:

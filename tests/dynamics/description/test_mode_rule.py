@@ -140,8 +140,3 @@ def test_other_text_for_modes_is_refused_with_the_remedy(value: str) -> None:
         load_arm({"links": [{**BEAM, "modes": value}]})
     with pytest.raises(ValueError, match=sentence):
         Link(**BEAM, modes=value)  # type: ignore[arg-type]
-
-
-def test_modes_by_rule_are_refused_beside_a_body() -> None:
-    with pytest.raises(ValueError, match=r"Link\.modes must be \[\] beside Link\.body"):
-        Link(length=1.0, EIz=1.0, body=Body(mass=1.0), modes="auto")  # type: ignore[arg-type]

@@ -1,0 +1,44 @@
+"""An environment of an arm with a fixed joint, a root beside its joint and a payload beyond."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from flexarm_env.rendering import Renderer
+
+BEND = {"kind": "clamped-tip-mass", "index": 1, "direction": "y"}
+LINK = {"length": 0.4, "rho_A": 0.12, "EIz": 6.0, "modes": [BEND]}
+BENT = [[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]]
+ARM = {
+    "links": [
+        {**LINK, "joint": {"rotor_inertia": 0.02, "root": [0.05, 0.02, 0.0]}},
+        {**LINK, "joint": {"type": "fixed", "rotation": BENT, "offset": [0.03, 0.0, 0.0]}},
+        {**LINK, "joint": {"rotor_inertia": 0.01}},
+    ],
+    "payload": {"mass": 0.1, "com": [0.05, 0.0, 0.0]},
+}
+
+
+def test_an_environment_moves_and_draws_links_on_a_fixed_joint() -> None:
+    env = gym.make("FlexArm/TwoLink-Reach-v0", arm=ARM, control_dt=0.02).unwrapped
+    core = env.core
+    observation, _ = env.reset(seed=0)
+    assert env.action_space.shape == env.torque_limit.shape == (2,)
+    assert {part.name: len(part.entries) for part in core.layout.parts}["modal_amplitude"] == 3
+
+    for _ in range(20):
+        observation, _, terminated, _, info = env.step(np.array([0.3, -0.2], dtype=np.float32))
+
+    assert np.isfinite(observation).all()
+    assert not terminated
+    q = core.q[0]
+    assert np.all(np.abs(q) > 1e-6)
+    lines = Renderer(core).shapes(core, q, 1.0)
+    assert lines[-1][-1] == pytest.approx(core.model.tip(q), abs=1e-12)
+    assert info["root_curvature"].shape == (3,)
+
+
+def test_an_arm_without_a_moving_joint_is_refused() -> None:
+    still = {"links": [{**LINK, "joint": {"type": "fixed"}}]}
+    with pytest.raises(ValueError, match="with a joint that turns, got only fixed joints"):
+        gym.make("FlexArm/OneLink-Reach-v0", arm=still, control_dt=0.02)
