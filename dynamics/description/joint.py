@@ -1,8 +1,12 @@
 """The joint at the root of a link."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 
 from dynamics.description import validate
+from dynamics.description.rotations import from_euler, from_rotation_vector, rotation_matrix
 from dynamics.description.validate import IDENTITY
 from dynamics.types import Matrix3, Vector3
 
@@ -24,6 +28,10 @@ class Joint:
     the base of the joint before. q is measured from that base, independent of the rotation of the
     joint before and of the bending of the link before, and the torque reacts on that base; see
     parallel_drive.py.
+
+    A rotation is stored as a matrix. It may be given as {"rpy": (roll, pitch, yaw)}, turns [rad]
+    about the fixed axes x, y and z in this order, as in URDF, or as {"axis": (x, y, z), "angle": a}
+    [rad].
     """
 
     rotation: Matrix3 = IDENTITY  # (3, 3) [-] joint frame at q = 0 to end frame of the link before
@@ -42,7 +50,7 @@ class Joint:
     def __post_init__(self) -> None:
         positive, nonnegative = validate.positive, validate.nonnegative
         cleaned = {
-            "rotation": validate.rotation(self.rotation, "Joint.rotation"),
+            "rotation": _matrix(self.rotation, "Joint.rotation"),
             "offset": validate.vector(self.offset, "Joint.offset", "m"),
             "root": validate.vector(self.root, "Joint.root", "m"),
             "rotor_inertia": nonnegative(self.rotor_inertia, "Joint.rotor_inertia", "kg m^2"),
@@ -91,3 +99,36 @@ class Joint:
     def elastic(self) -> bool:
         """True if there is a spring between rotor and link."""
         return self.stiffness is not None
+
+
+def _matrix(value: object, name: str) -> Matrix3:
+    """(3, 3) rotation matrix from a matrix, angles, or an axis and an angle."""
+    if isinstance(value, Mapping):
+        return _turned(value, name)
+    entries = list(value) if isinstance(value, list | tuple) else []
+    if len(entries) == 3 and all(isinstance(x, Real) for x in entries):
+        shown = ", ".join(f"{x:g}" for x in entries)
+        raise ValueError(
+            f"{name} must be a matrix of 3 rows, got three numbers; write {{rpy: [{shown}]}} if "
+            "they are roll, pitch and yaw [rad], or {axis: [x, y, z], angle: a} for a turn [rad] "
+            "about an axis."
+        )
+    return validate.rotation(value, name)
+
+
+def _turned(value: Mapping[object, object], name: str) -> Matrix3:
+    given = validate.mapping(value, name, ("rpy", "axis", "angle"))
+    if set(given) == {"rpy"}:
+        roll, pitch, yaw = validate.vector(given["rpy"], f"{name}.rpy", "rad")
+        turn = from_euler((yaw, pitch, roll))
+    elif set(given) == {"axis", "angle"}:
+        axis = validate.vector(given["axis"], f"{name}.axis", "-")
+        length = math.hypot(*axis)
+        if not length > 0.0:
+            raise ValueError(f"{name}.axis must have a direction, got {validate.shown(axis)}.")
+        angle = validate.number(given["angle"], f"{name}.angle", "rad")
+        turn = from_rotation_vector([angle * (x / length) for x in axis])
+    else:
+        raise ValueError(f"{name} must hold rpy, or axis and angle, got {sorted(map(str, given))}.")
+    rows: Matrix3 = rotation_matrix(turn)
+    return validate.rotation(rows, name)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from dynamics import ARMS, Arm, Body, Joint, Link, Mode, Model, Payload, load_arm
 
@@ -24,6 +25,17 @@ def arm(*links: dict[str, Any], **values: Any) -> Arm:
         ([{"joint": {"type": "fixed", "viscous": 0.1}}], "viscous .0.1. needs a joint that moves"),
         ([{"joint": {"type": "fixed", "parallel": True}}], "parallel .True. needs a joint"),
         ([{"joint": {"type": "welded"}}], "Joint.type must be one of"),
+        (
+            [{"joint": {"rotation": [0.1, 0, 3]}}],
+            r"got three numbers; write \{rpy: \[0.1, 0, 3\]\} .* or \{axis: .*, angle: a\}",
+        ),
+        ([{"joint": {"rotation": {"rpy": [0, 1]}}}], "rotation.rpy must have 3 numbers, got 2"),
+        ([{"joint": {"rotation": {"axis": [0, 0, 1]}}}], r"rpy, or axis and angle, got \['axis'\]"),
+        (
+            [{"joint": {"rotation": {"axis": [0, 0, 0], "angle": 1.0}}}],
+            "axis must have a direction",
+        ),
+        ([{"joint": {"rotation": {"euler": [0, 0, 0]}}}], "Unknown key 'euler' in Joint.rotation"),
         ([{"joint": {"root": [0.1, 0.0]}}], "Joint.root must have 3 numbers, got 2"),
         ([{"modes": [PINNED], "joint": {"root": [0.1, 0, 0]}}], "pinned-free with Joint.root"),
         ([{"modes": [PINNED], "joint": {"type": "fixed"}}], "pinned-free with a fixed joint"),
@@ -36,6 +48,23 @@ def arm(*links: dict[str, Any], **values: Any) -> Arm:
 def test_refusals_name_the_field_and_the_remedy(links: list[dict[str, Any]], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         arm(*links)
+
+
+@pytest.mark.parametrize("angles", [(0.3, -0.4, 0.5), (np.pi / 2, 0.0, 0.0), (0.0, 0.0, -2.0)])
+def test_angles_and_axes_give_the_matrices_of_scipy(angles: tuple[float, float, float]) -> None:
+    """Roll, pitch and yaw about fixed axes; the same turn about its one axis, of any length."""
+    turn = Rotation.from_euler("xyz", angles)
+    axis = 3.0 * turn.as_rotvec() / turn.magnitude()
+    by_angles = Joint(rotation={"rpy": angles})  # type: ignore[arg-type]
+    described = {"axis": axis.tolist(), "angle": turn.magnitude()}
+    (by_axis,) = arm({"joint": {"rotation": described}}).links
+    np.testing.assert_allclose(by_angles.rotation, turn.as_matrix(), rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(by_axis.joint.rotation, turn.as_matrix(), rtol=0.0, atol=1e-15)
+
+
+def test_a_turn_about_z_leaves_an_arm_planar() -> None:
+    turned = arm({}, {"joint": {"rotation": {"rpy": [0.0, 0.0, 0.7]}}})
+    assert turned.links[1].joint.rotation[2] == (0.0, 0.0, 1.0)
 
 
 def test_a_fixed_joint_has_neither_coordinate_nor_torque() -> None:
