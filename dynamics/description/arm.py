@@ -19,6 +19,7 @@ from dynamics.types import Matrix3, Vector3
 ROTATIONS = {"exp": "exp", "linear": "linear", "skew": "linear"}  # accepted name -> stored name
 MOST_LINKS = 1000
 MOST_COORDINATES = 1000  # an arm of this size compiles in minutes
+IN_LINE = 1.0 - 1e-12  # [-] cosine of the angle between links, from which they are in line
 BASE_NAMES = {  # coordinates of a base by its type
     "fixed": (),
     "planar": ("base_px", "base_py", "base_rz"),
@@ -181,13 +182,15 @@ class Arm:
                 "The last link has no inertia about its joint axis (the mass matrix would be "
                 f"singular), got Link.body = {last.body!r}; give mass off the axis or inertia."
             )
-        polar = last.rho_Ip + last.tip_inertia[0][0]
-        polar += float(about_origin(self.payload)[0, 0]) if self.payload else 0.0
-        if last.in_direction("x") and polar == 0.0:
-            raise ValueError(
-                "The last link has a torsion mode but no inertia about x (the mass matrix would be "
-                "singular), got Link.rho_Ip = 0.0 and Link.tip_inertia[0][0] = 0.0; give one."
-            )
+        for i, link in enumerate(links):
+            if link.in_direction("x") and not _twists_inertia(links[i:], self.payload):
+                which = "The last link" if i == len(links) - 1 else f"Link {i + 1}"
+                raise ValueError(
+                    f"{which} has a torsion mode but no inertia about x, nor has what it carries "
+                    "in line (the mass matrix would be singular), got Link.rho_Ip = 0.0 and "
+                    "Link.tip_inertia[0][0] = 0.0; give rho_Ip [kg m], of a round bar "
+                    "rho_A r^2 / 2, or leave torsion modes out."
+                )
 
     @property
     def n(self) -> int:
@@ -283,6 +286,22 @@ def _joint_inertia(links: tuple[Link, ...], payload: Payload | None) -> float:
     root = math.hypot(*link.joint.root[:2])
     own = body.inertia[2][2] + body.mass * (math.hypot(*body.com[:2]) + root) + tip_inertia
     return rotor + link.joint.hub_inertia + own + off_axis * (link.length + root)
+
+
+def _twists_inertia(links: tuple[Link, ...], payload: Payload | None) -> bool:
+    """True if the first of the links, or anything beyond it in the straight arm, resists a twist.
+
+    Links in line have their beams and tip masses on the axis; any other link resists.
+    """
+    for i, link in enumerate(links):
+        joint = link.joint
+        aside = any((*joint.offset[1:], *joint.root[1:])) or abs(joint.rotation[0][0]) < IN_LINE
+        if i and aside:
+            return True
+        body = i and link.body is not None and float(about_origin(link.body)[0, 0])
+        if link.rho_Ip or link.tip_inertia[0][0] or body:
+            return True
+    return payload is not None and float(about_origin(payload)[0, 0]) > 0.0
 
 
 def _plain(value: Any) -> Any:
