@@ -14,7 +14,9 @@ from typing import Any
 
 from llvmlite.binding import get_host_cpu_name
 
+from agents.files import FolderError, check_folder
 from agents.run_folder.folder import revision
+from agents.sentences import one_line, speaker
 
 FOLDERS = ("--out", "--images", "--keep")  # options that say where results go, not what they are
 COLOURS = 256  # of a picture, a third of the size of one in true colours
@@ -23,10 +25,41 @@ RESULTS = ROOT / "docs" / "results"
 REFERENCE = ROOT / "tests" / "reference"
 
 
-def argument_parser(name: str, doc: str | None) -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """Command line whose places for results are checked and made before any work."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """The options; ends with one sentence where results could not be written."""
+        options = super().parse_args(args, namespace)
+        for option in FOLDERS:
+            name = option.removeprefix("--")
+            if (place := getattr(options, name, None)) is not None:
+                try:
+                    make_place(place, option, self.get_default(name))
+                except ValueError as error:
+                    self.exit(2, f"{speaker(self.prog)}: {one_line(error)}\n")
+        return options
+
+
+def make_place(place: Path, option: str, usual: Path | None) -> None:
+    """Make the folder of an option, or of its file, where the usual place is a file."""
+    if usual is None or not usual.suffix:
+        folder = place
+    elif place.suffix != usual.suffix or place.is_dir():
+        raise FolderError(
+            f"{option} takes the name of a {usual.suffix} file, such as "
+            f"{place.with_suffix('') / usual.name}, got {place}."
+        )
+    else:
+        folder = place.parent
+    check_folder(folder, option)
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def argument_parser(name: str, doc: str | None) -> Parser:
     """Parser of `python -m benchmarks.NAME`, described by the first line of a docstring."""
     description = (doc or "").splitlines()[0]
-    return argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=description)
+    return Parser(prog=f"python -m benchmarks.{name}", description=description)
 
 
 def provenance(*packages: str) -> dict[str, Any]:

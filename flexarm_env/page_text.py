@@ -130,6 +130,18 @@ is refused. `gym.make` puts wrappers round the environment: without `unwrapped`,
 on the outermost one. Copies and pickles keep the changes; `env.spec` tells how the environment was
 made. Controllers keep the ranges for which they were built.
 
+## Pictures and films
+
+`render_mode="rgb_array"` needs no display. Films by Gymnasium's `RecordVideo` and
+stable-baselines3's `VecVideoRecorder` need MoviePy: `pip install -c constraints.txt -e ".[video]"`.
+
+```python
+from gymnasium.wrappers import RecordVideo
+
+env = gym.make("FlexArm/OneLink-Reach-v0", render_mode="rgb_array")
+env = RecordVideo(env, "films")  # films/rl-video-episode-0.mp4
+```
+
 ## Hardware
 
 `hardware="laboratory"` has the sensors of a real arm and a plant that differs between episodes. A

@@ -8,10 +8,9 @@ policy has.
 """
 
 import argparse
-import importlib
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -21,13 +20,12 @@ from typing import Any
 import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
-from agents.environments import look_in_present_folder
 from agents.figures import save_figure
 from agents.files import check_folder
 from agents.hybrid.controller import acting
 from agents.leaderboard import stored
 from agents.leaderboard.bound import PLANTS, best_of, compute
-from agents.leaderboard.charts import pictures
+from agents.leaderboard.charts import Results, pictures
 from agents.leaderboard.output import row, write
 from agents.leaderboard.replay import YARDSTICK, optimal, replayed
 from agents.leaderboard.shipped import shipped
@@ -40,6 +38,7 @@ from agents.leaderboard.statistics import (
     spectrum,
 )
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
+from agents.leaderboard.users import UsersControllerError, users_controller
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
 from agents.sentences import one_line, speaker
@@ -73,57 +72,10 @@ def built(name: str, env: Any, env_id: str, track: str) -> Iterator[Controller]:
         parameters = parameters_of(name, env_id, track) if CONTROLLERS[name].ranges else {}
         yield controller(name, env, parameters)
     elif ":" in name:
-        yield users_controller(name, env)
+        yield users_controller(name, env, SEED)
     else:
         for policy in shipped(env_id, TRACKS[track].design)[name]:
             yield acting(policy, env)
-
-
-def users_class(name: str) -> Callable[[Any], Controller]:
-    """The class that a user names on the command line as mymodule:MyController."""
-    module, _, attribute = name.partition(":")
-    here = look_in_present_folder()
-    try:
-        found: Callable[[Any], Controller] = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(
-            f"--controllers {name} cannot be imported: {error}. Write module:Class, the module "
-            f"without .py and in {here} or installed."
-        ) from None
-    return found
-
-
-def users_controller(name: str, env: Any) -> Controller:
-    """A user's controller, after one call as every episode makes it."""
-    try:
-        subject = users_class(name)(env)
-    except (AttributeError, TypeError) as error:
-        raise ValueError(
-            f"--controllers {name} cannot be made: {error}; it is called with the environment."
-        ) from error
-    observation, _ = env.reset(seed=[SEED])
-    wanted = "it is called as predict(observation, state, episode_start) and returns action, state"
-    try:
-        result = subject.predict(observation, None, np.ones(1, dtype=bool))
-        action, _ = result
-    except (AttributeError, TypeError, ValueError) as error:
-        raise ValueError(f"--controllers {name} failed in predict: {error}; {wanted}.") from error
-    shape = np.shape(action)
-    if shape != env.action_space.shape:
-        raise ValueError(
-            f"--controllers {name} gave actions of shape {shape}, expected "
-            f"{env.action_space.shape}: a row per environment; {wanted}."
-        )
-    return subject
-
-
-def try_users_controller(name: str, env_id: str, track: str) -> None:
-    """Refuse a user's class that cannot be made or called under the track's design conditions."""
-    env = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
-    try:
-        users_controller(name, env)
-    finally:
-        env.close()
 
 
 def ranked(
@@ -176,18 +128,53 @@ def names(wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool) 
 
 
 def main(arguments: list[str] | None = None, prog: str = "python -m agents.leaderboard") -> int:
-    """Rank, and write after every task; the exit status."""
+    """Rank, and write after every task; the exit status.
+
+    A user's controller that fails is named in one sentence and left out, and the status is 1.
+    """
     options = _parser(prog).parse_args(arguments)
     seeds = list(range(options.seed, options.seed + options.episodes))
     bounds = options.out / "bounds" if options.bound else None
+    failures = Failures(prog)
     try:
-        _check(options)
+        places = _check(options)
         check_folder(options.out)
         before = stored.known(stored.read(options.beside, seeds, bounds)) if options.beside else {}
     except ValueError as error:
-        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
+        failures.tell(error)
         return 2
-    options.out.mkdir(parents=True, exist_ok=True)
+    if not [place for place in places if _works(*place, failures)]:
+        return 2
+    if results := _rank(options, seeds, bounds, before, failures):
+        for file, draw in pictures(results).items():
+            save_figure(draw(), options.out / file)
+        print(f"Everything is in {options.out}/")
+    return 1 if failures.told else 0
+
+
+class Failures:
+    """Errors that were told to the user, each of them once."""
+
+    def __init__(self, prog: str) -> None:
+        self.speaker = speaker(prog)
+        self.told: set[str] = set()
+
+    def tell(self, error: ValueError) -> None:
+        """Print an error that was not told before as one sentence."""
+        sentence = f"{self.speaker}: {one_line(error)}"
+        if sentence not in self.told:
+            self.told.add(sentence)
+            print(sentence, file=sys.stderr)
+
+
+def _rank(
+    options: argparse.Namespace,
+    seeds: Sequence[int],
+    bounds: Path | None,
+    before: stored.Entries,
+    failures: Failures,
+) -> Results:
+    """Results of all tasks, beside former entries, which are written after every task."""
     results = {
         env_id: {track: compared(found) for track, found in tracks.items()}
         for env_id, tracks in before.items()
@@ -196,18 +183,20 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
         run = map if options.jobs == 1 else pool.map
         for env_id in options.tasks:
             places = _places(options, env_id, seeds, bounds)
-            now = before.setdefault(env_id, {})
+            now = before.get(env_id, {})
             entries = run(partial(_entry, env_id, seeds, bounds), places)
             for (track, name), entry in zip(places, entries, strict=True):
-                now.setdefault(track, {})[name] = entry
-                print(f"{env_id}, {track}: {row(name, entry.figures)}", flush=True)
-            if now:
-                results[env_id] = {track: compared(found) for track, found in now.items()}
-            write(options.out, results, seeds)
-    for file, draw in pictures(results).items():
-        save_figure(draw(), options.out / file)
-    print(f"Everything is in {options.out}/")
-    return 0
+                if isinstance(entry, UsersControllerError):
+                    failures.tell(entry)
+                    now.get(track, {}).pop(name, None)
+                else:
+                    now.setdefault(track, {})[name] = entry
+                    print(f"{env_id}, {track}: {row(name, entry.figures)}", flush=True)
+            if ranked_now := {track: compared(found) for track, found in now.items() if found}:
+                results[env_id] = ranked_now
+                options.out.mkdir(parents=True, exist_ok=True)
+                write(options.out, results, seeds)
+    return results
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -253,12 +242,33 @@ def _places(
     ]
 
 
-def _entry(env_id: str, seeds: Sequence[int], bounds: Path | None, place: tuple[str, str]) -> Entry:
+def _entry(
+    env_id: str, seeds: Sequence[int], bounds: Path | None, place: tuple[str, str]
+) -> Entry | UsersControllerError:
     track, name = place
-    return ranked(name, env_id, track, seeds, bounds)
+    try:
+        return ranked(name, env_id, track, seeds, bounds)
+    except UsersControllerError as error:
+        return error
 
 
-def _check(options: argparse.Namespace) -> None:
+def _works(name: str, env_id: str, track: str, failures: Failures) -> bool:
+    """True unless a user's class fails under the track's design conditions, which is told."""
+    if ":" not in name:
+        return True
+    env = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
+    try:
+        users_controller(name, env, SEED)
+    except UsersControllerError as error:
+        failures.tell(error)
+        return False
+    finally:
+        env.close()
+    return True
+
+
+def _check(options: argparse.Namespace) -> list[tuple[str, str, str]]:
+    """Controllers, tasks and tracks of a ranking; a ValueError if one of them cannot be."""
     for env_id in options.tasks:
         validate.known(env_id, "task", RANKED)
     for track in options.tracks:
@@ -267,9 +277,7 @@ def _check(options: argparse.Namespace) -> None:
         name for env_id in RANKED for track in TRACKS for name in shipped(env_id, track)
     }
     for name in options.controllers or ():
-        if ":" in name:
-            users_class(name)
-        else:
+        if ":" not in name:
             known = sorted({*CONTROLLERS, *shipped_names, YARDSTICK})
             if name not in known and (Path(name).exists() or Path(f"{name}.py").exists()):
                 raise ValueError(
@@ -293,10 +301,9 @@ def _check(options: argparse.Namespace) -> None:
     for name, *place in found:
         if name in CONTROLLERS and CONTROLLERS[name].ranges:
             parameters_of(name, *place)
-        elif ":" in name:
-            try_users_controller(name, *place)
     if not found:
         raise ValueError(f"None of {options.controllers} acts on these tasks and tracks.")
+    return found
 
 
 if __name__ == "__main__":

@@ -3,11 +3,12 @@
 import runpy
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from benchmarks.output import command, table
+from benchmarks.output import Parser, argument_parser, command, table
 from dynamics.extras import installation
 from tests.paths import ROOT
 
@@ -38,6 +39,48 @@ def test_the_command_is_that_of_the_process(module: str, monkeypatch: pytest.Mon
     monkeypatch.setitem(sys.modules, "__main__", main)  # type: ignore[arg-type]
     monkeypatch.setattr(sys, "argv", ["file", "--keep", "runs", "--quick", "--out", "x"])
     assert command() == f"python -m {module.removesuffix('.__main__')} --quick"
+
+
+def parser(usual: str) -> Parser:
+    made = argument_parser("speed", "Speed.")
+    made.add_argument("--out", type=Path, default=Path(usual))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("usual", "given", "words"),
+    [
+        ("speed.json", "folder", "takes the name of a .json file, such as folder/speed.json"),
+        ("speed.json", "new", "takes the name of a .json file, such as new/speed.json"),
+        ("speed.json", "new.md", "takes the name of a .json file, such as new/speed.json"),
+        ("speed.json", "folder.json", "takes the name of a .json file"),
+        ("speed.json", "file/speed.json", "is not a writable folder; choose another --out"),
+        ("results", "file", "is not a writable folder; choose another --out"),
+        ("results", "file/results", "is not a writable folder; choose another --out"),
+    ],
+)
+def test_a_place_for_results_is_refused_before_any_work(
+    usual: str, given: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder.json").mkdir()
+    with pytest.raises(SystemExit) as ended:
+        parser(usual).parse_args(["--out", given])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("benchmarks.speed: ")
+    assert words in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(("usual", "given"), [("x.json", "a/b/y.json"), ("x", "a/b")])
+def test_a_place_for_results_is_made(usual: str, given: str, tmp_path: Path) -> None:
+    assert parser(usual).parse_args(["--out", str(tmp_path / given)]).out == tmp_path / given
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
+    assert (tmp_path / "a" / "b").is_dir()
 
 
 def test_peers_without_the_engines_end_with_a_sentence() -> None:

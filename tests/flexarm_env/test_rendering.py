@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +93,25 @@ def test_human_mode_needs_no_display() -> None:
     )
     environment = {"PATH": "/usr/bin", "HOME": str(Path.home()), "MPLBACKEND": "Agg"}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment, cwd=PAGES.parents[1])
+
+
+def test_an_episode_is_filmed_by_gymnasiums_recorder(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy", reason="the extra `video`")
+    env: Any = gym.make("FlexArm/OneLink-Reach-v0", render_mode="rgb_array", max_episode_steps=5)
+    env = gym.wrappers.RecordVideo(env, str(tmp_path))
+    env.reset(seed=0)
+    while not env.step(env.action_space.sample())[3]:
+        pass
+    env.close()
+    assert (tmp_path / "rl-video-episode-0.mp4").stat().st_size > 1_000
+
+
+def test_the_library_of_films_is_an_extra_that_the_tested_set_names() -> None:
+    """And the page names the extra."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    (library,) = project["optional-dependencies"]["video"]
+    assert "moviepy==" + library.partition(">=")[2] in (ROOT / "constraints.txt").read_text("utf-8")
+    assert '-e ".[video]"' in common_page()
 
 
 def test_batches_render_one_picture_per_environment() -> None:
