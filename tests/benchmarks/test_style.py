@@ -160,8 +160,8 @@ def test_the_headline_is_readable_at_the_width_of_a_readme(
     assert min(sizes) > 11.0  # pixels
 
 
-def test_the_readme_shows_the_headline_near_its_top_with_the_command() -> None:
-    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+def test_the_start_page_shows_the_headline_near_its_top_with_the_command() -> None:
+    lines = (ROOT / "docs" / "index.md").read_text(encoding="utf-8").splitlines()
     (place,) = [k for k, line in enumerate(lines) if "error_against_speed.png" in line]
     assert place < 20
     assert any("python -m benchmarks.peers --charts" in line for line in lines[place : place + 6])
