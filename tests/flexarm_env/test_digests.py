@@ -29,6 +29,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "drawn parameters": {"randomize": {"payload_mass": (0.0, 0.1), "stiffness": (0.8, 1.2)}},
     "laboratory": {"hardware": "laboratory", "obs": "sensors"},
 }
+EVERYWHERE = ("default", "laboratory")
 STEPS, BATCH = 60, 20
 TAKEN = {  # steps per control step, which measuring on another machine must not change
     "OneLink": {"default": ("exponential-2", 2), "laboratory": ("exponential-4", 2)},
@@ -105,13 +106,15 @@ def judged(env_id: str, bent: float) -> tuple[str, list[float]]:
 
 
 def pinned(env_id: str) -> dict[str, Any]:
-    """Digests and numbers of a batch and of a single environment, for every kind.
+    """Digests and numbers of a batch, by default of a single environment too.
 
-    The sensors of the laboratory are pinned in the batch alone, to compile less.
+    To compile less, only Reach has every kind.
     """
     result: dict[str, Any] = {}
     for kind, keywords in KINDS.items():
-        for name in ("batch",) if kind == "laboratory" else ("batch", "single"):
+        if "-Reach-" not in env_id and kind not in EVERYWHERE:
+            continue
+        for name in ("batch", "single") if kind == "default" else ("batch",):
             batch = name == "batch"
             make = partial(gym.make_vec, num_envs=BATCH) if batch else gym.make
             digest, few = followed(make(env_id, **keywords), batch)
