@@ -289,7 +289,8 @@ def test_a_jacobian_too_long_to_compile_is_refused(monkeypatch: pytest.MonkeyPat
     """With what to take instead; one operation fewer is not."""
     arm = TracedArm(load_arm("slim"))
     count = graphs.state_jacobian(arm).n_instructions()
-    inputs, at = [0, 10, 20, 30, 40], {"SCRATCH": 50}
+    inputs = [0, 10, 20, 30, 40]
+    at = dict.fromkeys(("Q", "V", "ACC", "IMPLICIT", "SCRATCH", "TAU"), 50)
     monkeypatch.setattr(methods, "LONGEST", count)
     assert [f.name for f in traced_method("rosenbrock", arm, at, inputs).functions] == ["AID"]
     monkeypatch.setattr(methods, "LONGEST", count - 1)
