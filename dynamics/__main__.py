@@ -2,7 +2,8 @@
 
 python -m dynamics evaluate CASE.json [--out FILE]   # M, h, accelerations, motion
 python -m dynamics list                              # the preset arms
-python -m dynamics source ARM [--env ID]             # the generated module of an arm
+python -m dynamics source ARM [--env ID]             # the generated code of an arm
+                [--backend llvm|cuda]
 """
 
 import argparse
@@ -21,6 +22,7 @@ from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import load_arm
 from dynamics.simulation.case_file import Case, Motion, load_case
 
+BACKENDS = ("llvm", "cuda")
 SOURCES = "flexarm.sources"  # entry points of packages that generate modules of their own
 BAD_INPUT = 2  # exit status: the file cannot be evaluated as it stands
 DIVERGED = 3  # exit status: the motion left the finite numbers
@@ -72,9 +74,12 @@ def _parser() -> argparse.ArgumentParser:
     evaluation.add_argument("case", type=Path, metavar="CASE", help="arm file (.json, .yaml)")
     evaluation.add_argument("--out", type=Path, metavar="FILE", help="instead of standard output")
     commands.add_parser("list", help="the preset arms")
-    printing = commands.add_parser("source", help="the generated module of an arm, as text")
+    printing = commands.add_parser("source", help="the generated code of an arm, as text")
     printing.add_argument("arm", metavar="ARM", help="a preset's name or an arm file")
     printing.add_argument("--env", metavar="ID", help="with the control step of this environment")
+    printing.add_argument(
+        "--backend", choices=BACKENDS, default="llvm", help="cuda: kernels, with --env"
+    )
     printing.add_argument(
         "--integrator", choices=INTEGRATORS, default="rk4", help="without --env (default: rk4)"
     )
@@ -96,9 +101,11 @@ def listing() -> str:
 
 
 def source(options: argparse.Namespace) -> str:
-    """Text of the generated module of an arm: its stepper's, or an environment's."""
+    """Text of the generated code of an arm: its stepper's, or an environment's."""
     if options.env is not None:
-        return environment_source(options.arm, options.env)
+        return environment_source(options.arm, options.env, options.backend)
+    if options.backend == "cuda":
+        raise ValueError("--backend cuda prints the control step of an environment; add --env ID.")
     from dynamics.backends.numba_llvm.program import generate, stepping
     from dynamics.tracing.traced_arm import TracedArm
 
@@ -106,10 +113,10 @@ def source(options: argparse.Namespace) -> str:
     return generate(arm, "float64", options.lanes, options.integrator, stepping(arm))
 
 
-def environment_source(arm: str, env_id: str) -> str:
-    """Text of an environment's module, from the package that offers it as an entry point."""
+def environment_source(arm: str, env_id: str, backend: str) -> str:
+    """Text of an environment's code, from the package that offers it as an entry point."""
     for entry in entry_points(group=SOURCES):
-        return str(entry.load()(arm, env_id))
+        return str(entry.load()(arm, env_id, backend))
     raise ValueError(
         "--env needs flexarm's environments, which are not installed: pip install -e ."
     )

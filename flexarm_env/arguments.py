@@ -183,3 +183,11 @@ def not_finite(actions: NDArray[np.float32]) -> ValueError:
         f"Actions must be finite numbers (clipped to [-1, 1]), got {actions[bad].tolist()} for "
         f"environment {bad}."
     )
+
+
+def too_bent(factor: float) -> ValueError:
+    """Error for a placed state in which the model has no meaning."""
+    return ValueError(
+        f"options['state'] must bend no link by more than {factor:g} times the deflection_limit; "
+        "the model of this arm is meaningless there."
+    )

@@ -87,6 +87,7 @@ class Core:
     action : (1, n_torque) action that `alone` takes.
     parameters : (N, n_free) values of the randomized parameters, a view.
     settings, arguments : keywords that may change, and all, by which a copy is built.
+    constants, starts : numbers that all environments share; arguments of `episode.begin`.
     """
 
     def __init__(
@@ -144,15 +145,13 @@ class Core:
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
         self._rate_limit = plant.rate_limit
         torques = tuple(self.actuation.torque_limit.tolist()) if self.actuation else ()
-        if obs is None:
-            obs = "sensors" if fitted else "state"
+        obs = ("sensors" if fitted else "state") if obs is None else obs
         refuse_exact_state(obs, fitted)
         self.layout = observation_layout(
             self.arm, self.task, obs, self.scales, self.rate_scale, torques,
             bool(fitted and fitted.accelerometer_noise is not None),
         )  # fmt: skip
-        gauges = curvature_columns(self.arm)
-        axes = sensed_axes(self.arm)
+        gauges, axes = curvature_columns(self.arm), sensed_axes(self.arm)
         self.sensing = Sensing(fitted, self.arm.n_joint, gauges, axes) if fitted else None
         self.gauge_scale = np.array(curvature_scale(self.arm, gauges))
         self.model: Model = compile_arm(
@@ -161,8 +160,8 @@ class Core:
         self.signals = Signals(
             self.model, self.task.moving, self.layout, self.actuation, self.sensing
         )
-        self._constants = self._fixed_numbers(self.settings)
-        self._start = self._episode_ranges()
+        self.constants = self._fixed_numbers(self.settings)
+        self.starts = self._episode_ranges()
         self._allocate()
         self.arguments = copy.deepcopy(given)
 
@@ -179,10 +178,10 @@ class Core:
         try:
             given = self.arguments | keywords
             changed = settings(self.task, self._spread, given).after(self.settings)
-            self._constants = self._fixed_numbers(changed)
+            self.constants = self._fixed_numbers(changed)
             self.arguments = copy.deepcopy(given | {"randomize": changed.ranges})
             self.settings = changed
-            self._start = self._episode_ranges()
+            self.starts = self._episode_ranges()
             for w in self.workspaces:
                 self._fill_constants(w)
         finally:
@@ -264,7 +263,7 @@ class Core:
 
     def _fill_constants(self, w: Array) -> None:
         lanes, first = int(self.program.LANES), int(self.program.CONSTANTS)
-        w[first : first + lanes * self._constants.size] = np.repeat(self._constants, lanes)
+        w[first : first + lanes * self.constants.size] = np.repeat(self.constants, lanes)
 
     def outputs(self) -> Any:
         """`Outputs` to fill: a set that no caller refers to, else a new one.
@@ -296,8 +295,7 @@ class Core:
             ended = -1  # refuse before any environment is stepped
         else:
             rows = self.shares.copy()
-            turns = self._pool.run(lambda k: compiled(*self._bound(rows, k, actions, out)))
-            ended = sum(turns)
+            ended = sum(self._pool.run(lambda k: compiled(*self._bound(rows, k, actions, out))))
         if ended < 0:
             raise arguments.not_finite(actions)
         return out, ended
@@ -335,24 +333,26 @@ class Core:
 
         Refused options leave the environments unchanged.
         """
-        placed = {} if options is None else arguments.placements(options, self.arm, rows.size)
         before = self.state[:, rows], self.streams[rows]
-        episode.begin(rows, *self._start, self.state, self.streams)
-        for name, values in placed.items():
-            self.state[self.signals.state.slices[name]].T[rows] = values
-        if self.actuation:
-            states = self.signals.state.slices["actuator"]
-            self.state[states, rows] = self.actuation.at_rest(self.q[rows])
+        placed = self.begin(rows, options)
         w = self.workspaces[0]
         self._control_step(
             rows, 0, 0, self.dt, self._no_actions, self.state, w, out.obs, out.info, out.flags
         )
         if placed and out.flags[DIVERGED, rows].any():
             self.state[:, rows], self.streams[rows] = before
-            raise ValueError(
-                f"options['state'] must bend no link by more than {LOST:g} times the "
-                "deflection_limit; the model of this arm is meaningless there."
-            )
+            raise arguments.too_bent(LOST)
+
+    def begin(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None) -> bool:
+        """Draw episodes for the environments `rows`; whether options placed some of their state."""
+        placed = {} if options is None else arguments.placements(options, self.arm, rows.size)
+        episode.begin(rows, *self.starts, self.state, self.streams)
+        for name, values in placed.items():
+            self.state[self.signals.state.slices[name]].T[rows] = values
+        if self.actuation:
+            states = self.signals.state.slices["actuator"]
+            self.state[states, rows] = self.actuation.at_rest(self.q[rows])
+        return bool(placed)
 
     def reset(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> Any:
         """Start new episodes in `rows` and return their outputs; other rows are zero."""

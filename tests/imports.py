@@ -15,6 +15,7 @@ Graph = dict[str, set[str]]  # module or room -> those that it imports
 # rooms to earlier ones.
 ROOMS = (
     "dynamics.types",
+    "dynamics.extras",
     "dynamics.cache",
     "dynamics.description",
     "dynamics.integrators",

@@ -23,7 +23,11 @@ PACKAGES = ("dynamics", "flexarm_env", "agents", "benchmarks")
 LONGEST_FILE = 400  # lines
 MOST_MODULES = 16  # of a folder
 TENSORS = "flexarm_env.tensors"
-NUMBA = ("dynamics.backends.numba_llvm", "dynamics.runtime")
+COMPILERS = {
+    "numba": ("dynamics.backends.numba_llvm", "dynamics.runtime"),
+    "llvmlite": ("dynamics.backends.numba_llvm", "dynamics.runtime"),
+    "cuda": ("dynamics.backends.cuda",),
+}
 FORBIDDEN = {
     "dynamics": {"gymnasium", "stable_baselines3", "torch", "matplotlib"},
     "flexarm_env": {"torch"},
@@ -113,9 +117,9 @@ def test_docstrings_name_their_subject() -> None:
 
 
 def test_each_compiler_is_known_in_one_place() -> None:
-    """Numba and LLVM to their backend and its runtime; the programs that it prints know neither."""
-    known = {"numba": NUMBA, "llvmlite": NUMBA}
+    """Numba to its backend and its runtime, CUDA to its backend; the programs know neither."""
     for path in sources("dynamics", "flexarm_env", "agents"):
         found = imported(ast.parse(path.read_text(encoding="utf-8")))
-        for name in {x.split(".")[0] for x in found} & set(known):
-            assert module_name(path).startswith(known[name]), f"{path.relative_to(ROOT)}: {name}"
+        for name in {x.split(".")[0] for x in found} & set(COMPILERS):
+            where = f"{path.relative_to(ROOT)} imports {name}"
+            assert module_name(path).startswith(COMPILERS[name]), where

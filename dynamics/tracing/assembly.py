@@ -20,6 +20,7 @@ class Addition:
     sizes: Mapping[str, int]  # further slots of the workspace: name -> how many
     functions: Callable[[Mapping[str, int]], list[Function]]  # of the workspace, from all slots
     entry: ControlStep | str  # what Python calls: a control step, or loops that the backend names
+    shared: Sequence[str] = ()  # names of its slots that are equal in all environments
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +28,7 @@ class Program:
     """An arm's program, free of any language."""
 
     title: str
+    sizes: Mapping[str, int]  # slots of the workspace by name, in order
     at: Mapping[str, int]  # first slots by name
     slots: int  # of the workspace
     accelerations: Function
@@ -35,6 +37,7 @@ class Program:
     method: Method
     routines: Mapping[str, Statements]
     entry: ControlStep | str
+    shared: Sequence[str]  # names of slots that are equal in all environments
 
     @property
     def functions(self) -> list[Function]:
@@ -68,6 +71,7 @@ def assembled(arm: TracedArm, dtype: str, lanes: int, integrator: str, added: Ad
     own = added.entry.routines if isinstance(added.entry, ControlStep) else {}
     return Program(
         title=f"{arm.arm.name or 'arm'}, {lanes} lanes, {integrator}, {dtype}",
+        sizes=sizes,
         at=at,
         slots=starts[-1],
         accelerations=traced("accelerations", graph, inputs, at["ACC"]),
@@ -76,6 +80,7 @@ def assembled(arm: TracedArm, dtype: str, lanes: int, integrator: str, added: Ad
         method=stepped,
         routines={"evaluate": (Call("accelerations"),), **stepped.routines, **own},
         entry=added.entry,
+        shared=["H", *(["SCRATCH"] if stepped.aid is not None else []), *added.shared],
     )
 
 

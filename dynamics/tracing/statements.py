@@ -75,6 +75,14 @@ class Noise:
 
 
 @dataclass(frozen=True)
+class Uniform:
+    """Next random numbers in [0, 1) of the environment's stream, in slots (splitmix64)."""
+
+    slots: str
+    count: int
+
+
+@dataclass(frozen=True)
 class Prefetch:
     """Hint that rows will be written soon: of this environment, or of the next ones."""
 
@@ -101,7 +109,18 @@ class WhereLost:
     then: tuple[Call, ...]
 
 
-Statement = Call | Load | Store | Copy | Clear | Noise | Prefetch | Substeps | WhereLost
+@dataclass(frozen=True)
+class WhereEnded:
+    """Statements for environments whose first two flags say that the episode has ended."""
+
+    flags: str
+    body: tuple["Statement", ...]
+
+
+Statement = (
+    Call | Load | Store | Copy | Clear | Noise | Uniform | Prefetch | Substeps | WhereLost
+    | WhereEnded
+)  # fmt: skip
 Statements = tuple[Statement, ...]
 
 
@@ -140,7 +159,7 @@ def walked(statements: Iterable[Statement]) -> Iterator[Statement]:
     for statement in statements:
         yield statement
         match statement:
-            case Substeps(body):
+            case Substeps(body) | WhereEnded(_, body):
                 yield from walked(body)
             case WhereLost(_, restored, then):
                 yield from restored

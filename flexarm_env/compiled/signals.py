@@ -113,6 +113,7 @@ class Signals:
             key=f"environment {_SOURCES} {self.moving} {parts} {actuation} {sensing}",
             sizes=sizes,
             functions=functions,
+            shared=("CONSTANTS",),
             entry=control_step(
                 self.state,
                 self.info.total,

@@ -1,21 +1,22 @@
 """Batch of environments with torch tensors in and out."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
 
 from dynamics.description import validate
-from flexarm_env.compiled.outputs import BatchOutputs
 from flexarm_env.env import Changeable
+from flexarm_env.tensors.device import DeviceBatch
+from flexarm_env.tensors.host import HostBatch
 from flexarm_env.tensors.privileged import Privileged
+from flexarm_env.tensors.results import Info
 from flexarm_env.vector import FlexArmVectorEnv
 
 Observation = Any  # a tensor, or with obs="goal" a dict of tensors
-Info = dict[str, Any]  # tensors by name; "reward_terms" is a dict of tensors
 REFUSED = {
     "autoreset_mode": "an environment whose episode ends restarts in the same step",
     "render_mode": "pictures come from gymnasium.make_vec(id, render_mode=...)",
@@ -31,14 +32,16 @@ class TorchVecEnv(Changeable):
     An environment whose episode ends restarts in the same step: its observation is the first one of
     the new episode, its reward, flags and info belong to the step that ended, and
     `info["final_obs"]` holds the last observation of that episode (of all others, the present one).
-    Tensors share the batch's memory; a later step does not overwrite a tensor that is still in use.
+    A later step does not overwrite a tensor that is still in use. On the processor tensors share
+    the batch's memory; on a GPU nothing leaves it, and `step` returns before the kernel has ended.
 
     Parameters
     ----------
     id : a registered id, such as "FlexArm/OneLink-Reach-v0".
     num_envs : number of environments.
-    device : "cpu".
-    keywords : those of `gymnasium.make_vec` for this id: `hardware`, `obs`, `dtype`, `threads`, ...
+    device : "cpu", or "cuda" for one NVIDIA GPU (extra `gpu`).
+    keywords : those of `gymnasium.make_vec` for this id: `hardware`, `obs`, `threads` and so on;
+        `dtype` is "float32" on a GPU unless given.
 
     Attributes
     ----------
@@ -60,6 +63,8 @@ class TorchVecEnv(Changeable):
                 f"{name} is not a keyword of TorchVecEnv, got {validate.shown(keywords[name])}; "
                 f"leave it out: {REFUSED[name]}."
             )
+        if self.device.type == "cuda":
+            keywords.setdefault("dtype", "float32")
         envs = gym.make_vec(
             id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **keywords
         )
@@ -68,9 +73,8 @@ class TorchVecEnv(Changeable):
         self.single_observation_space = envs.single_observation_space
         self.single_action_space = envs.single_action_space
         self._shape = (self.num_envs, envs.core.arm.n_torque)
-        self._state = torch.from_numpy(envs.core.state)[:, : self.num_envs]
+        self._batch = _batch(envs, self.device)
         self._privileged = Privileged(envs.core)
-        self._all = np.arange(self.num_envs)
         self.core = envs.core
 
     @property
@@ -95,10 +99,10 @@ class TorchVecEnv(Changeable):
         self.core.claim()
         try:
             self.envs.seed_streams(seed)
-            out = self.core.reset(self._all, options)
+            obs, info = self._batch.reset(options)
         finally:
             self.core.busy = False
-        return self._observed(torch.from_numpy(out.obs)), _info(out)
+        return self._observed(obs), info
 
     def step(
         self, actions: torch.Tensor
@@ -114,18 +118,13 @@ class TorchVecEnv(Changeable):
         Observation (N, size) float32; reward (N,) in the batch's dtype; terminated, truncated (N,)
         bool; info, tensors of N rows by name.
         """
-        array = self._actions(actions)
+        given = self._checked(actions)
         self.core.claim()
         try:
-            out, ended = self.core.step(array)
-            reward = torch.from_numpy(self.envs.rewarded(out))
-            terminated, truncated = map(torch.from_numpy, (out.terminated, out.truncated))
-            obs, info = torch.from_numpy(out.obs), _info(out)
-            info["final_obs"] = self._observed(obs.clone() if ended else obs)
-            if ended:
-                self._restart(np.flatnonzero(out.terminated | out.truncated), out)
+            obs, last, reward, terminated, truncated, info = self._batch.step(given)
         finally:
             self.core.busy = False
+        info["final_obs"] = self._observed(last)
         return self._observed(obs), reward, terminated, truncated, info
 
     def privileged(self) -> torch.Tensor:
@@ -133,7 +132,7 @@ class TorchVecEnv(Changeable):
 
         After a step that ended an episode it is about the new one, as the observation is.
         """
-        return self._privileged(self._state)
+        return self._privileged(self._batch.state)
 
     @property
     def privileged_slices(self) -> dict[str, slice]:
@@ -144,8 +143,8 @@ class TorchVecEnv(Changeable):
         """Close the batch."""
         self.envs.close()
 
-    def _actions(self, actions: torch.Tensor) -> Any:
-        """Actions as an array on the same memory, where they are contiguous float32."""
+    def _checked(self, actions: torch.Tensor) -> torch.Tensor:
+        """Actions in the form that the batch takes: themselves, if contiguous float32."""
         if not isinstance(actions, torch.Tensor):
             raise ValueError(
                 f"Actions must be a torch tensor, got {validate.shown(actions)}; "
@@ -158,13 +157,7 @@ class TorchVecEnv(Changeable):
             )
         if tuple(actions.shape) != self._shape:
             raise ValueError(f"Actions must have shape {self._shape}, got {tuple(actions.shape)}.")
-        return actions.detach().to(torch.float32).contiguous().numpy()
-
-    def _restart(self, rows: Any, out: BatchOutputs) -> None:
-        """Start new episodes in `rows`; of their outputs only observations are replaced."""
-        fresh = self.core.outputs()  # another set: tensors of this one are in use
-        self.core.restart(rows, fresh)
-        out.obs[rows] = fresh.obs[rows]
+        return actions.detach().to(torch.float32).contiguous()
 
     def _observed(self, elements: torch.Tensor) -> Observation:
         return self.core.layout.observed(elements)
@@ -174,19 +167,22 @@ def _known_device(device: Any) -> torch.device:
     try:
         found = torch.device(device)
     except (RuntimeError, TypeError):
-        raise ValueError(f"device must be 'cpu', got {validate.shown(device)}.") from None
-    if found.type != "cpu":
+        raise ValueError(f"device must be 'cpu' or 'cuda', got {validate.shown(device)}.") from None
+    if found.type not in ("cpu", "cuda"):
+        raise ValueError(f"device must be 'cpu' or 'cuda', got {str(found)!r}.")
+    if found.type == "cuda" and not torch.cuda.is_available():
         raise ValueError(
-            f"device must be 'cpu', got {str(found)!r}: batches are stepped by the processor; "
-            "move tensors to the device of a network with tensor.to(device)."
+            f"device={str(found)!r} needs an NVIDIA GPU and a torch with CUDA, which sees none "
+            "here; device='cpu' steps the same batch on the processor."
         )
     return found
 
 
-def _info(out: BatchOutputs) -> Info:
-    """Info as tensors on the same memory."""
-    named = out.described()
-    terms = named.pop("reward_terms")
-    info: Info = {name: torch.from_numpy(array) for name, array in named.items()}
-    info["reward_terms"] = {name: torch.from_numpy(array) for name, array in terms.items()}
-    return info
+def _batch(envs: FlexArmVectorEnv, device: torch.device) -> HostBatch | DeviceBatch:
+    """The batch of a device."""
+    if device.type == "cpu":
+        return HostBatch(envs)
+    from dynamics.backends.cuda.compiler import Kernels
+
+    index = torch.cuda.current_device() if device.index is None else device.index
+    return DeviceBatch(envs.core, device, partial(Kernels, device=index))

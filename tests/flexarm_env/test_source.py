@@ -48,11 +48,19 @@ def test_an_arm_alone_has_a_steppers_module(capsys: pytest.CaptureFixture[str]) 
     assert "control_step" not in text
 
 
+def test_an_environment_has_kernels_in_float32(capsys: pytest.CaptureFixture[str]) -> None:
+    text = printed(["slim", "--env", "FlexArm/OneLink-Reach-v0", "--backend", "cuda"], capsys)
+    assert "typedef float real;" in text
+    assert "__global__ void control_step(" in text
+    assert "straight_line" not in text
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
         (["slim", "--env", "CartPole-v1"], "is not an environment of flexarm"),
         (["nobody"], "Unknown arm 'nobody'"),
+        (["slim", "--backend", "cuda"], "add --env ID"),
         (["srms-like", "--env", "FlexArm/OneLink-Reach-v0"], None),
     ],
 )

@@ -71,6 +71,7 @@ def _block(statement: Statement, routines: Routines) -> list[str]:
             return _each(rows, f"put(w, {slots} + k * LANES, {rows.array}, {_place(rows)})")
         case WhereLost(flag, restored, then):
             return _where_lost(flag, restored, block_lines(then, routines))
+    raise TypeError(f"The LLVM backend starts episodes between steps, so not by {statement}.")
 
 
 def _each(rows: Rows, line: str) -> list[str]:

@@ -1,0 +1,38 @@
+"""Kernels of an arm: their text, the numbers they share, and their compiled form."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics.backends.cuda.kernel_text import kernel_text
+from dynamics.integrators.table import INTEGRATORS
+from dynamics.tracing.assembly import Addition, Program, assembled
+from dynamics.tracing.traced_arm import TracedArm
+from dynamics.types import Array
+
+
+@dataclass(frozen=True)
+class KernelSource:
+    """Text of the kernels, and the program that it prints."""
+
+    text: str
+    program: Program
+    dtype: str
+
+    def numbers(self, dt: float) -> Array:
+        """(SLOTS,) slots that all environments share, for substeps of dt [s].
+
+        The method's constants are in it; the caller fills in what its addition shares.
+        """
+        program, method = self.program, self.program.method
+        w = np.zeros(program.slots)
+        w[program.at["H"]] = dt
+        if method.aid is not None:
+            INTEGRATORS[method.integrator].prepare(w, dt, method.places, method.aid)
+        return w.astype(self.dtype)
+
+
+def generate(arm: TracedArm, dtype: str, integrator: str, added: Addition) -> KernelSource:
+    """Kernels of an arm with an integrator and an environment's addition."""
+    program = assembled(arm, dtype, 1, integrator, added)
+    return KernelSource(kernel_text(program, dtype), program, dtype)

@@ -1,0 +1,66 @@
+"""Kernels compiled by the host's C++ compiler, where each environment is stepped in turn.
+
+They are an independent check of the printed text on machines without a GPU.
+"""
+
+import ctypes
+import hashlib
+import shutil
+import subprocess
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from tempfile import gettempdir
+from typing import Any
+
+from dynamics.backends.cuda.kernel_text import KERNELS
+
+COMPILER = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
+OPTIONS = ("-O1", "-std=c++17", "-shared", "-fPIC", "-ffp-contract=off", "-w")
+_HEAD = """\
+#include <cmath>
+#define __device__
+#define __global__
+#define __forceinline__ inline
+struct Index { int x; };
+static Index blockIdx, blockDim, threadIdx;
+"""
+_RUN = """
+extern "C" void run_{name}(
+    real* state, whole* streams, const float* actions, float* obs, float* final_obs, real* info,
+    unsigned char* flags, const real* numbers, int count, int substeps)
+{{
+    blockDim.x = 1;
+    for (blockIdx.x = 0; blockIdx.x < count; ++blockIdx.x)
+        {name}(
+            state, streams, actions, obs, final_obs, info, flags, numbers, count, substeps);
+}}
+"""
+
+
+@lru_cache
+def _library(source: str) -> ctypes.CDLL:
+    text = "\n".join([_HEAD, source, *(_RUN.format(name=name) for name in KERNELS)])
+    folder = Path(gettempdir()) / "flexarm_host_kernels"
+    folder.mkdir(exist_ok=True)
+    name = hashlib.sha256("\n".join([text, *OPTIONS]).encode()).hexdigest()[:20]
+    library = folder / f"{name}.so"
+    if not library.exists():
+        code = library.with_suffix(".cpp")
+        code.write_text(text, encoding="utf-8")
+        assert COMPILER is not None
+        subprocess.run([COMPILER, *OPTIONS, str(code), "-o", str(library)], check=True)
+    return ctypes.CDLL(str(library))
+
+
+class HostKernels:
+    """Stand-in for `dynamics.backends.cuda.compiler.Kernels` on addresses of the host."""
+
+    def __init__(self, source: str) -> None:
+        self._library = _library(source)
+
+    def launch(self, name: str, stream: int, count: int, arguments: Sequence[Any]) -> None:
+        """Run a kernel; `arguments` are addresses, then two whole numbers."""
+        function = getattr(self._library, f"run_{name}")
+        *addresses, n, substeps = arguments
+        function(*map(ctypes.c_void_p, addresses), ctypes.c_int(n), ctypes.c_int(substeps))
