@@ -19,7 +19,8 @@ def load_arm(source: ArmSource) -> Arm:
     """Return an arm from a preset's name, a path (.json, .yaml, .yml) or a dict.
 
     An `Arm` is returned unchanged. A case file is also an arm file: its motion and expected results
-    are ignored. Numbers of no arm, as lengths in mm, give an ImplausibleArmWarning.
+    are ignored. Numbers of no arm, as lengths in mm, give an ImplausibleArmWarning,
+    links that are too thick for slender beams a ThickLinkWarning.
     """
     if isinstance(source, Arm):
         warn_if_implausible(source, stacklevel=2)

@@ -31,7 +31,7 @@ def arm_from_dict(data: Mapping[str, Any]) -> Arm:
     """Build an arm from plain lists, numbers and text; unknown keys raise ValueError.
 
     A link with a stiffness and without the key `modes` is rigid, with a RigidLinkWarning. Numbers
-    of no arm, as lengths in mm, give an ImplausibleArmWarning.
+    of no arm, as lengths in mm, give an ImplausibleArmWarning, thick links a ThickLinkWarning.
     """
     arm = _arm(data)
     warn_if_implausible(arm, stacklevel=3)

@@ -45,6 +45,10 @@ class BeamShape:
         """s''(x)."""
         return self._terms(x, 1.0, -self.cos, -self.sin) * (self.beta / self.length) ** 2
 
+    def third(self, x: Array | float) -> Array:
+        """Third derivative of s(x)."""
+        return self._terms(x, -1.0, -self.sin, self.cos) * (self.beta / self.length) ** 3
+
     def scaled(self, factor: float) -> "BeamShape":
         """Return factor times this shape."""
         return replace(
