@@ -217,7 +217,7 @@ class Arm:
         """Coordinate names: those of the base, then per link "q1", "d1_1", "d1_2", ..., "q2", ...
 
         In an elastic joint q is the rotor; the spring deflection follows it: "q1", "s1", "d1_1".
-        A fixed joint has no q.
+        A fixed joint has no q, but an s where it gives.
         """
         names = list(self.base.names)
         for i, link in enumerate(self.links, 1):
@@ -266,7 +266,7 @@ def _joint_inertia(links: tuple[Link, ...], payload: Payload | None) -> float:
     Off-axis mass is not weighted by its squared distance, so only the sign is meaningful. Of links
     fixed to the last that moves, any mass counts.
     """
-    moving = [link for link in links if link.joint.moves]
+    moving = [link for link in links if link.joint.moves or link.joint.elastic]
     if not moving:
         return 1.0  # nothing turns
     link = moving[-1]

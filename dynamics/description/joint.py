@@ -11,7 +11,7 @@ from dynamics.description.validate import IDENTITY
 from dynamics.types import Matrix3, Vector3
 
 TYPES = ("revolute", "prismatic", "fixed")
-MOVING = ("rotor_inertia", "hub_inertia", "viscous", "coulomb", "stiffness", "parallel")
+MOVING = ("rotor_inertia", "hub_inertia", "viscous", "coulomb", "parallel")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +19,7 @@ class Joint:
     """Joint that turns about its local z axis (revolute), slides along it (prismatic) or is fixed.
 
     A fixed joint welds the link to the tip before, at any angle; it has neither coordinate nor
-    torque.
+    torque. With a stiffness it is a clamp that gives: the link turns about z against the spring.
 
     Units are those of a revolute joint. For a prismatic joint q is a length [m], rotor_inertia a
     mass [kg], and the other units are [N s/m], [N], [m/s], [N/m].
@@ -43,7 +43,8 @@ class Joint:
     coulomb: float = 0.0  # [N m] friction torque, times tanh(rate / coulomb_speed)
     coulomb_speed: float = 0.05  # [rad/s]
     type: str = "revolute"  # | "prismatic" | "fixed"
-    stiffness: float | None = None  # [N m/rad] of a spring between rotor and link; None: no spring
+    # [N m/rad] of a spring between rotor, or what the joint is fixed to, and link; None: no spring
+    stiffness: float | None = None
     spring_damping: float = 0.0  # [N m s/rad] damper parallel to that spring
     parallel: bool = False  # driven through a parallelogram along the link before
 
@@ -76,10 +77,11 @@ class Joint:
                 f"Joint.spring_damping ({self.spring_damping!r}) needs a spring; "
                 "give Joint.stiffness."
             )
-        if self.stiffness is not None and self.rotor_inertia == 0.0:
+        if self.stiffness is not None and self.rotor_inertia == 0.0 and self.moves:
             raise ValueError(
                 f"Joint.rotor_inertia must be positive with Joint.stiffness ({self.stiffness!r}), "
-                "got 0.0: the rotor is a separate body in front of the spring."
+                "got 0.0: the rotor is a separate body in front of the spring. A clamp that gives "
+                'has no rotor: type "fixed".'
             )
 
     def _check_fixed(self) -> None:
@@ -97,7 +99,7 @@ class Joint:
 
     @property
     def elastic(self) -> bool:
-        """True if there is a spring between rotor and link."""
+        """True if there is a spring in front of the link."""
         return self.stiffness is not None
 
 

@@ -116,24 +116,29 @@ def _on_root(
             piece,
             payload if k == last else None,
             foreshortening=foreshortening,
-            welded=k > 0 or not link.joint.moves,
+            welded=k > 0 or not (link.joint.moves or link.joint.elastic),
         )
         for k, piece in enumerate([*pieces, *others])
     )
 
 
 def _with_rotor(joint: Joint, *bodies: LinkConstants) -> tuple[LinkConstants, ...]:
-    """Bodies of a link; an elastic joint adds a rotor body in front and a spring behind it."""
+    """Bodies of a link; an elastic joint adds a rotor body in front and a spring behind it.
+
+    In a clamp that gives, the spring is on the tip before.
+    """
     if joint.stiffness is None:
         return bodies
+    sprung = replace(bodies[0], driven=False, spring=joint.stiffness, viscous=joint.spring_damping)
+    if not joint.moves:
+        return (sprung, *bodies[1:])
     mounted = replace(
         joint, hub_inertia=0.0, stiffness=None, spring_damping=0.0, root=(0.0, 0.0, 0.0)
     )
     rotor = link_constants(Link(length=0.0, body=Body(mass=0.0), joint=mounted))
     sprung = replace(
-        bodies[0], driven=False, spring=joint.stiffness, viscous=joint.spring_damping,
-        rotation=IDENTITY, offset=(0.0, 0.0, 0.0), rotor_inertia=0.0, coulomb=0.0,
-    )  # fmt: skip
+        sprung, rotation=IDENTITY, offset=(0.0, 0.0, 0.0), rotor_inertia=0.0, coulomb=0.0
+    )
     return (rotor, sprung, *bodies[1:])
 
 

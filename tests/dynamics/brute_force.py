@@ -236,7 +236,10 @@ def _parts(arm: Arm) -> list[tuple[Link, bool, float]]:
     parts = []
     for link in arm.links:
         joint, spring = link.joint, link.joint.stiffness or 0.0
-        if spring:
+        if spring and not joint.moves:
+            free = {"type": "revolute", "stiffness": None, "spring_damping": 0.0}
+            joint = replace(joint, viscous=joint.spring_damping, **free)
+        elif spring:
             mounted = replace(
                 joint, hub_inertia=0.0, stiffness=None, spring_damping=0.0, root=(0.0, 0.0, 0.0)
             )

@@ -141,7 +141,7 @@ def torque_matrix(arm: Arm) -> Array:
     for link in arm.links:
         i += link.joint.moves
         if not link.joint.moves:
-            row += link.segments * len(link.modes)
+            row += link.n
             continue
         B[row, i] = 1.0
         for j, mode in enumerate(link.modes, 1):

@@ -44,7 +44,9 @@ def built_up(seed: int, n_link: int, n_mode: int) -> Arm:
             if rng.random() < 0.3:
                 joint = replace(joint, stiffness=200.0, spring_damping=0.3, rotor_inertia=0.1)
         if i % 2 and not loose:
-            joint = Joint(type="fixed", rotation=joint.rotation, offset=joint.offset, root=root)
+            gives = {"stiffness": 150.0, "spring_damping": 0.2} if rng.random() < 0.4 else {}
+            place = {"rotation": joint.rotation, "offset": joint.offset, "root": root}
+            joint = Joint(type="fixed", **place, **gives)
         links.append(replace(link, joint=joint, body=body))
     payload = Payload(mass=0.4, com=tuple(rng.normal(0.0, 0.1, 3)), inertia=_body(rng).inertia)
     return replace(arm, links=tuple(links), payload=payload)
@@ -63,6 +65,8 @@ def test_built_up_arms_have_everything() -> None:
     assert any(k.modes for k in fixed)
     assert any(not k.modes for k in fixed)
     assert any(any(k.joint.root) for k in fixed)
+    assert any(any(k.joint.root) and k.joint.elastic for k in fixed)
+    assert any(not any(k.joint.root) and k.joint.elastic for k in fixed)
     assert any(any(k.joint.root) and k.joint.elastic for k in links)
     assert any(k.body and k.modes and k.segments > 1 for k in links)
 
@@ -268,3 +272,49 @@ def test_a_body_on_a_flexible_link_moves_with_its_root() -> None:
     assert_allclose(loaded.frequencies(), bare.frequencies(), rtol=1e-12)
     wanted = Model(Arm(links=(heavier,))).frequencies(joints="free")
     assert_allclose(loaded.frequencies(joints="free"), wanted, rtol=1e-12)
+
+
+# ---- a clamp that gives --------------------------------------------------------------------------
+
+
+def clamp(stiffness: float, kind: str = "hierarchical", **joint: Any) -> Arm:
+    """A beam of unit length, mass and rigidity on a clamp with k l / EI = stiffness."""
+    modes = [{"kind": kind, "index": k, "direction": "y"} for k in range(1, 9)]
+    link = {"length": 1.0, "rho_A": 1.0, "EIz": 1.0, "modes": modes}
+    return load_arm({"links": [{**link, "joint": {"stiffness": stiffness, **joint}}]})
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "first"), [(0.1, 0.7357), (1.0, 1.2479), (10.0, 1.7227), (100.0, 1.8568)]
+)
+def test_a_restrained_cantilever_has_its_published_frequencies(
+    stiffness: float, first: float
+) -> None:
+    """Wave number times length: Chun, "Free vibration of a beam with one end spring-hinged" (1972).
+
+    Higher ones by k (1 + cos b cosh b) = b (sin b cosh b - cos b sinh b).
+    """
+    arm = clamp(stiffness, type="fixed")
+
+    def characteristic(b: float) -> float:
+        turning = np.sin(b) - np.cos(b) * np.tanh(b)
+        return float(stiffness * (1.0 / np.cosh(b) + np.cos(b)) - b * turning)
+
+    roots = [brentq(characteristic, low, high) for low, high in ((0.1, 2.5), (3.5, 4.8), (6.8, 8))]
+    found = np.sqrt(Model(arm).frequencies()[:3])
+
+    assert arm.names[:2] == ("s1", "d1_1")
+    assert arm.n_joint == 0
+    assert found[0] == pytest.approx(first, abs=6e-5)
+    assert_allclose(found, roots, rtol=1e-6)
+
+
+def test_a_clamp_that_gives_is_an_elastic_joint_whose_rotor_is_held() -> None:
+    arm = clamp(3.0, type="fixed", spring_damping=0.2)
+    held = clamp(3.0, rotor_inertia=0.1, spring_damping=0.2)
+    assert_allclose(Model(arm).frequencies(), Model(held).frequencies(), rtol=1e-9)
+
+
+def test_a_spring_without_rotor_names_the_clamp() -> None:
+    with pytest.raises(ValueError, match='A clamp that gives has no rotor: type "fixed"'):
+        clamp(3.0)
