@@ -16,7 +16,9 @@ if Path(dynamics.__file__).resolve().parents[1] != Path(__file__).resolve().pare
         "folder."
     )
 
+from dynamics.description.arm import Arm
 from dynamics.extras import missing
+from flexarm_env.accuracy.certificates import choose_by
 from flexarm_env.env import FlexArmEnv
 from flexarm_env.plant import GravityWarning
 from flexarm_env.registration import IDS, register, registered
@@ -40,6 +42,16 @@ __all__ = [
 ]
 
 register()
+
+
+def _choose(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
+    """Import the search for a model where it is made."""
+    from flexarm_env.certify import choice
+
+    return choice.chosen(arm, control_dt, tolerance)
+
+
+choose_by(_choose)
 
 
 def __getattr__(name: str) -> Any:

@@ -6,7 +6,7 @@
 import json
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,6 +22,7 @@ from dynamics.load import load_arm
 from flexarm_env.accuracy.conditions import Conditions
 
 Entry = dict[str, Any]  # steps, certificate
+Chooser = Callable[[Arm, float, float], dict[str, Any]]
 _log = logging.getLogger(__name__)
 
 STORE = Path(__file__).with_name("certificates.json")
@@ -29,6 +30,12 @@ FIDELITIES = ("rigid", "auto", "reference")
 AUTO_TOLERANCE = 1e-3  # [of the reach] tip error of the model that `modes: auto` gives
 REFERENCE_MODES = (3, 2)  # per segment: of bending, of torsion
 REFERENCE_METHOD = "extrapolated-midpoint"
+_chooser: list[Chooser] = []
+
+
+def choose_by(chooser: Chooser) -> None:
+    """Set the search for `tolerance` and `modes: auto`, which plays environments."""
+    _chooser[:] = [chooser]
 
 
 @lru_cache(maxsize=1)
@@ -203,15 +210,13 @@ def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
 
     It is cached, since the search may take minutes.
     """
-    from flexarm_env.certify import choice  # whose episodes are environments, which fit a model
-
     arm = arm.with_listed_modes()
     described = json.dumps(arm.to_dict())
     key = fingerprint("choice", _measuring(), described, repr(control_dt), repr(tolerance))
 
     def choose() -> str:
         try:
-            found = choice.chosen(arm, control_dt, tolerance)
+            found = _chooser[0](arm, control_dt, tolerance)
         except (RuntimeError, ValueError) as error:
             found = {"failed": str(error), "refused": isinstance(error, ValueError)}
         return json.dumps(found, indent=2)

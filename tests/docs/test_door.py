@@ -21,7 +21,7 @@ def section(page: str, title: str) -> str:
 
 
 def bullets() -> list[str]:
-    """What a user may rely on, without its heading."""
+    """Claims that a user may rely on, without their heading."""
     return section(README, "What you may rely on").split("\n- ")[1:]
 
 
