@@ -21,6 +21,7 @@ from dynamics.load import ArmSource, load_arm
 from dynamics.runtime.jit import aligned_zeros
 from dynamics.tracing import graphs
 from dynamics.tracing.assembly import Addition
+from dynamics.tracing.equilibrium import Equilibrium, equilibrium
 from dynamics.tracing.operation_counts import operations
 from dynamics.tracing.traced_arm import TracedArm
 from dynamics.types import Array
@@ -179,6 +180,20 @@ class Model:
             self.n - self.n_joint - self.arm.base.n,
             locked=self.arm.joint_index if joints == "locked" else (),
         )
+
+    def equilibrium(self, joint_angles: Array) -> Equilibrium:
+        """Rest under gravity: q (n,) with bent links, and the torques (n_joint,) that hold it.
+
+        Raises ValueError for a base that moves, and where gravity bends links beyond the model.
+        """
+        if self.arm.base.n:
+            raise ValueError(
+                f"equilibrium needs a fixed base, got Base.type {self.arm.base.type!r}: nothing "
+                "holds one that moves."
+            )
+        angles = validate.array(joint_angles, "joint_angles", (self.n_joint,))
+        with validate.double_precision("The arm's equilibrium"):
+            return equilibrium(self.traced, angles)
 
     def linearize(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
         """A (2n, 2n) and B (2n, n_torque) of d/dt (q, v) = A (q, v) + B tau about a state.

@@ -1,0 +1,88 @@
+"""Static equilibrium of an arm whose joints are held: h(q) = B tau at zero rates.
+
+The joint angles are given; modal amplitudes, deflections of joint springs and the torques that hold
+the joints are unknown. Newton's method with the exact Jacobian follows the arm from no gravity to
+all of it, so that it finds the equilibrium into which a straight arm bends.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynamics.formulations.linearized import inputs
+from dynamics.tracing.traced_arm import TracedArm
+from dynamics.types import Array
+
+ITERATIONS = 30  # of Newton's method at one share of gravity
+CONVERGED = 1e-12  # [-] last change over the size of the unknowns
+SMALLEST_SHARE = 1.0 / 256.0  # of gravity that is added at once
+
+
+class Equilibrium(NamedTuple):
+    """Coordinates of an arm at rest, and the torques that hold its joints."""
+
+    q: Array  # (n,) joint angles as given, and bent links
+    torque: Array  # (n_joint,) [N m]
+
+
+def equilibrium(traced: TracedArm, angles: Array) -> Equilibrium:
+    """Equilibrium at joint angles (n_joint,) [rad or m] of an arm on a fixed base.
+
+    Raises
+    ------
+    ValueError : if gravity cannot be applied in steps of SMALLEST_SHARE.
+    """
+    n, joints = traced.n, list(traced.arm.joint_index)
+    bent = [i for i in range(n) if i not in joints]
+    x = np.zeros(len(bent) + traced.n_joint)
+    share, step = 0.0, 1.0
+    while share < 1.0:
+        step = min(step, 1.0 - share)
+        found = _newton(traced, angles, share + step, x)
+        if found is not None:
+            x, share, step = found, share + step, 2.0 * step
+        elif step > SMALLEST_SHARE:
+            step *= 0.5
+        else:
+            raise ValueError(
+                f"No equilibrium of {traced.arm.name or 'the arm'} was found beyond "
+                f"{share:.0%} of its gravity: it bends too far for its modes; raise Link.segments, "
+                "or make the links stiffer."
+            )
+    q = np.zeros(n)
+    q[joints], q[bent] = angles, x[: len(bent)]
+    return Equilibrium(q, x[len(bent) :])
+
+
+def _newton(traced: TracedArm, angles: Array, share: float, x: Array) -> Array | None:
+    """Solution at a share of gravity from a guess; None if it is not reached."""
+    forces, x = _forces(traced), x.copy()
+    for _ in range(ITERATIONS):
+        residual, jacobian = (np.array(y) for y in forces(x, angles, share))
+        if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
+            return None
+        change = np.linalg.solve(jacobian, residual.ravel())
+        x -= change
+        if np.all(np.abs(change) <= CONVERGED * (np.abs(x).max() + 1e-300)):
+            return x
+    return None
+
+
+@lru_cache(maxsize=8)
+def _forces(traced: TracedArm) -> Any:
+    """CasADi Function (unknowns, angles, share of gravity) -> h - B tau, and its Jacobian."""
+    import casadi as ca
+
+    joints, m = list(traced.arm.joint_index), traced.n_joint
+    bent = [i for i in range(traced.n) if i not in joints]
+    x, angles, share = ca.SX.sym("x", len(bent) + m), ca.SX.sym("angles", m), ca.SX.sym("share")
+    q: list[Any] = traced.n * [None]
+    for places, values in ((bent, x[: len(bent)]), (joints, angles)):
+        for place, value in zip(places, ca.vertsplit(values), strict=True):
+            q[place] = value
+    gravity: Any = tuple(share * g if g else 0.0 for g in traced.arm.gravity)
+    h = traced.formed.equations.bias(replace(traced.chain, gravity=gravity), q, traced.n * [0.0])
+    residual = ca.vertcat(*h) - ca.mtimes(ca.DM(inputs(traced.chain)), x[len(bent) :])
+    return ca.Function("statics", [x, angles, share], [residual, ca.jacobian(residual, x)])

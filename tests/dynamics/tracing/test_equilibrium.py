@@ -1,0 +1,132 @@
+"""Arms at rest under gravity: linear sag, the elastica, and torques that hold."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_bvp
+
+from dynamics import ARMS, Arm, Base, Joint, Link, Mode, Model, simulate
+from dynamics.formulations import articulated_body
+from dynamics.types import Array
+from tests.dynamics.random_arms import floats, random_arm, random_state
+
+G = 9.81
+SHAPES = tuple(Mode(kind="hierarchical", index=k, direction="y") for k in range(1, 5))
+BEAM: dict[str, Any] = {"length": 0.8, "rho_A": 0.12, "tip_mass": 0.15, "modes": SHAPES}
+
+
+def horizontal(**changes: Any) -> Arm:
+    """One link of the x-y plane, in which gravity points along -y."""
+    link = Link(**{**BEAM, "EIz": 6.0, "joint": Joint(rotor_inertia=0.02), **changes})
+    return Arm(links=(link,), gravity=(0.0, -G, 0.0))
+
+
+def elastica(EI: float) -> tuple[float, float]:
+    """(2,) [m] tip of a heavy rod with a tip mass, by its boundary value problem in the angle.
+
+    EI theta'' = (rho_A (L - s) + m) g cos theta, theta(0) = 0, theta'(L) = 0.
+    """
+    L, rho, m = BEAM["length"], BEAM["rho_A"], BEAM["tip_mass"]
+
+    def rates(s: Array, y: Array) -> Array:
+        load = (rho * (L - s) + m) * G
+        return np.stack([y[1], load * np.cos(y[0]) / EI, np.cos(y[0]), np.sin(y[0])])
+
+    def ends(a: Array, b: Array) -> Array:
+        return np.array([a[0], b[1], a[2], a[3]])
+
+    s = np.linspace(0.0, L, 41)
+    guess = np.stack([-s / L, s - 1.0, s, -s * s])
+    found = solve_bvp(rates, ends, s, guess, tol=1e-9)
+    assert found.success
+    return float(found.y[2, -1]), float(found.y[3, -1])
+
+
+def test_a_stiff_beam_sags_as_the_textbook_says() -> None:
+    """Tip: rho_A g L^4 / 8 EI + m g L^3 / 3 EI; torque: that of the straight beam."""
+    EI, L = 6e4, BEAM["length"]
+    model = Model(horizontal(EIz=EI))
+
+    rest = model.equilibrium(np.zeros(1))
+
+    sag = BEAM["rho_A"] * G * L**4 / (8.0 * EI) + BEAM["tip_mass"] * G * L**3 / (3.0 * EI)
+    torque = BEAM["rho_A"] * G * L**2 / 2.0 + BEAM["tip_mass"] * G * L
+    assert model.tip(rest.q)[1] == pytest.approx(-sag, rel=1e-6)
+    assert_allclose(rest.torque, [torque], rtol=1e-6)
+
+
+@pytest.mark.parametrize("EI", [6.0, 1.0, 0.4])
+def test_a_soft_beam_in_segments_is_the_elastica(EI: float) -> None:
+    """Sixteen segments; the softest tip falls by 60 % of the length."""
+    arm = horizontal(EIz=EI, segments=16, modes=SHAPES[:2])
+    model = Model(replace(arm, foreshortening="fourth-order"))
+    x, y = elastica(EI)
+
+    rest = model.equilibrium(np.zeros(1))
+
+    assert_allclose(model.tip(rest.q)[:2], (x, y), atol=1e-4 * BEAM["length"])
+    weight = BEAM["tip_mass"] * G * x
+    assert 0.0 < rest.torque[0] - weight < 0.5 * BEAM["rho_A"] * G * BEAM["length"] ** 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_torques_hold_the_arm_at_rest(seed: int) -> None:
+    """Accelerations by the O(n) elimination are zero there."""
+    arm = replace(random_arm(seed, 3, 2), gravity=(1.0, -2.0, 3.0))
+    joints = list(arm.joint_index)
+    angles = random_state(arm, seed)[0][joints]
+    model = Model(arm)
+
+    rest = model.equilibrium(angles)
+
+    assert_allclose(rest.q[joints], angles, rtol=0.0, atol=0.0)
+    a = articulated_body.accelerations(
+        model.chain, floats(rest.q), arm.n * [0.0], floats(rest.torque)
+    )
+    straight = np.zeros(arm.n)
+    straight[joints] = angles
+    fallen = articulated_body.accelerations(
+        model.chain, floats(straight), arm.n * [0.0], floats(rest.torque)
+    )
+    assert np.abs(a).max() < 1e-8 * np.abs(fallen).max()
+
+
+def test_an_arm_that_starts_at_rest_stays_there() -> None:
+    model = Model(horizontal())
+    rest = model.equilibrium(np.array([0.3]))
+    path = simulate(
+        model, rest.q, np.zeros(model.n), lambda t: rest.torque, [0.0, 0.5], integrator="dop853"
+    )
+    assert_allclose(path.q[-1], rest.q, atol=1e-7)
+
+
+def test_pinned_shapes_and_joint_springs_are_held_too() -> None:
+    """Of shapes whose root turns, the torque bends the link as well as it holds the joint."""
+    pinned = (Mode(kind="pinned-free", index=1, direction="y"),)
+    joint = Joint(rotor_inertia=0.02, stiffness=90.0)
+    for changes in ({"modes": pinned, "tip_mass": 0.0}, {"joint": joint}):
+        arm = horizontal(**changes)
+        rest = Model(arm).equilibrium(np.zeros(1))
+        chain = Model(arm).chain
+        a = articulated_body.accelerations(
+            chain, floats(rest.q), arm.n * [0.0], floats(rest.torque)
+        )
+        assert np.abs(a).max() < 1e-8
+    assert rest.q[1] == pytest.approx(-rest.torque[0] / 90.0, rel=1e-6)
+
+
+def test_without_gravity_the_arm_is_straight() -> None:
+    rest = Model(ARMS["slim"]).equilibrium([0.7])
+    assert_allclose(rest.q, [0.7, *np.zeros(ARMS["slim"].n - 1)], atol=0.0)
+    assert_allclose(rest.torque, 0.0, atol=0.0)
+
+
+def test_what_has_no_equilibrium_is_refused() -> None:
+    flying = replace(horizontal(), base=Base(type="free", mass=1.0, inertia=np.eye(3)))
+    with pytest.raises(ValueError, match=r"needs a fixed base, got Base\.type 'free'"):
+        Model(flying).equilibrium(np.zeros(1))
+    with pytest.raises(ValueError, match=r"joint_angles must have shape \(1,\), got \(2,\)"):
+        Model(horizontal()).equilibrium(np.zeros(2))
