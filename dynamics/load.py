@@ -23,7 +23,8 @@ def load_arm(source: ArmSource) -> Arm:
     links that are too thick for slender beams a ThickLinkWarning.
     """
     if isinstance(source, Arm):
-        warn_if_implausible(source, stacklevel=2)
+        if source.name not in ARMS:
+            warn_if_implausible(source, stacklevel=2)
         return source
     if isinstance(source, Mapping):
         return arm_from_dict(source)

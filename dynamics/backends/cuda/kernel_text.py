@@ -152,9 +152,18 @@ def _line(statement: Statement, routines: Mapping[str, Statements]) -> list[str]
         case Substeps(body):
             return _block("for (int s = 0; s < substeps; ++s)", _lines(body, routines))
         case WhereLost(flag, restored, then):
-            return _block(f"if (w[{flag}] > 0)", _lines((*restored, *then), routines))
+            lines = [
+                line for slot in ("ACTION", "TAU") for line in _each("N_ACTION", _number(slot))
+            ]
+            lines += _lines((*restored, *then), routines)
+            return _block(f"if (w[{flag}] > 0)", lines)
         case WhereEnded(flags, body):
             return _block(f"if (w[{flags}] != 0 || w[{flags} + 1] != 0)", _lines(body, routines))
+
+
+def _number(slots: str) -> str:
+    """Zero in place of NaN: on a GPU nobody refuses an action before the step."""
+    return f"if (w[{slots} + k] != w[{slots} + k]) w[{slots} + k] = 0;"
 
 
 def _block(head: str, lines: Iterable[str]) -> list[str]:

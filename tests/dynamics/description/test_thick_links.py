@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from dynamics import ThickLinkWarning, load_arm
+from dynamics import ARMS, ThickLinkWarning, load_arm
 from dynamics.description import plausibility
 from dynamics.description.link import Link
 from dynamics.description.plausibility import SHEAR, neglected
@@ -79,7 +79,9 @@ def test_a_thick_bar_is_named_with_the_size_once() -> None:
 
 
 @pytest.mark.parametrize(
-    "source", [{"links": [bar(0.5, 0.004)]}, {"links": [bar(0.3, 0.03, modes=[])]}, "slim"]
+    "source",
+    [{"links": [bar(0.5, 0.004)]}, {"links": [bar(0.3, 0.03, modes=[])]}, ARMS["srms-like"]],
+    ids=["slender", "rigid", "preset"],
 )
 def test_slender_and_rigid_links_are_not_warned_of(source: Any) -> None:
     with warnings.catch_warnings():

@@ -137,8 +137,8 @@ def test_an_action_that_is_no_number_ends_its_episode() -> None:
     action = torch.zeros(N, 1)
     action[3] = torch.nan
     found = device.step(action)
-    assert torch.flatnonzero(found.terminated).tolist() == [3]
-    assert torch.flatnonzero(found.info["diverged"]).tolist() == [3]
+    assert found.terminated.nonzero().ravel().tolist() == [3]
+    assert found.info["diverged"].nonzero().ravel().tolist() == [3]
     assert bool(torch.isfinite(found.obs).all() and torch.isfinite(found.reward).all())
 
 
