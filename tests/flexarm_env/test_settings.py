@@ -58,7 +58,7 @@ def assert_same(first: list[np.ndarray], second: list[np.ndarray]) -> None:
 def numbers(env: Any) -> list[Any]:
     """All that a change may change."""
     core = env.core
-    return [core.settings, core._constants.copy(), copy.deepcopy(core.arguments),
+    return [core.settings, core.constants.copy(), copy.deepcopy(core.arguments),
             *[w.copy() for w in core.workspaces], *map(np.copy, core._start)]  # fmt: skip
 
 
@@ -142,7 +142,7 @@ def test_weights_and_limits_hold_from_the_next_step_and_ranges_from_the_next_epi
         assert low <= drawn.min() < drawn.max() <= high
     base.deflection_limit = 1e-6
     rows = base.core.signals.constants.slices
-    assert base.core._constants[rows["slope_limit"]] == 1.6e-6
+    assert base.core.constants[rows["slope_limit"]] == 1.6e-6
     terminated, info = envs.step(np.ones((5, 1), np.float32))[2::2]
     assert terminated.all()
     assert info["invalid"].all()
@@ -177,7 +177,7 @@ def test_a_change_reaches_every_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     changed: Any = gym.make_vec(ID, num_envs=40, threads=2)
     changed.set_attr("deflection_limit", 0.03)
     program = built.core.program
-    first, count = int(program.CONSTANTS), int(program.LANES) * built.core._constants.size
+    first, count = int(program.CONSTANTS), int(program.LANES) * built.core.constants.size
     for core in (built.core, changed.core):
         assert len(core.workspaces) == 2
         for w in core.workspaces:
@@ -187,11 +187,11 @@ def test_a_change_reaches_every_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_is_read_may_be_set_again_and_changes_nothing() -> None:
     for env in (batch().unwrapped, batch(max_episode_steps=-1).unwrapped, single().unwrapped):
-        before = [env.core.settings, env.core._constants.copy()]
+        before = [env.core.settings, env.core.constants.copy()]
         for name in env._changeable():
             setattr(env, name, getattr(env, name))
         assert env.core.settings == before[0]
-        np.testing.assert_array_equal(env.core._constants, before[1])
+        np.testing.assert_array_equal(env.core.constants, before[1])
 
 
 def test_a_dict_that_its_owner_changes_later_changes_no_environment() -> None:
@@ -292,7 +292,7 @@ def test_a_refused_value_changes_nothing(name: str) -> None:
             for a, b in zip(numbers(envs), before, strict=True):
                 np.testing.assert_equal(a, b)
         else:
-            assert not np.array_equal(envs.core._constants, before[1]) or value in (None, {}, -1)
+            assert not np.array_equal(envs.core.constants, before[1]) or value in (None, {}, -1)
         assert not envs.core.busy
 
 
