@@ -59,7 +59,7 @@ def numbers(env: Any) -> list[Any]:
     """All that a change may change."""
     core = env.core
     return [core.settings, core.constants.copy(), copy.deepcopy(core.arguments),
-            *[w.copy() for w in core.workspaces], *map(np.copy, core._start)]  # fmt: skip
+            *[w.copy() for w in core.workspaces], *map(np.copy, core.starts)]  # fmt: skip
 
 
 # ---- what may change -----------------------------------------------------------------------------
