@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,8 @@ COLOURS = (  # colour-blind safe
 )  # fmt: skip
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p")
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (4, 1, 1, 1, 1, 1)))
+PICTURE_COLOURS = 64
+LARGEST_PICTURE = 140_000  # [bytes]
 GIF_SECONDS_PER_FRAME = 0.04
 GIF_HEIGHT = 300  # [px] height of the arm's picture
 FREQUENT = 8  # most frequent colours that a GIF keeps exactly
@@ -36,10 +40,35 @@ def new_figure(width: float, height: float, dpi: int = 130) -> Figure:
     return figure
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write the figure in the format of the path's suffix."""
+def save_figure(figure: Figure, path: Path, dpi: float | None = None) -> None:
+    """Write the figure as PNG of few colours, with fewer pixels where it would be too large."""
+    dpi = dpi or figure.dpi
+    while len(png := _png(figure, dpi)) > LARGEST_PICTURE:
+        dpi *= 0.9
     with atomic_write(path) as temporary:
-        figure.savefig(temporary)
+        temporary.write_bytes(png)
+
+
+def _png(figure: Figure, dpi: float) -> bytes:
+    drawn, written = BytesIO(), BytesIO()
+    figure.savefig(drawn, dpi=dpi, format="png")
+    few_colours(Image.open(drawn)).save(written, "PNG", optimize=True)
+    return written.getvalue()
+
+
+def few_colours(picture: Image.Image) -> Image.Image:
+    """The picture with a palette: its most frequent colours, which lines have, and means of all."""
+    picture, half = picture.convert("RGB"), PICTURE_COLOURS // 2
+    means = picture.quantize(half, dither=Image.Dither.NONE)
+    levels = (palette_of(picture, means, half).getpalette() or [])[: 3 * PICTURE_COLOURS]
+    # Pillow's own choice of the nearest is a few levels off, which greys a white ground.
+    of_palette = np.reshape(levels, (-1, 3)).astype(float)
+    numbers = np.asarray(picture, np.int64) @ (1 << 16, 1 << 8, 1)
+    unique, places = np.unique(numbers, return_inverse=True)
+    colours = np.stack([unique >> 16, unique >> 8 & 255, unique & 255], axis=-1).astype(float)
+    distances = np.sum(of_palette**2, axis=-1) - 2.0 * colours @ of_palette.T
+    nearest = np.argmin(distances, axis=-1)
+    return _framed(nearest[places.reshape(numbers.shape)], levels)
 
 
 def look(k: int) -> dict[str, Any]:
@@ -239,29 +268,60 @@ def save_gif(
     seconds: float = GIF_SECONDS_PER_FRAME,
     colours: int = 128,
 ) -> None:
-    """Write pictures of one size as a looping GIF, `seconds` [s] per frame."""
-    # One palette for all frames avoids flicker and is smaller. The most frequent colours keep the
-    # ground, maximum coverage keeps the rare ones.
+    """Write pictures of one size as a looping GIF, `seconds` [s] per frame.
+
+    A frame holds what has changed alone.
+    """
+    palette = film_palette(images, colours - 1)
+    none = Image.Dither.NONE
+    frames = [np.asarray(image.quantize(palette=palette, dither=none)) for image in images]
+    # The last colour is transparent, and stands where a frame is as the one before.
+    same = colours - 1
+    changes = [np.where(now == before, same, now) for before, now in pairwise(frames)]
+    levels = (palette.getpalette() or [])[: 3 * colours]
+    first, *others = (_framed(numbers, levels) for numbers in (frames[0], *changes))
+    with atomic_write(path) as temporary:
+        first.save(
+            temporary,
+            save_all=True,
+            append_images=others,
+            duration=round(1000 * seconds),
+            loop=0,
+            optimize=False,
+            transparency=same,
+            disposal=1,
+        )
+
+
+def film_palette(images: Sequence[Image.Image], colours: int) -> Image.Image:
+    """One palette for all frames, which avoids flicker and is smaller.
+
+    The most frequent colours keep the ground, maximum coverage keeps the rare ones.
+    """
     chosen = images[:: max(1, len(images) // 8)]
     width, height = images[0].size
     sample = Image.new("RGB", (width, height * len(chosen)))
     for i, image in enumerate(chosen):
         sample.paste(image, (0, i * height))
-    counts: Any = sample.getcolors(sample.width * sample.height)
-    frequent = [level for _, colour in sorted(counts)[-FREQUENT:] for level in colour]
-    rare = sample.quantize(colours - FREQUENT, method=Image.Quantize.MAXCOVERAGE).getpalette()
+    rare = sample.quantize(colours - FREQUENT, method=Image.Quantize.MAXCOVERAGE)
+    return palette_of(sample, rare, FREQUENT)
+
+
+def palette_of(picture: Image.Image, others: Image.Image, frequent: int) -> Image.Image:
+    """A palette of a picture's most frequent colours and those of `others`, then copies of one."""
+    counts: Any = picture.getcolors(picture.width * picture.height)
+    levels = [level for _, colour in sorted(counts)[-frequent:] for level in colour]
+    used: Any = others.getcolors()
+    levels += (others.getpalette() or [])[: 3 * (1 + max(index for _, index in used))]
     palette = Image.new("P", (1, 1))
-    palette.putpalette([*frequent, *(rare or [])])
-    frames = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    with atomic_write(path) as temporary:
-        frames[0].save(
-            temporary,
-            save_all=True,
-            append_images=frames[1:],
-            duration=round(1000 * seconds),
-            loop=0,
-            optimize=False,
-        )
+    palette.putpalette(levels + levels[:3] * (256 - len(levels) // 3))
+    return palette
+
+
+def _framed(numbers: AnyArray, levels: Sequence[int]) -> Image.Image:
+    frame = Image.fromarray(numbers.astype(np.uint8))
+    frame.putpalette(levels)
+    return frame
 
 
 def scaled(frame: AnyArray, height: int = GIF_HEIGHT) -> Image.Image:

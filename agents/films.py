@@ -30,7 +30,7 @@ TRACK = "state"
 SEED = 10_000  # first test episode of the leaderboard
 MOST_FRAMES = 120
 HEIGHT = 270  # [px]
-COLOURS = 64  # few, so that a film has less than 400 kB
+COLOURS = 64  # few, so that a film is small
 FILMED = tuple(env_id for env_id in IDS if "Goal" not in env_id)
 
 

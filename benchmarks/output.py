@@ -7,19 +7,19 @@ import platform
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
-from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from llvmlite.binding import get_host_cpu_name
 
+from agents import figures
 from agents.files import FolderError, check_folder
 from agents.run_folder.folder import revision
 from agents.sentences import one_line, speaker
 
 FOLDERS = ("--out", "--images", "--keep")  # options that say where results go, not what they are
-COLOURS = 256  # of a picture, a third of the size of one in true colours
+DPI = 110.0
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 REFERENCE = ROOT / "tests" / "reference"
@@ -120,13 +120,8 @@ def save_results(results: dict[str, Any], text: str, path: Path) -> None:
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Write a figure as PNG of at most COLOURS colours, and close it."""
+    """Write a figure of pyplot as PNG of few colours, and close it."""
     import matplotlib.pyplot as plt
-    from PIL import Image
 
-    drawn = BytesIO()
-    figure.savefig(drawn, dpi=110)
+    figures.save_figure(figure, path.with_suffix(".png"), DPI)
     plt.close(figure)
-    picture = Image.open(drawn).convert("RGB")
-    few = picture.quantize(COLOURS, dither=Image.Dither.NONE)
-    few.save(path.with_suffix(".png"), optimize=True)

@@ -1,5 +1,6 @@
 """Files of a leaderboard: its figures, spectra and episodes, and the page leaderboard.md."""
 
+import bz2
 import csv
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,7 +19,8 @@ from agents.leaderboard.tracks import TRACKS
 from agents.metrics import METRICS, without_infinities
 from agents.sentences import plain
 
-SPECTRA = "leaderboard_spectra.json"
+EPISODES = "leaderboard.csv.bz2"
+SPECTRA = "leaderboard_spectra.json.bz2"
 Tables = Mapping[str, Mapping[str, Mapping[str, Figures]]]  # by task, track and controller
 
 
@@ -26,12 +28,13 @@ def write(folder: Path, results: Results, seeds: Sequence[int]) -> None:
     """Write the files; each replaces its former version as a whole."""
     tables = each(results, lambda entry: entry.figures)
     spectra = each(results, lambda entry: _spectrum(entry.spectrum))
-    for name, found in (("leaderboard.json", tables), (SPECTRA, spectra)):
-        with atomic_write(folder / name) as path:
-            path.write_text(a_line_each(without_infinities(found)) + "\n", encoding="utf-8")
+    with atomic_write(folder / "leaderboard.json") as path:
+        path.write_text(_json(tables), encoding="utf-8")
+    with atomic_write(folder / SPECTRA) as path:
+        path.write_bytes(bz2.compress(_json(spectra).encode("utf-8")))
     with (
-        atomic_write(folder / "leaderboard.csv") as path,
-        open(path, "w", newline="", encoding="utf-8") as file,
+        atomic_write(folder / EPISODES) as path,
+        bz2.open(path, "wt", newline="", encoding="utf-8") as file,
     ):
         writer = csv.writer(file)
         writer.writerow(["task", "track", "controller", "run", "seed", *METRICS])
@@ -234,6 +237,10 @@ def _spectrum(found: Spectrum) -> Figures:
     """Step of frequency [Hz], density [1/m^2/Hz] to four digits and share of episodes [-]."""
     density = [float(f"{value:.4g}") for value in found.density]
     return {"step": float(found.frequency[1]), "share": found.share, "density": density}
+
+
+def _json(tables: Tables) -> str:
+    return a_line_each(without_infinities(tables)) + "\n"
 
 
 def _number(x: float, style: str, otherwise: str) -> str:

@@ -1,7 +1,7 @@
 """`python -m agents.leaderboard`: rank controllers on every task and track.
 
 Every controller meets the same test episodes, whose seeds no tuning and no training uses. Results
-are leaderboard.json, {task: {track: {controller: figures}}}, leaderboard.csv with one row per
+are leaderboard.json, {task: {track: {controller: figures}}}, leaderboard.csv.bz2 with one row per
 episode, leaderboard.md and its pictures. A user's own class takes part by `--controllers
 mymodule:MyController`; it is called with the environment, and must have `predict` as a trained
 policy has.

@@ -1,5 +1,6 @@
 """Entries of a ranking that is stored, which stay beside those of controllers ranked anew."""
 
+import bz2
 import csv
 import json
 from collections.abc import Mapping, Sequence
@@ -10,7 +11,7 @@ import numpy as np
 
 from agents.controllers import CONTROLLERS
 from agents.leaderboard.bound import best_of
-from agents.leaderboard.output import SPECTRA
+from agents.leaderboard.output import EPISODES, SPECTRA
 from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.statistics import Entry, Spectrum, figures
@@ -30,10 +31,8 @@ def read(folder: Path, seeds: Sequence[int], bounds: Path | None = None) -> Entr
     """
     found: Entries = {}
     try:
-        tables, spectra = (
-            json.loads((folder / file).read_text(encoding="utf-8"))
-            for file in ("leaderboard.json", SPECTRA)
-        )
+        tables = json.loads((folder / "leaderboard.json").read_text(encoding="utf-8"))
+        spectra = json.loads(bz2.decompress((folder / SPECTRA).read_bytes()))
         for (env_id, track, name), (met, metrics) in episodes(folder).items():
             if not (met == [*seeds] or (name == YARDSTICK and set(met) <= {*seeds})):
                 raise ValueError(f"{name} met the episodes {met[0]} to {met[-1]}")
@@ -45,7 +44,7 @@ def read(folder: Path, seeds: Sequence[int], bounds: Path | None = None) -> Entr
             now |= {key: before[key] for key in DECISIONS}
             own = Entry(now, metrics, _spectrum(spectra[env_id][track][name]), met)
             found.setdefault(env_id, {}).setdefault(track, {})[name] = own
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, EOFError, KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"--beside {folder}: there is no whole ranking of the episodes {seeds[0]} to "
             f"{seeds[-1]} ({type(error).__name__}: {error}); name the --out of one with the same "
@@ -76,7 +75,7 @@ def episodes(
 ) -> dict[tuple[str, str, str], tuple[list[int], dict[str, AnyArray]]]:
     """Seeds and metrics (runs, episodes) by task, track and controller."""
     rows: dict[tuple[str, str, str], list[dict[str, str]]] = {}
-    with open(folder / "leaderboard.csv", newline="", encoding="utf-8") as file:
+    with bz2.open(folder / EPISODES, "rt", newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             rows.setdefault((row["task"], row["track"], row["controller"]), []).append(row)
     return {place: _table(found) for place, found in rows.items()}

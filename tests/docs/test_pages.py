@@ -37,7 +37,7 @@ KEYS = {
     "A body": [entry.name for entry in fields(Body)],
     "A row of Denavit and Hartenberg": [entry.name for entry in fields(Row)],
 }
-LARGEST_FILM = 400_000  # bytes
+LARGEST_FILM = 300_000  # bytes
 
 
 def blocks(page: str) -> list[tuple[str, str]]:

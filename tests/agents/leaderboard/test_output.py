@@ -1,5 +1,6 @@
 """Files and pictures of a leaderboard, from entries made by hand."""
 
+import bz2
 import csv
 import json
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from agents.leaderboard import charts
-from agents.leaderboard.output import leaders, over_best, rivals, score, write
+from agents.leaderboard.output import EPISODES, leaders, over_best, rivals, score, write
 from agents.leaderboard.statistics import Entry, Spectrum, compared, decisions, figures
 from agents.leaderboard.tracks import RANKED
 from agents.metrics import METRICS, Best
@@ -67,7 +68,7 @@ def test_files_hold_every_figure_and_every_episode(results: Any, tmp_path: Path)
     assert found["improvement"]["pd"]["p"] == (1.0 + 0.75 + 1.0 + 0.0) / 4
     assert set(found["improvement"]) == {"pd", "zero"}
     assert stored[REACH]["state"]["zero"]["settling_median"] is None
-    with open(tmp_path / "leaderboard.csv", encoding="utf-8") as file:
+    with bz2.open(tmp_path / EPISODES, "rt", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 4 * 7
     (row,) = [r for r in rows if r["controller"] == "ppo" and r["run"] == "1" and r["seed"] == "9"]
@@ -204,7 +205,7 @@ def test_the_yardstick_stands_last_and_is_not_ranked(told: Any, tmp_path: Path) 
     text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
     assert text.index("| zero |") < text.index("| optimal |")
     assert "| OneLink-Track-v0 | state | pd | lqr |" in text
-    with open(tmp_path / "leaderboard.csv", encoding="utf-8") as file:
+    with bz2.open(tmp_path / EPISODES, "rt", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["controller"] == "optimal"]
     assert [row["seed"] for row in rows] == ["9", "10"]
 

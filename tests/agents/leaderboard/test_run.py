@@ -1,5 +1,6 @@
 """The leaderboard from its command to its files, a user's own class, and the bound."""
 
+import bz2
 import csv
 import json
 import re
@@ -14,6 +15,7 @@ from agents.evaluate import bounds_of
 from agents.evaluate import main as evaluate_main
 from agents.leaderboard import bound
 from agents.leaderboard.motions import Episode, effects, plant
+from agents.leaderboard.output import EPISODES
 from agents.leaderboard.replay import YARDSTICK, optimal
 from agents.leaderboard.run import main, ranked
 from agents.leaderboard.shipped import FOLDER, name_of, shipped
@@ -49,7 +51,7 @@ def test_a_users_class_is_ranked_beside_ours(tmp_path: Path) -> None:
     own = results[ONE]["state"][f"{__name__}:Still"]
     assert own["success_rate"] == 0.0
     assert results[ONE]["state"]["pd"]["success_rate"] == 1.0
-    with open(tmp_path / "leaderboard.csv", encoding="utf-8") as file:
+    with bz2.open(tmp_path / EPISODES, "rt", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * 2 * 6
     assert {row["seed"] for row in rows} == {str(10_000 + k) for k in range(6)}

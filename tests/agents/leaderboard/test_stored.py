@@ -1,5 +1,6 @@
 """Rankings that are read from their files, and kept beside controllers that are ranked anew."""
 
+import bz2
 import json
 import shutil
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from agents.leaderboard import stored
-from agents.leaderboard.output import SPECTRA
+from agents.leaderboard.output import EPISODES, SPECTRA
 from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.run import built, main
 from agents.leaderboard.tracks import TRACKS, keywords
@@ -21,6 +22,18 @@ RESULTS = ROOT / "docs/results"
 SEEDS = list(range(10_000, 10_004))
 MEASURED = ("ms_per_action", "ms_per_action_p99")
 Tables = dict[str, dict[str, dict[str, Any]]]
+
+
+def unpacked(path: Path) -> str:
+    """Text of a file, which may be compressed."""
+    data = path.read_bytes()
+    return (bz2.decompress(data) if path.suffix == ".bz2" else data).decode("utf-8")
+
+
+def pack(path: Path, text: str) -> None:
+    """Write a text, compressed where the name of the file says so."""
+    data = text.encode("utf-8")
+    path.write_bytes(bz2.compress(data) if path.suffix == ".bz2" else data)
 
 
 def rank(out: Path, *arguments: str) -> Tables:
@@ -47,8 +60,8 @@ def test_entries_are_read_as_they_were_written(former: Path, tmp_path: Path) -> 
     for key in MEASURED:  # of the one that was ranked again
         again[REACH]["state"]["zero"][key] = before[REACH]["state"]["zero"][key]
     assert again == before
-    for file in ("leaderboard.csv", SPECTRA):
-        rows = [sorted((folder / file).read_text().splitlines()) for folder in (former, tmp_path)]
+    for file in (EPISODES, SPECTRA):
+        rows = [sorted(unpacked(folder / file).splitlines()) for folder in (former, tmp_path)]
         assert rows[0] == rows[1]
 
 
@@ -72,18 +85,17 @@ def test_controllers_are_ranked_beside_what_is_kept(former: Path, tmp_path: Path
     assert set(again[REACH]["state"]) == {*before[REACH]["state"], "lqr"}
     assert again[REACH]["state"]["ppo"]["score_ci"] == before[REACH]["state"]["ppo"]["score_ci"]
     assert set(again[REACH]["state"]["ppo"]["improvement"]) == {"lqr", "pd", "zero"}
-    spectra = json.loads((tmp_path / SPECTRA).read_text())
+    spectra = json.loads(unpacked(tmp_path / SPECTRA))
     assert set(spectra[REACH]["state"]) == set(again[REACH]["state"])
 
 
 def test_what_there_is_no_more_is_left_out(former: Path, tmp_path: Path) -> None:
     """A policy of a former package goes; a class of the user stays."""
     shutil.copytree(former, tmp_path, dirs_exist_ok=True)
-    for path in tmp_path.glob("leaderboard*.*"):
-        if path.suffix in (".json", ".csv"):
-            text = path.read_text().replace('"ppo-stacked"', '"ppo-older"')
-            text = text.replace(",ppo-stacked,", ",ppo-older,")
-            path.write_text(text.replace('"pd"', '"my:Own"').replace(",pd,", ",my:Own,"))
+    for file in (EPISODES, SPECTRA, "leaderboard.json"):
+        text = unpacked(tmp_path / file).replace('"ppo-stacked"', '"ppo-older"')
+        text = text.replace(",ppo-stacked,", ",ppo-older,")
+        pack(tmp_path / file, text.replace('"pd"', '"my:Own"').replace(",pd,", ",my:Own,"))
     found = stored.known(stored.read(tmp_path, SEEDS))
     assert set(found[REACH]["laboratory"]) == {"my:Own", "zero", YARDSTICK}
     assert set(found[REACH]["state"]) == {"my:Own", "ppo", "zero", YARDSTICK}
@@ -92,10 +104,11 @@ def test_what_there_is_no_more_is_left_out(former: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("file", "text", "words"),
     [
-        ("leaderboard.csv", None, "FileNotFoundError"),
+        (EPISODES, None, "FileNotFoundError"),
         ("leaderboard.json", "{", "JSONDecodeError"),
         (SPECTRA, "{}", "KeyError"),
-        ("leaderboard.csv", "task,track,controller,run,seed\na,b,c,0,0\n", "KeyError"),
+        (SPECTRA, b"{}", "OSError"),
+        (EPISODES, "task,track,controller,run,seed\na,b,c,0,0\n", "KeyError"),
     ],
 )
 def test_other_files_are_refused(
@@ -104,8 +117,10 @@ def test_other_files_are_refused(
 ) -> None:  # fmt: skip
     shutil.copytree(former, tmp_path / "old")
     (tmp_path / "old" / file).unlink()
-    if text is not None:
-        (tmp_path / "old" / file).write_text(text)
+    if isinstance(text, bytes):
+        (tmp_path / "old" / file).write_bytes(text)
+    elif text is not None:
+        pack(tmp_path / "old" / file, text)
     arguments = ["--tasks", REACH, "--tracks", "state", "--controllers", "zero", "--episodes", "4"]
     arguments += ["--beside", str(tmp_path / "old"), "--out", str(tmp_path / "new")]
     assert main(arguments) == 2
