@@ -114,8 +114,8 @@ def page(data: Mapping[str, Any]) -> str:
     for env_id, found in data["tasks"].items():
         rows = [
             [f"`{name}`", f"{x['default']:.3f}", f"{x['reference']:.3f}",
-             f"{x['difference']:+.4f}", f"{x['most']:.3f}", f"{1e3 * x['later']:+.0f}",
-             f"{1e3 * x['latest']:.0f}", f"{x['alike']:.0%}", f"{x['episodes']:.0f}"]
+             f"{x['difference']:+.4f}", f"{x['most']:.3f}", milliseconds(x["later"], "+.0f"),
+             milliseconds(x["latest"], ".0f"), f"{x['alike']:.0%}", f"{x['episodes']:.0f}"]
             for name, x in found.items()
         ]  # fmt: skip
         head = ("controller", "score", "on the reference", "difference", "95 % of episodes",
@@ -133,11 +133,17 @@ Made by `{data["command"]}`.
 Every controller of the ranking on exact states met the same episodes on the default model and on
 the reference. On the reference it sees the amplitudes of the default's modes that bend the links
 alike. Differences are those of the reference from the default. Controllers whose decisions take
-more than a millisecond meet {FEW} episodes. Policies were trained on earlier defaults.
+more than a millisecond meet {FEW} episodes. Policies were trained on earlier defaults. `lqg`,
+`-kalman` and `-extended` see sensors, among them gauges at the roots of the links.
 
 ![Scores on the default model and on the reference](on_reference.png)
 
 {chr(10).join(x + chr(10) for x in parts)}"""
+
+
+def milliseconds(seconds: float, form: str) -> str:
+    """A time in ms; nothing where no episode settles on both models."""
+    return "" if np.isnan(seconds) else f"{1e3 * seconds:{form}}"
 
 
 def chart(data: Mapping[str, Any]) -> Any:
