@@ -171,7 +171,7 @@ def cheaper(found: dict[str, Any]) -> str:
 def chart(data: dict[str, Any]) -> Any:
     """A panel per scene, a line per method."""
     scenes = data["scenes"]
-    figure, axes = pyplot().subplots(1, len(scenes), figsize=(3.4 * len(scenes), 3.9))
+    figure, axes = pyplot().subplots(1, len(scenes), figsize=(max(7.6, 3.4 * len(scenes)), 3.9))
     for axis, (scene, found) in zip(np.atleast_1d(axes), scenes.items(), strict=True):
         for k, method in enumerate(METHODS):
             own = [x for x in found["runs"] if x["integrator"] == method]
