@@ -23,7 +23,7 @@ def load_arm(source: ArmSource) -> Arm:
     links that are too thick for slender beams a ThickLinkWarning.
     """
     if isinstance(source, Arm):
-        if source.name not in ARMS:
+        if not _as_long_as_a_preset(source):
             warn_if_implausible(source, stacklevel=2)
         return source
     if isinstance(source, Mapping):
@@ -44,3 +44,10 @@ def load_arm(source: ArmSource) -> Arm:
         return arm_from_dict(read_mapping(path))
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
+
+
+def _as_long_as_a_preset(arm: Arm) -> bool:
+    """True for a preset and its models: their sizes are known, and stated on their pages."""
+    preset = ARMS.get(arm.name)
+    lengths = [[link.length for link in x.links] for x in (arm, preset) if x]
+    return len(lengths) == 2 and lengths[0] == lengths[1]

@@ -101,12 +101,14 @@ class Substeps:
 class WhereLost:
     """In environments whose slot `flag` is positive, load rows again, then call functions.
 
-    The functions change nothing in other environments, so they may run there too.
+    The functions change nothing in other environments, so they may run there too. A backend whose
+    caller cannot refuse actions puts zero where they have left NaN in slots of `given`.
     """
 
     flag: str
     restored: tuple[Load, ...]
     then: tuple[Call, ...]
+    given: tuple[tuple[str, int], ...] = ()  # first slot, and how many
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,6 @@ def walked(statements: Iterable[Statement]) -> Iterator[Statement]:
         match statement:
             case Substeps(body) | WhereEnded(_, body):
                 yield from walked(body)
-            case WhereLost(_, restored, then):
+            case WhereLost(restored=restored, then=then):
                 yield from restored
                 yield from then

@@ -21,6 +21,7 @@ LENGTH = 150  # control steps
 SEARCHES = 3
 MORE = 3  # times the steps of the search, tried before another search
 MARGIN = 0.8  # of the tolerance that a new search aims at
+LEAST = 0.1  # of a search's tolerance to that of the one before, MARGIN aside
 _log = logging.getLogger(__name__)
 
 
@@ -47,7 +48,7 @@ def chosen(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
         best = min(best, found | measured, key=lambda x: x["error"])
         if best["error"] <= tolerance:
             break
-        wanted *= min(MARGIN, MARGIN * tolerance / measured["error"])
+        wanted *= MARGIN * min(1.0, max(LEAST, tolerance / measured["error"]))
     if math.isinf(best["error"]):
         raise RuntimeError(
             "Every model that keeps the tolerance on short motions diverges in whole episodes."
@@ -68,10 +69,10 @@ def _in_episodes(found: dict[str, Any], control_dt: float, tolerance: float) -> 
     least = max(1, math.ceil(control_dt / found["dt"] - 1e-9))
     most = MORE * least if certifier.model_error().worst_share <= tolerance else least
     for substeps in range(least, most + 1):
-        total = certifier.error(found["integrator"], substeps)
+        own = certifier.trace(found["integrator"], substeps)
+        total = Distances.between(own, certifier.reference, certifier.episodes.kinds)
         if total.worst_share <= tolerance:
             break
-    own = certifier.trace(found["integrator"], substeps)
     nudged = certifier.trace(found["integrator"], substeps, DISTURBANCE)
     growth = Distances.between(own, nudged, total.kinds)
     return {

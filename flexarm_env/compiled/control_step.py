@@ -98,6 +98,7 @@ def control_step(
             "LOST",
             restored=restored,
             then=(Call("report"),),
+            given=(("ACTION", actions.count), ("TAU", actions.count)),
         ),
         Copy("TARGET_NOW", "TARGET", target),
         Copy("READINGS_NOW", "ANGLES", readings),

@@ -151,18 +151,16 @@ def _line(statement: Statement, routines: Mapping[str, Statements]) -> list[str]
             return _each(f"N_{rows.name}", f"{_element(rows)} = {value};")
         case Substeps(body):
             return _block("for (int s = 0; s < substeps; ++s)", _lines(body, routines))
-        case WhereLost(flag, restored, then):
-            lines = [
-                line for slot in ("ACTION", "TAU") for line in _each("N_ACTION", _number(slot))
-            ]
-            lines += _lines((*restored, *then), routines)
+        case WhereLost(flag, restored, then, given):
+            numbers = [line for slots, count in given for line in _each(str(count), _number(slots))]
+            lines = [*numbers, *_lines((*restored, *then), routines)]
             return _block(f"if (w[{flag}] > 0)", lines)
         case WhereEnded(flags, body):
             return _block(f"if (w[{flags}] != 0 || w[{flags} + 1] != 0)", _lines(body, routines))
 
 
 def _number(slots: str) -> str:
-    """Zero in place of NaN: on a GPU nobody refuses an action before the step."""
+    """Zero in place of NaN."""
     return f"if (w[{slots} + k] != w[{slots} + k]) w[{slots} + k] = 0;"
 
 

@@ -69,7 +69,7 @@ def _block(statement: Statement, routines: Routines) -> list[str]:
             return _each(rows, f"take(w, {slots} + k * LANES, {rows.array}, {_place(rows)})")
         case Store(slots, rows):
             return _each(rows, f"put(w, {slots} + k * LANES, {rows.array}, {_place(rows)})")
-        case WhereLost(flag, restored, then):
+        case WhereLost(flag=flag, restored=restored, then=then):
             return _where_lost(flag, restored, block_lines(then, routines))
     raise TypeError(f"The LLVM backend starts episodes between steps, so not by {statement}.")
 

@@ -1,6 +1,7 @@
 """Frequencies that shear and rotary inertia lower: the sizes in the warning against Timoshenko."""
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import scipy.linalg
 from dynamics import ARMS, ThickLinkWarning, load_arm
 from dynamics.description import plausibility
 from dynamics.description.link import Link
+from dynamics.description.mode_shapes import Mode
 from dynamics.description.plausibility import SHEAR, neglected
 from tests.dynamics.beam_elements import beam_frequencies
 
@@ -98,3 +100,12 @@ def test_the_section_follows_from_the_polar_inertia_or_a_metals_speed_of_sound()
     by_sound = neglected(Link(**{**bar(0.3, 0.03, EA=None), "modes": ()}), "y")
     np.testing.assert_allclose(by_polar, by_area, rtol=1e-12)
     np.testing.assert_allclose(by_sound, by_area, rtol=0.02)
+
+
+def test_an_arm_with_the_name_of_a_preset_and_links_of_its_own_is_warned_of() -> None:
+    own = replace(
+        ARMS["slim"],
+        links=(Link(**{**bar(0.31, 0.04), "modes": tuple(Mode(**mode) for mode in BENDING)}),),
+    )
+    with pytest.warns(ThickLinkWarning):
+        load_arm(own)

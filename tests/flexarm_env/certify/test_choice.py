@@ -29,21 +29,38 @@ def test_a_tolerance_holds_in_whole_episodes() -> None:
     assert 0.3 * env.certificate["error"] < error < 0.012
 
 
-def test_the_best_of_what_misses_a_tolerance_is_taken_with_a_warning(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    errors = {0.01: 0.05, 0.0016: 0.02}  # of the search -> in episodes
+def searching(monkeypatch: pytest.MonkeyPatch, errors: dict[float, float]) -> list[float]:
+    """Tolerances of the searches that are made; `errors` in episodes by tolerance, else none."""
+    wanted: list[float] = []
 
     def search(arm: Arm, motions: object, tolerance: float) -> Any:
-        if tolerance < 0.001:
+        wanted.append(round(tolerance, 6))
+        if wanted[-1] not in errors:
             raise RuntimeError("No model is within that.")
-        return SimpleNamespace(to_dict=lambda: {"of": round(tolerance, 6)})
+        return SimpleNamespace(to_dict=lambda: {"of": wanted[-1]})
 
     monkeypatch.setattr(choice, "choose_model", search)
     monkeypatch.setattr(choice, "_in_episodes", lambda found, *_: {"error": errors[found["of"]]})
+    return wanted
+
+
+def test_the_best_of_what_misses_a_tolerance_is_taken_with_a_warning(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    wanted = searching(monkeypatch, {0.01: 0.05, 0.0016: 0.02})
     found = choice.chosen(load_arm("slim"), 0.02, 0.01)
+    assert wanted == [0.01, 0.0016, 0.00064]
     assert (found["error"], found["tolerance"]) == (0.02, 0.01)
     assert "the best keeps 95 % of them within 0.02 m" in caplog.text
+
+
+def test_what_diverges_in_episodes_is_searched_again_and_refused_at_last(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wanted = searching(monkeypatch, {0.01: np.inf, 0.0008: np.inf, 0.000064: np.inf})
+    with pytest.raises(RuntimeError, match="diverges in whole episodes"):
+        choice.chosen(load_arm("slim"), 0.02, 0.01)
+    assert wanted == [0.01, 0.0008, 0.000064]
 
 
 def test_a_scene_has_the_motions_of_the_certificate() -> None:

@@ -23,7 +23,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "free base": ("FreeFlyer-Reach", {"hardware": "laboratory"}),
 }
 TOLERANCES = {"float64": 1e-12, "float32": 1e-4}
-ROUNDED = {"free base": 10.0}  # times as much in float32: rates of a light, fast mode
+ROUNDED = {"free base": 10.0}  # times as much in float32: round-off turns a gauge by one step
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 
