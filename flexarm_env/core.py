@@ -266,10 +266,7 @@ class Core:
         w[first : first + lanes * self.constants.size] = np.repeat(self.constants, lanes)
 
     def outputs(self) -> Any:
-        """`Outputs` to fill: a set that no caller refers to, else a new one.
-
-        Gain of reused sets: docs/results/tricks.md.
-        """
+        """Outputs to fill: some that no caller refers to (docs/results/tricks.md), or new ones."""
         for spare in self._kept:
             if spare.unused:
                 return spare
@@ -347,11 +344,13 @@ class Core:
         """Draw episodes for the environments `rows`; whether options placed some of their state."""
         placed = {} if options is None else arguments.placements(options, self.arm, rows.size)
         episode.begin(rows, *self.starts, self.state, self.streams)
+        slices = self.signals.state.slices
         for name, values in placed.items():
-            self.state[self.signals.state.slices[name]].T[rows] = values
+            self.state[slices[name]].T[rows] = values
+        if self.signals.bent and "q" not in placed:
+            self.state[slices["elapsed"], rows] = episode.STRAIGHT
         if self.actuation:
-            states = self.signals.state.slices["actuator"]
-            self.state[states, rows] = self.actuation.at_rest(self.q[rows])
+            self.state[slices["actuator"], rows] = self.actuation.at_rest(self.q[rows])
         return bool(placed)
 
     def reset(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> Any:

@@ -70,6 +70,9 @@ columns are the presets of `reward=`; a dict sets other weights.
 dict of `q` and `v` (one number per coordinate; zeros if left out), or `target`, joint angles. In a
 batch, options may have one row per environment that restarts.
 
+Under gravity, links start bent as if the joints had always been held where they are; vibration
+comes on top of that. A given `q` is taken as it is.
+
 A batch has Gymnasium's three modes, `gym.make_vec(..., autoreset_mode=...)`. An ended episode
 restarts in the next step (`"NextStep"`, the default), in the same step (`"SameStep"`, with
 `final_obs` and `final_info`), or, with `"Disabled"`, when the caller says

@@ -11,7 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dynamics.description.arm import Arm
+from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.linearized import inputs
+from dynamics.tracing import graphs
 from dynamics.tracing.traced_arm import TracedArm
 from dynamics.types import Array
 
@@ -35,7 +38,7 @@ def equilibrium(traced: TracedArm, angles: Array) -> Equilibrium:
     ValueError : if gravity cannot be applied in steps of SMALLEST_SHARE.
     """
     n, joints = traced.n, list(traced.arm.joint_index)
-    bent = [i for i in range(n) if i not in joints]
+    bent = bent_coordinates(traced.arm)
     x = np.zeros(len(bent) + traced.n_joint)
     share, step = 0.0, 1.0
     while share < 1.0:
@@ -54,6 +57,44 @@ def equilibrium(traced: TracedArm, angles: Array) -> Equilibrium:
     q = np.zeros(n)
     q[joints], q[bent] = angles, x[: len(bent)]
     return Equilibrium(q, x[len(bent) :])
+
+
+def bent_coordinates(arm: Arm) -> list[int]:
+    """Coordinates that gravity sets where joints are held: of modes and of joint springs."""
+    return [i for i in range(arm.n) if i not in arm.joint_index]
+
+
+def settling(traced: TracedArm) -> Any:
+    """CasADi Function (q, rest, parameters) -> rest nearer to the equilibrium at the joints of q.
+
+    `rest` are the `bent_coordinates` of an arm on a fixed base. It is a step of Newton's method
+    with the stiffness as its Jacobian: it divides the error by about the weight that would make
+    the arm buckle over its own.
+    """
+    import casadi as ca
+
+    bent = bent_coordinates(traced.arm)
+    symbols = [
+        ca.SX.sym("q", traced.n), ca.SX.sym("rest", len(bent)),
+        ca.SX.sym("parameters", len(traced.free_parameters)),
+    ]  # fmt: skip
+    q, rest, parameters = symbols
+    placed = ca.vertsplit(q)
+    for i, value in zip(bent, ca.vertsplit(rest), strict=True):
+        placed[i] = value
+    chain = graphs.with_parameters(traced, parameters)
+    residual = _without_torques(traced, chain, placed)[bent]
+    elastic = _without_torques(traced, replace(chain, gravity=(0.0, 0.0, 0.0)), placed)[bent]
+    step = ca.solve(ca.jacobian(elastic, rest), residual)
+    return ca.Function("settle", symbols, [ca.cse(ca.densify(rest - step))])
+
+
+def _without_torques(traced: TracedArm, chain: Chain, q: list[Any]) -> Any:
+    """(n,) forces h - B tau at rest, with the torques that leave none at the joints."""
+    import casadi as ca
+
+    h: Any = ca.vertcat(*traced.formed.equations.bias(chain, q, traced.n * [0.0]))
+    return h - ca.mtimes(ca.DM(inputs(traced.chain)), h[list(traced.arm.joint_index)])
 
 
 def _newton(traced: TracedArm, angles: Array, share: float, x: Array) -> Array | None:
@@ -76,7 +117,7 @@ def _forces(traced: TracedArm) -> Any:
     import casadi as ca
 
     joints, m = list(traced.arm.joint_index), traced.n_joint
-    bent = [i for i in range(traced.n) if i not in joints]
+    bent = bent_coordinates(traced.arm)
     x, angles, share = ca.SX.sym("x", len(bent) + m), ca.SX.sym("angles", m), ca.SX.sym("share")
     q: list[Any] = traced.n * [None]
     for places, values in ((bent, x[: len(bent)]), (joints, angles)):

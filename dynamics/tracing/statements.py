@@ -56,9 +56,10 @@ class Copy:
 
 @dataclass(frozen=True)
 class Clear:
-    """Zero in one slot."""
+    """Zeros in slots, from the one of this name on."""
 
-    slot: str
+    slots: str
+    count: int = 1
 
 
 @dataclass(frozen=True)

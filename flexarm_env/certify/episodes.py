@@ -11,6 +11,7 @@ from gymnasium.utils import seeding
 
 from dynamics.accuracy.same_shape import transferred
 from dynamics.description.arm import Arm
+from dynamics.model import Model
 from dynamics.simulation.statics import RigidArm
 from dynamics.tracing import graphs
 from dynamics.types import AnyArray, Array
@@ -183,11 +184,14 @@ def _start(arm: Arm, found: Scales, kind: Kind, count: int, rng: Any) -> tuple[A
     q, v = np.zeros((2, count, arm.n))
     q[:, : arm.base.n] = arm.base.q
     q[:, joints] = found.home + rng.uniform(*task.start, (count, arm.n_joint))
+    if any(arm.gravity) and not arm.base.n:
+        model = Model(arm)
+        q[:] = [model.equilibrium(angles).q for angles in q[:, joints]]
     modal = [i for i in range(arm.base.n, arm.n) if i not in joints]
     for x, shapes in ((q, found.vibration), (v, found.vibration_rate)):
         if kind.shaken and modal:
             share = rng.uniform(*task.shake, (count, len(shapes)))
-            x[:, modal] = share @ np.reshape(shapes, (len(shapes), len(modal)))
+            x[:, modal] += share @ np.reshape(shapes, (len(shapes), len(modal)))
     return q, v
 
 

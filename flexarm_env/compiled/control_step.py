@@ -1,9 +1,9 @@
 """The control step of an environment as a program: statements that a backend prints.
 
 Functions it calls: `command(w)`, `check(w)` and `report(w)` of `signals`, `place(w)` of an arm on a
-floating base, `mark(w)`, `drive(w)` and `follow(w)` of `actuation`; the routines "start" and "step"
-of the integrator. An environment that `check` finds lost returns to its state before the step and
-is reported there.
+floating base, `settle(w)` and `bend(w)` of one that gravity bends, `mark(w)`, `drive(w)` and
+`follow(w)` of `actuation`; the routines "start" and "step" of the integrator. An environment that
+`check` finds lost returns to its state before the step and is reported there.
 """
 
 from collections.abc import Iterable
@@ -27,9 +27,11 @@ from flexarm_env.compiled import rows as named
 from flexarm_env.compiled.actuation import EVALUATION, SUBSTEP
 from flexarm_env.compiled.termination import FLAGS
 
+SETTLING = 8  # steps to the equilibrium under gravity, each of about two digits
+
 
 def control_step(
-    state: named.Rows, n_info: int, n_observation: int, noise: int, driven: bool
+    state: named.Rows, n_info: int, n_observation: int, noise: int, driven: bool, bent: int
 ) -> ControlStep:
     """Statements of an environment.
 
@@ -39,6 +41,7 @@ def control_step(
     n_info, n_observation : numbers of info and of the observation.
     noise : random numbers per step.
     driven : whether actuators drive the joints, in place of ideal torque sources.
+    bent : coordinates that gravity sets at the start of an episode.
     """
     first = {name: rows.start for name, rows in state.slices.items()}
     behind = {name: rows.stop for name, rows in state.slices.items()}
@@ -56,6 +59,7 @@ def control_step(
     readings = of_state("READING", behind["actuator"], first["centre"])
     anchor = of_state("ANCHOR", first["anchor"], behind["anchor"])
     moving = of_state("STATE_AND_MEMORY", 0, first["free"])
+    elapsed = of_state("ELAPSED", first["elapsed"], behind["elapsed"])
     actions = Rows("ACTION", "actions", 0, state.sizes["action"])
     flags = Rows("FLAG", "flags", 0, len(FLAGS))
     info = Rows("INFO", "info", 0, n_info)
@@ -64,11 +68,14 @@ def control_step(
     random = Noise("NOISE", noise, "DRAWN", "ELAPSED")
     state_loads = (Load("Q", motion), Load("ACTION", memory))
     parameters = Load("PARAMETERS", free)
+    bend = (Clear("REST", bent), *SETTLING * (Call("settle"),), Call("bend"),
+            Store("Q", motion), Store("ELAPSED", elapsed))  # fmt: skip
     results = (Store("FLAGS", flags), Store("INFO", info), Store("OBSERVATION", observation))
     start = (
         *state_loads,
-        *((parameters,) if anchor.count else ()),
+        *((parameters,) if anchor.count or bent else ()),
         Load("DRAWN", drawn),
+        *(bend if bent else ()),
         Copy("ACTION", "BEFORE", actions),
         Clear("LOST"),
         *((Call("place"),) if anchor.count else ()),

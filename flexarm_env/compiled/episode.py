@@ -16,6 +16,7 @@ fast = on_disk(nogil=True, error_model="numpy")
 # Indices are unsigned, because numba adds a check for negative indices to every signed one.
 U = np.uint64
 WAVES = 2  # sines in the path of a joint
+STRAIGHT = -1.0  # control steps elapsed, where gravity has yet to bend the links of a new episode
 # rows of `tasks.Task.ranges`, each (low, high)
 START, MOVES, SHARE, TEMPO, SHAKE = map(U, range(5))
 # entries of `at`, the first rows of a state

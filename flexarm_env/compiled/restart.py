@@ -23,7 +23,7 @@ from dynamics.tracing.statements import (
     WhereEnded,
 )
 from flexarm_env.compiled.actuation import Actuation
-from flexarm_env.compiled.episode import MOVES, SHAKE, SHARE, START, TEMPO, WAVES
+from flexarm_env.compiled.episode import MOVES, SHAKE, SHARE, START, STRAIGHT, TEMPO, WAVES
 from flexarm_env.compiled.signals import Signals
 
 _STATE = {"Q": "STATE", "ACTION": "MEMORY", "PARAMETERS": "FREE", "DRAWN": "DRAWN"}  # slots: rows
@@ -114,6 +114,8 @@ def first_state(signals: Signals, start: tuple[Any, ...]) -> tuple[Any, int]:
             for k, i in enumerate(modal):
                 state["q"][i] += bent[k] * here
                 state["v"][i] += moved[k] * moving
+    if signals.bent:
+        state["elapsed"] = ca.SX(STRAIGHT)
     drawn = [draw((limits[2 * k], limits[2 * k + 1])) for k in range(len(free))]
     return _stacked(signals, state, drawn, [uniform, limits]), count
 

@@ -14,6 +14,7 @@ from dynamics.backends.numba_llvm.fingerprint import hash_of_files
 from dynamics.model import Model
 from dynamics.tracing import graphs
 from dynamics.tracing.assembly import Addition
+from dynamics.tracing.equilibrium import bent_coordinates, settling
 from dynamics.tracing.function import Function, traced
 from dynamics.types import Symbols
 from flexarm_env.compiled.actuation import Actuation
@@ -46,6 +47,7 @@ class Signals:
     info : rows of the reward and the info entries.
     constants : rows of the numbers that all environments share.
     gauges : columns of the model's "curvature" that info reports.
+    bent : coordinates that gravity sets at the start of an episode.
     """
 
     def __init__(
@@ -60,6 +62,8 @@ class Signals:
         self.model, self.moving, self.layout, self.actuation = model, moving, layout, actuation
         self.sensing = sensing
         self.gauges = curvature_columns(model.arm)
+        held = any(model.arm.gravity) and not model.arm.base.n
+        self.bent = bent_coordinates(model.arm) if held else []
         waves = WAVES * m * moving
         self.memory = {
             "action": u, "elapsed": 1, "target": m,
@@ -95,6 +99,7 @@ class Signals:
         sizes |= {"DRAWN": sum(self.drawn.values()), "NOISE": self.noise}
         sizes |= {"TARGET_NOW": m, "READINGS_NOW": self.readings}
         sizes |= {"FLAGS": len(FLAGS), "INFO": self.info.total}
+        sizes |= {"REST": len(self.bent)} if self.bent else {}
         sizes |= {"OBSERVATION": self.layout.size, "RATE_BEFORE": m if self.actuation else 0}
         parts = [(part.name, part.entries, part.bound) for part in self.layout.parts]
 
@@ -106,7 +111,8 @@ class Signals:
             numbers = [at["INFO"] + row for row in rows]
             check = lost(state, numbers, at["LOST"], self.model.dtype)
             report = traced("report", self.graph, inputs, at["TARGET_NOW"])
-            return [self._command(at), check, report, *self._driving(at), *self._placing(at)]
+            return [self._command(at), check, report, *self._driving(at), *self._placing(at),
+                    *self._bending(at)]  # fmt: skip
 
         actuation, sensing = (x and x.key for x in (self.actuation, self.sensing))
         return Addition(
@@ -120,6 +126,7 @@ class Signals:
                 self.layout.size,
                 self.noise,
                 driven=self.actuation is not None,
+                bent=len(self.bent),
             ),
         )
 
@@ -147,6 +154,23 @@ class Signals:
             return []
         inputs = [at[name] for name in ("Q", "CENTRE", "PARAMETERS")]
         return [traced("place", graphs.carried_base(self.model.traced), inputs, at["ANCHOR"])]
+
+    def _bending(self, at: Mapping[str, int]) -> list[Function]:
+        """`settle(w)`, a step to the equilibrium under gravity, and `bend(w)` of straight links."""
+        import casadi as ca
+
+        if not self.bent:
+            return []
+        inputs = [at[name] for name in ("Q", "REST", "PARAMETERS")]
+        settle = traced("settle", settling(self.model.traced), inputs, at["REST"])
+        sizes = {"q": self.model.n, "rest": len(self.bent), "elapsed": 1}
+        q, rest, elapsed = (ca.SX.sym(name, size) for name, size in sizes.items())
+        bent = q[self.bent] + (elapsed < 0.0) * rest
+        outputs = ca.vertcat(bent, ca.fmax(elapsed, 0.0))
+        graph = ca.Function("bend", [q, rest, elapsed], [outputs])
+        inputs = [at[name] for name in ("Q", "REST", "ELAPSED")]
+        slots = [*(at["Q"] + i for i in self.bent), at["ELAPSED"]]
+        return [settle, traced("bend", graph, inputs, slots)]
 
     def _command(self, at: Mapping[str, int]) -> Function:
         """`command(w)`: clip the given actions, set the torques, count the step."""

@@ -14,7 +14,7 @@ from agents.controllers.pd import joint_pd
 from dynamics import ARMS, Arm, Joint, Link, load_arm
 from dynamics.formulations.gibbs_appell import bias
 from dynamics.model import Model
-from dynamics.simulation.statics import RigidArm, held
+from dynamics.simulation.statics import RigidArm, held, loaded
 from dynamics.types import Array
 from flexarm_env.plant import GravityWarning
 from flexarm_env.scales import DEFLECTION_LIMIT, EXTENT, MOVE, scales
@@ -102,6 +102,75 @@ def test_the_postures_contain_every_start_target_and_path_of_the_tasks() -> None
     for task in TASKS.values():
         paths = 2.0 * MOVE if task.moving else 0.0  # two sines
         assert task.start[1] + task.moves[1] + paths <= EXTENT
+
+
+def settled(arm: Arm, task: str = "Reach", **keywords: Any) -> FlexArmVectorEnv:
+    """Environments after a reset; steps are given, since none is taken."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GravityWarning)
+        envs = FlexArmVectorEnv(4, task=task, arm=arm, integrator="rk4", substeps=16, **keywords)
+    envs.reset(seed=0)
+    return envs
+
+
+@pytest.mark.parametrize("name", ["own", "two in a vertical plane", "mamedov-3dof"])
+def test_episodes_start_at_the_equilibrium_under_gravity(name: str) -> None:
+    arm = HEAVY[name]
+    model, envs = Model(arm), settled(arm)
+    for q in envs.core.q:
+        expected = equilibrium(model, q[list(arm.joint_index)])[0]
+        np.testing.assert_allclose(q, expected, atol=1e-9, rtol=1e-9)
+    assert not envs.core.v.any()
+    assert [envs.core.elapsed(row) for row in range(4)] == [0, 0, 0, 0]
+
+
+def test_drawn_parameters_bend_the_arm_at_the_start() -> None:
+    arm = HEAVY["two in a vertical plane"]
+    ranges = {"stiffness": (0.5, 2.0), "payload_mass": (0.0, 0.1)}
+    envs = settled(arm, randomize=ranges)
+    for q, (stiffness, payload) in zip(envs.core.q, envs.core.parameters, strict=True):
+        links = tuple(replace(x, EIz=stiffness * x.EIz) for x in arm.links)
+        drawn = Model(loaded(replace(arm, links=links), payload))
+        angles = q[list(arm.joint_index)]
+        tip = drawn.tip(equilibrium(drawn, angles)[0])
+        assert np.linalg.norm(tip - envs.core.model.tip(q)) < 1e-5 * arm.reach
+
+
+def test_torques_that_hold_the_start_keep_it_there() -> None:
+    arm = HEAVY["own"]
+    envs, model = settled(arm), Model(arm)
+    start = envs.core.q.copy()
+    torque = np.array([equilibrium(model, q[list(arm.joint_index)])[1] for q in start])
+    for _ in range(20):
+        envs.step((torque / envs.torque_limit).astype(np.float32))
+    assert np.abs(envs.core.q - start).max() < 1e-5  # torques are rounded to single precision
+
+
+def test_links_vibrate_about_the_equilibrium() -> None:
+    arm = HEAVY["own"]
+    model, shapes = Model(arm), np.array(scales(arm).vibration)
+    for q in settled(arm, "Damp").core.q:
+        vibration = (q - equilibrium(model, q[:1])[0])[1:]
+        share, left = np.linalg.lstsq(shapes.T, vibration, rcond=None)[:2]
+        assert 0.0 < np.abs(share).max() <= 0.6
+        assert left.max(initial=0.0) < 1e-18
+
+
+def test_a_given_state_stays_as_it_is() -> None:
+    envs = settled(HEAVY["own"])
+    given = np.tile((0.1, 0.002, -0.001), (4, 1))
+    envs.reset(options={"state": {"q": given}})
+    np.testing.assert_array_equal(envs.core.q, given)
+
+
+def test_an_episode_that_follows_another_starts_at_the_equilibrium() -> None:
+    arm = HEAVY["own"]
+    envs = settled(arm, max_episode_steps=2)
+    for _ in range(3):  # the third step starts the next episode
+        envs.step(np.zeros((4, 1), np.float32))
+    model = Model(arm)
+    for q in envs.core.q:
+        np.testing.assert_allclose(q, equilibrium(model, q[:1])[0], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["own", "two in a vertical plane"])

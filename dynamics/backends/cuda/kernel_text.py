@@ -134,8 +134,10 @@ def _line(statement: Statement, routines: Mapping[str, Statements]) -> list[str]
             return _lines(routines[name], routines)
         case Call(name):
             return [f"{name}(w);"]
-        case Clear(slot):
-            return [f"w[{slot}] = 0;"]
+        case Clear(slots, 1):
+            return [f"w[{slots}] = 0;"]
+        case Clear(slots, count):
+            return _each(str(count), f"w[{slots} + k] = 0;")
         case Prefetch():
             return []
         case Noise(slots, count, key, step):

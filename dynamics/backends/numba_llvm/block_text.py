@@ -51,8 +51,9 @@ def _block(statement: Statement, routines: Routines) -> list[str]:
             return block_lines(routines[name], routines)
         case Call(name):
             return [f"{name}(w)"]
-        case Clear(slot):
-            return ["for b in range(LANES):", f"    w[{slot} + b] = 0.0"]
+        case Clear(slots, count):
+            lanes = "LANES" if count == 1 else f"{count} * LANES"
+            return [f"for b in range({lanes}):", f"    w[{slots} + b] = 0.0"]
         case Noise():
             return ["noise(w)"]
         case Substeps(body):
@@ -133,8 +134,10 @@ def _lane_by_lane(statement: Statement) -> str:
 
 def _lane(statement: Statement) -> list[str]:
     match statement:
-        case Clear(slot):
-            return [f"w[{slot} + b] = 0.0"]
+        case Clear(slots, 1):
+            return [f"w[{slots} + b] = 0.0"]
+        case Clear(slots, count):
+            return [f"for k in range({count}):", f"    w[{slots} + k * LANES + b] = 0.0"]
         case Copy(source, target, rows):
             return _each(rows, f"{_slot(target)} = {_slot(source)}")
         case Load(slots, rows):

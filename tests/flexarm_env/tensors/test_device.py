@@ -15,11 +15,18 @@ from flexarm_env.vector import FlexArmVectorEnv
 from tests.host_kernels import COMPILER, HostKernels
 
 N, STEPS = 20, 40
+SAGGING = {
+    "gravity": [0.0, -9.81, 0.0],
+    "links": [{"length": 0.8, "rho_A": 0.12, "EIz": 6.0, "tip_mass": 0.15, "damping_ratio": 0.01,
+               "modes": [{"kind": "poly", "index": k, "direction": "y"} for k in (1, 2)],
+               "joint": {"rotor_inertia": 0.02}}],
+}  # fmt: skip
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "plain": ("OneLink-Reach", {}),
     "laboratory": ("OneLink-Reach", {"hardware": "laboratory"}),
     "actuator": ("OneLink-Track", {"actuator": "quanser-servo"}),
     "vibration": ("TwoLink-Damp", {"randomize": {"payload_mass": (0.0, 0.1)}}),
+    "gravity": ("OneLink-Reach", {"arm": SAGGING, "randomize": {"stiffness": (0.8, 1.2)}}),
     "free base": ("FreeFlyer-Reach", {"hardware": "laboratory"}),
 }
 TOLERANCES = {"float64": 1e-12, "float32": 1e-4}
