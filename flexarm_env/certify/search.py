@@ -41,23 +41,23 @@ Step = dict[str, Any]  # integrator, substeps, error [of the reach], seconds
 class Limits:
     """Largest errors that a step may have, from those of the model itself.
 
-    Where the model keeps TIP_ERROR over whole episodes, so must the step: with a MARGIN for other
-    draws, unless the model leaves none. Where it does not, since motions grow apart in time, the
-    error may be SLACK times the model's at every time, or SHAKEN times.
+    In kinds of episodes where the model keeps TIP_ERROR, so must the step: with a MARGIN for other
+    draws, unless the worst of these kinds leaves none. Where the model does not, since motions grow
+    apart in time, the error may be SLACK times the model's at every time, or SHAKEN times.
     """
 
     def __init__(self, certifier: Certifier) -> None:
         model, self.reach = certifier.model_error(), certifier.reach
-        self.share: dict[str, float] = {}  # [of the reach] by kind, over whole episodes
         self.curve: dict[str, Array] = {}  # [of the reach] (T,)
-        for kind in dict.fromkeys(model.kinds):
-            share, curve = model.share(kind) / self.reach, model.curve(kind) / self.reach
-            if share <= TIP_ERROR:
-                self.share[kind] = min(TIP_ERROR, max(MARGIN * TIP_ERROR, ALONE * share))
-            else:
-                slack = SHAKEN if KINDS[kind].shaken else SLACK
-                allowed = np.maximum(TIP_ERROR, slack * curve)
-                self.curve[kind] = np.where(curve > LOST, np.inf, allowed)
+        shares = {kind: model.share(kind) / self.reach for kind in dict.fromkeys(model.kinds)}
+        kept = {kind: share for kind, share in shares.items() if share <= TIP_ERROR}
+        worst = max(kept.values(), default=0.0)
+        # [of the reach] by kind, over whole episodes
+        self.share = dict.fromkeys(kept, min(TIP_ERROR, max(MARGIN * TIP_ERROR, ALONE * worst)))
+        for kind in shares.keys() - kept.keys():
+            curve = model.curve(kind) / self.reach
+            allowed = np.maximum(TIP_ERROR, (SHAKEN if KINDS[kind].shaken else SLACK) * curve)
+            self.curve[kind] = np.where(curve > LOST, np.inf, allowed)
 
     def keep(self, found: Distances) -> bool:
         """True if errors over episodes stay within the limits."""

@@ -32,7 +32,7 @@ KINDS: dict[str, dict[str, Any]] = {
 EVERYWHERE = ("default", "laboratory")
 STEPS, BATCH = 60, 20
 TAKEN = {  # steps per control step, which measuring on another machine must not change
-    "OneLink": {"default": ("exponential-2", 2), "laboratory": ("exponential-4", 2)},
+    "OneLink": {"default": ("exponential-3", 1), "laboratory": ("exponential-4", 2)},
     "TwoLink": dict.fromkeys(("default", "laboratory"), ("numerov", 2)),
     "SixLink": {
         "default": ("extrapolated-midpoint", 12),
