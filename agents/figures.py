@@ -18,7 +18,7 @@ from agents.metrics import Recording, never_empty, progress
 from agents.policy import Controller
 from dynamics.types import AnyArray
 from flexarm_env.rendering import Renderer
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.tasks import SETTLED_BAND
 
 COLOURS = (  # colour-blind safe
     "#0072b2", "#d55e00", "#7f7f7f", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000",

@@ -23,7 +23,7 @@ from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 from agents.policy import Controller
 from flexarm_env import IDS
-from flexarm_env.pages import film_name
+from flexarm_env.pages.environments import film_name
 
 RANKING = Path(__file__).resolve().parents[1] / "docs" / "results" / "leaderboard.json"
 TRACK = "state"

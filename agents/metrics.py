@@ -16,7 +16,7 @@ from agents.files import atomic_write
 from agents.policy import Controller
 from dynamics.types import AnyArray
 from flexarm_env import FlexArmVectorEnv
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.tasks import SETTLED_BAND
 
 HOLD = 0.25  # [s] least time in the band at the end of a settled episode
 RESIDUAL_WINDOW = 1.0  # [s] at the end of the episode

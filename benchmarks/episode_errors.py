@@ -32,7 +32,7 @@ from flexarm_env.certify.certificate import Certifier
 from flexarm_env.certify.episodes import Distances, Episodes, Trace
 from flexarm_env.certify.search import METHODS, MOST_FROZEN, timed
 from flexarm_env.registration import SCENES
-from flexarm_env.scales import SAFE, scales
+from flexarm_env.task.scales import SAFE, scales
 
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 24)
 DRAWN = tuple(name for name, kind in KINDS.items() if kind.actions)

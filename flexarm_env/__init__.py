@@ -19,12 +19,12 @@ if Path(dynamics.__file__).resolve().parents[1] != Path(__file__).resolve().pare
 from dynamics.description.arm import Arm
 from dynamics.extras import missing
 from flexarm_env.accuracy.certificates import choose_by
-from flexarm_env.env import FlexArmEnv
+from flexarm_env.interfaces.env import FlexArmEnv
+from flexarm_env.interfaces.vector import FlexArmVectorEnv
 from flexarm_env.plant import GravityWarning
 from flexarm_env.registration import IDS, register, registered
-from flexarm_env.rewards import REWARDS, TERMS, TipTrackingReward, VibrationSuppressionReward
-from flexarm_env.tasks import TASKS
-from flexarm_env.vector import FlexArmVectorEnv
+from flexarm_env.task.rewards import REWARDS, TERMS, TipTrackingReward, VibrationSuppressionReward
+from flexarm_env.task.tasks import TASKS
 
 __all__ = [
     "IDS",
@@ -57,12 +57,12 @@ choose_by(_choose)
 def __getattr__(name: str) -> Any:
     """Import `SB3VecEnv` and `TorchVecEnv` on first use: what they need is optional."""
     if name == "SB3VecEnv":
-        from flexarm_env.sb3 import SB3VecEnv
+        from flexarm_env.interfaces.sb3 import SB3VecEnv
 
         return SB3VecEnv
     if name == "TorchVecEnv":
         try:
-            from flexarm_env.tensors.vec_env import TorchVecEnv
+            from flexarm_env.interfaces.tensors.vec_env import TorchVecEnv
         except ModuleNotFoundError as error:
             raise missing(error, name, "train") from None
 

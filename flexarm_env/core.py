@@ -26,16 +26,16 @@ from flexarm_env.compiled.settings import Settings, settings
 from flexarm_env.compiled.signals import Signals
 from flexarm_env.compiled.termination import FLAGS, LOST
 from flexarm_env.hardware.sensors import load_hardware, refuse_exact_state
-from flexarm_env.observations import (
+from flexarm_env.plant import plan, warn_of_gravity
+from flexarm_env.task.observations import (
     acceleration_scale,
     curvature_columns,
     curvature_scale,
     observation_layout,
     sensed_axes,
 )
-from flexarm_env.plant import plan, warn_of_gravity
-from flexarm_env.scales import DEFLECTION_LIMIT, MOVE
-from flexarm_env.tasks import base_poses, find_task, refuse_floating
+from flexarm_env.task.scales import DEFLECTION_LIMIT, MOVE
+from flexarm_env.task.tasks import base_poses, find_task, refuse_floating
 
 DIVERGED = FLAGS.index("diverged")
 

@@ -27,7 +27,7 @@ from flexarm_env.accuracy.certificates import (
 from flexarm_env.accuracy.conditions import Conditions
 from flexarm_env.compiled.actuation import Actuation
 from flexarm_env.hardware.actuators import load_actuators, mounted, refuse_beside_actuators
-from flexarm_env.scales import (
+from flexarm_env.task.scales import (
     DEFLECTION_LIMIT,
     EXTENT,
     MOVE,

@@ -5,7 +5,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from flexarm_env.tasks import TASKS
+from flexarm_env.task.tasks import TASKS
 
 SCENES: dict[str, tuple[str, float, int]] = {  # preset, control_dt [s], steps per episode
     "OneLink": ("slim", 0.02, 150),
@@ -58,8 +58,8 @@ def register() -> None:
         if env_id not in gym.registry:
             gym.register(
                 env_id,
-                entry_point="flexarm_env.env:FlexArmEnv",
-                vector_entry_point="flexarm_env.vector:FlexArmVectorEnv",
+                entry_point="flexarm_env.interfaces.env:FlexArmEnv",
+                vector_entry_point="flexarm_env.interfaces.vector:FlexArmVectorEnv",
                 **spec,
             )
 

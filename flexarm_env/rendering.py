@@ -16,7 +16,7 @@ from dynamics.description.deflection import deflection, shortening
 from dynamics.formulations.link_constants import chain_constants, parts
 from dynamics.types import Array
 from flexarm_env.core import Core
-from flexarm_env.observations import is_planar
+from flexarm_env.task.observations import is_planar
 
 SIZE = (640, 480)  # [px]
 FINE = 2  # supersampling factor, for smooth edges

@@ -50,8 +50,8 @@ class Judge:
 
 
 JUDGES = {
-    "flexarm_env/rewards.py": Judge(("tests/flexarm_env/test_reward_terms.py",)),
-    "flexarm_env/tasks.py": Judge(
+    "flexarm_env/task/rewards.py": Judge(("tests/flexarm_env/test_reward_terms.py",)),
+    "flexarm_env/task/tasks.py": Judge(
         ("tests/flexarm_env/test_tasks.py",),
         equal={"tempo[1] != 0.0": "no frequency is negative"},
     ),

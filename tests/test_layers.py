@@ -22,7 +22,7 @@ from tests.paths import ROOT
 PACKAGES = ("dynamics", "flexarm_env", "agents", "benchmarks")
 LONGEST_FILE = 400  # lines
 MOST_MODULES = 16  # of a folder
-TENSORS = "flexarm_env.tensors"
+TENSORS = "flexarm_env.interfaces.tensors"
 COMPILERS = {
     "numba": ("dynamics.backends.numba_llvm", "dynamics.runtime"),
     "llvmlite": ("dynamics.backends.numba_llvm", "dynamics.runtime"),

@@ -18,7 +18,7 @@ from agents.controllers.models.plan import TimedMoves
 from agents.controllers.observers.exact import Estimate, ExactState, alike
 from agents.controllers.observers.kalman import Belief, KalmanFilters
 from dynamics.types import AnyArray, Array
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.tasks import SETTLED_BAND
 
 Filters = type[KalmanFilters]
 

@@ -20,7 +20,7 @@ from agents.controllers.models.memory import resumed
 from agents.controllers.models.reading import Reading
 from agents.controllers.pd import JointPD, joint_pd
 from dynamics.types import AnyArray, Array
-from flexarm_env.observations import curvature_columns
+from flexarm_env.task.observations import curvature_columns
 
 
 class PID:

@@ -9,7 +9,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from agents.controllers.models.memory import part_of
 from agents.hybrid.controller import Base
 from dynamics.types import AnyArray
-from flexarm_env.observations import BOUND
+from flexarm_env.task.observations import BOUND
 
 
 class HybridVecEnv(VecEnvWrapper):

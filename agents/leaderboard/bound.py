@@ -41,7 +41,7 @@ from agents.tuned import parameters_of
 from dynamics.description import validate
 from dynamics.types import Array
 from flexarm_env import IDS, TASKS
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.tasks import SETTLED_BAND
 
 FOLDER = Path(__file__).parents[1] / "bounds"
 STARTS = ("mpc", "pd")  # controllers whose actions the search begins with

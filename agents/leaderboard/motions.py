@@ -13,7 +13,7 @@ from dynamics.load import load_arm
 from dynamics.types import Array
 from flexarm_env import IDS
 from flexarm_env.hardware.sensors import load_hardware
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.tasks import SETTLED_BAND
 
 NUDGE = 1e-3  # [-] change of an action for its effect
 

@@ -18,7 +18,7 @@ from scipy import signal, stats
 
 from agents.metrics import Best, Recording, excesses, regrets
 from dynamics.types import AnyArray
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.tasks import SETTLED_BAND
 
 RESAMPLES = 2000  # of the bootstrap
 SEGMENT = 1 / 3  # of an episode: length of a segment of a spectrum

@@ -12,7 +12,7 @@ from agents.figures import COLOURS, Film
 from agents.files import atomic_write
 from agents.metrics import without_infinities
 from dynamics.types import AnyArray
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.tasks import SETTLED_BAND
 
 TEMPLATE = Path(__file__).with_name("page.html")
 PLACE = "{}/*DATA*/"  # in the template

@@ -19,7 +19,7 @@ from dynamics.accuracy.fidelity import Fidelity, everything
 from dynamics.accuracy.scene import bang_bang, release
 from dynamics.types import Array
 from flexarm_env.registration import SCENES
-from flexarm_env.scales import scales
+from flexarm_env.task.scales import scales
 
 HEAVY = 1e8  # [kg m^2] a rotor that no link can move: its joint turns as prescribed
 FEWEST = 12  # least number of output times of a run with long steps

@@ -8,7 +8,7 @@ from dynamics.simulation.case_file import PiecewiseConstant, Torque
 from dynamics.simulation.statics import RigidArm
 from flexarm_env.accuracy.conditions import Conditions
 from flexarm_env.accuracy.motions import KINDS
-from flexarm_env.scales import DEFLECTION_LIMIT, RIGID_PERIOD, scales
+from flexarm_env.task.scales import DEFLECTION_LIMIT, RIGID_PERIOD, scales
 
 STEPS = 40  # control steps of a motion
 CHOSEN = ("white", "bang-bang")

@@ -23,7 +23,7 @@ from flexarm_env.accuracy.certificates import reference
 from flexarm_env.accuracy.motions import KINDS
 from flexarm_env.certify.episodes import SHARE, Distances, Episodes, Trace, environment
 from flexarm_env.core import Core
-from flexarm_env.scales import DEFLECTION_LIMIT, RIGID_PERIOD, scales
+from flexarm_env.task.scales import DEFLECTION_LIMIT, RIGID_PERIOD, scales
 
 EPISODES = 64  # of each kind
 CHECKED = 16  # of each kind, by a finer reference

@@ -18,8 +18,8 @@ from dynamics.types import AnyArray, Array
 from flexarm_env.accuracy.motions import KINDS, Kind, Recorded, recorded
 from flexarm_env.compiled.termination import FLAGS
 from flexarm_env.core import Core
-from flexarm_env.scales import RIGID_PERIOD, Scales
-from flexarm_env.tasks import TASKS
+from flexarm_env.task.scales import RIGID_PERIOD, Scales
+from flexarm_env.task.tasks import TASKS
 
 SHARE = 0.95  # of the episodes of a kind that stay within a stated error
 CHUNK = 4096  # states whose tips are computed together

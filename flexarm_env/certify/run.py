@@ -36,7 +36,7 @@ from flexarm_env.certify.search import (
     timed,
 )
 from flexarm_env.registration import AGILE, IDS, SCENES, registered
-from flexarm_env.scales import scales
+from flexarm_env.task.scales import scales
 
 PERIOD_SHARE = 0.15  # [-] control step over the first joint-free period of an own arm
 ROUND = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # [s] its control step

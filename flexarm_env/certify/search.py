@@ -15,7 +15,7 @@ from flexarm_env.certify.certificate import Certifier
 from flexarm_env.certify.episodes import Distances
 from flexarm_env.certify.momentum import momentum_error
 from flexarm_env.core import Core
-from flexarm_env.scales import SAFE, scales
+from flexarm_env.task.scales import SAFE, scales
 
 METHODS = (
     "extrapolated-midpoint", "numerov", "rk4", "midpoint",

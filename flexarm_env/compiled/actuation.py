@@ -25,7 +25,7 @@ from dynamics.tracing.function import Function, traced
 from dynamics.tracing.statements import Call
 from dynamics.types import Array, Symbols
 from flexarm_env.hardware.actuators import Actuator, Law
-from flexarm_env.scales import SAFE, scales
+from flexarm_env.task.scales import SAFE, scales
 
 UNLIMITED = 1e30  # [N m]
 REFUSED = "rosenbrock"  # its Jacobian would need the slopes of the actuator

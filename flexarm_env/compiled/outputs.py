@@ -12,7 +12,7 @@ from dynamics.runtime.jit import aligned_zeros
 from dynamics.types import AnyArray
 from flexarm_env.compiled.rows import Rows
 from flexarm_env.compiled.termination import FLAGS
-from flexarm_env.rewards import TERMS
+from flexarm_env.task.rewards import TERMS
 
 # vector-valued info entries, where present
 WIDE = ("root_curvature", "torque", "command", "linear_momentum")

@@ -11,9 +11,9 @@ from typing import Any
 from dynamics.description import validate
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from flexarm_env import arguments
-from flexarm_env.rewards import TERMS, resolve_weights
-from flexarm_env.scales import SLOPE_PER_DEFLECTION
-from flexarm_env.tasks import Range, Task
+from flexarm_env.task.rewards import TERMS, resolve_weights
+from flexarm_env.task.scales import SLOPE_PER_DEFLECTION
+from flexarm_env.task.tasks import Range, Task
 
 
 @dataclass(frozen=True, kw_only=True)

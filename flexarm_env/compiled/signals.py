@@ -23,17 +23,15 @@ from flexarm_env.compiled.episode import WAVES
 from flexarm_env.compiled.rows import Rows
 from flexarm_env.compiled.sensing import Sensing
 from flexarm_env.compiled.termination import FLAGS, flags, lost
-from flexarm_env.observations import Layout, curvature_columns
-from flexarm_env.rewards import TERMS, Measured
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.observations import Layout, curvature_columns
+from flexarm_env.task.rewards import TERMS, Measured
+from flexarm_env.task.tasks import SETTLED_BAND
 
 NUMBERS = ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")  # one row of info each
 # hash, at import, of the sources that determine the compiled code besides those of `dynamics`
 _HERE = Path(__file__).parent
-_TRACED = ("rewards", "tasks", "observations")
-_SOURCES = hash_of_files(
-    [*_HERE.glob("*.py"), *(_HERE.with_name(f"{name}.py") for name in _TRACED)]
-)
+_TASK = _HERE.with_name("task")
+_SOURCES = hash_of_files([*_HERE.glob("*.py"), *_TASK.glob("*.py")])
 
 
 class Signals:

@@ -182,8 +182,9 @@ def test_a_command_line_may_import_but_makes_environments_of_this_package_only(
         module.read_text()
         + "import gymnasium\n"
         + "gymnasium.register('Mine/Slow-v0', max_episode_steps=9, "
-        + "vector_entry_point='flexarm_env.vector:FlexArmVectorEnv', "
-        + "entry_point='flexarm_env.env:FlexArmEnv', kwargs={'task': 'Reach', 'arm': 'slim'})\n"
+        + "vector_entry_point='flexarm_env.interfaces.vector:FlexArmVectorEnv', "
+        + "entry_point='flexarm_env.interfaces.env:FlexArmEnv', "
+        + "kwargs={'task': 'Reach', 'arm': 'slim'})\n"
     )
     out = ["--episodes", "1", "--out", str(canary.parent / "out")]
     try:

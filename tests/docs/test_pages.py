@@ -15,7 +15,7 @@ from dynamics.description.arm import Base
 from dynamics.description.arm_file import ARM_KEYS, CASE_KEYS
 from dynamics.description.denavit_hartenberg import Row
 from flexarm_env import IDS
-from flexarm_env.pages import film_name
+from flexarm_env.pages.environments import film_name
 from tests.paths import ROOT
 
 DOCS = ROOT / "docs"

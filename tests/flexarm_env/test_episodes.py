@@ -12,7 +12,7 @@ import flexarm_env
 from dynamics import ARMS
 from flexarm_env import registration
 from flexarm_env.core import Core
-from flexarm_env.scales import DEFLECTION_LIMIT, scales
+from flexarm_env.task.scales import DEFLECTION_LIMIT, scales
 
 ALL_IDS = [i for i in flexarm_env.IDS if "Goal" not in i]  # test_goals.py has the others
 SCENES = ("OneLink", "TwoLink", "SixLink")

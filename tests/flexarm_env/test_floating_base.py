@@ -18,7 +18,7 @@ from dynamics.types import Array
 from flexarm_env.certify.momentum import momentum_error
 from flexarm_env.certify.search import MOMENTUM_ERROR
 from flexarm_env.rendering import SOLID, Renderer
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.tasks import SETTLED_BAND
 
 ENV_ID = "FlexArm/FreeFlyer-Reach-v0"
 FLYER = ARMS["free-flyer"]

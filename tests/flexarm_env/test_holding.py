@@ -16,10 +16,10 @@ from dynamics.formulations.gibbs_appell import bias
 from dynamics.model import Model
 from dynamics.simulation.statics import RigidArm, held, loaded
 from dynamics.types import Array
+from flexarm_env.interfaces.vector import FlexArmVectorEnv
 from flexarm_env.plant import GravityWarning
-from flexarm_env.scales import DEFLECTION_LIMIT, EXTENT, MOVE, scales
-from flexarm_env.tasks import TASKS
-from flexarm_env.vector import FlexArmVectorEnv
+from flexarm_env.task.scales import DEFLECTION_LIMIT, EXTENT, MOVE, scales
+from flexarm_env.task.tasks import TASKS
 
 OWN: dict[str, Any] = {
     "name": "own", "gravity": [0.0, -9.81, 0.0],

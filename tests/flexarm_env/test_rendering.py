@@ -15,7 +15,7 @@ import flexarm_env
 from dynamics import ARMS
 from flexarm_env import registration
 from flexarm_env.core import Core
-from flexarm_env.pages import common_page, file_name, page
+from flexarm_env.pages.environments import common_page, file_name, page
 from flexarm_env.rendering import (
     GHOST,
     SHADOW,

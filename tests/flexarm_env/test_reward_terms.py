@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from flexarm_env.rewards import (
+from flexarm_env.task.rewards import (
     REWARDS,
     TERMS,
     Measured,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexarm_env
-from flexarm_env.rewards import REWARDS, TERMS, Measured, resolve_weights
+from flexarm_env.task.rewards import REWARDS, TERMS, Measured, resolve_weights
 
 WRAPPERS = {
     "tip_tracking": flexarm_env.TipTrackingReward,

@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 import flexarm_env
 from dynamics.runtime import thread_pool
-from flexarm_env.env import CHANGEABLE, GUARDED
+from flexarm_env.interfaces.env import CHANGEABLE, GUARDED
 from tests.refusal import NONSENSE, used_or_refused
 
 ID = "FlexArm/OneLink-Reach-v0"

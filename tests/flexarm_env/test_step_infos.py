@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecMonitor, VecNormalize
 
-from flexarm_env.sb3 import AT_ENDS, RunningInfo, SB3VecEnv, StepInfo
+from flexarm_env.interfaces.sb3 import AT_ENDS, RunningInfo, SB3VecEnv, StepInfo
 
 ID = "FlexArm/OneLink-Reach-v0"
 GOAL = "FlexArm/OneLink-ReachGoal-v0"

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from flexarm_env.tasks import SETTLED_BAND, TASKS, Task, find_task
+from flexarm_env.task.tasks import SETTLED_BAND, TASKS, Task, find_task
 
 PLAIN = Task(title="t", description="d", start=(-1.0, 2.0), start_text="s", reward="reach")
 

@@ -23,7 +23,7 @@ from agents.controllers.models.memory import kept
 from dynamics import Arm, Model, Payload, Stepper, compile_arm
 from dynamics.formulations.linearized import damping, stiffness
 from dynamics.types import Array
-from flexarm_env.observations import curvature_columns
+from flexarm_env.task.observations import curvature_columns
 
 ROUND = 4  # decimals [rad] within which postures share a model
 FASTEST = 3.0  # [rad] per control step; beyond pi, samples take a mode for a slower one

@@ -16,7 +16,7 @@ from agents.controllers.observers.exact import NEVER
 from agents.controllers.observers.kalman import Belief, KalmanFilters, grouped
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
-from flexarm_env.observations import BOUND
+from flexarm_env.task.observations import BOUND
 
 REFUTED = 60.0  # surprise above the least at which a filter ends: e^30 times less likely
 MOST = 256  # filters that are stepped together

@@ -19,7 +19,7 @@ from agents.controllers.models.reference import Reference
 from agents.controllers.observers.exact import NEVER, Estimate, alike
 from dynamics.runtime.jit import outermost
 from dynamics.types import AnyArray, Array
-from flexarm_env.observations import BOUND
+from flexarm_env.task.observations import BOUND
 
 SHARED = 2  # decimals [rad] within which postures share filters
 MEMORY = 5e8  # bytes of filters that wait for other episodes at their postures

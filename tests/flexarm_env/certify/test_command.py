@@ -9,10 +9,10 @@ import gymnasium as gym
 import pytest
 
 from dynamics import load_arm
-from flexarm_env import pages
 from flexarm_env.accuracy.certificates import stored
 from flexarm_env.certify import run as command
 from flexarm_env.certify.search import TIME_PER_DECADE, best_first
+from flexarm_env.pages.environments import page
 from flexarm_env.registration import SCENES
 
 OWN = {
@@ -48,7 +48,7 @@ def test_the_printed_table_of_an_id_is_that_of_its_page(
     assert command.main(["FlexArm/OneLink-Reach-v0"]) == 0
     table = capsys.readouterr().out.split("\n\n", 1)[1].strip()
     assert "| integration |" in table
-    assert table in pages.page("FlexArm/OneLink-Reach-v0")
+    assert table in page("FlexArm/OneLink-Reach-v0")
 
 
 def test_keywords_of_an_id_and_of_the_command_are_measured(

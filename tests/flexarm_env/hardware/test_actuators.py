@@ -16,7 +16,7 @@ from dynamics import Arm, Joint, Link, Mode, load_arm
 from dynamics.model import Model
 from flexarm_env.compiled.actuation import Actuation
 from flexarm_env.hardware.actuators import ACTUATORS, PRESETS, load_actuators, mounted
-from flexarm_env.scales import scales
+from flexarm_env.task.scales import scales
 from tests.paths import ROOT
 
 ENV = "FlexArm/OneLink-Reach-v0"

@@ -11,7 +11,7 @@ from scipy import stats
 import flexarm_env  # noqa: F401
 from dynamics.backends.numba_llvm.noise import normal
 from flexarm_env.hardware.sensors import PRESETS, Hardware, load_hardware
-from flexarm_env.observations import curvature_columns, curvature_scale
+from flexarm_env.task.observations import curvature_columns, curvature_scale
 
 ID = "FlexArm/TwoLink-Reach-v0"
 STEPS = 12

@@ -9,9 +9,9 @@ import torch
 
 import flexarm_env
 from flexarm_env import TorchVecEnv
-from flexarm_env.tensors.device import DeviceBatch
-from flexarm_env.tensors.host import HostBatch
-from flexarm_env.vector import FlexArmVectorEnv
+from flexarm_env.interfaces.tensors.device import DeviceBatch
+from flexarm_env.interfaces.tensors.host import HostBatch
+from flexarm_env.interfaces.vector import FlexArmVectorEnv
 from tests.host_kernels import COMPILER, HostKernels
 
 N, STEPS = 20, 40

@@ -14,7 +14,7 @@ from agents.controllers.observers.kalman import KalmanFilters
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 from dynamics import compile_arm
-from flexarm_env.observations import BOUND
+from flexarm_env.task.observations import BOUND
 
 DAMP, REACH, TRACK = (f"FlexArm/SixLink-{task}-v0" for task in ("Damp", "Reach", "Track"))
 KNOWN = {"preset": "laboratory", "delay": 2, "payload": (0.2, 0.2), "stiffness": (1, 1)}

@@ -17,8 +17,8 @@ from dynamics.runtime.thread_pool import in_use
 from dynamics.types import Array
 from flexarm_env.arguments import not_finite, plain, whole_seed
 from flexarm_env.core import Core
-from flexarm_env.observations import GOALS, Layout
-from flexarm_env.rewards import goal_reward
+from flexarm_env.task.observations import GOALS, Layout
+from flexarm_env.task.rewards import goal_reward
 
 RENDER_MODES = ("human", "rgb_array")
 SET_HERE = ("n_env", "single", "max_steps")  # keywords of `Core` that its environments set

@@ -11,8 +11,8 @@ import numpy as np
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.types import Array
-from flexarm_env.scales import MOVE, Scales
-from flexarm_env.tasks import Task
+from flexarm_env.task.scales import MOVE, Scales
+from flexarm_env.task.tasks import Task
 
 BOUND = 10.0  # [-] scaled elements are clipped to [-BOUND, BOUND]
 MODES = ("state", "sensors", "goal")

@@ -9,12 +9,12 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 from dynamics.description import validate
-from flexarm_env.env import Changeable
-from flexarm_env.tensors.device import DeviceBatch
-from flexarm_env.tensors.host import HostBatch
-from flexarm_env.tensors.privileged import Privileged
-from flexarm_env.tensors.results import Info
-from flexarm_env.vector import FlexArmVectorEnv
+from flexarm_env.interfaces.env import Changeable
+from flexarm_env.interfaces.tensors.device import DeviceBatch
+from flexarm_env.interfaces.tensors.host import HostBatch
+from flexarm_env.interfaces.tensors.privileged import Privileged
+from flexarm_env.interfaces.tensors.results import Info
+from flexarm_env.interfaces.vector import FlexArmVectorEnv
 
 Observation = Any  # a tensor, or with obs="goal" a dict of tensors
 REFUSED = {

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 
 from flexarm_env.compiled.outputs import BatchOutputs
-from flexarm_env.tensors.results import Info, Results
-from flexarm_env.vector import FlexArmVectorEnv
+from flexarm_env.interfaces.tensors.results import Info, Results
+from flexarm_env.interfaces.vector import FlexArmVectorEnv
 
 
 class HostBatch:

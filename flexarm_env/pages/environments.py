@@ -4,10 +4,8 @@
 numbers of one id.
 """
 
-import argparse
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -24,14 +22,14 @@ from flexarm_env.certify.run import command
 from flexarm_env.certify.search import BATCH, MOMENTUM_ERROR, SHAKEN, SLACK, TIP_ERROR
 from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core
-from flexarm_env.env import FlexArmEnv
 from flexarm_env.hardware.sensors import PRESETS
-from flexarm_env.observations import BOUND, GOALS, MODES, Part, observation_layout
-from flexarm_env.page_text import COMMON, HARDWARE, INFO, KEYWORDS, PRESENT, TERMINOLOGY
+from flexarm_env.interfaces.env import FlexArmEnv
+from flexarm_env.pages.text import COMMON, HARDWARE, INFO, KEYWORDS, PRESENT, TERMINOLOGY
 from flexarm_env.registration import IDS
-from flexarm_env.rewards import REWARDS, TERMS
-from flexarm_env.scales import DEFLECTION_LIMIT, SLOPE_PER_DEFLECTION, scales
-from flexarm_env.tasks import TASKS
+from flexarm_env.task.observations import BOUND, GOALS, MODES, Part, observation_layout
+from flexarm_env.task.rewards import REWARDS, TERMS
+from flexarm_env.task.scales import DEFLECTION_LIMIT, SLOPE_PER_DEFLECTION, scales
+from flexarm_env.task.tasks import TASKS
 
 
 def common_page() -> str:
@@ -252,18 +250,3 @@ def file_name(env_id: str) -> str:
 def film_name(env_id: str) -> str:
     """File name of an id's film, such as one-link-reach-v0.gif."""
     return file_name(env_id).removesuffix("md") + "gif"
-
-
-def main() -> None:
-    """Write all pages into a folder."""
-    parser = argparse.ArgumentParser(description="Write the pages of the environments.")
-    parser.add_argument("--out", type=Path, default=Path("docs/envs"))
-    folder = parser.parse_args().out
-    folder.mkdir(parents=True, exist_ok=True)
-    for env_id in IDS:
-        (folder / file_name(env_id)).write_text(page(env_id), encoding="utf-8")
-    (folder / "README.md").write_text(common_page(), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -7,7 +7,7 @@ import torch
 from flexarm_env.compiled.outputs import SETTLED, WIDE, scalars
 from flexarm_env.compiled.rows import Rows
 from flexarm_env.compiled.termination import FLAGS
-from flexarm_env.rewards import TERMS
+from flexarm_env.task.rewards import TERMS
 
 Info = dict[str, Any]  # tensors by name; "reward_terms" is a dict of tensors
 

@@ -2,8 +2,8 @@
 
 from dynamics.simulation.validity import LARGEST_RATE
 from flexarm_env.accuracy.certificates import AUTO_TOLERANCE
-from flexarm_env.scales import DEFLECTION_LIMIT, MOVE
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.scales import DEFLECTION_LIMIT, MOVE
+from flexarm_env.task.tasks import SETTLED_BAND
 
 COMMON = """\
 # Environments

@@ -8,7 +8,7 @@ import torch
 
 from dynamics.tracing.traced_arm import slices
 from flexarm_env.core import Core
-from flexarm_env.scales import EXTENT, MOVE
+from flexarm_env.task.scales import EXTENT, MOVE
 
 NAMES = (
     "joint_angle", "joint_rate", "modal_amplitude", "modal_rate", "base_position", "base_velocity",

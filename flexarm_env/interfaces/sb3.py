@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from dynamics.description import validate
 from dynamics.extras import missing
 from flexarm_env.compiled.outputs import BatchOutputs
-from flexarm_env.env import Changeable
-from flexarm_env.vector import FlexArmVectorEnv
+from flexarm_env.interfaces.env import Changeable
+from flexarm_env.interfaces.vector import FlexArmVectorEnv
 
 try:
     from stable_baselines3.common.vec_env import VecEnv

@@ -18,7 +18,7 @@ from dynamics.types import Array
 from flexarm_env.arguments import episode_steps, plain, whole_seed
 from flexarm_env.compiled.outputs import BatchOutputs, masks
 from flexarm_env.core import Core
-from flexarm_env.env import (
+from flexarm_env.interfaces.env import (
     RENDER_MODES,
     CoreAttributes,
     check_keywords,
@@ -26,8 +26,8 @@ from flexarm_env.env import (
     frames_per_second,
     observation_space,
 )
-from flexarm_env.observations import GOALS
-from flexarm_env.rewards import goal_reward
+from flexarm_env.task.observations import GOALS
+from flexarm_env.task.rewards import goal_reward
 
 Flags = NDArray[np.bool_]
 OWN_KEYWORDS = ("num_envs", "max_episode_steps", "autoreset_mode", "render_mode")

@@ -16,7 +16,7 @@ from flexarm_env import arguments
 from flexarm_env.compiled.restart import restarting
 from flexarm_env.compiled.termination import FLAGS, LOST
 from flexarm_env.core import DIVERGED, Core
-from flexarm_env.tensors.results import Info, Results, named_info
+from flexarm_env.interfaces.tensors.results import Info, Results, named_info
 
 
 class Launcher(Protocol):

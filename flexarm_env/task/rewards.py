@@ -16,7 +16,7 @@ import numpy as np
 
 from dynamics.description import validate
 from dynamics.types import AnyArray
-from flexarm_env.tasks import SETTLED_BAND
+from flexarm_env.task.tasks import SETTLED_BAND
 
 HEAVIEST = 1e9  # largest weight of a term
 FAILURE = 100.0  # weight of a failure: a hundred steps of the best reward

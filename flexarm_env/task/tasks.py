@@ -12,7 +12,7 @@ import numpy as np
 from dynamics.description import validate
 from dynamics.description.arm import Arm, Base
 from dynamics.types import Array
-from flexarm_env.scales import MOVE, SLOW
+from flexarm_env.task.scales import MOVE, SLOW
 
 Range = tuple[float, float]
 SETTLED_BAND = 0.02  # [-] tip error over reach

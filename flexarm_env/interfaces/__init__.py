@@ -1,0 +1,1 @@
+"""Environments as Gymnasium, stable-baselines3 and torch take them."""

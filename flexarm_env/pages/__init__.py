@@ -1,0 +1,1 @@
+"""Pages of the environments, and the code that they run."""

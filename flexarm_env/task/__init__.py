@@ -1,0 +1,1 @@
+"""Tasks: references, rewards, observations, and the scales that follow from the arm."""
