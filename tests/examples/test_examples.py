@@ -18,6 +18,8 @@ HERE = ("sb3_ppo", "sb3_contrib_trpo", "cleanrl_ppo")  # need no further library
 SHORT = ("--steps", "256", "--episodes", "2")
 APART = {  # script and arguments: libraries that it needs
     ("torchrl_ppo", *SHORT): ("torchrl",),
+    ("rsl_rl_ppo", *SHORT): ("rsl_rl",),
+    ("skrl_ppo", *SHORT): ("skrl",),
     ("rllib_ppo", *SHORT, "--single"): ("ray", "tree"),
     ("rllib_ppo", *SHORT): ("ray", "tree"),
     ("ray_tune", "--steps", "256", "--trials", "2"): ("ray",),
