@@ -1,7 +1,8 @@
-"""The quick tier: `python -m pytest -m quick` compiles nothing and takes less than a minute.
+"""The tiers of tests: quick, by day, at night.
 
-A file joins it by its name in QUICK; single tests of it that compile carry the marker `compiles`.
-In every tier, a quick test that compiles or loads compiled code fails.
+`python -m pytest -m quick` compiles nothing and takes less than a minute. A file joins it by its
+name in QUICK; single tests of it that compile carry the marker `compiles`. In every tier, a quick
+test that compiles or loads compiled code fails. What night.py leaves to the night is marked `slow`.
 """
 
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from dynamics.backends.numba_llvm import program
+from tests.night import left_to_night
 from tests.paths import ROOT
 
 QUICK = {
@@ -71,6 +73,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         name = _name(item)
         if name in QUICK and not item.get_closest_marker("compiles"):
             item.add_marker("quick")
+        if left_to_night(name, getattr(item, "originalname", item.name), item.name):
+            item.add_marker("slow")
 
 
 @pytest.fixture(autouse=True)
