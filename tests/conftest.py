@@ -2,7 +2,8 @@
 
 `python -m pytest -m quick` compiles nothing and takes less than a minute. A file joins it by its
 name in QUICK; single tests of it that compile carry the marker `compiles`. In every tier, a quick
-test that compiles or loads compiled code fails. What night.yaml leaves to the night is marked `slow`.
+test that compiles or loads compiled code fails. What night.yaml leaves to the night is marked
+`slow`.
 """
 
 from collections.abc import Iterator
@@ -76,8 +77,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         name = name_of(item)
         if name in QUICK and not item.get_closest_marker("compiles"):
             item.add_marker("quick")
-        by_day = NIGHT.get(name, {}).get(item.name.split("[")[0])
-        if by_day is not None and not any(part in item.name for part in by_day):
+        test, bracket, parameters = item.name.partition("[")
+        by_day = NIGHT.get(name, {}).get(test)
+        if by_day is not None and not any(part in bracket + parameters for part in by_day):
             item.add_marker("slow")
 
 
