@@ -52,14 +52,14 @@ QUICK = {
 }
 
 
-LONGEST = (  # files that begin first, so that two workers end together
-    "dynamics/accuracy/test_model_choice.py",
+FIRST = (  # long files; what the first one compiles is shared, and the second needs none of it
     "flexarm_env/test_digests.py",
+    "dynamics/integrators/test_integrators.py",
+    "dynamics/simulation/test_stepper.py",
+    "dynamics/accuracy/test_model_choice.py",
     "flexarm_env/test_episodes.py",
+    "agents/controllers/test_controllers.py",
     "dynamics/backends/test_vector_code.py",
-    "flexarm_env/test_nonsense.py",
-    "dynamics/simulation/test_free_base_motion.py",
-    "dynamics/test_cache.py",
 )
 # file -> test -> parts of the ids of the parameters that run by day
 NIGHT = yaml.safe_load((ROOT / "tests" / "night.yaml").read_text("utf-8"))
@@ -71,7 +71,7 @@ def name_of(item: pytest.Item) -> str:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    order = {name: k for k, name in enumerate(LONGEST)}
+    order = {name: k for k, name in enumerate(FIRST)}
     items.sort(key=lambda item: order.get(name_of(item), len(order)))
     for item in items:
         name = name_of(item)
