@@ -1,13 +1,16 @@
-"""The quick tier: `python -m pytest -m quick` compiles nothing and takes less than a minute.
+"""The tiers of tests: quick, by day, at night.
 
-A file joins it by its name in QUICK; single tests of it that compile carry the marker `compiles`.
-In every tier, a quick test that compiles or loads compiled code fails.
+`python -m pytest -m quick` compiles nothing and takes less than a minute. A file joins it by its
+name in QUICK; single tests of it that compile carry the marker `compiles`. In every tier, a quick
+test that compiles or loads compiled code fails. What night.yaml leaves to the night is marked
+`slow`.
 """
 
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 from dynamics.backends.numba_llvm import program
 from tests.paths import ROOT
@@ -17,12 +20,12 @@ QUICK = {
     "agents/leaderboard/test_output.py",
     "agents/leaderboard/test_statistics.py",
     "agents/learners/test_algorithms.py",
+    "agents/learners/test_ranges.py",
+    "agents/learners/test_zoo.py",
     "agents/run_folder/test_log.py",
     "agents/test_config.py",
     "agents/test_metrics.py",
     "agents/test_policy.py",
-    "agents/test_ranges.py",
-    "agents/test_zoo.py",
     "benchmarks/test_operations.py",
     "benchmarks/test_paper.py",
     "dynamics/accuracy/test_fidelity.py",
@@ -49,28 +52,35 @@ QUICK = {
 }
 
 
-LONGEST = (  # files that begin first, so that two workers end together
-    "dynamics/accuracy/test_model_choice.py",
+FIRST = (  # long files; what the first one compiles is shared, and the second needs none of it
     "flexarm_env/test_digests.py",
+    "dynamics/integrators/test_integrators.py",
+    "dynamics/simulation/test_stepper.py",
+    "dynamics/accuracy/test_model_choice.py",
     "flexarm_env/test_episodes.py",
+    "agents/controllers/test_controllers.py",
     "dynamics/backends/test_vector_code.py",
-    "flexarm_env/test_nonsense.py",
-    "dynamics/simulation/test_free_base_motion.py",
-    "dynamics/test_cache.py",
 )
+# file -> test -> parts of the ids of the parameters that run by day
+NIGHT = yaml.safe_load((ROOT / "tests" / "night.yaml").read_text("utf-8"))
 
 
-def _name(item: pytest.Item) -> str:
+def name_of(item: pytest.Item) -> str:
+    """File of a test, from the folder of tests on."""
     return Path(item.path).relative_to(ROOT / "tests").as_posix()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    order = {name: k for k, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: order.get(_name(item), len(order)))
+    order = {name: k for k, name in enumerate(FIRST)}
+    items.sort(key=lambda item: order.get(name_of(item), len(order)))
     for item in items:
-        name = _name(item)
+        name = name_of(item)
         if name in QUICK and not item.get_closest_marker("compiles"):
             item.add_marker("quick")
+        test, bracket, parameters = item.name.partition("[")
+        by_day = NIGHT.get(name, {}).get(test)
+        if by_day is not None and not any(part in bracket + parameters for part in by_day):
+            item.add_marker("slow")
 
 
 @pytest.fixture(autouse=True)

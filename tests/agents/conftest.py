@@ -1,5 +1,6 @@
 """Fixtures of small training runs."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -21,11 +22,21 @@ def unjudged(monkeypatch: pytest.MonkeyPatch) -> list[RunFolder]:
     return judged
 
 
-@pytest.fixture
-def run(tmp_path: Path, unjudged: list[RunFolder]) -> RunFolder:
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """A run that ended at its first checkpoint, as a kill between two rollouts leaves it."""
-    run = RunFolder(tmp_path / "out")
-    config = write_config(tmp_path, "ppo", 256)
-    assert train(["--config", str(config), "--out", str(run.path)]) == 0
+    folder = tmp_path_factory.mktemp("trained")
+    run = RunFolder(folder / "out")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "judge", lambda run, config: None)
+        config = write_config(folder, "ppo", 256)
+        assert train(["--config", str(config), "--out", str(run.path)]) == 0
     run.versions.unlink()  # where the end of a run is marked
     return run
+
+
+@pytest.fixture
+def run(tmp_path: Path, unjudged: list[RunFolder], trained: RunFolder) -> RunFolder:
+    """A copy of that run, to go on with or to damage."""
+    write_config(tmp_path, "ppo", 256)
+    return RunFolder(shutil.copytree(trained.path, tmp_path / "out", symlinks=True))
