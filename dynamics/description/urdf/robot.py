@@ -185,7 +185,7 @@ def _body(link: Element, where: str) -> Body:
     if inertial is None:
         return Body(mass=0.0)
     mass = _numbers(inertial, "mass", "value", 1, where)[0]
-    validate.nonnegative(mass, f"{where}: the value of <mass>", "kg")
+    validate.nonnegative(mass, f"{where}: value of <mass>", "kg")
     entries = inertial.find("inertia")
     xx, xy, xz, yy, yz, zz = (
         0.0 if entries is None else _numbers(inertial, "inertia", f"i{axes}", 1, where)[0]
@@ -211,9 +211,10 @@ def _joint(element: Element, links: dict[str, Body]) -> UrdfJoint:
     size = float(np.linalg.norm(axis))
     if kind != "fixed" and not size > 1e-6:
         raise ValueError(f"{where}: <axis> must not be zero, got {axis.tolist()}.")
-    damping, friction = (
-        _numbers(element, "dynamics", name, 1, where, (0.0,))[0] for name in ("damping", "friction")
-    )
+    losses = {}
+    for key, unit in (("damping", "N m s/rad"), ("friction", "N m")):
+        value = _numbers(element, "dynamics", key, 1, where, (0.0,))[0]
+        losses[key] = validate.nonnegative(value, f"{where}: {key} of <dynamics>", unit)
     limit = element.find("limit")
     given = () if limit is None else (name for name in LIMITS if name in limit.attrib)
     return UrdfJoint(
@@ -223,8 +224,8 @@ def _joint(element: Element, links: dict[str, Body]) -> UrdfJoint:
         child=ends["child"],
         origin=_origin(element, where),
         axis=axis / size if size > 0.0 else axis,
-        damping=damping,
-        friction=friction,
+        damping=losses["damping"],
+        friction=losses["friction"],
         limits={key: _numbers(element, "limit", key, 1, where)[0] for key in given},
         mimics=element.find("mimic") is not None,
     )

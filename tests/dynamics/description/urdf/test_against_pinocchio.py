@@ -1,30 +1,26 @@
 """Converted robots against Pinocchio, which reads the same files with a parser of its own."""
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
-from numpy.typing import ArrayLike
 
-from dynamics import Arm, Model, UrdfWarning, load_arm
+from dynamics import Arm, Model
 from dynamics.formulations import articulated_body, gibbs_appell
 from dynamics.formulations.newton_euler import inverse_dynamics, rigid_links
 from dynamics.types import Array
+from tests.dynamics.description.urdf.robots import PUBLIC, assert_close, loaded, public
 from tests.dynamics.random_arms import compiled, floats
-from tests.paths import ROOT
 
 pin = pytest.importorskip("pinocchio", reason="pin (extra `test`) has no wheel for this platform")
 
-ROBOTS = {"ur5": "tool0", "gen3": "EndEffector_Link", "panda": "panda_hand_tcp"}
 RANDOM = range(12)
 
 
 def text_of(robot: str | int) -> str:
     if isinstance(robot, int):
         return random_robot(robot)
-    return (ROOT / "tests" / "reference" / "urdf" / f"{robot}.urdf").read_text(encoding="utf-8")
+    return public(robot).read_text(encoding="utf-8")
 
 
 def random_robot(seed: int) -> str:
@@ -109,18 +105,14 @@ class Other:
         return self.data.oMf[self.tip].translation
 
 
-@pytest.fixture(params=[*ROBOTS, *RANDOM], ids=str)
+@pytest.fixture(params=[*PUBLIC, *RANDOM], ids=str)
 def pair(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Arm, Other]:
     return both(request.param, tmp_path)
 
 
 def both(robot: str | int, folder: Path) -> tuple[Arm, Other]:
-    text, tip = text_of(robot), ROBOTS.get(str(robot), "tip")
-    path = folder / "robot.urdf"
-    path.write_text(text, encoding="utf-8")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UrdfWarning)
-        return load_arm(path, tip=tip), Other(text, tip)
+    text, tip = text_of(robot), PUBLIC.get(str(robot), "tip")
+    return loaded(folder, text, tip=tip), Other(text, tip)
 
 
 def friction(other: Other, v: Array) -> Array:
@@ -131,10 +123,6 @@ def friction(other: Other, v: Array) -> Array:
 
 def motion(n: int, seed: int) -> tuple[Array, Array, Array]:
     return tuple(np.random.default_rng([seed, n, 3]).normal(0.0, 1.5, (3, n)))
-
-
-def assert_close(found: ArrayLike, expected: Array) -> None:
-    assert_allclose(found, expected, rtol=0.0, atol=1e-10 * float(np.abs(expected).max()))
 
 
 def test_mass_matrix_torques_and_tip_are_pinocchios(pair: tuple[Arm, Other]) -> None:
@@ -167,7 +155,7 @@ def test_accelerations_are_pinocchios(pair: tuple[Arm, Other]) -> None:
     assert np.linalg.cond(M) < 1e5
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("robot", PUBLIC)
 def test_compiled_accelerations_are_pinocchios(robot: str, tmp_path: Path) -> None:
     arm, other = both(robot, tmp_path)
     q, v, tau = motion(arm.n, 2)
