@@ -9,8 +9,8 @@ from dynamics.description.validate import shown
 
 WIDTH = 98
 HEAD = (
-    "Converted from {file} by `flexarm arms convert`, to complete by hand: a URDF has neither the "
-    "rotor_inertia of joints nor springs in them, neither stiffness nor damping of links that bend."
+    "Converted from {file} by `flexarm arms convert`, to complete by hand: a URDF states no rotor "
+    "inertia and no spring of a joint, and neither stiffness nor damping of a link that bends."
 )
 
 

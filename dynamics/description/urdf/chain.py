@@ -68,8 +68,9 @@ def chain(robot: Robot, tip: str, flexible: Collection[str]) -> list[Part]:
                 parts[name].end = at.position
         else:
             where[joint.child] = (name, at)
-            if name in parts:
-                parts[name].fixed.append(placed(robot.bodies[joint.child], at))
+            body = robot.bodies[joint.child]
+            if name in parts and (body.mass or any(map(any, body.inertia))):
+                parts[name].fixed.append(placed(body, at))
     if not flexible and all(part.joint.fixed for part in parts.values()):
         raise ValueError(
             f"no joint between {robot.root!r} and {tip!r} moves; choose another tip. Links: "

@@ -134,6 +134,8 @@ def read_robot(path: Path) -> Robot:
 
 def together(bodies: list[Body]) -> Body:
     """Rigid body of several, all in the same frame."""
+    if len(bodies) == 1:
+        return bodies[0]
     mass = sum(body.mass for body in bodies)
     moment = sum((body.mass * np.array(body.com) for body in bodies), np.zeros(3))
     com: Any = moment / mass if mass > 0.0 else moment
