@@ -54,9 +54,10 @@ def grown(rng: np.random.Generator, parts: list[str], parent: str, name: str, ki
         f'<inertia ixx="{xx!r}" ixy="{xy!r}" ixz="{xz!r}" iyy="{yy!r}" iyz="{yz!r}" izz="{zz!r}"/>'
         "</inertial></link>"
     )
+    axis = f'<axis xyz="{words(rng.normal(size=3))}"/>' if rng.random() < 0.8 else ""
     parts.append(
         f'<joint name="to {name}" type="{kind}">{place(rng)}<parent link="{parent}"/>'
-        f'<child link="{name}"/><axis xyz="{words(rng.normal(size=3))}"/>'
+        f'<child link="{name}"/>{axis}'
         f'<limit effort="1" velocity="1" lower="-1" upper="1"/>'
         f'<dynamics damping="{rng.uniform(0.0, 2.0)!r}" friction="{rng.uniform(0.0, 1.0)!r}"/>'
         "</joint>"
