@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dynamics import load_arm
@@ -134,6 +135,39 @@ def test_no_entity_is_expanded_and_no_nesting_is_too_deep(tmp_path: Path) -> Non
         loaded(tmp_path, '<robot name="&a;"/>')
     deep = one_rod().replace("</robot>", "<a>" * 100_000 + "</a>" * 100_000 + "</robot>")
     assert loaded(tmp_path, deep) == loaded(tmp_path, one_rod())
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("seed", range(3))
+def test_a_damaged_file_is_an_arm_or_refused(seed: int, tmp_path: Path) -> None:
+    """Numbers replaced by others, and pieces cut out: a ValueError, and nothing else."""
+    rng = np.random.default_rng(seed)
+    text = public(list(PUBLIC)[seed]).read_text(encoding="utf-8")
+    numbers = [match.span() for match in re.finditer(r"-?\d\S*?(?=[ \"])", text)]
+    refused = []
+    for _ in range(60):
+        damaged = text
+        if rng.random() < 0.3:
+            begin = int(rng.integers(len(text)))
+            damaged = text[:begin] + text[begin + int(rng.integers(1, 40)) :]
+        else:
+            for k in sorted(rng.choice(len(numbers), 3), reverse=True):
+                start, stop = numbers[k]
+                damaged = damaged[:start] + str(rng.choice(ODD)) + damaged[stop:]
+        try:
+            loaded(tmp_path, damaged, tip=PUBLIC[list(PUBLIC)[seed]], flexible=BENT[seed])
+        except ValueError as error:
+            refused.append(str(error))
+    assert 0 < len(refused) < 60
+    assert all(sentence.startswith("robot.urdf: ") for sentence in refused)
+
+
+ODD = ["0", "-1", "1e-300", "1e29", "1e300", "nan", "inf", "", "x", "3.14159"]
+BENT: list[dict[str, dict[str, Any]]] = [
+    {"forearm_link": {"EIz": 4.0e3}},
+    {"ForeArm_Link": {"EIz": 2.0e3}},
+    {"panda_hand": {"EIz": 1.0e3}},
+]
 
 
 def test_no_other_file_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
