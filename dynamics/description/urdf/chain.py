@@ -30,7 +30,7 @@ class Part:
 def chosen_tip(robot: Robot, tip: str | None) -> str:
     """The link at which the chain ends."""
     if tip is not None:
-        return validate.known(tip, "tip", robot.bodies)
+        return validate.known(tip, "tip", robot.links)
     if len(robot.leaves) > 1:
         raise ValueError(
             f"the tree has several ends, and an arm has one; choose it, tip=LINK. Ends: "
@@ -48,7 +48,7 @@ def chain(robot: Robot, tip: str, flexible: Collection[str]) -> list[Part]:
     path = robot.path(tip)
     behind = [joint.child for joint in path]
     for name in flexible:
-        if name in robot.bodies and name not in behind:
+        if name in robot.links and name not in behind:
             raise ValueError(
                 f"the flexible link {name!r} is not behind a joint between {robot.root!r} and "
                 f"{tip!r}. Links that are: {behind}."
@@ -62,19 +62,18 @@ def chain(robot: Robot, tip: str, flexible: Collection[str]) -> list[Part]:
         begins = not joint.fixed or joint.child in flexible or joint.parent in flexible
         if begins and joint in path:
             _check(joint)
-            parts[joint.child] = Part(joint, at, robot.bodies[joint.child])
+            parts[joint.child] = Part(joint, at, robot.body(joint.child))
             where[joint.child] = (joint.child, HERE)
             if name in parts:
                 parts[name].end = at.position
         else:
             where[joint.child] = (name, at)
-            body = robot.bodies[joint.child]
-            if name in parts and (body.mass or any(map(any, body.inertia))):
-                parts[name].fixed.append(placed(body, at))
+            if name in parts:
+                parts[name].fixed += _massive(placed(robot.body(joint.child), at))
     if not flexible and all(part.joint.fixed for part in parts.values()):
         raise ValueError(
             f"no joint between {robot.root!r} and {tip!r} moves; choose another tip. Links: "
-            f"{sorted(robot.bodies)}."
+            f"{sorted(robot.links)}."
         )
     last, at = where[tip]
     parts[last].end = at.position
@@ -103,6 +102,11 @@ def limits_in_words(joint: UrdfJoint) -> str:
     angle, force = ("rad", "N m") if turns else ("m", "N")
     units = dict(zip(LIMITS, (angle, angle, f"{angle}/s", force), strict=True))
     return ", ".join(f"{key} {value:g} {units[key]}" for key, value in joint.limits.items())
+
+
+def _massive(body: Body) -> list[Body]:
+    """The body, unless it is a frame alone."""
+    return [body] if body.mass or any(map(any, body.inertia)) else []
 
 
 def _check(joint: UrdfJoint) -> None:

@@ -6,7 +6,7 @@ A document type is refused, and with it every entity that a file defines. No oth
 meshes, geometry, materials, transmissions and the elements of simulators are not read.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -75,7 +75,7 @@ class Robot:
     """Tree of links and joints."""
 
     name: str
-    bodies: dict[str, Body]  # by link, in its frame; without mass if it has no <inertial>
+    links: dict[str, Element]  # by name
     joints: dict[str, UrdfJoint]  # by the link behind
     root: str  # the link without a joint
 
@@ -83,7 +83,23 @@ class Robot:
     def leaves(self) -> list[str]:
         """Links without a joint beyond them."""
         parents = {joint.parent for joint in self.joints.values()}
-        return [name for name in self.bodies if name not in parents]
+        return [name for name in self.links if name not in parents]
+
+    def body(self, link: str) -> Body:
+        """Mass properties in the frame of a link; without mass if it states none."""
+        where, inertial = f"link {link!r}", self.links[link].find("inertial")
+        if inertial is None:
+            return Body(mass=0.0)
+        mass = _numbers(inertial, "mass", "value", 1, where)[0]
+        validate.nonnegative(mass, f"{where}: value of <mass>", "kg")
+        entries = inertial.find("inertia")
+        xx, xy, xz, yy, yz, zz = (
+            0.0 if entries is None else _numbers(inertial, "inertia", f"i{axes}", 1, where)[0]
+            for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
+        )
+        tensor = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+        validate.inertia(tensor, f"{where}: <inertia>")
+        return placed(Body(mass=mass, inertia=tensor), _origin(inertial, where))
 
     def path(self, tip: str) -> list[UrdfJoint]:
         """Joints from the root to a link."""
@@ -95,7 +111,7 @@ class Robot:
 
     def outward(self) -> Iterator[UrdfJoint]:
         """All joints, each after that of its parent."""
-        beyond: dict[str, list[UrdfJoint]] = {name: [] for name in self.bodies}
+        beyond: dict[str, list[UrdfJoint]] = {name: [] for name in self.links}
         for joint in self.joints.values():
             beyond[joint.parent].append(joint)
         waiting = [self.root]
@@ -155,50 +171,32 @@ def placed(body: Body, pose: Pose) -> Body:
 
 
 def _tree(top: Element) -> Robot:
-    bodies: dict[str, Body] = {}
+    links: dict[str, Element] = {}
     for element in top.findall("link"):
         name = _name(element, "link")
-        if name in bodies:
+        if links.setdefault(name, element) is not element:
             raise ValueError(f"the link {name!r} stands twice; keep one.")
-        bodies[name] = _body(element, f"link {name!r}")
     joints: dict[str, UrdfJoint] = {}
     for element in top.findall("joint"):
-        joint = _joint(element, bodies)
+        joint = _joint(element, links)
         other = joints.setdefault(joint.child, joint)
         if other is not joint:
             raise ValueError(
                 f"the link {joint.child!r} is the child of two joints, {other.name!r} and "
                 f"{joint.name!r}; an arm is a tree, keep one."
             )
-    roots = [name for name in bodies if name not in joints]
+    roots = [name for name in links if name not in joints]
     if len(roots) != 1:
         raise ValueError(f"must have one link that is no joint's child, got {shown(roots)}.")
     name = top.get("name", "")
-    robot = Robot(name if name.isprintable() else "", bodies, joints, roots[0])
+    robot = Robot(name if name.isprintable() else "", links, joints, roots[0])
     loose = set(joints) - {joint.child for joint in robot.outward()}
     if loose:
         raise ValueError(f"the joints of the links {shown(sorted(loose))} form a circle.")
     return robot
 
 
-def _body(link: Element, where: str) -> Body:
-    """Mass properties in the frame of the link; without mass if it states none."""
-    inertial = link.find("inertial")
-    if inertial is None:
-        return Body(mass=0.0)
-    mass = _numbers(inertial, "mass", "value", 1, where)[0]
-    validate.nonnegative(mass, f"{where}: value of <mass>", "kg")
-    entries = inertial.find("inertia")
-    xx, xy, xz, yy, yz, zz = (
-        0.0 if entries is None else _numbers(inertial, "inertia", f"i{axes}", 1, where)[0]
-        for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
-    )
-    tensor = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-    validate.inertia(tensor, f"{where}: <inertia>")
-    return placed(Body(mass=mass, inertia=tensor), _origin(inertial, where))
-
-
-def _joint(element: Element, links: dict[str, Body]) -> UrdfJoint:
+def _joint(element: Element, links: Collection[str]) -> UrdfJoint:
     name = _name(element, "joint")
     where = f"joint {name!r}"
     kind = validate.choice(element.get("type"), f"{where}: type", TYPES)
@@ -206,7 +204,7 @@ def _joint(element: Element, links: dict[str, Body]) -> UrdfJoint:
     for end in ("parent", "child"):
         found = element.find(end)
         link = None if found is None else found.get("link")
-        if link not in links:
+        if link is None or link not in links:
             raise ValueError(f"{where}: <{end}> must name a link of the file, got {shown(link)}.")
         ends[end] = link
     axis = np.array(_numbers(element, "axis", "xyz", 3, where, (1.0, 0.0, 0.0)))

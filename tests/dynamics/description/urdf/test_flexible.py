@@ -115,7 +115,7 @@ def test_a_rod_has_the_frequencies_of_books(
     [
         ("0 0 1", "0 0 1", (0, 1, 0)),  # in the plane in which the joint turns
         ("0 1 0", "0 0 1", (0, 0, -1)),
-        ("1 0 0", "0 1 0", (0, 0, -1)),  # along its axis: in the plane of the next joint
+        ("1 0 0", "0 0 1", (0, 1, 0)),  # along its axis: in the plane of the next joint
         ("1 0 0", "1 0 0", (1, 0, 0)),  # beside both: any
     ],
 )

@@ -108,6 +108,14 @@ def test_a_file_of_no_arm_is_refused_with_a_sentence(sentence: str, tmp_path: Pa
         loaded(tmp_path, REFUSED[sentence])
 
 
+def test_an_inertia_that_does_not_move_is_not_read(tmp_path: Path) -> None:
+    """As of antennas on the base of a public robot, whose inertias no body has."""
+    odd = ROD.replace('ixx="0.001"', 'ixx="-0.001"')
+    antenna = link("antenna", odd) + joint("base", "antenna", type="fixed")
+    text = one_rod().replace(BASE, link("base", odd) + antenna)
+    assert loaded(tmp_path, text, tip="end") == loaded(tmp_path, one_rod())
+
+
 @pytest.mark.parametrize("sentence", CHOICES)
 def test_a_choice_that_the_file_does_not_have_is_refused(sentence: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"robot.urdf: .*{sentence}"):
