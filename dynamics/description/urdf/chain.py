@@ -60,7 +60,7 @@ def chain(robot: Robot, tip: str, flexible: Collection[str]) -> list[Part]:
         name, pose = where[joint.parent]
         at = pose @ joint.origin
         begins = not joint.fixed or joint.child in flexible or joint.parent in flexible
-        if begins and joint in path:
+        if begins and joint.child in behind:
             _check(joint)
             parts[joint.child] = Part(joint, at, robot.body(joint.child))
             where[joint.child] = (joint.child, HERE)
@@ -83,8 +83,8 @@ def chain(robot: Robot, tip: str, flexible: Collection[str]) -> list[Part]:
 def left_out(robot: Robot, tip: str) -> list[str]:
     """Sentences about what an arm does not take over from a robot."""
     path = robot.path(tip)
-    result = []
-    held = [j.name for j in robot.outward() if j not in path and not j.fixed]
+    result, behind = [], {joint.child for joint in path}
+    held = [j.name for j in robot.outward() if j.child not in behind and not j.fixed]
     if held:
         result.append(f"the joints {held} are beside the chain to {tip!r}; they are held at zero")
     limited = [joint.name for joint in path if not joint.fixed and joint.limits]
