@@ -19,7 +19,10 @@ COMMANDS = {  # module whose `main` runs the command, and its line in the help
     "leaderboard": ("agents.leaderboard.run", "rank controllers on tasks and tracks"),
     "certify": ("flexarm_env.certify.run", "measure the errors of an arm's model and step"),
     "fit": ("agents.fit", "fit an arm's stiffness and damping to a log of its rig"),
-    "arms": ("flexarm_env.__main__", "list the preset arms and the environments of each"),
+    "arms": (
+        "flexarm_env.__main__",
+        "list the preset arms with their environments, or convert a URDF file",
+    ),
 }
 EXTRAS = {"sweep": "scale"}  # other than `train`
 PACKAGES = ("dynamics", "flexarm_env", "agents")

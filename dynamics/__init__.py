@@ -16,6 +16,7 @@ from dynamics.description.link import Body, Link, Payload
 from dynamics.description.mode_rule import RigidLinkWarning
 from dynamics.description.mode_shapes import Mode
 from dynamics.description.plausibility import ImplausibleArmWarning, ThickLinkWarning
+from dynamics.description.urdf.convert import UrdfWarning
 from dynamics.description.welds import StiffSegmentsWarning
 from dynamics.load import load_arm
 
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
 __all__ = [
     "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "ImplausibleArmWarning", "Joint",
     "JointMotion", "Link", "Mode", "Model", "Payload", "RigidLinkWarning", "Scene", "Stepper",
-    "StiffSegmentsWarning", "ThickLinkWarning", "Trajectory", "ValidityWarning", "choose_model",
-    "compile_arm", "limits", "load_arm", "simulate",
+    "StiffSegmentsWarning", "ThickLinkWarning", "Trajectory", "UrdfWarning", "ValidityWarning",
+    "choose_model", "compile_arm", "limits", "load_arm", "simulate",
 ]  # fmt: skip
 
 _LATE = {  # these import numba: only when asked for

@@ -1,5 +1,6 @@
 """Load an arm from a preset's name, a file or a dict."""
 
+import warnings
 from collections.abc import Mapping
 from os import PathLike, fspath
 from pathlib import Path
@@ -10,18 +11,29 @@ from dynamics.description.arm import Arm
 from dynamics.description.arm_file import arm_from_dict
 from dynamics.description.data_file import read_mapping
 from dynamics.description.plausibility import warn_if_implausible
+from dynamics.description.urdf.convert import Flexible, UrdfWarning, convert
+from dynamics.description.urdf.robot import SUFFIX
 from dynamics.description.validate import shown
 
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm  # accepted by `load_arm`
 
 
-def load_arm(source: ArmSource) -> Arm:
-    """Return an arm from a preset's name, a path (.json, .yaml, .yml) or a dict.
+def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | None = None) -> Arm:
+    """Return an arm from a preset's name, a path (.json, .yaml, .yml, .urdf) or a dict.
 
     An `Arm` is returned unchanged. A case file is also an arm file: its motion and expected results
     are ignored. Numbers of no arm, as lengths in mm, give an ImplausibleArmWarning,
     links that are too thick for slender beams a ThickLinkWarning.
+
+    Of a URDF file, `flexible` and `tip` choose the links that bend and the end of the chain, see
+    `dynamics.description.urdf.convert`; an UrdfWarning says what the arm does not take over.
     """
+    if _is_urdf(source):
+        return _from_urdf(Path(source), flexible, tip)  # type: ignore[arg-type]
+    if flexible is not None or tip is not None:
+        raise ValueError(
+            f"flexible and tip are of a {SUFFIX} file, got {shown(source)}; leave them out."
+        )
     if isinstance(source, Arm):
         if not _as_long_as_a_preset(source):
             warn_if_implausible(source, stacklevel=2)
@@ -38,12 +50,27 @@ def load_arm(source: ArmSource) -> Arm:
     if isinstance(source, str) and path.suffix == "":
         raise ValueError(
             f"Unknown arm {shown(source)}. Presets: {sorted(ARMS)}; or give the path of a "
-            ".json or .yaml file."
+            f".json, .yaml or {SUFFIX} file."
         )
     try:
         return arm_from_dict(read_mapping(path))
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
+
+
+def _is_urdf(source: ArmSource) -> bool:
+    return isinstance(source, str | PathLike) and Path(fspath(source)).suffix == SUFFIX
+
+
+def _from_urdf(path: Path, flexible: Flexible | None, tip: str | None) -> Arm:
+    try:
+        found = convert(path, tip, flexible)
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+    if found.notes:
+        sentence = f"{path.name}, not taken over: {'; '.join(found.notes)}."
+        warnings.warn(sentence, UrdfWarning, stacklevel=3)
+    return found.arm
 
 
 def _as_long_as_a_preset(arm: Arm) -> bool:

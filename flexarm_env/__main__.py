@@ -1,24 +1,72 @@
-"""`python -m flexarm_env`: the preset arms, and the registered environments of each."""
+"""`python -m flexarm_env`: the preset arms, the environments of each, and arms from URDF files."""
 
 import argparse
 import sys
+from pathlib import Path
+from typing import Any
+
+import yaml
 
 from dynamics.arms import ARMS
+from dynamics.description.urdf.arm_text import arm_text
+from dynamics.description.urdf.convert import convert
 from flexarm_env.registration import IDS, SCENES
 
 COLUMNS = ("arm", "links", "coordinates", "reach [m]", "environments")
 
 
 def main(arguments: list[str] | None = None, prog: str = "python -m flexarm_env") -> int:
-    """Print the table; returns the exit status."""
+    """Print the table, or an arm file; returns the exit status."""
+    options = _parser(prog).parse_args(arguments)
+    if options.command is None:
+        print(table())
+        print("\ngym.make(ID, arm=ARM) puts any of them, or an arm file, in place of the id's own.")
+        print("Sources of the arms: python -m dynamics list")
+        return 0
+    try:
+        flexible = dict(map(_flexible, options.flexible))
+        text = arm_text(convert(options.file, options.tip, flexible), options.file.name)
+        if options.out is None:
+            print(text, end="")
+        else:
+            options.out.write_text(text, encoding="utf-8")
+    except (OSError, ValueError) as error:
+        print(f"{prog} convert: {options.file.name}: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog, description="List the preset arms and the environments of each."
     )
-    parser.parse_args(arguments)
-    print(table())
-    print("\ngym.make(ID, arm=ARM) puts any of them, or an arm file, in place of the id's own arm.")
-    print("Sources of the arms: python -m dynamics list")
-    return 0
+    commands = parser.add_subparsers(title="commands", dest="command", metavar="convert")
+    conversion = commands.add_parser(
+        "convert", help="write the arm file of a robot in a URDF file, to complete by hand"
+    )
+    add = conversion.add_argument
+    add("file", type=Path, metavar="FILE", help="URDF file")
+    add("--tip", metavar="LINK", help="end of the arm, needed if the tree has several ends")
+    add("--flexible", nargs="+", action="append", default=[], metavar=("LINK", "KEY=VALUE"),
+        help="a link that bends, with keys of an arm file's link: --flexible link_3 EIz=40 EIy=40; "
+        "may be repeated")  # fmt: skip
+    add("--out", type=Path, metavar="ARM.yaml", help="instead of standard output")
+    return parser
+
+
+def _flexible(words: list[str]) -> tuple[str, dict[str, Any]]:
+    """Name and fields of a flexible link, as typed."""
+    link, *pairs = words
+    values: dict[str, Any] = {}
+    for pair in pairs:
+        key, sign, value = pair.partition("=")
+        if not sign:
+            raise ValueError(f"--flexible {link}: expected KEY=VALUE, got {pair!r}.")
+        try:
+            values[key] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise ValueError(f"--flexible {link}: {key} must be a number, got {value!r}.") from None
+    return link, values
 
 
 def table() -> str:

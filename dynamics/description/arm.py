@@ -266,14 +266,13 @@ def _joint_inertia(links: tuple[Link, ...], payload: Payload | None) -> float:
     Off-axis mass is not weighted by its squared distance, so only the sign is meaningful. Of links
     fixed to the last that moves, any mass counts.
     """
-    moving = [link for link in links if link.joint.moves or link.joint.elastic]
+    moving = [i for i, link in enumerate(links) if link.joint.moves or link.joint.elastic]
     if not moving:
         return 1.0  # nothing turns
-    link = moving[-1]
-    fixed = links[links.index(link) + 1 :]
-    if fixed:
-        own = sum(x.rho_A * x.length + x.tip_mass + (x.body.mass if x.body else 0.0) for x in fixed)
-        return own + sum(float(np.trace(about_origin(x.body))) for x in fixed if x.body)
+    link, fixed = links[moving[-1]], links[moving[-1] + 1 :]
+    beyond = sum(x.rho_A * x.length + x.tip_mass + (x.body.mass if x.body else 0.0) for x in fixed)
+    beyond += sum(float(np.trace(about_origin(x.body))) for x in fixed if x.body)
+    beyond += payload.mass if fixed and payload is not None else 0.0
     tip_mass, tip_inertia = link.tip_mass, link.tip_inertia[2][2]
     if payload is not None:
         tip_mass = tip_mass + payload.mass
@@ -281,11 +280,11 @@ def _joint_inertia(links: tuple[Link, ...], payload: Payload | None) -> float:
     rotor = link.joint.rotor_inertia if link.joint.stiffness is None else 0.0
     body = link.body or Body(mass=0.0)
     if link.joint.type == "prismatic":
-        return rotor + link.rho_A * link.length + body.mass + tip_mass
+        return rotor + link.rho_A * link.length + body.mass + tip_mass + beyond
     off_axis = link.rho_A * link.length + tip_mass  # [kg] off the axis if the link has a length
     root = math.hypot(*link.joint.root[:2])
     own = body.inertia[2][2] + body.mass * (math.hypot(*body.com[:2]) + root) + tip_inertia
-    return rotor + link.joint.hub_inertia + own + off_axis * (link.length + root)
+    return rotor + link.joint.hub_inertia + own + off_axis * (link.length + root) + beyond
 
 
 def _twists_inertia(links: tuple[Link, ...], payload: Payload | None) -> bool:

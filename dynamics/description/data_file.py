@@ -21,7 +21,9 @@ def read_mapping(path: Path) -> dict[str, Any]:
     ------
     ValueError : if the file cannot be read or repeats a key; one sentence with the reason.
     """
-    content = _text(path)
+    if path.suffix not in MOST_BYTES:
+        raise ValueError(f"must end in .json, .yaml or .yml, got {shown(path.suffix)}.")
+    content = read_text(path, MOST_BYTES[path.suffix])
     try:
         if path.suffix == ".json":
             data = json.loads(content, object_pairs_hook=_unique)
@@ -42,10 +44,8 @@ def read_mapping(path: Path) -> dict[str, Any]:
     return data
 
 
-def _text(path: Path) -> str:
-    if path.suffix not in MOST_BYTES:
-        raise ValueError(f"must end in .json, .yaml or .yml, got {shown(path.suffix)}.")
-    most = MOST_BYTES[path.suffix]
+def read_text(path: Path, most: int) -> str:
+    """Read a regular file of UTF-8 text of at most `most` bytes; raises ValueError as above."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # reading a pipe would block
             raise OSError("not a regular file")

@@ -19,8 +19,8 @@ from flexarm_env.pages.environments import film_name
 from tests.paths import ROOT
 
 DOCS = ROOT / "docs"
-RUN = ("index", "own_arm", "sensors", "certificate", "controller", "faq", "actuators")
-BLOCK = re.compile(r"^```(python|yaml|bash)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+RUN = ("index", "own_arm", "sensors", "certificate", "controller", "faq", "actuators", "urdf")
+BLOCK = re.compile(r"^```(python|yaml|bash|xml)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 SHORT = {  # of the pages -> in the tests
     "total_steps: 500_000": "total_steps: 4_096",
     "learn(100_000": "learn(2_048",
@@ -52,7 +52,7 @@ def followed(page: str, folder: Path) -> list[str]:
     """Run the Python of a page in a folder, its named blocks as files; returns its commands."""
     code, commands = "", []
     for language, text in blocks(page):
-        named = re.match(r"# (\w+\.(?:py|yaml))\n", text)
+        named = re.match(r"(?:#|<!--) (\w+\.(?:py|yaml|urdf))(?: -->)?\n", text)
         if named:
             (folder / named[1]).write_text(text, encoding="utf-8")
         elif language == "python":
@@ -75,12 +75,12 @@ def test_the_python_of_a_page_runs(page: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["own_arm", "controller"])
+@pytest.mark.parametrize("page", ["own_arm", "controller", "urdf"])
 def test_the_commands_of_a_page_run(page: str, tmp_path: Path) -> None:
     for command in followed(page, tmp_path):
         words = shlex.split(command.replace("train.py", str(ROOT / "train.py")))
-        assert words[0] == "python"
-        run([sys.executable, *words[1:]], tmp_path)
+        own = {"python": [], "flexarm": ["-m", "flexarm"]}[words[0]]
+        run([sys.executable, *own, *words[1:]], tmp_path)
 
 
 @pytest.mark.parametrize("section", KEYS)

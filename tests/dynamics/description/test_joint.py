@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dynamics import ARMS, Arm, Body, Joint, Link, Mode, Model, Payload, load_arm
+from dynamics.formulations.gibbs_appell import mass_matrix
 
 BEND = {"kind": "clamped-free", "index": 1, "direction": "y"}
 PINNED = {**BEND, "kind": "pinned-free"}
@@ -80,6 +81,18 @@ def test_a_mass_behind_a_fixed_joint_is_inertia_enough() -> None:
     with pytest.raises(ValueError, match="no inertia about its joint axis"):
         arm({}, bare)
     assert arm({}, bare, {"joint": {"type": "fixed"}}).n_joint == 2
+
+
+def test_an_arm_may_end_in_a_frame_without_mass() -> None:
+    frame = {
+        "length": 0.1, "rho_A": 0.0, "EIz": None, "modes": [], "body": {"mass": 0.0},
+        "joint": {"type": "fixed"},
+    }  # fmt: skip
+    ended, longer = arm({}), arm({}, frame)
+    q = np.full(ended.n, 0.1)
+    M = mass_matrix(Model(longer).chain, q.tolist())
+    np.testing.assert_allclose(M, mass_matrix(Model(ended).chain, q.tolist()), atol=1e-14)
+    assert np.linalg.norm(Model(longer).tip(q) - Model(ended).tip(q)) == pytest.approx(0.1)
 
 
 def test_an_arm_of_fixed_joints_is_a_structure_with_frequencies() -> None:

@@ -1,0 +1,1 @@
+"""Arms from robots in the Unified Robot Description Format."""
