@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 from dynamics.description.arm import Arm
-from dynamics.description.beam_shapes import BeamShape
+from dynamics.description.beams.uniform import BeamShape
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, quadrature, shape
 
