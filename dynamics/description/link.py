@@ -169,7 +169,9 @@ class Link:
         clean(self, sections=along.checked(self.sections))
         if not self.sections:
             if self.length is None:
-                raise ValueError("Link.length is missing; give it, or Link.sections.")
+                raise ValueError(
+                    "Link.length [m] must be a number, got None; only Link.sections replace it."
+                )
             return
         for entry in fields(self):
             value = getattr(self, entry.name)
@@ -302,14 +304,25 @@ class Link:
         """Mean along the link of a quantity such as "EIz"; 0 if it is not stated."""
         return along.mean(self.sections, name) if self.sections else getattr(self, name) or 0.0
 
+    def at(self, name: str, x: Array) -> Array:
+        """A quantity such as "EIz" at positions x [m]; 0 if it is not stated."""
+        return self.mean(name) * self.beam.share(name, x)
+
+    def tip_rigidity(self, direction: str) -> float:
+        """[N m^2] EI of the uniform link that bends as far by a force at the tip; 0: rigid."""
+        EI = self.mean(STIFFNESS[direction])
+        if not self.sections or not EI:
+            return EI
+        x, weights = points(self.beam, ())
+        lever = (self.length - x) ** 2 / self.beam.rigidity(direction, x)
+        return self.length**3 / (3.0 * float(weights @ lever))
+
     def root_curvature(self, direction: str) -> float:
         """Curvature at the root times l^2 / s(l), under a force at the tip: 3 of a uniform link."""
-        if not self.sections or not self.mean(STIFFNESS[direction]):
+        EI = self.tip_rigidity(direction)
+        if not self.sections or not EI:
             return 3.0
-        x, weights = points(self.beam, ())
-        compliance = weights @ ((self.length - x) ** 2 / self.beam.rigidity(direction, x))
-        root = self.beam.rigidity(direction, np.zeros(1))
-        return float(self.length**3 / (root[0] * compliance))
+        return 3.0 * EI / float(self.beam.rigidity(direction, np.zeros(1))[0])
 
     @property
     def n(self) -> int:

@@ -272,13 +272,13 @@ def _lumped(constants: LinkConstants, link: Link) -> LinkConstants:
 
 def _lumps(link: Link) -> tuple[float, float]:
     """Mass [kg] and polar inertia [kg m^2] of a beam that move with its tip."""
-    l, polar = link.length, link.mean("rho_Ip") * link.length
+    l = link.length
     if not link.sections:
-        return LUMPED_SHARE * link.rho_A * l, LUMPED_TWIST * polar
+        return LUMPED_SHARE * link.rho_A * l, LUMPED_TWIST * link.rho_Ip * l
     mass, first, second = link.beam.line_mass
     x, weights = points(link.beam, ())
-    lever = float(weights @ (link.beam.share("rho_Ip", x) * (x / l) ** 2)) / l
-    return (mass * second - first**2) / (mass * l**2 - 2.0 * first * l + second), lever * polar
+    twist = float(weights @ (link.at("rho_Ip", x) * (x / l) ** 2))
+    return (mass * second - first**2) / (mass * l**2 - 2.0 * first * l + second), twist
 
 
 def _undeflected(link: Link) -> tuple[float, Array, Array]:
