@@ -8,15 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 from numpy.polynomial import legendre
 
 from dynamics.types import Array
 
 Edges = tuple[float, ...]  # (n + 1) [m] ends of the pieces
 Profile = Callable[[Array], Array]  # of positions [m]
-_TERMS = 14  # beyond the index of a shape, spread over the pieces
-_LEAST = 4  # in every piece, beyond that
+_TERMS = 16  # beyond the index of a shape, spread over the pieces
+_LEAST = 6  # in every piece, beyond that
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +74,8 @@ def natural(
     tip : mass [kg] and rotary inertia [kg m^2] of the body at the tip.
     hub : inertia [kg m^2] that turns with a hinged root; None: clamped.
     """
+    from scipy.linalg import eigh
+
     terms = _LEAST + -(-(index + _TERMS) // (len(edges) - 1))
     x, weights = gauss(edges, terms + 4)
     count = (len(edges) - 1) * terms
@@ -84,16 +85,16 @@ def natural(
     ends = [_integrated(edges, basis, end, times)[0] for times in (order, order - 1)]
     loads = weights * density(x)
     K = (bent.T * (weights * rigidity(x))) @ bent
-    M = (values.T * loads) @ values + sum(
-        m * np.outer(s, s) for m, s in zip(tip, ends, strict=True)
-    )
+    M = (values.T * loads) @ values
+    for mass, moved in zip(tip, ends, strict=True):
+        M += mass * np.outer(moved, moved)
     turning = np.zeros(count)
     if hub is not None:  # an elastic mode has no angular momentum about the hinge
         inertia = float(loads @ x**2) + hub + tip[0] * edges[-1] ** 2 + tip[1]
         coupling = values.T @ (loads * x) + tip[0] * edges[-1] * ends[0] + tip[1] * ends[1]
         turning = -coupling / inertia
         M += np.outer(coupling, turning)
-    _, found = scipy.linalg.eigh(M, K, subset_by_index=[count - index, count - index])
+    _, found = eigh(M, K, subset_by_index=[count - index, count - index])
     found *= np.sign(ends[0] @ found)
     return _shape(edges, found.reshape(-1, terms), order, root=float(turning @ found[:, 0]))
 
@@ -123,14 +124,18 @@ def hierarchical(index: int, edges: Edges, rigidity: Profile) -> PieceShape:
     if index > 2:
         root = np.sqrt(soft)[:, None] * legendre.legvander(2.0 * x / l - 1.0, index - 1)
         R = np.linalg.qr(root, mode="r")
-        moment = scipy.linalg.solve_triangular(R, np.eye(index)[-1])
+        moment = np.linalg.solve(R, np.eye(index)[-1])
         moment /= moment[-1] * l * float(soft.sum())
     else:  # tip deflection and tip slope by the moments 1 and 2 x/l - 1
         moments = np.vstack([np.ones(x.size), 2.0 * x / l - 1.0]) * soft
         moved, turned = moments @ (l - x), l * moments.sum(axis=1)
         rows = np.array([(1.0, 1.0), moved] if index == 1 else [moved, turned])
         moment = np.linalg.solve(rows, np.array([0.0, 1.0]))
-    return loaded(edges, lambda x: legendre.legval(2.0 * x / l - 1.0, moment), rigidity, index, 2)
+
+    def load(x: Array) -> Array:
+        return np.asarray(legendre.legval(2.0 * x / l - 1.0, moment), dtype=np.float64)
+
+    return loaded(edges, load, rigidity, index, 2)
 
 
 def _shape(edges: Edges, series: Array, order: int, root: float = 0.0) -> PieceShape:
