@@ -223,7 +223,7 @@ def chain(count: int, **arm: Any) -> Arm:
 
 
 def sectioned(**arm: Any) -> Arm:
-    """The same as one link with natural shapes."""
+    """One link with natural shapes."""
     modes = (*shapes("clamped-tip-mass", 5), *shapes("clamped-tip-mass", 5, "z"))
     link = stepped(*modes, *shapes("torsion-poly", 2, "x"), **TIP)
     return Arm(links=(replace(link, joint=Joint(rotor_inertia=0.02)),), **arm)
