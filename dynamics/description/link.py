@@ -27,7 +27,7 @@ from dynamics.description.welds import StiffSegmentsWarning, stiff_segments
 from dynamics.types import Array, Matrix3, Vector3
 
 MOST_MODES = 200
-_ROUND_OFF = 1e-9  # [-] of the sum of the sections' lengths
+_ROUND_OFF = 1e-6  # [-] of the sum of the sections' lengths
 _UNSTATED: Any = None
 _log = logging.getLogger(__name__)
 

@@ -288,3 +288,10 @@ def test_a_damping_ratio_is_that_of_the_natural_modes(kind: str, segments: int) 
     poles = np.linalg.eigvals(model.linearize(rest, rest, np.zeros(0))[0])
     slowest = poles[np.argsort(np.abs(poles))][:4]
     assert_allclose(-slowest.real / np.abs(slowest), 0.02, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("kind", "direction"), [("clamped-free", "y"), ("torsion-poly", "x")])
+def test_the_norm_mass_gives_a_stepped_shape_a_modal_mass_of_one(kind: str, direction: str) -> None:
+    shape = Mode(kind=kind, index=1, direction=direction, norm="mass")
+    mass = Model(Arm(links=(stepped(shape),))).mass_matrix(np.zeros(2))
+    assert mass[1, 1] == pytest.approx(1.0, rel=1e-9)
