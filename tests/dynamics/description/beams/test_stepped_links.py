@@ -15,6 +15,7 @@ from dynamics import Arm, Joint, Link, Mode, Section, load_arm, simulate
 from dynamics.accuracy.fidelity import rigid
 from dynamics.description.arm import FOURTH_ORDER
 from dynamics.description.beams.sections import at
+from dynamics.formulations.link_constants import chain_constants
 from dynamics.model import Model, compile_arm
 from dynamics.types import Array
 
@@ -295,3 +296,11 @@ def test_the_norm_mass_gives_a_stepped_shape_a_modal_mass_of_one(kind: str, dire
     shape = Mode(kind=kind, index=1, direction=direction, norm="mass")
     mass = Model(Arm(links=(stepped(shape),))).mass_matrix(np.zeros(2))
     assert mass[1, 1] == pytest.approx(1.0, rel=1e-9)
+
+
+def test_the_inner_lump_of_a_stepped_link_is_a_point() -> None:
+    """What is not at the tip has the inertia of its mass at one distance, as Radau's points have."""
+    link = stepped(*shapes("hierarchical", 1), lumped=True)
+    (lump,) = chain_constants(Arm(links=(link,)))[0]
+    assert lump.first_moment[0] ** 2 == pytest.approx(lump.mass * lump.C0[2][2], rel=1e-12)
+    assert 0.0 < lump.first_moment[0] / lump.mass < link.length
