@@ -299,7 +299,7 @@ def test_the_norm_mass_gives_a_stepped_shape_a_modal_mass_of_one(kind: str, dire
 
 
 def test_the_inner_lump_of_a_stepped_link_is_a_point() -> None:
-    """What is not at the tip has the inertia of its mass at one distance, as at Radau's point."""
+    """All mass that is not at the tip has the inertia of a point, as at Radau's."""
     link = stepped(*shapes("hierarchical", 1), lumped=True)
     (lump,) = chain_constants(Arm(links=(link,)))[0]
     assert lump.first_moment[0] ** 2 == pytest.approx(lump.mass * lump.C0[2][2], rel=1e-12)
