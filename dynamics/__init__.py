@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from dynamics.arms import ARMS
 from dynamics.description.arm import Arm, Base
+from dynamics.description.beams.sections import Section
 from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link, Payload
 from dynamics.description.mode_rule import RigidLinkWarning
@@ -32,8 +33,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "ImplausibleArmWarning", "Joint",
-    "JointMotion", "Link", "Mode", "Model", "Payload", "RigidLinkWarning", "Scene", "Stepper",
-    "StiffSegmentsWarning", "ThickLinkWarning", "Trajectory", "UrdfWarning", "ValidityWarning",
+    "JointMotion", "Link", "Mode", "Model", "Payload", "RigidLinkWarning", "Scene", "Section",
+    "Stepper", "StiffSegmentsWarning", "ThickLinkWarning", "Trajectory", "UrdfWarning",
+    "ValidityWarning",
     "choose_model", "compile_arm", "limits", "load_arm", "simulate",
 ]  # fmt: skip
 

@@ -161,10 +161,10 @@ class Model:
         described = self.arm.links[validate.integer(link, "link", 0, len(self.arm.links) - 1)]
         if not 0.0 <= validate.number(x, "x", "m") <= described.length:
             raise ValueError(f"x must be within the link, 0 to {described.length} m, got {x!r}.")
-        segment = parts(described)[0]
-        k = min(int(x / segment.length), described.segments - 1)
+        size = described.length / described.segments
+        k = min(int(x / size), described.segments - 1)
         _, delta = self.chain.split(self._q(q).tolist())[self.bodies[link].start + k]
-        return np.asarray(delta) @ curvature(segment, x - k * segment.length)
+        return np.asarray(delta) @ curvature(parts(described)[k], x - k * size)
 
     def frequencies(self, q: Array | None = None, joints: str = "locked") -> Array:
         """Natural frequencies [rad/s] of the undeflected arm at the joint angles of q, no gravity.

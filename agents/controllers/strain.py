@@ -160,7 +160,8 @@ class Chords:
     """Angles between the roots of the bent links and their chords, one per joint, from gauges.
 
     A tip force that bends a link of length l to the curvature k at its root turns its chord by
-    k l / 3. A joint turns its own link along y; a link on a fixed joint counts for none.
+    k l / 3, if it is uniform. A joint turns its own link along y; a link on a fixed joint counts
+    for none.
     """
 
     def __init__(self, env: Any, name: str) -> None:
@@ -171,8 +172,9 @@ class Chords:
         self.turn = np.zeros((len(columns), core.arm.n_joint))
         for row, column in enumerate(columns):
             link, across = divmod(column, 2)
+            bent = core.arm.links[link]
             if not across and link in core.arm.joints:
-                self.turn[row, core.arm.joints.index(link)] = core.arm.links[link].length / 3.0
+                self.turn[row, core.arm.joints.index(link)] = bent.length / bent.root_curvature("y")
 
     def __call__(self, observation: AnyArray) -> Array:
         """(..., m) [rad]."""

@@ -5,6 +5,7 @@ A damping ratio means the same at every fidelity: see formulations/damping.py.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -47,9 +48,9 @@ class Fidelity:
             replace(
                 link,
                 modes=tuple(self._modes(link, counts)),
-                rho_Ip=link.rho_Ip or _polar_inertia(link, counts),
                 segments=segments,
                 lumped=self.lumped and any(counts),
+                **_polar_inertia(link, counts),
             )
             for link, counts, segments in zip(arm.links, self.counts, self.segments, strict=True)
         )
@@ -150,12 +151,12 @@ def _possible(arm: Arm, i: int, bending: int, torsion: int) -> Counts:
     link = arm.links[i]
     y, z, x = (yields(link, d) for d in "yzx")
     payload = float(about_origin(arm.payload)[0, 0]) if arm.payload else 0.0
-    inertia = link.rho_Ip + link.tip_inertia[0][0] + payload
+    inertia = link.mean("rho_Ip") + link.tip_inertia[0][0] + payload
     twists = x and (i < len(arm.links) - 1 or inertia > 0.0)
     stretches = (torsion,) if link.in_direction("axial") else ()
     if not divisible(arm)[i]:
         return bending * y, 0, 0, *stretches
-    twisting = (torsion if link.rho_Ip else min(torsion, 1)) * twists
+    twisting = (torsion if link.mean("rho_Ip") else min(torsion, 1)) * twists
     return bending * y, bending * z, twisting, *stretches
 
 
@@ -177,13 +178,19 @@ def divisible(arm: Arm) -> tuple[bool, ...]:
     return tuple(not link.joint.parallel for link in (*arm.links[1:], Link(length=1.0, rho_A=1.0)))
 
 
-def _polar_inertia(link: Link, counts: Counts) -> float:
-    """rho_Ip [kg m] of a link that twists and states none: as small as in a round bar of metal.
+def _polar_inertia(link: Link, counts: Counts) -> dict[str, Any]:
+    """Field with the rho_Ip [kg m] of a link that twists and states none.
 
-    Without it a twist would be massless in line with the links beyond, and in all segments but one.
+    It is as small as in a round bar of metal. Without it a twist would be massless in line with the
+    links beyond, and in all segments but one.
     """
-    twists = counts[DIRECTIONS.index("x")] > 0
-    return (link.GJ or 0.0) / TORSION_WAVE**2 * twists
+    if link.mean("rho_Ip") or not counts[DIRECTIONS.index("x")]:
+        return {}
+    if not link.sections:
+        return {"rho_Ip": (link.GJ or 0.0) / TORSION_WAVE**2}
+    ends = [[GJ / TORSION_WAVE**2 for GJ in section.ends("GJ")] for section in link.sections]
+    pairs = zip(link.sections, ends, strict=True)
+    return {"sections": tuple(replace(section, rho_Ip=(a, b)) for section, (a, b) in pairs)}
 
 
 def _link_text(counts: Counts, segments: int) -> str:

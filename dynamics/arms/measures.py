@@ -70,7 +70,7 @@ def tip_spring(arm: Arm, link: int) -> float:
 def mass(arm: Arm) -> float:
     """Mass [kg] of all links and tip bodies."""
     bodies = sum(link.body.mass for link in arm.links if link.body is not None)
-    return bodies + sum(link.rho_A * link.length + link.tip_mass for link in arm.links)
+    return bodies + sum(link.beam.line_mass.mass + link.tip_mass for link in arm.links)
 
 
 def holding_load(arm: Arm, joint: int, posture: tuple[float, ...]) -> float:

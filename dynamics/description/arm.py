@@ -270,18 +270,19 @@ def _joint_inertia(links: tuple[Link, ...], payload: Payload | None) -> float:
     if not moving:
         return 1.0  # nothing turns
     link, fixed = links[moving[-1]], links[moving[-1] + 1 :]
-    beyond = sum(x.rho_A * x.length + x.tip_mass + (x.body.mass if x.body else 0.0) for x in fixed)
-    beyond += sum(float(np.trace(about_origin(x.body))) for x in fixed if x.body)
+    bodies = [x.body for x in fixed if x.body]
+    beyond = sum(x.beam.line_mass.mass + x.tip_mass for x in fixed)
+    beyond += sum(x.mass + float(np.trace(about_origin(x))) for x in bodies)
     beyond += payload.mass if fixed and payload is not None else 0.0
     tip_mass, tip_inertia = link.tip_mass, link.tip_inertia[2][2]
     if payload is not None:
         tip_mass = tip_mass + payload.mass
         tip_inertia = tip_inertia + float(about_origin(payload)[2, 2])
     rotor = link.joint.rotor_inertia if link.joint.stiffness is None else 0.0
-    body = link.body or Body(mass=0.0)
+    body, beam = link.body or Body(mass=0.0), link.beam.line_mass.mass
     if link.joint.type == "prismatic":
-        return rotor + link.rho_A * link.length + body.mass + tip_mass + beyond
-    off_axis = link.rho_A * link.length + tip_mass  # [kg] off the axis if the link has a length
+        return rotor + beam + body.mass + tip_mass + beyond
+    off_axis = beam + tip_mass  # [kg] off the axis if the link has a length
     root = math.hypot(*link.joint.root[:2])
     own = body.inertia[2][2] + body.mass * (math.hypot(*body.com[:2]) + root) + tip_inertia
     return rotor + link.joint.hub_inertia + own + off_axis * (link.length + root) + beyond
@@ -298,7 +299,7 @@ def _twists_inertia(links: tuple[Link, ...], payload: Payload | None) -> bool:
         if i and aside:
             return True
         body = i and link.body is not None and float(about_origin(link.body)[0, 0])
-        if link.rho_Ip or link.tip_inertia[0][0] or body:
+        if link.mean("rho_Ip") or link.tip_inertia[0][0] or body:
             return True
     return payload is not None and float(about_origin(payload)[0, 0]) > 0.0
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from dynamics.description import denavit_hartenberg, mode_rule, validate
 from dynamics.description.arm import MOST_LINKS, Arm, Base
+from dynamics.description.beams.sections import MOST_SECTIONS, Section
 from dynamics.description.joint import Joint
 from dynamics.description.link import MOST_MODES, Body, Link, Payload
 from dynamics.description.mode_shapes import Mode
@@ -65,6 +66,11 @@ def _link(data: object, where: str) -> Link:
         values["joint"] = _build(Joint, values["joint"], f"{where}.joint")
     if values.get("body") is not None:
         values["body"] = _build(Body, values["body"], f"{where}.body")
+    if values.get("sections"):
+        sections = validate.sequence(values["sections"], f"{where}.sections", MOST_SECTIONS)
+        values["sections"] = [
+            _build(Section, s, f"{where}.sections[{k}]") for k, s in enumerate(sections)
+        ]
     silent = "modes" not in values
     if silent:
         values["modes"] = []

@@ -1,16 +1,17 @@
 """Integrals over the mode shapes of one link, and over the foreshortening by pairs of them."""
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from dynamics.description.arm import FOURTH_ORDER
-from dynamics.description.beam_shapes import Shape
+from dynamics.description.beams.sections import edges
 from dynamics.description.deflection import BENDING, DISPLACEMENT, TWIST
 from dynamics.description.link import Link
-from dynamics.description.mode_shapes import STIFFNESS, quadrature, shape
+from dynamics.description.mode_shapes import STIFFNESS, Shape, points, shape
 from dynamics.types import Array
 
 _ROUND_OFF = 1e-12  # [-] integrals below this fraction of their natural size are set to zero
@@ -23,10 +24,10 @@ class BeamIntegrals(NamedTuple):
     pairs: tuple[tuple[int, int], ...]  # (p) modes of each foreshortening shape
     along: Array  # (m + p, 3) direction of displacement; zero for torsion
     twist: Array  # (m + p) 1 for torsion, else 0
-    zeroth: Array  # (m + p) int s_j
-    first: Array  # (m + p) int x s_j
-    square: Array  # (m + p, m + p) int s_j s_k; to fourth order only of two modes
-    share: float  # [m] int g^2 / g(l)^2 of the foreshortening by first modes, mean of directions
+    zeroth: Array  # (m + p) int r s_j, with r the inertia per length of s_j over its mean
+    first: Array  # (m + p) int r x s_j
+    square: Array  # (m + p, m + p) int r s_j s_k; to fourth order only of two modes
+    share: float  # [m] int r g^2 / g(l)^2 of the foreshortening by first modes, mean of directions
     K_pairs: Array  # (p, p) stiffness of foreshortening
     tip: Array  # (m + p) s_j(l)
     tip_slope: Array  # (m) s_j'(l)
@@ -37,7 +38,7 @@ class BeamIntegrals(NamedTuple):
 def beam_integrals(link: Link, foreshortening: bool | str) -> BeamIntegrals:
     """Integrals of a link in one piece."""
     l = link.length
-    x, weights = quadrature(l, link.modes)
+    x, weights = points(link.beam, link.modes)
     shapes = [shape(mode, link.beam) for mode in link.modes]
     pairs, shortening, shortening_tip = _shortening(link, shapes, x, weights, bool(foreshortening))
     values = np.vstack([_table([s.value(x) for s in shapes], x.size), shortening])
@@ -47,7 +48,8 @@ def beam_integrals(link: Link, foreshortening: bool | str) -> BeamIntegrals:
     for j, mode in enumerate(link.modes):
         if mode.kind == "pinned-free":
             root_slope[j] = float(shapes[j].slope(0.0))
-    square = (values * weights) @ values.T
+    heavy = values * _densities(link, x, len(pairs))
+    square = (heavy * weights) @ values.T
     size = np.sqrt(np.diag(square))
     tip = np.array([*(float(s.value(l)) for s in shapes), *shortening_tip])
     share = _first_share(link, pairs, np.diag(square)[len(shapes) :], shortening_tip)
@@ -58,8 +60,8 @@ def beam_integrals(link: Link, foreshortening: bool | str) -> BeamIntegrals:
         pairs=pairs,
         along=np.vstack([along, np.tile(_E_X, (len(pairs), 1))]),
         twist=np.append(twist, np.zeros(len(pairs))),
-        zeroth=_snap(values @ weights, math.sqrt(l) * size),
-        first=_snap(values @ (weights * x), l**1.5 * size),
+        zeroth=_snap(heavy @ weights, math.sqrt(l) * size),
+        first=_snap(heavy @ (weights * x), l**1.5 * size),
         square=_snap(square, np.outer(size, size)),
         tip=_snap(tip, size / math.sqrt(l)),
         tip_slope=_snap(tip_slope, size[: len(shapes)] / l**1.5),
@@ -82,9 +84,11 @@ def _stiffness(link: Link, shapes: list[Shape], x: Array, weights: Array) -> Arr
         ],
         x.size,
     )
-    rigidity = np.array([getattr(link, STIFFNESS[mode.direction]) for mode in link.modes])
+    names = [STIFFNESS[mode.direction] for mode in link.modes]
+    rigidity = np.array([link.mean(name) for name in names])
+    along = _table([link.beam.share(name, x) for name in names], x.size)
     same = np.array([[j.direction == k.direction for k in link.modes] for j in link.modes])
-    K = (bent * weights) @ bent.T * same.reshape(len(shapes), len(shapes))
+    K = (bent * (weights * along)) @ bent.T * same.reshape(len(shapes), len(shapes))
     size = np.sqrt(np.diag(K))
     return rigidity.reshape(-1, 1) * _snap(K, np.outer(size, size))
 
@@ -104,10 +108,22 @@ def _pair_stiffness(
         ],
         x.size,
     )
-    EI = np.array([getattr(link, STIFFNESS[link.modes[j].direction]) for j, _ in pairs])
+    names = [STIFFNESS[link.modes[j].direction] for j, _ in pairs]
+    EI = np.array([link.mean(name) for name in names])
+    if link.sections:
+        along = _table([link.beam.share(name, x) for name in names], x.size)
+        half = 0.5 * EI[:, None] * ((curved * (weights * along)) @ curved.T)
+        size = np.sqrt(np.diag(half))
+        return _snap(half + half.T, np.outer(size, size))
     K = (curved * weights) @ curved.T
     size = np.sqrt(np.diag(K))
     return 0.5 * (EI.reshape(-1, 1) + EI) * _snap(K, np.outer(size, size))
+
+
+def _densities(link: Link, x: Array, count: int) -> Array:
+    """(m + p, n) inertia per length of every shape over its mean; `count` is p."""
+    names = ["rho_Ip" if TWIST[mode.direction][0] else "rho_A" for mode in link.modes]
+    return _table([link.beam.share(name, x) for name in [*names, *count * ["rho_A"]]], x.size)
 
 
 def _first_share(
@@ -134,18 +150,23 @@ def _shortening(
     )
     if not pairs:
         return (), _table([], x.size), []
-    # integrate the Legendre interpolant through the nodes of the quadrature
-    node = 2.0 * x / link.length - 1.0
-    basis = legendre.legvander(node, x.size - 1)
-    norms = (2.0 * np.arange(x.size) + 1.0) / link.length
-    to_series = norms[:, None] * (basis * weights[:, None]).T
     slopes = [s.slope(x) for s in shapes]
-    series = [
-        legendre.legint(to_series @ (slopes[j] * slopes[k]), lbnd=-1.0, scl=link.length / 2.0)
-        for j, k in pairs
-    ]
-    values = _table([np.asarray(legendre.legval(node, c)) for c in series], x.size)
-    return pairs, values, [float(legendre.legval(1.0, c)) for c in series]
+    ends = edges(link.sections) if link.sections else (0.0, link.length)
+    count = x.size // (len(ends) - 1)
+    values, tips = np.empty((len(pairs), x.size)), np.zeros(len(pairs))
+    for piece, (begin, end) in enumerate(pairwise(ends)):
+        # integrate the Legendre interpolant through the nodes of the quadrature
+        at, size = slice(piece * count, (piece + 1) * count), end - begin
+        node = 2.0 * (x[at] - begin) / size - 1.0
+        basis = legendre.legvander(node, count - 1)
+        norms = (2.0 * np.arange(count) + 1.0) / size
+        to_series = norms[:, None] * (basis * weights[at][:, None]).T
+        for row, (j, k) in enumerate(pairs):
+            inside = to_series @ (slopes[j][at] * slopes[k][at])
+            series = legendre.legint(inside, lbnd=-1.0, scl=size / 2.0)
+            values[row, at] = tips[row] + legendre.legval(node, series)
+            tips[row] += float(legendre.legval(1.0, series))
+    return pairs, values, tips.tolist()
 
 
 def _table(rows: list[Array], columns: int) -> Array:

@@ -3,12 +3,14 @@
 import logging
 import warnings
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
 from dynamics.description import mode_rule, validate
+from dynamics.description.beams import sections as along
+from dynamics.description.beams.sections import Sections
 from dynamics.description.joint import Joint
 from dynamics.description.mode_rule import ModesByRule, RigidLinkWarning
 from dynamics.description.mode_shapes import (
@@ -17,6 +19,7 @@ from dynamics.description.mode_shapes import (
     Beam,
     Mode,
     are_independent,
+    points,
     shape,
 )
 from dynamics.description.validate import ZEROS, clean
@@ -24,6 +27,7 @@ from dynamics.description.welds import StiffSegmentsWarning, stiff_segments
 from dynamics.types import Array, Matrix3, Vector3
 
 MOST_MODES = 200
+_ROUND_OFF = 1e-6  # [-] of the sum of the sections' lengths
 _UNSTATED: Any = None
 _log = logging.getLogger(__name__)
 
@@ -79,11 +83,14 @@ class Link:
     A link with a stiffness states its modes: a list, () for a rigid link, or "auto" for those of
     `mode_rule`. If it states none it is rigid, with a RigidLinkWarning.
 
+    A link that is not uniform has `sections` in place of rho_A, rigidities and rho_Ip. Its length
+    is their sum.
+
     A rigid link may have a `body` in place of a mass per unit length, or both. With a body, the
     length may be zero. The body of a flexible link moves with its root, as the housing of a motor.
     """
 
-    length: float  # [m] joint axis to tip
+    length: float = _UNSTATED  # [m] joint axis to tip
     rho_A: float = 0.0  # [kg/m] mass per unit length
     EIz: float | None = None  # [N m^2] flexural rigidity for deflection along y
     EIy: float | None = None  # [N m^2] flexural rigidity for deflection along z
@@ -100,16 +107,17 @@ class Link:
     lumped: bool = False  # deflection moves a quarter of the beam's mass, at the tip: heavy tips
     joint: Joint = field(default_factory=Joint)
     body: Body | None = None  # fixed to the root
+    sections: Sections = ()  # from root to tip, of a link that is not uniform
 
     def __post_init__(self) -> None:
         given = self.modes
+        self._check_sections()
         automatic = isinstance(given, str | ModesByRule)
         modes = mode_rule.stated(given)
         at_least = validate.positive if self.body is None else validate.nonnegative
         clean(
             self,
             length=at_least(self.length, "Link.length", "m"),
-            rho_A=at_least(self.rho_A, "Link.rho_A", "kg/m"),
             rho_Ip=validate.nonnegative(self.rho_Ip, "Link.rho_Ip", "kg m"),
             tip_mass=validate.nonnegative(self.tip_mass, "Link.tip_mass", "kg"),
             tip_inertia=validate.inertia(self.tip_inertia, "Link.tip_inertia"),
@@ -119,20 +127,22 @@ class Link:
             modes=() if automatic else tuple(validate.sequence(modes, "Link.modes", MOST_MODES)),
             lumped=validate.boolean(self.lumped, "Link.lumped"),
         )
+        if not self.sections:
+            clean(self, rho_A=at_least(self.rho_A, "Link.rho_A", "kg/m"))
         if self.damping_beta_torsion is not None:
             name = "damping_beta_torsion"
             clean(self, **{name: validate.nonnegative(getattr(self, name), f"Link.{name}", "s")})
         for name in STIFFNESS.values():
             value = getattr(self, name)
             if value is not None:
-                unit = "N" if name == "EA" else "N m^2"
+                unit = along.UNITS[name]
                 clean(self, **{name: validate.nonnegative(value, f"Link.{name}", unit)})
         validate.instance(self.joint, "Link.joint", Joint)
         if self.body is not None:
             validate.instance(self.body, "Link.body", Body)
         if automatic or self.modes:
             validate.positive(self.length, "Link.length", "m")
-            validate.positive(self.rho_A, "Link.rho_A", "kg/m")
+            validate.positive(self.mean("rho_A"), "Link.rho_A", "kg/m")
         if automatic:
             clean(self, modes=self._by_rule())
         for name in ("damping_beta", "damping_beta_torsion"):
@@ -154,6 +164,32 @@ class Link:
         if stiff:
             warnings.warn(stiff, StiffSegmentsWarning, stacklevel=3)
 
+    def _check_sections(self) -> None:
+        """Store checked sections and the length that they give."""
+        clean(self, sections=along.checked(self.sections))
+        if not self.sections:
+            if self.length is None:
+                raise ValueError(
+                    "Link.length [m] must be a number, got None; only Link.sections replace it."
+                )
+            return
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name in along.UNITS and value != entry.default:
+                raise ValueError(
+                    f"Link.{entry.name} ({validate.shown(value)}) and Link.sections exclude each "
+                    f"other; give {entry.name} in every section."
+                )
+        total = along.total_length(self.sections)
+        if self.length is not None:
+            length = validate.number(self.length, "Link.length", "m")
+            if abs(length - total) > _ROUND_OFF * total:
+                raise ValueError(
+                    f"Link.length ({length!r}) must be the sum of the lengths of Link.sections "
+                    f"({total:.12g}); leave it out, or change a section."
+                )
+        clean(self, length=total)
+
     def _by_rule(self) -> ModesByRule:
         return mode_rule.modes_by_rule(
             self.beam, self.joint, self.stiffnesses, self.segments, self.body is None
@@ -169,12 +205,12 @@ class Link:
     def _check_modes(self) -> None:
         for j, mode in enumerate(self.modes):
             validate.instance(mode, f"Link.modes[{j}]", Mode)
-            stiffness = getattr(self, STIFFNESS[mode.direction])
-            if stiffness is None or not stiffness > 0.0:
+            name = STIFFNESS[mode.direction]
+            if not self.mean(name) > 0.0:
                 raise ValueError(
-                    f"Link.{STIFFNESS[mode.direction]} must be positive for the mode along "
-                    f"{mode.direction!r} ({mode.kind} {mode.index}), got {stiffness!r}. "
-                    f"Unit: [{'N' if mode.direction == 'axial' else 'N m^2'}]."
+                    f"Link.{name} must be positive for the mode along "
+                    f"{mode.direction!r} ({mode.kind} {mode.index}), got {getattr(self, name)!r}"
+                    f"{' in every section' * bool(self.sections)}. Unit: [{along.UNITS[name]}]."
                 )
         self._check_roots()
         repeated = Counter((mode.kind, mode.index, mode.direction) for mode in self.modes)
@@ -185,12 +221,12 @@ class Link:
                     "list each mode once."
                 )
         torsion = self.in_direction("x")
-        if len(torsion) * self.segments > 1 and self.rho_Ip == 0.0:
+        if len(torsion) * self.segments > 1 and self.mean("rho_Ip") == 0.0:
             raise ValueError(
                 f"Link.rho_Ip must be positive for {len(torsion) * self.segments} torsion modes in "
                 "all segments, got 0.0: a tip inertia alone carries only one."
             )
-        polar = self.rho_Ip + self.tip_inertia[0][0]
+        polar = self.mean("rho_Ip") + self.tip_inertia[0][0]
         if polar == 0.0 and any(mode.norm == "mass" for mode in torsion):
             raise ValueError(
                 "Mode.norm 'mass' of a torsion mode needs Link.rho_Ip or Link.tip_inertia about x, "
@@ -256,12 +292,37 @@ class Link:
             root += float(about_origin(self.body)[2, 2])
         return Beam(
             length=self.length,
-            rho_A=self.rho_A,
-            rho_Ip=self.rho_Ip,
+            rho_A=self.mean("rho_A"),
+            rho_Ip=self.mean("rho_Ip"),
             tip_mass=self.tip_mass,
             tip_inertia=self.tip_inertia,
             root_inertia=root,
+            sections=self.sections,
         )
+
+    def mean(self, name: str) -> float:
+        """Mean along the link of a quantity such as "EIz"; 0 if it is not stated."""
+        return along.mean(self.sections, name) if self.sections else getattr(self, name) or 0.0
+
+    def at(self, name: str, x: Array) -> Array:
+        """A quantity such as "EIz" at positions x [m]; 0 if it is not stated."""
+        return self.mean(name) * self.beam.share(name, x)
+
+    def tip_rigidity(self, direction: str) -> float:
+        """[N m^2] EI of the uniform link that bends as far by a force at the tip; 0: rigid."""
+        EI = self.mean(STIFFNESS[direction])
+        if not self.sections or not EI:
+            return EI
+        x, weights = points(self.beam, ())
+        lever = (self.length - x) ** 2 / self.beam.rigidity(direction, x)
+        return self.length**3 / (3.0 * float(weights @ lever))
+
+    def root_curvature(self, direction: str) -> float:
+        """Curvature at the root times l^2 / s(l), under a force at the tip: 3 of a uniform link."""
+        EI = self.tip_rigidity(direction)
+        if not self.sections or not EI:
+            return 3.0
+        return 3.0 * EI / float(self.beam.rigidity(direction, np.zeros(1))[0])
 
     @property
     def n(self) -> int:
@@ -271,7 +332,7 @@ class Link:
     @property
     def stiffnesses(self) -> tuple[str, ...]:
         """Names of the rigidities that are positive, such as "EIz"."""
-        return tuple(name for name in sorted(STIFFNESS.values()) if getattr(self, name))
+        return tuple(name for name in sorted(STIFFNESS.values()) if self.mean(name))
 
     def in_direction(self, direction: str) -> tuple[Mode, ...]:
         """Modes along "x" (torsion), "y" or "z" (bending), or "axial"."""

@@ -100,8 +100,7 @@ def _is_pinned(beam: Beam, joint: Joint) -> bool:
     tip = beam.tip_mass > 0.0 or any(map(any, beam.tip_inertia))
     if joint.type != "revolute" or joint.elastic or joint.parallel or any(joint.root) or tip:
         return False
-    own = beam.rho_A * beam.length**3 / 3.0
-    return joint.rotor_inertia + joint.hub_inertia < LIGHT * own
+    return joint.rotor_inertia + joint.hub_inertia < LIGHT * beam.line_mass.second
 
 
 def _clamped(beam: Beam, direction: str) -> str:

@@ -1,13 +1,13 @@
-"""Mode shapes s(x) of a uniform link, 0 <= x <= l.
+"""Mode shapes s(x) of a link, 0 <= x <= l.
 
 | kind               | root         | tip                 | raw shape                       |
 |--------------------|--------------|---------------------|---------------------------------|
 | clamped-free       | s = s' = 0   | free                | cosh - cos - sigma (sinh - sin) |
 | clamped-tip-mass   | s = s' = 0   | the link's tip body | cosh - cos - sigma (sinh - sin) |
 | pinned-free        | s = s'' = 0  | free                | sin + (sin b / sinh b) sinh     |
-| unconstrained      | s = s' = 0   | the link's tip body | see `beam_shapes.unconstrained` |
+| unconstrained      | s = s' = 0   | the link's tip body | see `beams.uniform.unconstrained` |
 | poly               | s = s' = 0   | no condition        | (x/l)^(index + 1)               |
-| hierarchical       | s = s' = 0   | no condition        | see `beam_shapes.hierarchical`  |
+| hierarchical       | s = s' = 0   | no condition        | see `beams.uniform.hierarchical`  |
 | torsion-fixed-free | s = 0        | free                | sin                             |
 | torsion-poly       | s = 0        | no condition        | (x/l)^index                     |
 | axial-fixed-free   | s = 0        | free                | sin                             |
@@ -17,19 +17,28 @@ Arguments of the raw functions are b x/l, with the wave number b/l. The index of
 at the first elastic mode: the rigid rotation is the joint's. The tip body of clamped-tip-mass is
 the link's tip mass and its tip inertia about the bending axis. Unconstrained shapes are the natural
 modes of the link with this body on a free joint, whose rotor and hub turn with the root.
+
+These are the shapes of a uniform link. On a link of sections the first four kinds and those named
+fixed-free are its own natural modes; the other kinds have the bending moment, torque or normal
+force that they have on a uniform link (see `beams.piecewise`).
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.description import validate
-from dynamics.description.beam_shapes import (
+from dynamics.description.beams import piecewise
+from dynamics.description.beams.piecewise import PieceShape
+from dynamics.description.beams.sections import Sections, at, edges, relative
+from dynamics.description.beams.uniform import (
     BeamShape,
-    Shape,
+    LegendreShape,
+    PowerShape,
     clamped,
     clamped_root,
     hierarchical,
@@ -37,6 +46,8 @@ from dynamics.description.beam_shapes import (
     unconstrained,
 )
 from dynamics.types import Array, Matrix3
+
+Shape = BeamShape | PowerShape | LegendreShape | PieceShape
 
 KINDS: dict[str, tuple[str, ...]] = {  # kind -> directions it may act in
     "clamped-free": ("y", "z"),
@@ -84,20 +95,47 @@ class Mode:
 
 @dataclass(frozen=True, kw_only=True)
 class Beam:
-    """Uniform beam with a body at its tip: the properties of a link that determine its shapes."""
+    """Beam with a body at its tip: the properties of a link that determine its shapes."""
 
     length: float  # [m]
-    rho_A: float  # [kg/m]
-    rho_Ip: float  # [kg m]
+    rho_A: float  # [kg/m] mean
+    rho_Ip: float  # [kg m] mean
     tip_mass: float  # [kg]
     tip_inertia: Matrix3  # (3, 3) [kg m^2] about the tip
     root_inertia: float = 0.0  # [kg m^2] that a free joint turns with the root
+    sections: Sections = ()  # none: uniform
+
+    def rigidity(self, direction: str, x: Array) -> Array:
+        """Rigidity of sections against bending, torsion or stretching; 1 of a uniform beam."""
+        return at(self.sections, STIFFNESS[direction], x) if self.sections else np.ones(x.shape)
+
+    def share(self, name: str, x: Array) -> Array:
+        """A quantity of the link, such as "rho_A", over its mean."""
+        return relative(self.sections, name, x)
+
+    @property
+    def line_mass(self) -> "LineMass":
+        """Moments of the beam's mass about its root."""
+        if not self.sections:
+            mass = self.rho_A * self.length
+            return LineMass(mass, mass * self.length / 2.0, mass * self.length**2 / 3.0)
+        x, weights = piecewise.gauss(edges(self.sections), 2)
+        loads = weights * at(self.sections, "rho_A", x)
+        return LineMass(*(float(loads @ x**k) for k in range(3)))
+
+
+class LineMass(NamedTuple):
+    """Moments int rho_A x^k of a beam about its root, k = 0, 1, 2."""
+
+    mass: float  # [kg]
+    first: float  # [kg m]
+    second: float  # [kg m^2]
 
 
 @lru_cache(maxsize=1024)
 def shape(mode: Mode, beam: Beam) -> Shape:
     """Shape of a mode on a beam, normalised according to `mode.norm`."""
-    raw = _raw(mode, beam)
+    raw = _of_sections(mode, beam) if beam.sections else _raw(mode, beam)
     at_rest = mode.kind == "hierarchical" and mode.index > 1  # s(l) = 0
     if mode.norm == "raw" or (mode.norm == "tip-unit" and at_rest):
         return raw
@@ -112,11 +150,19 @@ def quadrature(length: float, modes: Sequence[Mode]) -> tuple[Array, Array]:
     return 0.5 * length * (nodes + 1.0), 0.5 * length * weights
 
 
+def points(beam: Beam, modes: Sequence[Mode]) -> tuple[Array, Array]:
+    """Points [m] and weights of a `quadrature` that knows the sections of a beam."""
+    if not beam.sections:
+        return quadrature(beam.length, modes)
+    most = max((mode.index for mode in modes), default=0)
+    return piecewise.gauss(edges(beam.sections), 44 + 2 * most)
+
+
 def are_independent(modes: Sequence[Mode], beam: Beam) -> bool:
     """True if the shapes are linearly independent (to 1e-6 of their root mean squares)."""
     if len(modes) < 2:
         return True
-    x, weights = quadrature(beam.length, modes)
+    x, weights = points(beam, modes)
     values = np.array([shape(mode, beam).value(x) for mode in modes])
     gram = (values * weights) @ values.T
     size = np.sqrt(np.diag(gram))
@@ -147,6 +193,36 @@ def _raw(mode: Mode, beam: Beam) -> Shape:
     return clamped(clamped_root(index, mass, inertia), mass, inertia, length)
 
 
+def _of_sections(mode: Mode, beam: Beam) -> PieceShape:
+    """A natural mode of the beam, or the shape under the load that a power has on a uniform one."""
+    if mode.norm == "raw":
+        raise ValueError(
+            'Mode.norm "raw" needs a uniform link: shapes of Link.sections have no formula; take '
+            '"tip-unit".'
+        )
+    ends, bending = edges(beam.sections), mode.direction in ("y", "z")
+    rigidity, order = partial(beam.rigidity, mode.direction), 2 if bending else 1
+    if mode.kind == "hierarchical":
+        return piecewise.hierarchical(mode.index, ends, rigidity)
+    if mode.kind in ("poly", "torsion-poly", "axial-poly"):
+
+        def load(x: Array) -> Array:
+            return (x / beam.length) ** (mode.index - 1)
+
+        return piecewise.loaded(ends, load, rigidity, mode.index, order)
+    inertia = "rho_Ip" if mode.direction == "x" else "rho_A"
+    stated = getattr(beam.sections[0], inertia) is not None
+    density = partial(at, beam.sections, inertia) if stated else rigidity
+    hub = {"pinned-free": 0.0, "unconstrained": beam.root_inertia}.get(mode.kind)
+    tip = (0.0, 0.0)
+    if mode.kind in ("clamped-tip-mass", "unconstrained"):
+        size = beam.rho_A * beam.length
+        mass, turning = _tip_ratios(mode, beam)
+        tip = (mass * size, turning * size * beam.length**2)
+    found = piecewise.natural(mode.index, ends, rigidity, density, order, tip, hub)
+    return replace(found, root=0.0) if mode.kind == "unconstrained" else found
+
+
 def _tip_ratios(mode: Mode, beam: Beam) -> tuple[float, float]:
     """Tip mass over rho_A l and tip inertia over rho_A l^3 [-]."""
     axis = {"y": 2, "z": 1}[mode.direction]
@@ -166,8 +242,9 @@ def _modal_mass(raw: Shape, mode: Mode, beam: Beam) -> float:
     Bending, axial: int rho_A s^2; for clamped-tip-mass with tip_mass s(l)^2 + tip inertia s'(l)^2;
     torsion: int rho_Ip s^2 + tip_inertia_xx s(l)^2.
     """
-    x, weights = quadrature(beam.length, (mode,))
-    square = float(weights @ raw.value(x) ** 2)
+    x, weights = points(beam, (mode,))
+    inertia = beam.share("rho_Ip" if mode.direction == "x" else "rho_A", x)
+    square = float(weights @ (inertia * raw.value(x) ** 2))
     tip, slope = float(raw.value(beam.length)), float(raw.slope(beam.length))
     if mode.direction == "x":
         return beam.rho_Ip * square + beam.tip_inertia[0][0] * tip**2

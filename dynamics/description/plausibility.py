@@ -6,7 +6,7 @@ lie beyond space cranes (15 m, 0.1 Hz) and micro arms (a few mm, a few kHz).
 Euler and Bernoulli's beam neglects shear and rotary inertia, which lower the frequencies of short,
 thick links: Timoshenko, "On the correction for shear" (1921). To first order the share of a mode is
 
-    1/2 r^2 (E/kG int s_xxx^2 / int s_xx^2 + rho_A int s_x^2 / modal mass)
+    1/2 (E/kG int r^2 (EI s_xx)_x^2 / EI / int EI s_xx^2 + int rho_A r^2 s_x^2 / modal mass)
 
 with the radius of gyration r of the section, r^2 = EI / EA.
 """
@@ -16,10 +16,16 @@ import warnings
 from collections.abc import Iterator
 from functools import lru_cache
 
+import numpy as np
+
 from dynamics.description.arm import Arm
-from dynamics.description.beam_shapes import BeamShape
+from dynamics.description.beams.piecewise import PieceShape
+from dynamics.description.beams.sections import rate
+from dynamics.description.beams.uniform import BeamShape
+from dynamics.description.deflection import BENDING
 from dynamics.description.link import Link
-from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, quadrature, shape
+from dynamics.description.mode_shapes import STIFFNESS, Mode, points, shape
+from dynamics.types import Array
 
 LENGTHS = (1e-3, 100.0)  # [m] of a link, or of a joint's offset
 HEAVIEST = 1e5  # [kg] link with its tip and body
@@ -63,14 +69,14 @@ def _warn_if_thick(arm: Arm, stacklevel: int) -> None:
     """Warn once in a process of an arm with links of these lengths."""
     key = (math.nan, *(link.length for link in arm.links))
     for k, link in enumerate(arm.links, 1):
-        for direction, stated in (("y", link.EIz), ("z", link.EIy)):
-            share = neglected(link, direction) if stated and link.in_direction(direction) else ()
+        for direction in BENDING:
+            share = neglected(link, direction) if link.in_direction(direction) else ()
             if max(share, default=0.0) > NEGLECTED and key not in _told:
                 _told.add(key)
                 warnings.warn(
                     f"Link {k} is thick: shear and rotary inertia, which are neglected, lower its "
                     f"first two bending frequencies along {direction} by {share[0]:.1%} and "
-                    f"{share[1]:.1%}, with {_section(link, direction)[1]}; the model's are too "
+                    f"{share[1]:.1%}, with {_source(link)}; the model's are too "
                     "high by as much.",
                     ThickLinkWarning,
                     stacklevel=stacklevel + 1,
@@ -79,40 +85,52 @@ def _warn_if_thick(arm: Arm, stacklevel: int) -> None:
 
 def neglected(link: Link, direction: str) -> tuple[float, ...]:
     """(2,) shares of the first two bending frequencies of a clamped link with its tip body."""
-    gyration = _section(link, direction)[0]
     try:
-        return tuple(0.5 * gyration**2 * x for x in _softening(link.beam, direction))
+        return _softening(link, direction)
     except ValueError:  # a tip too heavy for its mode shapes
         return ()
 
 
-def _section(link: Link, direction: str) -> tuple[float, str]:
-    """Radius of gyration [m] of a section about the axis of bending, and its source in words."""
-    EI = getattr(link, STIFFNESS[direction])
-    if link.EA:
-        return math.sqrt(EI / link.EA), "Link.EA"
-    if link.rho_Ip and link.EIz and link.EIy:
-        own = EI / (link.EIz + link.EIy)
-        return math.sqrt(own * link.rho_Ip / link.rho_A), "Link.rho_Ip"
-    return math.sqrt(EI / link.rho_A) / SOUND, "the speed of sound of a metal (EA is not stated)"
+def _source(link: Link) -> str:
+    """Source of the radius of gyration, in words."""
+    if link.mean("EA"):
+        return "Link.EA"
+    if link.mean("rho_Ip") and link.mean("EIz") and link.mean("EIy"):
+        return "Link.rho_Ip"
+    return "the speed of sound of a metal (EA is not stated)"
+
+
+def _gyration(link: Link, direction: str, x: Array) -> Array:
+    """(n,) [m^2] square of the radius of gyration about the axis of bending, at x."""
+    EI, rho_A = link.at(STIFFNESS[direction], x), link.at("rho_A", x)
+    source = _source(link)
+    if source == "Link.EA":
+        return EI / link.at("EA", x)
+    if source == "Link.rho_Ip":
+        own = EI / (link.at("EIz", x) + link.at("EIy", x))
+        return own * link.at("rho_Ip", x) / rho_A
+    return EI / rho_A / SOUND**2
 
 
 @lru_cache(maxsize=256)
-def _softening(beam: Beam, direction: str) -> tuple[float, float]:
-    """[1/m^2] twice the neglected shares over the square of the radius of gyration."""
-    axis = {"y": 2, "z": 1}[direction]
-    result = []
+def _softening(link: Link, direction: str) -> tuple[float, float]:
+    """Neglected shares."""
+    axis, result, beam = {"y": 2, "z": 1}[direction], [], link.beam
     for index in (1, 2):
         mode = Mode(kind="clamped-tip-mass", index=index, direction=direction)
         s = shape(mode, beam)
-        assert isinstance(s, BeamShape)
-        x, weights = quadrature(beam.length, (mode,))
-        value, slope, bend, shear = (
-            float(weights @ f(x) ** 2) for f in (s.value, s.slope, s.curvature, s.third)
-        )
-        mass = beam.rho_A * value + beam.tip_mass * float(s.value(beam.length)) ** 2
-        mass += beam.tip_inertia[axis][axis] * float(s.slope(beam.length)) ** 2
-        result.append(SHEAR * shear / bend + beam.rho_A * slope / mass)
+        assert isinstance(s, BeamShape | PieceShape)
+        x, weights = points(beam, (mode,))
+        gyration, rho_A = _gyration(link, direction, x), link.at("rho_A", x)
+        EI, change = link.at(STIFFNESS[direction], x), np.zeros(x.size)
+        if link.sections:
+            change = rate(link.sections, STIFFNESS[direction], x)
+        force = EI * s.third(x) + change * s.curvature(x)
+        shear = weights @ (gyration * force**2 / EI) / (weights @ (EI * s.curvature(x) ** 2))
+        mass = weights @ (rho_A * s.value(x) ** 2) + beam.tip_mass * s.value(beam.length) ** 2
+        mass += beam.tip_inertia[axis][axis] * s.slope(beam.length) ** 2
+        turning = weights @ (rho_A * gyration * s.slope(x) ** 2) / mass
+        result.append(float(0.5 * (SHEAR * shear + turning)))
     return result[0], result[1]
 
 
@@ -124,17 +142,17 @@ def _oddities(link: Link) -> Iterator[str]:
         yield f"a length of {link.length:g} m"
     elif offset > most:
         yield f"a joint offset of {offset:g} m"
-    mass = link.rho_A * link.length + link.tip_mass + (link.body.mass if link.body else 0.0)
+    mass = link.beam.line_mass.mass + link.tip_mass + (link.body.mass if link.body else 0.0)
     if mass > HEAVIEST:
         yield f"a mass of {mass:g} kg"
-    for direction, EI in (("y", link.EIz), ("z", link.EIy)):
-        if EI and link.in_direction(direction):
-            frequency = clamped_frequency(link, EI)
+    for direction in BENDING:
+        if link.in_direction(direction):
+            frequency = clamped_frequency(link, link.tip_rigidity(direction))
             if not FREQUENCIES[0] <= frequency <= FREQUENCIES[1]:
                 yield f"a first bending frequency of {frequency:.3g} Hz along {direction}"
 
 
 def clamped_frequency(link: Link, EI: float) -> float:
     """First bending frequency [Hz] of a clamped link with its tip mass; 2 % high without one."""
-    moving = 33.0 / 140.0 * link.rho_A * link.length + link.tip_mass  # Rayleigh's quotient
+    moving = 33.0 / 140.0 * link.beam.line_mass.mass + link.tip_mass  # Rayleigh's quotient
     return math.sqrt(3.0 * EI / (moving * link.length**3)) / (2.0 * math.pi)

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, quadrature, shape
+from dynamics.description.beams.sections import cut
+from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, points, shape
 from dynamics.description.validate import ZEROS
 
 FREE_TIP = {  # kind -> the load that its tip cannot take
@@ -33,16 +34,18 @@ def unloaded(modes: Sequence[Mode]) -> str | None:
 def tip_compliance(modes: Sequence[Mode], beam: Beam, segments: int) -> float:
     """Tip compliance of a link in segments over that of its beam [-].
 
-    Under a force across, a torque or a force along the tip, by the direction of the modes. The beam
-    has the compliance l^3 / (3 EI), l / GJ or l / EA.
+    Under a force across, a torque or a force along the tip, by the direction of the modes. A beam
+    has the compliance int (l - x)^2 / EI, int 1 / GJ or int 1 / EA.
     """
-    part = replace(beam, length=beam.length / segments, tip_mass=0.0, tip_inertia=ZEROS)
-    total = 0.0
+    size, total = beam.length / segments, 0.0
     for k in range(segments):
-        body = replace(beam, length=part.length) if k == segments - 1 else part
-        total += _yield(modes, body, beam.length - (k + 1) * part.length)
-    bending = modes[0].direction in _BENDING
-    return total / (beam.length**3 / 3.0 if bending else beam.length)
+        part = replace(beam, length=size, sections=cut(beam.sections, k * size, (k + 1) * size))
+        if k < segments - 1:
+            part = replace(part, tip_mass=0.0, tip_inertia=ZEROS)
+        total += _yield(modes, part, beam.length - (k + 1) * size)
+    x, weights = points(beam, modes)
+    lever = (beam.length - x) ** 2 if modes[0].direction in _BENDING else np.ones(x.size)
+    return total / float(weights @ (lever / beam.rigidity(modes[0].direction, x)))
 
 
 def stiff_segments(name: str, modes: Sequence[Mode], beam: Beam, segments: int) -> str | None:
@@ -62,8 +65,12 @@ def stiff_segments(name: str, modes: Sequence[Mode], beam: Beam, segments: int) 
 
 
 def _yield(modes: Sequence[Mode], beam: Beam, lever: float) -> float:
-    """Compliance times rigidity of one segment under unit load at `lever` [m] beyond its tip."""
-    x, weights = quadrature(beam.length, modes)
+    """Compliance of one segment under unit load at `lever` [m] beyond its tip.
+
+    If it is uniform, its rigidity is 1.
+    """
+    x, weights = points(beam, modes)
+    weights = weights * beam.rigidity(modes[0].direction, x)
     shapes = [shape(mode, beam) for mode in modes]
     bending = modes[0].direction in _BENDING
     bent = np.array([s.curvature(x) if bending else s.slope(x) for s in shapes])

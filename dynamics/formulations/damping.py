@@ -91,7 +91,7 @@ def yields(link: Link, direction: str) -> bool:
     A link with a body and no modes at all is rigid.
     """
     bends = link.body is None or bool(link.modes)
-    return bends and bool(getattr(link, STIFFNESS[direction]))
+    return bends and bool(link.mean(STIFFNESS[direction]))
 
 
 def _as_a_whole(link: Link) -> bool:

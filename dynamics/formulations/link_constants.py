@@ -19,9 +19,11 @@ import numpy as np
 
 from dynamics.description.arm import FOURTH_ORDER, Arm
 from dynamics.description.beam_integrals import BeamIntegrals, beam_integrals
+from dynamics.description.beams.sections import cut
 from dynamics.description.deflection import TILT
 from dynamics.description.joint import Joint
 from dynamics.description.link import Body, Link, Payload, about_origin
+from dynamics.description.mode_shapes import points
 from dynamics.description.validate import IDENTITY, ZEROS
 from dynamics.types import Array, Matrix3, Vector3
 
@@ -98,7 +100,7 @@ def chain_constants(arm: Arm) -> list[tuple[LinkConstants, ...]]:
 
 def _turns_almost_nothing(link: Link, last: LinkConstants) -> bool:
     """True if the tip's rotation moves less than LIGHT_TIP of the link's own inertia."""
-    own = link.rho_A * link.length**3 / 3.0
+    own = link.beam.line_mass.second
     return float(np.abs(last.tip_inertia).max()) <= LIGHT_TIP * own
 
 
@@ -147,12 +149,20 @@ def parts(link: Link) -> list[Link]:
     if link.segments == 1:
         return [link]
     listed = tuple(link.modes)  # those of the whole link, not the rule's for a part
-    bare = replace(
-        link, length=link.length / link.segments, segments=1, modes=listed, damping_ratio=0.0
-    )
-    middle = replace(bare, joint=Joint(), tip_mass=0.0, tip_inertia=ZEROS, body=None)
-    first = replace(middle, joint=link.joint, body=link.body)
-    return [first, *[middle] * (link.segments - 2), replace(bare, joint=Joint(), body=None)]
+    size = link.length / link.segments
+
+    def piece(k: int) -> Link:
+        return replace(
+            link, length=size, segments=1, modes=listed, damping_ratio=0.0, joint=Joint(),
+            tip_mass=0.0, tip_inertia=ZEROS, body=None,
+            sections=cut(link.sections, k * size, (k + 1) * size),
+        )  # fmt: skip
+
+    count = link.segments
+    pieces = [piece(k) for k in range(count)] if link.sections else [piece(0)] * count
+    pieces[0] = replace(pieces[0], joint=link.joint, body=link.body)
+    pieces[-1] = replace(pieces[-1], tip_mass=link.tip_mass, tip_inertia=link.tip_inertia)
+    return pieces
 
 
 def link_constants(
@@ -165,7 +175,8 @@ def link_constants(
     """All constants of one link without segments; `payload` is added to its tip body."""
     b = beam_integrals(link, foreshortening)
     m = len(link.modes)
-    second = link.rho_A * b.square
+    rho_A = link.mean("rho_A")
+    second = rho_A * b.square
     mass, first_moment, C0 = _undeflected(link)
     s, c, C = _modal_inertia(link, b)
     payload = payload or Payload(mass=0.0)
@@ -180,7 +191,7 @@ def link_constants(
         pairs=b.pairs,
         mass=mass,
         first_moment=_tuples(first_moment),
-        epsilon=_tuples((link.rho_A * b.zeroth)[:, None] * b.along),
+        epsilon=_tuples((rho_A * b.zeroth)[:, None] * b.along),
         s=_tuples(s),
         c_jk=_tuples(_pairs(second, np.cross, b.along)),
         c=_tuples(c),
@@ -208,7 +219,7 @@ def link_constants(
     )
     if link.lumped and link.modes:
         return _lumped(constants, link)
-    return _condensed(constants, b.share * link.rho_A) if constants.K_pairs else constants
+    return _condensed(constants, b.share * rho_A) if constants.K_pairs else constants
 
 
 def _condensed(k: LinkConstants, mass: float) -> LinkConstants:
@@ -240,12 +251,12 @@ def _condensed(k: LinkConstants, mass: float) -> LinkConstants:
 
 
 def _lumped(constants: LinkConstants, link: Link) -> LinkConstants:
-    """Put a beam's inertia at the Radau points l/3 and l; the modes move only the latter's.
+    """Put a beam's inertia at Radau's two points; the modes move only what is at the tip.
 
-    With weights 3/4 and 1/4, the straight link keeps its mass, first moment and inertia.
+    A uniform beam has 3/4 at l/3 and 1/4 at l. The straight link keeps its mass, first moment and
+    inertia. A twist keeps the energy of turning in proportion to x.
     """
-    share = LUMPED_SHARE * link.rho_A * link.length
-    twist = LUMPED_TWIST * link.rho_Ip * link.length
+    share, twist = _lumps(link)
     carried = share * link.length**2 * np.diag((0.0, 1.0, 1.0)) + twist * np.outer(_E_X, _E_X)
     distributed = ("epsilon", "s", "c_jk", "c", "C", "D")
     return replace(
@@ -259,12 +270,23 @@ def _lumped(constants: LinkConstants, link: Link) -> LinkConstants:
     )
 
 
+def _lumps(link: Link) -> tuple[float, float]:
+    """Mass [kg] and polar inertia [kg m^2] of a beam that move with its tip."""
+    l = link.length
+    if not link.sections:
+        return LUMPED_SHARE * link.rho_A * l, LUMPED_TWIST * link.rho_Ip * l
+    mass, first, second = link.beam.line_mass
+    x, weights = points(link.beam, ())
+    twist = float(weights @ (link.at("rho_Ip", x) * (x / l) ** 2))
+    return (mass * second - first**2) / (mass * l**2 - 2.0 * first * l + second), twist
+
+
 def _undeflected(link: Link) -> tuple[float, Array, Array]:
     """Mass [kg], first moment [kg m] and C0 [kg m^2] of the straight link with hub and body."""
-    mass = link.rho_A * link.length
-    moment = mass * link.length / 2.0 * _E_X
-    C0 = mass * link.length**2 / 3.0 * np.diag((0.0, 1.0, 1.0))
-    C0 = C0 + link.rho_Ip * link.length * np.outer(_E_X, _E_X)
+    mass, first, second = link.beam.line_mass
+    moment = first * _E_X
+    C0 = second * np.diag((0.0, 1.0, 1.0))
+    C0 = C0 + link.mean("rho_Ip") * link.length * np.outer(_E_X, _E_X)
     C0 = C0 + link.joint.hub_inertia * np.outer(_E_Z, _E_Z)
     if link.body is not None:
         com = np.array(link.body.com)
@@ -280,14 +302,14 @@ def _modal_inertia(link: Link, b: BeamIntegrals) -> tuple[Array, Array, list[Arr
     A rotor of inertia I about the unit axis e that modes turn at t_j per unit rate adds I t_j t_k
     to s, I t_j e to c_j and -1/2 I t_j e~ to C_j (and I e e' to C0).
     """
-    hub = link.joint.hub_inertia
-    s = link.rho_A * b.square * (b.along @ b.along.T)
-    s += link.rho_Ip * b.square * np.outer(b.twist, b.twist)
+    hub, rho_A, rho_Ip = link.joint.hub_inertia, link.mean("rho_A"), link.mean("rho_Ip")
+    s = rho_A * b.square * (b.along @ b.along.T)
+    s += rho_Ip * b.square * np.outer(b.twist, b.twist)
     s += hub * np.outer(b.root_slope, b.root_slope)
-    first = link.rho_A * b.first
+    first = rho_A * b.first
     c = first[:, None] * np.cross(_E_X, b.along)
     C = [i * _skew(_E_X).T @ _skew(u) for i, u in zip(first, b.along, strict=True)]
-    for axis, rates in ((_E_X, link.rho_Ip * b.twist * b.zeroth), (_E_Z, hub * b.root_slope)):
+    for axis, rates in ((_E_X, rho_Ip * b.twist * b.zeroth), (_E_Z, hub * b.root_slope)):
         c = c + rates[:, None] * axis
         C = [C_j - 0.5 * rate * _skew(axis) for C_j, rate in zip(C, rates, strict=True)]
     return s, c, C
@@ -301,8 +323,8 @@ def _damping(link: Link, b: BeamIntegrals) -> Array:
     """
     m = len(link.modes)
     square, tip, twist = np.diag(b.square)[:m], b.tip[:m] ** 2, b.twist[:m] == 1.0
-    displaced = link.rho_A * square + link.tip_mass * tip
-    modal = np.where(twist, link.rho_Ip * square + link.tip_inertia[0][0] * tip, displaced)
+    displaced = link.mean("rho_A") * square + link.tip_mass * tip
+    modal = np.where(twist, link.mean("rho_Ip") * square + link.tip_inertia[0][0] * tip, displaced)
     damping = 2.0 * link.damping_ratio * np.diag(np.sqrt(np.diag(b.K) * modal))
     own = link.damping_beta_torsion
     beta = np.where(twist, link.damping_beta if own is None else own, link.damping_beta)

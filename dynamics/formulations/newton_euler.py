@@ -82,10 +82,11 @@ def rigid_links(arm: Arm) -> tuple[RigidLink, ...]:
 
 def _rigid_link(link: Link, payload: Payload | None) -> RigidLink:
     """Combine beam, hub, body, tip body and payload into one rigid body."""
-    beam, tip = link.rho_A * link.length, (link.length, 0.0, 0.0)
-    slender = beam * link.length**2 / 12.0
-    around = np.diag((link.rho_Ip * link.length, slender, slender + link.joint.hub_inertia))
-    shares = [(beam, (link.length / 2.0, 0.0, 0.0), around)]
+    line, tip = link.beam.line_mass, (link.length, 0.0, 0.0)
+    centre = line.first / line.mass if line.mass else 0.0
+    slender, polar = line.second - line.first * centre, link.mean("rho_Ip") * link.length
+    around = np.diag((polar, slender, slender + link.joint.hub_inertia))
+    shares = [(line.mass, (centre, 0.0, 0.0), around)]
     shares.append((link.tip_mass, tip, np.array(link.tip_inertia)))
     if link.body is not None:
         shares.append((link.body.mass, link.body.com, np.array(link.body.inertia)))

@@ -62,7 +62,7 @@ FIXED_BASE_AND_REVOLUTE = {
     "Link": frozenset({
         "length", "rho_A", "EIz", "EIy", "GJ", "EA", "rho_Ip", "tip_mass", "tip_inertia", "modes",
         "damping_ratio", "damping_beta", "damping_beta_torsion", "segments", "lumped",
-        "joint", "body",
+        "joint", "body", "sections",
     }),
 }  # fmt: skip
 

@@ -85,7 +85,7 @@ class Hardware:
         result: dict[str, Any] = {}
         if self.payload is not None:
             last = arm.links[-1]
-            mass = last.rho_A * last.length + last.tip_mass
+            mass = last.beam.line_mass.mass + last.tip_mass
             result["payload_mass"] = tuple(mass * share for share in self.payload)
         if self.stiffness is not None:
             result["stiffness"] = self.stiffness

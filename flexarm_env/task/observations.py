@@ -220,7 +220,8 @@ def _part(
 
 def curvature_scale(arm: Arm, columns: tuple[int, ...]) -> tuple[float, ...]:
     """[1/m] root curvature under a tip force that deflects the link by 10 % of its length."""
-    return tuple(3.0 * 0.1 / arm.links[c // 2].length for c in columns)
+    bent = [(arm.links[c // 2], "yz"[c % 2]) for c in columns]
+    return tuple(link.root_curvature(direction) * 0.1 / link.length for link, direction in bent)
 
 
 def sensed_axes(arm: Arm) -> tuple[int, ...]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from dynamics import Body, Joint, Link, Mode, Payload
+from dynamics import Body, Joint, Link, Mode, Payload, Section
 from dynamics.description.arm import Base
 from dynamics.description.arm_file import ARM_KEYS, CASE_KEYS
 from dynamics.description.denavit_hartenberg import Row
@@ -30,6 +30,7 @@ SHORT = {  # of the pages -> in the tests
 KEYS = {
     "The arm": ARM_KEYS,
     "A link": [entry.name for entry in fields(Link)],
+    "A section": [entry.name for entry in fields(Section)],
     "A joint": [entry.name for entry in fields(Joint)],
     "A mode": [entry.name for entry in fields(Mode)],
     "A payload": [entry.name for entry in fields(Payload)],

@@ -1,4 +1,4 @@
-"""Choices for moving bases, parallel drives, sliding joints and axial modes hold what they claim.
+"""Choices for moving bases, parallel drives, sliding joints, axial modes, sections: all hold.
 
 Each claim is compared with another discretisation, compiled, under DOP853.
 """
@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dynamics import Arm, Base, Choice, Joint, Link, Mode, Scene, choose_model, simulate
+from dynamics import Arm, Base, Choice, Joint, Link, Mode, Scene, Section, choose_model, simulate
 from dynamics.accuracy.certificate import certify
 from dynamics.accuracy.fidelity import Fidelity, divisible, everything, rigid
 from dynamics.accuracy.model_choice import _kinds
@@ -30,12 +30,20 @@ BASE = Base(
     type="free", mass=4.0, inertia=((0.3, 0.0, 0.0), (0.0, 0.4, 0.0), (0.0, 0.0, 0.5)),
     position=(0.3, 0.1, 0.0), velocity=(0.1, 0.0, 0.0),
 )  # fmt: skip
+ROD = replace(
+    BEAM, length=None, rho_A=0.0, EIz=None,
+    sections=(
+        Section(length=0.3, rho_A=1.0, EIz=90.0),
+        Section(length=0.5, rho_A=(0.5, 0.2), EIz=(25.0, 8.0)),
+    ),
+)  # fmt: skip
 CASES = {  # arm, torques, tolerance [m]
     "free base": (Arm(links=(BEAM,), base=BASE), (0.6,), 2e-3),
     "planar base": (Arm(links=(BEAM,), base=replace(BASE, type="planar")), (0.6,), 2e-3),
     "parallel drive": (Arm(links=(STUB, PARALLEL)), (2.0, 0.5), 3e-3),
     "sliding joint": (Arm(links=(SLIDER, BEAM)), (8.0, 0.5), 2e-3),
     "axial mode": (Arm(links=(SOFT,), gravity=(-9.81, 0.0, 0.0)), (0.5,), 1e-3),
+    "sections": (Arm(links=(ROD,)), (0.6,), 1e-3),
 }
 
 

@@ -37,6 +37,10 @@ REAL: dict[str, dict[str, Any]] = {
         "length": 7.1, "rho_A": 20.0, "EIz": 4.0e6, "tip_mass": 0.9e5, "modes": [BENDING],
     },
     "a strip of silicon": {"length": 2e-3, "rho_A": 2.3e-6, "EIz": 1.4e-9, "modes": [BENDING]},
+    "a fishing rod": {
+        "sections": [{"length": 2.0, "rho_A": 0.1, "EIz": EI} for EI in (40.0, [10.0, 1.0])],
+        "modes": [BENDING],
+    },
     "a pin": {"length": 1e-2, "rho_A": 6e-3, "EIz": 1e-2, "modes": [BENDING]},
 }  # fmt: skip
 
@@ -100,6 +104,10 @@ def test_the_warning_names_the_quantity_its_value_and_the_other_links() -> None:
          r"a first bending frequency of 0\.0012\d Hz along z"),
         ({"length": 0.01, "rho_A": 1e-3, "EIz": 1e5, "modes": [BENDING]},
          r"a first bending frequency of 5\.68e\+07 Hz along y"),
+        ({"sections": [{"length": 400.0, "rho_A": 0.324, "EIz": EI} for EI in (6.3, [3.0, 1.0])],
+          "modes": [BENDING]}, "a length of 800 m"),
+        ({"sections": [{"length": 0.45, "rho_A": 0.324, "EIz": EI} for EI in (6e-6, 3e-6)],
+          "modes": [BENDING]}, r"a first bending frequency of 0\.00284 Hz along y"),
     ):  # fmt: skip
         with pytest.warns(ImplausibleArmWarning, match=rf"^The arm .* link 1 has {words}\. Give"):
             load_arm({"links": [link]})

@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from dynamics import ARMS, ThickLinkWarning, load_arm
+from dynamics import ARMS, Arm, Section, ThickLinkWarning, load_arm
 from dynamics.description import plausibility
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
 from dynamics.description.plausibility import SHEAR, neglected
+from dynamics.model import Model
 from tests.dynamics.beam_elements import beam_frequencies
 
 BENDING = [{"kind": "clamped-free", "index": 1, "direction": "y"}]
 STEEL, DENSITY = 200e9, 7850.0
+COUNT = 400  # elements of a Timoshenko beam
 
 
 @pytest.fixture(autouse=True)
@@ -31,21 +33,22 @@ def bar(length: float, height: float, **changes: Any) -> dict[str, Any]:
     return {"length": length, "rho_A": DENSITY * area, "modes": BENDING, **stiffness, **changes}
 
 
-def timoshenko(length: float, rho_A: float, EI: float, EA: float, tip: tuple[float, float]) -> Any:
+def timoshenko(length: float, rho_A: Any, EI: Any, EA: Any, tip: tuple[float, float]) -> Any:
     """(2,) [rad/s] of a clamped Timoshenko beam: linear elements with one point for the shear.
 
+    rho_A, EI, EA : numbers, or one for each of the COUNT elements.
     tip : mass [kg] and inertia [kg m^2].
     """
-    count = 400
+    count = COUNT
     h, n = length / count, 2 * (count + 1)  # deflection and rotation at every node
     M, K = np.zeros((n, n)), np.zeros((n, n))
     consistent = np.array([[2.0, 1.0], [1.0, 2.0]]) * h / 6.0
     bend, shear = np.array([0.0, -1.0, 0.0, 1.0]) / h, np.array([-1.0 / h, -0.5, 1.0 / h, -0.5])
-    element = h * (EI * np.outer(bend, bend) + EA / SHEAR * np.outer(shear, shear))
-    for k in range(count):
+    rows = np.column_stack([x * np.ones(count) for x in (rho_A, EI, EA)])
+    for k, (m, bending, normal) in enumerate(rows):
         at = slice(2 * k, 2 * k + 4)
-        M[at, at] += np.kron(consistent, np.diag([rho_A, rho_A * EI / EA]))
-        K[at, at] += element
+        M[at, at] += np.kron(consistent, np.diag([m, m * bending / normal]))
+        K[at, at] += h * (bending * np.outer(bend, bend) + normal / SHEAR * np.outer(shear, shear))
     M[-2, -2] += tip[0]
     M[-1, -1] += tip[1]
     squares = scipy.linalg.eigh(K[2:, 2:], M[2:, 2:], eigvals_only=True, subset_by_index=[0, 1])
@@ -67,6 +70,25 @@ def test_the_neglected_share_is_that_of_timoshenkos_beam(
 
     share = 1.0 - thick / slender
     np.testing.assert_allclose(neglected(link, "y"), share, rtol=3.0 * share.max() + 0.02)
+
+
+def test_the_share_of_a_stepped_and_tapered_bar_is_that_of_timoshenkos_beam() -> None:
+    inner, outer = bar(0.25, 0.03), bar(0.25, 0.02)
+    names = ("rho_A", "EIz", "EA")
+    sections = (
+        Section(length=0.25, **{name: inner[name] for name in names}),
+        Section(length=0.25, **{name: (outer[name], 0.6 * outer[name]) for name in names}),
+    )
+    modes = tuple(Mode(kind="clamped-free", index=k, direction="y") for k in (1, 2))
+    link = Link(sections=sections, modes=modes)
+    x = 0.5 * (np.arange(COUNT) + 0.5) / COUNT
+
+    thick = timoshenko(0.5, *(link.at(name, x) for name in names), (0.0, 0.0))
+
+    share = 1.0 - thick / Model(Arm(links=(link,))).frequencies()
+    np.testing.assert_allclose(neglected(link, "y"), share, rtol=3.0 * share.max() + 0.02)
+    with pytest.warns(ThickLinkWarning, match="with Link.EA"):
+        load_arm(Arm(links=(link,)).to_dict())
 
 
 def test_a_thick_bar_is_named_with_the_size_once() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dynamics import Arm, Joint, Link, Mode, StiffSegmentsWarning
-from dynamics.description.beam_shapes import clamped_root
+from dynamics.description.beams.uniform import clamped_root
 from dynamics.description.mode_shapes import FREE_ROOT, KINDS
 from dynamics.description.welds import FREE_TIP, tip_compliance
 from dynamics.model import Model

@@ -176,9 +176,6 @@ def unconstrained(
     return LegendreShape(length=length, series=tuple(amplitudes[1:].tolist()))
 
 
-Shape = BeamShape | PowerShape | LegendreShape
-
-
 def clamped_root(index: int, mass: float, inertia: float) -> float:
     """Wave number times length of mode `index` of a cantilever with a body at its tip.
 

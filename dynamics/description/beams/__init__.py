@@ -1,0 +1,1 @@
+"""Shapes of beams: uniform ones, and those of sections."""
