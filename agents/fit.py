@@ -13,8 +13,9 @@ from agents.files import FolderError, check_folder
 from agents.metrics import write_json
 from agents.sentences import one_line, speaker
 from dynamics.load import load_arm
+from dynamics.measured.columns import UNITS
 from dynamics.measured.fit import BOUNDS, CONFIDENCE, Fit, fit
-from dynamics.measured.log_file import UNITS, Columns, Log, read_log
+from dynamics.measured.log_file import Columns, Log, read_log
 from dynamics.measured.motion import STARTS, Gauge
 from dynamics.model import compile_arm
 
@@ -39,7 +40,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
         units = dict(_pair(text, "--units") for text in a.units)
         columns = Columns(
             time=a.time, command=tuple(a.command), encoder=tuple(a.encoder),
-            gauge=tuple(a.gauge), units=units,
+            gauge=tuple(a.gauge), units=units, titles=tuple(a.titles),
         )  # fmt: skip
         log, arm = read_log(a.log, columns), load_arm(a.arm)
         if a.since is not None:
@@ -56,10 +57,11 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
         print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
     a.out.mkdir(parents=True, exist_ok=True)
-    title = f"{a.log.name} and {arm.name or a.arm}"
+    name = ", ".join(path.name for path in a.log)
+    title = f"{a.log[0].name} and {arm.name or a.arm}"
     units_read = ["[rad]"] * (len(found.signals) - len(gauges)) + [_unit(g) for g in gauges]
     draw(a.out / "overlay.png", log, found, units_read, title)
-    write_json(a.out / "fit.json", {"log": a.log.name, "arm": a.arm} | found.to_dict())
+    write_json(a.out / "fit.json", {"log": name, "arm": a.arm} | found.to_dict())
     print(table(found))
     if "stiffness" in bounds and "payload_mass" not in bounds:
         print(frequencies(arm, found))
@@ -79,7 +81,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("log", type=Path, metavar="LOG", help=".csv or .txt with a header line, or .mat")
+    add("log", type=Path, nargs="+", metavar="LOG",
+        help="text of a logger or a spreadsheet (.csv, .txt, .dat), or .mat files of one run; a "
+        "COLUMN is its title, its number from 1, or as VARIABLE, VARIABLE:COLUMN, STRUCT.FIELD of "
+        "a .mat file")  # fmt: skip
     add("--arm", required=True, help="a preset's name or an arm file")
     add("--time", required=True, metavar="COLUMN")
     add("--command", nargs="+", default=[], metavar="COLUMN",
@@ -90,9 +95,11 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add("--gauge-at", nargs="+", default=[], metavar="LINK:X[:DISTANCE]",
         help="of every gauge: link from 1, metres from the joint, and of strain metres from the "
         "neutral axis")  # fmt: skip
+    add("--titles", nargs="+", default=[], metavar="TITLE",
+        help="of all columns of a text file without a header line")  # fmt: skip
     add("--units", nargs="+", default=[], metavar="KIND=UNIT",
         help="; ".join(f"{kind}: {', '.join(known)}" for kind, known in UNITS.items())
-        + "; or a factor to SI (default: the first of each)")  # fmt: skip
+        + "; or a factor to SI (default: the first of each); or of one column: COLUMN=UNIT")  # fmt: skip
     add("--held", nargs="+", default=[], metavar="JOINT[:ANGLE]",
         help="joints, from 1, that a clamp or a stiff drive holds, and their angles in rad "
         "(default: the mean of the encoder, or 0 without one)")  # fmt: skip
@@ -110,7 +117,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _pair(text: str, option: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
+    name, equals, value = text.rpartition("=")
     if not equals:
         raise ValueError(f"{option} takes NAME=VALUE, got {text!r}.")
     return name, value
