@@ -44,8 +44,9 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
             gauge=tuple(a.gauge), units=units, titles=tuple(a.titles),
         )  # fmt: skip
         log, arm = read_log(a.log, columns), load_arm(a.arm)
-        if a.since is not None:
-            log = log.since(a.since)
+        if a.since is not None or a.to is not None:
+            first = log.time[0] if a.since is None else a.since
+            log = log.since(first, math.inf if a.to is None else a.to)
         if len(a.gauge_at) != len(a.gauge):
             raise ValueError(
                 "--gauge-at needs a place LINK:X[:DISTANCE] for each column of --gauge, got "
@@ -124,6 +125,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add("--from", dest="since", type=float, metavar="SECONDS",
         help="leave out the samples before this time, such as those before a plucked tip is let "
         "go")  # fmt: skip
+    add("--to", type=float, metavar="SECONDS", help="leave out the samples after this time")
     default = " ".join(f"{name}={low:g}:{high:g}" for name, (low, high) in BOUNDS.items())
     add("--fit", nargs="+", metavar="NAME=LOW:HIGH",
         help="parameters and their bounds: stiffness, damping, friction, times the arm's own; "

@@ -2,7 +2,8 @@
 
 Constant offsets of the signals, and in the search the start too, are eliminated as linear unknowns.
 A long log has many valleys, each a cycle of the oscillation wide. The search follows the lowest
-from the log's first samples to all of them, twice as many at a time.
+from the log's first samples to all of them, twice as many at a time. A motion that starts again and
+again has few, and the search tries few points.
 """
 
 from itertools import product
@@ -16,6 +17,7 @@ from dynamics.measured.unknowns import Bounds
 from dynamics.types import Array
 
 STARTS = 600  # points of the search, on a grid over the bounds
+FEW = 40  # points of the search where the motion starts again and again
 MOST_ON_GRID = 5  # parameters; more are searched at random
 SEED = 0  # of the random points
 MOST_MOTIONS = 2000  # of the search
@@ -35,7 +37,8 @@ def search(motion: LoggedMotion, bounds: Bounds) -> Array:
     while not np.isfinite(starts := _projected(motion, corners, weights, [some])[1][0]).all():
         motion.halve_steps()
     motion.refine(starts, some)
-    grid = _points(motion, _grid(bounds, MOST_MOTIONS // (1 + np.sum(~table.asked))))
+    fewer = min(STARTS, MOST_MOTIONS // (1 + int(np.sum(~table.asked))))
+    grid = _points(motion, _grid(bounds, FEW if motion.restarts else fewer))
     first = [part for part in parts if part <= most]
     costs, found = _projected(motion, np.vstack([table.nominal, grid]), weights, first)
     inside = ((found >= table.low) & (found <= table.high)).all(axis=2)
@@ -89,7 +92,7 @@ def _parts(motion: LoggedMotion) -> list[int]:
     """Numbers of first samples of the log, the last that of all, each half of the next."""
     count, signals = motion.measured.shape
     result = [count]
-    while result[0] // 2 * signals >= FEWEST * motion.unknowns.size.size:
+    while not motion.restarts and result[0] // 2 * signals >= FEWEST * motion.unknowns.size.size:
         result.insert(0, result[0] // 2)
     return result
 
@@ -109,8 +112,7 @@ def _points(motion: LoggedMotion, parameters: Array) -> Array:
 
 
 def _grid(bounds: Bounds, most: int) -> Array:
-    """(P, p) points over the bounds, at equal ratios where no bound is zero."""
-    most = min(STARTS, most)
+    """(P, p) points over the bounds, about `most`, at equal ratios where no bound is zero."""
     if len(bounds) > MOST_ON_GRID:
         points = LatinHypercube(len(bounds), rng=np.random.default_rng(SEED)).random(most)
         pairs = zip(bounds.values(), points.T, strict=True)

@@ -1,5 +1,6 @@
 """Logs of rigs: text and MAT files whose columns and units the user names."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,15 +27,18 @@ class Log:
     encoder: Array  # (N, n_joint) [rad] or [m], NaN between the readings of a slower one
     gauge: Array  # (N, n_gauge) [1/m] curvature, [-] strain or [rad]; NaN as above
 
-    def since(self, first: float) -> "Log":
-        """The samples from a time [s] on, such as the release of a plucked arm."""
-        k = int(np.searchsorted(self.time, validate.number(first, "first time", "s")))
-        if len(self.time) - k < ROWS[0]:
+    def since(self, first: float, last: float = math.inf) -> "Log":
+        """The samples from a time [s] on, such as the release of a plucked arm, up to another."""
+        for time, noun in ((first, "first time"), (last, "last time")):
+            validate.number(0.0 if math.isinf(time) else time, noun, "s")
+        there = (self.time >= first) & (self.time <= last)
+        if there.sum() < ROWS[0]:
+            until = "on" if math.isinf(last) else f"to {last:.6g} s"
             raise ValueError(
-                f"From {first:.6g} s on the log holds {len(self.time) - k} samples, and a fit "
+                f"From {first:.6g} s {until} the log holds {there.sum()} samples, and a fit "
                 f"needs {ROWS[0]}; its time runs from {self.time[0]:.6g} to {self.time[-1]:.6g} s."
             )
-        return Log(self.time[k:], self.command[k:], self.encoder[k:], self.gauge[k:])
+        return Log(self.time[there], self.command[there], self.encoder[there], self.gauge[there])
 
 
 def read_log(path: str | Path | Sequence[str | Path], columns: Columns) -> Log:

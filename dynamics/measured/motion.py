@@ -26,7 +26,7 @@ MOST_SUBSTEPS = 4096  # per sample
 TOGETHER = (16, 512)  # fewest and most motions that are stepped together
 MOST_NUMBERS = 20_000_000  # of motions that are stepped together
 STRAIGHT = 1e-9  # [of the largest force] modal force at rest that counts as none
-WINDOW = 1.0 / 6.0  # [of the first mode's period] readings that tell a state
+WINDOW = 1.0 / 12.0  # [of the first mode's period] readings that tell a state
 SCALED = {  # parameter: what it scales
     "stiffness": "a bending mode or a joint spring (Link.modes, Joint.stiffness)",
     "damping": "damping (Link.damping_ratio, Joint.spring_damping)",
@@ -92,7 +92,7 @@ class LoggedMotion:
             for k in range(n_joint)
         ]
         self._lift: Array | None = None
-        self._restarts = self._points(start, shooting)
+        self.restarts = self._points(start, shooting)
         if start == "estimated":
             rates = {k: _fastest(log.time, encoder[:, k]) for k in free}
             period = float(np.median(np.diff(log.time)))
@@ -184,7 +184,7 @@ class LoggedMotion:
         steps = np.diff(self.log.time[:samples]) / self.substeps
         failed = np.zeros(len(values), dtype=bool)
         for k, dt in enumerate(steps.tolist()):
-            if k in self._restarts:
+            if k in self.restarts:
                 stepper.q[:], stepper.v[:] = self.state(values, k)
             if self._has_delays:
                 after[:, k] = stepper.q @ self.rows.T, stepper.v @ self.rows.T

@@ -6,7 +6,7 @@ from scipy.interpolate import CubicHermiteSpline
 from dynamics.types import Array
 
 ORDER = 3  # of the polynomials
-FEWEST = 7  # readings in a window
+FEWEST = 5  # readings in a window
 
 
 class Readings:
