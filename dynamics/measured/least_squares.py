@@ -24,6 +24,7 @@ MOST_MOTIONS = 2000  # of the search
 DIFFERENCE = 1e-5  # [of an unknown's size] half width of the differences
 SOME, MOST = 0.1, 0.5  # [of the squared signals] in the part that chooses steps, tries the grid
 FEWEST = 4  # values of the signals per unknown in the first part of a log
+MOST_STEPS = 60  # of a solution
 ROUGH = 1e-4  # tolerance of the solutions on parts of a log
 
 
@@ -47,6 +48,8 @@ def search(motion: LoggedMotion, bounds: Bounds) -> Array:
     for k, part in enumerate(parts):
         if k < len(first) and not _cost(motion, best, weights, part) < costs[k].min():
             best = found[k, np.argmin(costs[k])]
+        if motion.restarts:
+            motion.substeps = 2  # corners of the bounds need finer steps than the rig
         motion.refine(best[None], part)
         if part < parts[-1]:
             best = solve(motion, best, weights, part)[0]
@@ -83,7 +86,7 @@ def solve(
         np.clip(values, table.low, table.high),
         lambda x: np.vstack([jacobian(x), np.diag(known)]),
         bounds=(table.low, table.high), x_scale=table.size,
-        xtol=1e-10 if exact else ROUGH, ftol=1e-12 if exact else ROUGH,
+        xtol=1e-10 if exact else ROUGH, ftol=1e-12 if exact else ROUGH, max_nfev=MOST_STEPS,
     )  # fmt: skip
     return found.x, residual(found.x), jacobian(found.x)
 
