@@ -154,7 +154,8 @@ def test_link_angles_and_slopes_are_signals(clean: Log) -> None:
     log = noisy(clean, 0)
     found = fit(one, replace(log, gauge=log.gauge * factors), sensors)
     assert found.signals == ("encoder 1", "link angle 1", "tip slope 1", "gauge 1")
-    assert_allclose(found.values, fit(one, log, [GAUGE]).values, rtol=1e-3)
+    change = found.values - fit(one, log, [GAUGE]).values
+    assert np.all(np.abs(change) < np.sqrt(np.diag(found.covariance)))
 
 
 def test_the_explained_variance_is_one_less_that_of_the_residual(clean: Log) -> None:
