@@ -163,12 +163,12 @@ def _sensor(text: str, unit: str, count: int) -> Sensor:
     number, _, kind = text.partition(":")
     if kind in ("angle", "slope"):
         (link,) = _numbers(number, "--gauge-at", "LINK:angle or LINK:slope", (1,))
+        index = _counted(link, "link", count, "--gauge-at", text)
         if unit in ("1/m", "strain", "microstrain"):
             raise ValueError(
                 f"--gauge-at {text} is an angle, but its unit is {unit}; give the unit: --units "
                 "gauge=rad."
             )
-        index = _counted(link, "link", count, "--gauge-at", text)
         return LinkAngle(link=index) if kind == "angle" else TipSlope(link=index)
     if unit in ("rad", "deg", "mrad"):
         raise ValueError(
