@@ -68,7 +68,7 @@ def test_friction_and_torque_constant_of_a_joint_are_fitted() -> None:
 
 
 def test_a_free_friction_is_that_of_the_arm() -> None:
-    """The same steps with friction in the arm and as parameters, to round-off."""
+    """Steps with friction in the arm and with friction as parameters agree to round-off."""
     described = compile_arm(rubbing())
     free = compile_arm(rubbing(0.0, 0.0), free_parameters=["viscous_1", "coulomb_1"])
     steppers = [Stepper(model, 2, dt=1e-3, substeps=50) for model in (described, free)]
