@@ -13,9 +13,11 @@ from agents.files import FolderError, check_folder
 from agents.metrics import write_json
 from agents.sentences import one_line, speaker
 from dynamics.load import load_arm
+from dynamics.measured.columns import UNITS
 from dynamics.measured.fit import BOUNDS, CONFIDENCE, Fit, fit
-from dynamics.measured.log_file import UNITS, Columns, Log, read_log
-from dynamics.measured.motion import STARTS, Gauge
+from dynamics.measured.log_file import Columns, Log, read_log
+from dynamics.measured.motion import STARTS
+from dynamics.measured.sensors import Gauge, LinkAngle, Sensor, TipSlope
 from dynamics.model import compile_arm
 
 UNEXPLAINED = 0.9  # [of a signal's deviation] residual of a signal that the fit does not follow
@@ -39,27 +41,34 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
         units = dict(_pair(text, "--units") for text in a.units)
         columns = Columns(
             time=a.time, command=tuple(a.command), encoder=tuple(a.encoder),
-            gauge=tuple(a.gauge), units=units,
+            gauge=tuple(a.gauge), units=units, titles=tuple(a.titles),
         )  # fmt: skip
         log, arm = read_log(a.log, columns), load_arm(a.arm)
-        if a.since is not None:
-            log = log.since(a.since)
-        gauges = [_gauge(text, units.get("gauge", "1/m"), arm.n_joint) for text in a.gauge_at]
-        if len(gauges) != len(a.gauge):
+        if a.since is not None or a.to is not None:
+            first = log.time[0] if a.since is None else a.since
+            log = log.since(first, math.inf if a.to is None else a.to)
+        if len(a.gauge_at) != len(a.gauge):
             raise ValueError(
                 "--gauge-at needs a place LINK:X[:DISTANCE] for each column of --gauge, got "
-                f"{len(gauges)} places for {len(a.gauge)} columns."
+                f"{len(a.gauge_at)} places for {len(a.gauge)} columns."
             )
+        gauges = [
+            _sensor(place, columns.unit(name, "gauge"), arm.n_joint)
+            for place, name in zip(a.gauge_at, a.gauge, strict=True)
+        ]
         held = dict(_held(text, arm.n_joint) for text in a.held)
-        found = fit(arm, log, gauges, bounds, start=a.start, held=held)
+        found = fit(
+            arm, log, gauges, bounds, start=a.start, held=held, shooting=a.shooting
+        )  # fmt: skip
     except (ValueError, FolderError) as error:
         print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
     a.out.mkdir(parents=True, exist_ok=True)
-    title = f"{a.log.name} and {arm.name or a.arm}"
+    name = ", ".join(path.name for path in a.log)
+    title = f"{a.log[0].name} and {arm.name or a.arm}"
     units_read = ["[rad]"] * (len(found.signals) - len(gauges)) + [_unit(g) for g in gauges]
     draw(a.out / "overlay.png", log, found, units_read, title)
-    write_json(a.out / "fit.json", {"log": a.log.name, "arm": a.arm} | found.to_dict())
+    write_json(a.out / "fit.json", {"log": name, "arm": a.arm} | found.to_dict())
     print(table(found))
     if "stiffness" in bounds and "payload_mass" not in bounds:
         print(frequencies(arm, found))
@@ -72,45 +81,63 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Fit stiffness and damping of an arm to a log of its rig.",
+        description="Fit stiffness, damping and other parameters of an arm to a log of its rig.",
         epilog="examples:\n  a motor moves the arm:\n"
         f"    {EXAMPLE}\n  the joint is clamped, the tip plucked and let go after 1.2 s:\n"
         f"    {PLUCK_EXAMPLE}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("log", type=Path, metavar="LOG", help=".csv or .txt with a header line, or .mat")
+    add("log", type=Path, nargs="+", metavar="LOG",
+        help="text of a logger or a spreadsheet (.csv, .txt, .dat), or .mat files of one run; a "
+        "COLUMN is its title, its number from 1, or as VARIABLE, VARIABLE:COLUMN, STRUCT.FIELD of "
+        "a .mat file")  # fmt: skip
     add("--arm", required=True, help="a preset's name or an arm file")
     add("--time", required=True, metavar="COLUMN")
     add("--command", nargs="+", default=[], metavar="COLUMN",
         help="torque of every joint; none: zero throughout, as in a free decay")  # fmt: skip
     add("--encoder", nargs="+", default=[], metavar="COLUMN",
         help="of every joint; those of held joints may be left out")  # fmt: skip
-    add("--gauge", nargs="+", default=[], metavar="COLUMN", help="strain or curvature")
+    add("--gauge", nargs="+", default=[], metavar="COLUMN",
+        help="strain, curvature, or an angle of a bent link")  # fmt: skip
     add("--gauge-at", nargs="+", default=[], metavar="LINK:X[:DISTANCE]",
         help="of every gauge: link from 1, metres from the joint, and of strain metres from the "
-        "neutral axis")  # fmt: skip
+        "neutral axis; of an angle LINK:angle (of the tip about the root) or LINK:slope (of the "
+        "tip)")  # fmt: skip
+    add("--titles", nargs="+", default=[], metavar="TITLE",
+        help="of all columns of a text file without a header line")  # fmt: skip
     add("--units", nargs="+", default=[], metavar="KIND=UNIT",
         help="; ".join(f"{kind}: {', '.join(known)}" for kind, known in UNITS.items())
-        + "; or a factor to SI (default: the first of each)")  # fmt: skip
+        + "; or a factor to SI (default: the first); or of one column: COLUMN=UNIT")  # fmt: skip
     add("--held", nargs="+", default=[], metavar="JOINT[:ANGLE]",
         help="joints, from 1, that a clamp or a stiff drive holds, and their angles in rad "
         "(default: the mean of the encoder, or 0 without one)")  # fmt: skip
-    add("--start", choices=STARTS, default=STARTS[0],
+    add(
+        "--start",
+        choices=STARTS,
+        default=STARTS[0],
         help="of the log: deflections and rates are estimated with the parameters, or the arm is "
-        "straight and at rest (default: %(default)s)")  # fmt: skip
+        "straight and at rest, or they are those of encoders and gauges (default: %(default)s)",
+    )
+    add("--shooting", type=float, metavar="SECONDS",
+        help="start the motion again from encoders and gauges after each such time, so that no "
+        "drift grows; with --start measured")  # fmt: skip
     add("--from", dest="since", type=float, metavar="SECONDS",
         help="leave out the samples before this time, such as those before a plucked tip is let "
         "go")  # fmt: skip
+    add("--to", type=float, metavar="SECONDS", help="leave out the samples after this time")
     default = " ".join(f"{name}={low:g}:{high:g}" for name, (low, high) in BOUNDS.items())
     add("--fit", nargs="+", metavar="NAME=LOW:HIGH",
-        help=f"parameters and their bounds, times the arm's own (default: {default})")  # fmt: skip
+        help="parameters and their bounds: stiffness, damping, friction, times the arm's own; "
+        "payload_mass [kg]; of joint 1 viscous_1 [N m s/rad], coulomb_1 [N m], and torque_1, times "
+        "the logged one; of a signal gain_gauge_1 and delay_gauge_1 [s], or of encoder_1, "
+        f"link_angle_1, tip_slope_1 (default: {default})")  # fmt: skip
     add("--out", type=Path, default=Path("fit"), metavar="DIR")
     return parser
 
 
 def _pair(text: str, option: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
+    name, equals, value = text.rpartition("=")
     if not equals:
         raise ValueError(f"{option} takes NAME=VALUE, got {text!r}.")
     return name, value
@@ -132,7 +159,21 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
     return name, (low, high)
 
 
-def _gauge(text: str, unit: str, count: int) -> Gauge:
+def _sensor(text: str, unit: str, count: int) -> Sensor:
+    number, _, kind = text.partition(":")
+    if kind in ("angle", "slope"):
+        (link,) = _numbers(number, "--gauge-at", "LINK:angle or LINK:slope", (1,))
+        index = _counted(link, "link", count, "--gauge-at", text)
+        if unit in ("1/m", "strain", "microstrain"):
+            raise ValueError(
+                f"--gauge-at {text} is an angle, but its unit is {unit}; give the unit: --units "
+                "gauge=rad."
+            )
+        return LinkAngle(link=index) if kind == "angle" else TipSlope(link=index)
+    if unit in ("rad", "deg", "mrad"):
+        raise ValueError(
+            f"--gauge-at needs LINK:angle or LINK:slope for a column in {unit}, got {text!r}."
+        )
     link, *rest = _numbers(text, "--gauge-at", "LINK:X[:DISTANCE]", (2, 3))
     index = _counted(link, "link", count, "--gauge-at", text)
     if "strain" in unit and len(rest) < 2:
@@ -161,26 +202,30 @@ def _counted(number: float, noun: str, count: int, option: str, text: str) -> in
     return int(number) - 1
 
 
-def _unit(gauge: Gauge) -> str:
+def _unit(gauge: Sensor) -> str:
+    if not isinstance(gauge, Gauge):
+        return "[rad]"
     return "[1/m]" if gauge.distance == 1.0 else "[-]"
 
 
 def table(found: Fit) -> str:
     """Parameters with intervals and bounds, then the residual of every signal."""
-    lines = [f"{'parameter':14}{'fitted':>10}  {f'{CONFIDENCE:.0%} interval':^21}  bounds"]
+    width = max(14, *(2 + len(name) for name in found.bounds))
+    lines = [f"{'parameter':{width}}{'fitted':>10}  {f'{CONFIDENCE:.0%} interval':^21}  bounds"]
     for (name, (low, high)), x, (least, most) in zip(
         found.bounds.items(), found.values, found.intervals, strict=True
     ):
         half = max(0.5 * (most - least), sys.float_info.min)
         digits = min(max(1 - math.floor(math.log10(half)), 0), 9)  # two of the half width
         span = f"{least:.{digits}f} to {most:.{digits}f}"
-        lines.append(f"{name:14}{x:10.{digits}f}  {span:^21}  {low:g} to {high:g}")
-    lines.append(f"\n{'residual':14}{'as described':>14}{'fitted':>12}  correlation of neighbours")
-    for name, before, after, rho in zip(
-        found.signals, found.rms(found.nominal), found.rms(found.fitted), found.correlation,
-        strict=True,
+        lines.append(f"{name:{width}}{x:10.{digits}f}  {span:^21}  {low:g} to {high:g}")
+    lines.append(f"\n{'residual':14}{'as described':>14}{'fitted':>12}{'explained':>12}  "
+                 "correlation of neighbours")  # fmt: skip
+    for name, before, after, share, rho in zip(
+        found.signals, found.rms(found.nominal), found.rms(found.fitted),
+        found.explained(found.fitted), found.correlation, strict=True,
     ):  # fmt: skip
-        lines.append(f"{name:14}{before:14.4g}{after:12.4g}  {rho:.2f}")
+        lines.append(f"{name:14}{before:14.4g}{after:12.4g}{share:12.2%}  {rho:.2f}")
     return "\n".join(lines)
 
 
@@ -217,7 +262,7 @@ def doubts(found: Fit, driven: bool = True) -> list[str]:
         )
     unexplained = [
         name for name, rms, size in zip(
-            found.signals, found.rms(found.fitted), found.measured.std(axis=0), strict=True
+            found.signals, found.rms(found.fitted), np.nanstd(found.measured, axis=0), strict=True
         ) if rms > UNEXPLAINED * size
     ]  # fmt: skip
     if unexplained:

@@ -44,6 +44,24 @@ def _friction(chain: Chain, p: Any) -> Chain:
     return replace(chain, links=tuple(map(scaled, chain.links)))
 
 
+def _joint_friction(name: str, joint: int) -> Callable[[Chain, Any], Chain]:
+    """Function that adds p to a friction coefficient, by its name, of a joint, counted from 0."""
+
+    def apply(chain: Chain, p: Any) -> Chain:
+        driven = [k for k, link in enumerate(chain.links) if link.driven]
+        if joint >= len(driven):
+            raise ValueError(
+                f"{name}_{joint + 1} is of no joint: this arm has {len(driven)} joints, counted "
+                "from 1."
+            )
+        links = list(chain.links)
+        link = links[driven[joint]]
+        links[driven[joint]] = replace(link, **{name: getattr(link, name) + p})
+        return replace(chain, links=tuple(links))
+
+    return apply
+
+
 def _scaled(rows: Any, p: Any) -> Any:
     return tuple(tuple(p * x if x else 0.0 for x in row) for row in rows)
 
@@ -56,9 +74,15 @@ class FreeParameter:
     apply: Callable[[Chain, Any], Chain]
 
 
+JOINTS = 9  # first joints whose friction can be free
 FREE_PARAMETERS = {
     "payload_mass": FreeParameter(0.0, _payload_mass),  # [kg] added at the payload's centre of mass
     "stiffness": FreeParameter(1.0, _stiffness),  # [-] scales every K and joint spring
     "damping": FreeParameter(1.0, _damping),  # [-] scales all damping of modes and joint springs
     "friction": FreeParameter(1.0, _friction),  # [-] scales viscous and Coulomb friction
+} | {
+    # [N m s/rad] and [N m] added to the friction of one joint, counted from 1
+    f"{name}_{joint + 1}": FreeParameter(0.0, _joint_friction(name, joint))
+    for joint in range(JOINTS)
+    for name in ("viscous", "coulomb")
 }

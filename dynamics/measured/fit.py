@@ -1,8 +1,8 @@
-"""Stiffness, damping and other free parameters of an arm, fitted to a log of its rig.
+"""Stiffness, damping and other parameters of an arm and its sensors, fitted to a log of its rig.
 
 The arm is stepped under the logged command from the state in which the log starts, which is
-estimated too. Free parameters and start minimise the squared residual of all signals. Every signal
-is weighted by its own residual and may have a constant offset. Intervals are those of linear
+estimated too, or measured. Parameters and start minimise the squared residual of all signals. Every
+signal is weighted by its own residual and may have a constant offset. Intervals are those of linear
 regression: they assume that the residual is white noise, which `Fit.correlation` checks.
 """
 
@@ -15,13 +15,17 @@ from scipy.stats import chi2
 from scipy.stats import t as students_t
 
 from dynamics.description import validate
+from dynamics.description.arm import Arm
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
-from dynamics.load import ArmSource
+from dynamics.load import ArmSource, load_arm
 from dynamics.measured.least_squares import STARTS, search, solve
 from dynamics.measured.log_file import Log
-from dynamics.measured.motion import Gauge as Gauge  # of the arguments of `fit`
 from dynamics.measured.motion import LoggedMotion
-from dynamics.measured.unknowns import Bounds
+from dynamics.measured.sensors import Gauge as Gauge  # of the arguments of `fit`
+from dynamics.measured.sensors import LinkAngle as LinkAngle
+from dynamics.measured.sensors import Sensor
+from dynamics.measured.sensors import TipSlope as TipSlope
+from dynamics.measured.unknowns import Bounds, without_friction
 from dynamics.types import Array
 
 BOUNDS = {"stiffness": (0.2, 5.0), "damping": (0.0, 20.0)}  # times the arm's own
@@ -42,11 +46,12 @@ class Fit:
     intervals: Array  # (p, 2) of CONFIDENCE, each parameter by itself
     covariance: Array  # (p, p)
     signals: tuple[str, ...]  # names of the c signals
-    measured: Array  # (N, c) [rad], [m], [1/m] or [-]
+    measured: Array  # (N, c) [rad], [m], [1/m] or [-]; NaN where there is no reading
     nominal: Array  # (N, c) of the arm as described, offsets taken away
     fitted: Array  # (N, c) offsets taken away
     correlation: Array  # (c,) of a residual's neighbours; 0 if white
     start: dict[str, tuple[float, float]]  # by coordinate, its value and its rate at the start
+    arm: Arm  # as described
 
     @property
     def at_bound(self) -> list[str]:
@@ -55,9 +60,28 @@ class Fit:
         near = np.minimum(self.values - low, high - self.values) < EDGE * (high - low)
         return [name for name, is_near in zip(self.bounds, near, strict=True) if is_near]
 
+    def environment(self) -> dict[str, Any]:
+        """Keywords of an environment of the fitted arm: `arm`, and `randomize` over intervals.
+
+        Torques, gains and delays belong to the rig's motors and sensors, not to its arm.
+        """
+        ranges = {
+            name: (max(low, least), min(high, most))
+            for (name, (low, high)), (least, most) in zip(
+                self.bounds.items(), self.intervals.tolist(), strict=True
+            ) if name in FREE_PARAMETERS
+        }  # fmt: skip
+        return {"arm": without_friction(self.arm, ranges).to_dict(), "randomize": ranges}
+
     def rms(self, signals: Array) -> Array:
         """(c,) root mean square of the difference between signals (N, c) and measured ones."""
-        return np.sqrt(np.mean((signals - self.measured) ** 2, axis=0))
+        result: Array = np.sqrt(np.nanmean((signals - self.measured) ** 2, axis=0))
+        return result
+
+    def explained(self, signals: Array) -> Array:
+        """(c,) share of the variance of the measured signals that signals (N, c) explain."""
+        result: Array = 1.0 - (self.rms(signals) / np.nanstd(self.measured, axis=0)) ** 2
+        return result
 
     def to_dict(self) -> dict[str, Any]:
         """Parameters, intervals and residuals as plain numbers."""
@@ -69,13 +93,17 @@ class Fit:
                 )
             },
             "at_bound": self.at_bound,
+            "environment": self.environment(),
             "start": {name: list(pair) for name, pair in self.start.items()},
             "covariance": self.covariance.tolist(),
             "signals": {
-                name: {"rms_nominal": before, "rms_fitted": after, "correlation": rho}
-                for name, before, after, rho in zip(
+                name: {
+                    "rms_nominal": before, "rms_fitted": after, "explained": share,
+                    "correlation": rho,
+                }
+                for name, before, after, share, rho in zip(
                     self.signals, self.rms(self.nominal).tolist(), self.rms(self.fitted).tolist(),
-                    self.correlation.tolist(), strict=True,
+                    self.explained(self.fitted).tolist(), self.correlation.tolist(), strict=True,
                 )
             },
         }  # fmt: skip
@@ -84,23 +112,27 @@ class Fit:
 def fit(
     arm: ArmSource,
     log: Log,
-    gauges: Sequence[Gauge] = (),
+    gauges: Sequence[Sensor] = (),
     bounds: Bounds | None = None,
     *,
     start: str = "estimated",
     held: Mapping[int, float | None] | None = None,
+    shooting: float | None = None,
 ) -> Fit:
-    """Fit free parameters of an arm, names in FREE_PARAMETERS, within bounds to a log.
+    """Fit parameters of a rig within bounds to a log.
 
     Parameters
     ----------
     arm : an Arm, a preset's name, a path or a dict, as `load_arm` accepts.
-    gauges : places of the log's gauge columns.
-    bounds : (low, high) by parameter; default BOUNDS.
+    gauges : sensors of the log's gauge columns.
+    bounds : (low, high) by parameter; default BOUNDS. Parameters are the names in FREE_PARAMETERS,
+        where `viscous_1` [N m s/rad] and `coulomb_1` [N m] are all friction of a joint; `torque_1`
+        times the logged torque of a joint; and of a signal `gain_gauge_1` and `delay_gauge_1` [s].
     start : "estimated": deflections and rates at the first sample are fitted too. "rest": the arm
-        starts straight and at rest.
+        starts straight and at rest. "measured": as encoders and gauges read, smoothed.
     held : by joint, counted from 0, that cannot move, its angle [rad] or place [m]; None: the mean
         of its encoder, or 0 without one. The log may leave out command and encoder of held joints.
+    shooting : [s] after which the motion starts again as measured, so that no drift grows.
 
     Raises
     ------
@@ -108,35 +140,39 @@ def fit(
         moves, and for a parameter that no signal depends on.
     """
     within = checked_bounds(BOUNDS if bounds is None else bounds)
-    motion = LoggedMotion(arm, log, gauges, within, start=start, held=held)
+    motion = LoggedMotion(arm, log, gauges, within, start=start, held=held, shooting=shooting)
     table = motion.unknowns
     x = search(motion, within)
     weights = 1.0 / motion.deviation
+    count = motion.present.sum(axis=0)
     for _ in range(3):  # weights from the residual before
         motion.refine(x[None], error=STEP_ERROR / weights / np.sqrt(len(log.time)))
         x, residual, slopes = solve(motion, x, weights)
-        weights = 1.0 / np.maximum(residual.std(axis=0), 1e-12 * motion.deviation)
+        spread = np.sqrt(np.sum(residual**2, axis=0) / count)
+        weights = 1.0 / np.maximum(spread, 1e-12 * motion.deviation)
     as_described = np.where(table.asked, table.nominal, x)
     before, after = motion.signals(np.vstack([as_described, x]))
     _check_motion(motion, after, weights)
     values, known = x[table.asked], table.precision(weights)
     covariance, start_freedom = _covariance(slopes, known, table.asked, list(within))
     weighted = (residual * weights).ravel()
-    freedom = weighted.size - values.size - weights.size - start_freedom
+    freedom = int(count.sum()) - values.size - weights.size - start_freedom
     covariance = covariance * (weighted @ weighted) / freedom
     half = students_t.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(np.diag(covariance))
     q, v = motion.state(x)
+    measured = np.where(motion.present, motion.measured, np.nan)
     return Fit(
         bounds=within,
         values=values,
         intervals=np.stack([values - half, values + half], axis=1),
         covariance=covariance,
         signals=tuple(motion.names),
-        measured=motion.measured,
-        nominal=before - np.mean(before - motion.measured, axis=0),
-        fitted=after - np.mean(after - motion.measured, axis=0),
-        correlation=_correlation(residual),
+        measured=measured,
+        nominal=before - np.nanmean(before - measured, axis=0),
+        fitted=after - np.nanmean(after - measured, axis=0),
+        correlation=_correlation(np.where(motion.present, residual, np.nan)),
         start=dict(zip(motion.model.names, zip(q.tolist(), v.tolist(), strict=True), strict=True)),
+        arm=load_arm(arm),
     )
 
 
@@ -145,7 +181,7 @@ def _check_motion(motion: LoggedMotion, fitted: Array, weights: Array) -> None:
     strength = float(np.sum(((fitted - fitted.mean(axis=0)) * weights) ** 2))
     if strength > chi2.isf(CHANCE / STARTS, motion.unknowns.nominal.size):
         return
-    centred = motion.measured - motion.measured.mean(axis=0)
+    centred = motion.measured - np.nanmean(motion.measured, axis=0)
     smooth = zip(motion.names, _correlation(centred) > SMOOTH, strict=True)
     moving = [name for name, is_smooth in smooth if is_smooth]
     driven = bool(motion.command.any())
@@ -196,18 +232,17 @@ def _covariance(slopes: Array, known: Array, asked: Array, names: list[str]) -> 
 
 
 def _correlation(signals: Array) -> Array:
-    """(c,) correlation of the neighbours in signals (N, c) of mean zero."""
-    result: Array = np.sum(signals[1:] * signals[:-1], axis=0) / np.sum(signals**2, axis=0)
-    return result
+    """(c,) correlation of the neighbours in signals (N, c) of mean zero, between gaps of NaN."""
+    columns = [column[np.isfinite(column)] for column in signals.T]
+    return np.array([column[1:] @ column[:-1] / (column @ column) for column in columns])
 
 
 def checked_bounds(bounds: Bounds) -> dict[str, tuple[float, float]]:
-    """Bounds (low, high) by free parameter; a ValueError for others, and for empty ranges."""
+    """Bounds (low, high) by parameter; a ValueError for empty ranges."""
     if not bounds:
-        raise ValueError(f"A fit needs at least one of the parameters {list(FREE_PARAMETERS)}.")
+        raise ValueError(f"A fit needs at least one parameter, such as {list(BOUNDS)}.")
     result = {}
     for name, pair in bounds.items():
-        validate.known(name, "parameter", FREE_PARAMETERS)
         low, high = validate.numbers(pair, f"bounds of {name}", 2)
         if not 0.0 <= low < high:
             raise ValueError(

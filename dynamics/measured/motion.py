@@ -1,7 +1,7 @@
 """Signals of an arm under the command of a log, for many values of what a fit estimates."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,21 +10,23 @@ from dynamics.description.arm import Arm
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.formulations.linearized import inertia
 from dynamics.load import ArmSource, load_arm
-from dynamics.measured import unknowns
+from dynamics.measured import sensors, unknowns
 from dynamics.measured.log_file import Log
+from dynamics.measured.readings import Readings, delayed
+from dynamics.measured.sensors import Sensor
 from dynamics.measured.unknowns import LOCKED, Bounds, Unknowns
 from dynamics.model import Model, compile_arm
 from dynamics.simulation.stepper import Stepper
 from dynamics.types import Array
 
-STARTS = ("estimated", "rest")  # what is known of the state at the first sample
+STARTS = ("estimated", "rest", "measured")  # what is known of the state at the first sample
 CONVERGED = 1e-3  # [of a signal's deviation] most change of a signal when the steps are halved
 FINEST = 1e-7  # [of a signal's deviation] change that is small enough for every log
 MOST_SUBSTEPS = 4096  # per sample
 TOGETHER = (16, 512)  # fewest and most motions that are stepped together
 MOST_NUMBERS = 20_000_000  # of motions that are stepped together
 STRAIGHT = 1e-9  # [of the largest force] modal force at rest that counts as none
-ROLLED_UP = 2.0 * np.pi  # [rad] curvature times length of a link that is bent into a circle
+WINDOW = 1.0 / 12.0  # [of the first mode's period] readings that tell a state
 SCALED = {  # parameter: what it scales
     "stiffness": "a bending mode or a joint spring (Link.modes, Joint.stiffness)",
     "damping": "damping (Link.damping_ratio, Joint.spring_damping)",
@@ -32,43 +34,31 @@ SCALED = {  # parameter: what it scales
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Gauge:
-    """A strain gauge that reads the bending of a link in its x-y plane."""
-
-    link: int  # counted from 0
-    x: float  # [m] from the joint
-    distance: float = 1.0  # [m] from the neutral axis; 1 for a log of curvatures [1/m]
-
-    def __post_init__(self) -> None:
-        if not validate.number(self.distance, "Gauge.distance", "m"):
-            raise ValueError(
-                "Gauge.distance must not be 0: a gauge on the neutral axis reads nothing, got 0 m."
-            )
-
-
 class LoggedMotion:
     """Signals of an arm under the command of a log, for many values of what a fit estimates.
 
-    The signals are the encoders of joints that are not held, then the gauges.
+    The signals are the encoders of joints that are not held, then gauges and angles of links.
 
     Parameters
     ----------
-    bounds : (low, high) of the arm's free parameters.
-    start : "estimated", or "rest": straight and at rest at the first readings.
+    bounds : (low, high) of the parameters.
+    start : "estimated"; "rest": straight and at rest at the first readings; "measured": as the
+        readings say, where links bend as their first natural modes.
     held : by joint, counted from 0, the angle [rad] or place [m] where it is held; None: the mean
         of its encoder, or 0 without one.
+    shooting : [s] after which the motion starts again from the readings, again and again.
     """
 
     def __init__(
         self,
         source: ArmSource,
         log: Log,
-        gauges: Sequence[Gauge],
+        gauges: Sequence[Sensor],
         bounds: Bounds,
         *,
         start: str = "estimated",
         held: Mapping[int, float | None] | None = None,
+        shooting: float | None = None,
     ) -> None:
         validate.choice(start, "start", STARTS)
         described, held = load_arm(source), dict(held or {})
@@ -83,50 +73,89 @@ class LoggedMotion:
             log.command, "commands", n_joint, free, ", or none if the torque is zero throughout"
         )
         encoder = _per_joint(log.encoder, "encoders", n_joint, free)
-        if log.gauge.shape[1] != len(gauges):
-            raise ValueError(
-                f"Every gauge column needs a place, got {log.gauge.shape[1]} columns and "
-                f"{len(gauges)} places."
-            )
-        self.names = [f"encoder {k + 1}" for k in free]
-        self.names += [f"gauge {k + 1}" for k in range(len(gauges))]
+        sensors.check(gauges, described, log.gauge)
+        self.names = [f"encoder {k + 1}" for k in free] + sensors.named(gauges)
         self.measured = np.hstack([encoder[:, free], log.gauge])
         _check_signals(self.names, self.measured)
-        self.deviation = self.measured.std(axis=0)
-        arm = _with_held(described, held)
-        self.model = compile_arm(arm, free_parameters=list(bounds))
-        _check_scaled(self.model, bounds, free)
-        rotors = _rotors(self.model)
-        bends = [
-            [g.distance * self.model.strain(x, g.link, g.x)[2] for x in np.eye(arm.n)]
-            for g in gauges
-        ]
-        _check_gauges(arm, gauges, log.gauge)
+        self.deviation = np.nanstd(self.measured, axis=0)
+        rows = unknowns.asked(bounds, described, self.names)
+        arm = _with_held(unknowns.without_friction(described, bounds), held)
+        scaled = [name for name in FREE_PARAMETERS if name in bounds]
+        self.model = compile_arm(arm, free_parameters=scaled)
+        _check_scaled(self.model, scaled, free)
+        rotors = sensors.rotors(self.model)
+        bends = [sensor.row(self.model) for sensor in gauges]
         self.rows = np.vstack([rotors[free], np.reshape(bends, (-1, arm.n))])
         self.start = np.zeros(arm.n)
         self.start[list(arm.joint_index)] = [
-            encoder[0, k] if k in free else _place(held[k], encoder[:, k]) for k in range(n_joint)
+            _first(encoder[:, k]) if k in free else _place(held[k], encoder[:, k])
+            for k in range(n_joint)
         ]
-        rows = unknowns.asked(bounds)
+        self._lift: Array | None = None
+        self.restarts = self._points(start, shooting)
         if start == "estimated":
-            speeds = np.abs(np.diff(encoder, axis=0) / np.diff(log.time)[:, None]).max(axis=0)
-            rates = {k: float(speeds[k]) for k in free}
+            rates = {k: _fastest(log.time, encoder[:, k]) for k in free}
             period = float(np.median(np.diff(log.time)))
             rows += unknowns.start(self.model, self.start, rotors, rates, period)
+        elif start == "measured":
+            rows += unknowns.zeros(self.names, self.deviation, len(free))
+            self._read_states(free, rotors, len(gauges))
         else:
             self._check_rest()
         self.unknowns = Unknowns(rows)
-        if self.measured.size <= len(rows) + len(self.names):
+        late = self.unknowns.changes("delay", self.unknowns.high) + np.zeros(len(self.names))
+        self._has_delays = bool(late.any())
+        self.present = np.isfinite(self.measured) & (log.time[:, None] >= log.time[0] + late)
+        if self.present.sum() <= len(rows) + len(self.names):
             raise ValueError(
                 f"{len(log.time)} samples of {len(self.names)} signals are too few for the "
                 f"{len(bounds)} parameters, {len(rows) - len(bounds)} numbers of the start and "
                 "the offsets; log more samples, or start at rest."
             )
 
-    def state(self, values: Array) -> tuple[Array, Array]:
-        """q and v, (n,) or (P, n), at the start."""
-        v = self.unknowns.changes("v", values)
-        return self.start + self.unknowns.changes("q", values), v + np.zeros(self.model.n)
+    def _points(self, start: str, shooting: float | None) -> set[int]:
+        """Samples after the first at which the motion starts again."""
+        if shooting is None:
+            return set()
+        if start != "measured":
+            raise ValueError(
+                f'shooting needs start "measured", which tells the states, got start {start!r}.'
+            )
+        t = self.log.time
+        times = np.arange(t[0] + validate.positive(shooting, "shooting", "s"), t[-1], shooting)
+        return set(np.searchsorted(t, times - 1e-9).tolist())
+
+    def _read_states(self, free: Sequence[int], rotors: Array, n_gauge: int) -> None:
+        """Prepare states (n) from signals (c): joints turn, and links bend as their first modes."""
+        shapes, omegas = unknowns.locked_modes(self.model, self.start, rotors[list(free)])
+        if n_gauge > len(shapes):
+            raise ValueError(
+                f'start "measured" needs a bending mode for each gauge, got {len(shapes)} modes '
+                f"and {n_gauge} gauges; name fewer gauges, or give the links more modes."
+            )
+        joints = np.eye(self.model.n)[np.array(self.model.arm.joint_index)[list(free)]]
+        basis = np.vstack([joints, shapes[:n_gauge]]).T
+        self._lift = basis @ np.linalg.inv(self.rows @ basis)
+        self._unread = self.start - joints.T @ (joints @ self.start)
+        span = WINDOW * 2.0 * np.pi / float(omegas[0]) if len(omegas) else 0.0
+        self._readings = Readings(self.log.time, self.measured, span)
+
+    def scales(self, values: Array) -> tuple[Array, Array, Array]:
+        """Factors of torques (..., n_torque), gains and delays [s] of signals (..., c), or (1,)."""
+        above = values - self.unknowns.nominal
+        torque, gain = (1.0 + self.unknowns.changes(into, above) for into in ("torque", "gain"))
+        return torque, gain, self.unknowns.changes("delay", values)
+
+    def state(self, values: Array, sample: int = 0) -> tuple[Array, Array]:
+        """q and v, (n,) or (P, n), at the first sample, or where the motion starts again."""
+        if self._lift is None:
+            v = self.unknowns.changes("v", values)
+            return self.start + self.unknowns.changes("q", values), v + np.zeros(self.model.n)
+        _, gain, delay = self.scales(values)
+        times = self.log.time[sample] + delay + np.zeros(len(self.names))
+        read, rates = self._readings.at(times)
+        true = (read - self.unknowns.changes("zero", values)) / gain
+        return self._unread + true @ self._lift.T, rates / gain @ self._lift.T
 
     def signals(self, values: Array, samples: int | None = None) -> Array:
         """(P, N, c) signals for values (P, k) of the unknowns; NaN after a motion has diverged."""
@@ -139,24 +168,39 @@ class LoggedMotion:
     def together(self, samples: int) -> int:
         """Number of motions that are stepped together."""
         least, most = TOGETHER
-        return max(least, min(most, MOST_NUMBERS // (samples * self.model.n)))
+        numbers = samples * self.model.n * (4 if self._has_delays else 1)
+        return max(least, min(most, MOST_NUMBERS // numbers))
 
     def _signals(self, values: Array, samples: int) -> Array:
+        """Signals (P, N, c): before each new start, and of the state when each was late."""
         stepper = Stepper(self.model, len(values), dt=1.0, substeps=self.substeps)
         stepper.q[:], stepper.v[:] = self.state(values)
         stepper.parameters[:] = self.unknowns.changes("parameters", values)
-        states = np.empty((samples, *stepper.q.shape))
-        states[0] = stepper.q
+        torque, gain, delay = self.scales(values)
+        size = len(self.names)
+        before = np.empty((1 + self._has_delays, samples, len(values), size))  # and rates
+        after = before.copy() if self._has_delays else before
+        before[0, 0] = stepper.q @ self.rows.T
         steps = np.diff(self.log.time[:samples]) / self.substeps
         failed = np.zeros(len(values), dtype=bool)
         for k, dt in enumerate(steps.tolist()):
+            if k in self.restarts:
+                stepper.q[:], stepper.v[:] = self.state(values, k)
+            if self._has_delays:
+                after[:, k] = stepper.q @ self.rows.T, stepper.v @ self.rows.T
             stepper.dt = dt
-            stepper.torque[:] = self.command[k]
+            stepper.torque[:] = self.command[k] * torque
             stepper.advance()
-            states[k + 1] = stepper.q
+            before[0, k + 1] = stepper.q @ self.rows.T
+            if self._has_delays:
+                before[1, k + 1] = stepper.v @ self.rows.T
             failed |= stepper.status > 0
-        states[:, failed] = np.nan
-        return np.swapaxes(states @ self.rows.T, 0, 1)
+        read = before[0]
+        if self._has_delays:
+            lateness = delay + np.zeros((len(values), size))
+            read = delayed(self.log.time[:samples], after, before, lateness)
+        read[:, failed] = np.nan
+        return np.swapaxes(read * gain, 0, 1)
 
     def refine(
         self, values: Array, samples: int | None = None, error: Array | float = np.inf
@@ -230,28 +274,18 @@ def _check_signals(names: Sequence[str], measured: Array) -> None:
             "A fit needs a gauge, or an encoder of a joint that is not held, got neither."
         )
     for name, column in zip(names, measured.T, strict=True):
-        if not np.ptp(column):
+        readings = column[np.isfinite(column)]
+        if not np.ptp(readings):
             held = "hold its joint if that was clamped, or " if name.startswith("encoder") else ""
             raise ValueError(
-                f"{name} never changes, it reads {column[0]:.6g} throughout; {held}name another "
+                f"{name} never changes, it reads {readings[0]:.6g} throughout; {held}name another "
                 "column, or none."
             )
 
 
-def _check_gauges(arm: Arm, gauges: Sequence[Gauge], readings: Array) -> None:
-    """Refuse gauges that would roll a link up into a circle."""
-    for k, (gauge, span) in enumerate(zip(gauges, np.ptp(readings, axis=0), strict=True), 1):
-        if span > abs(gauge.distance) * ROLLED_UP / arm.links[gauge.link].length:
-            raise ValueError(
-                f"gauge {k} reads a change of curvature of {span / abs(gauge.distance):.3g} 1/m, "
-                f"which would roll link {gauge.link + 1} up; check the gauge's unit and its "
-                "distance from the neutral axis."
-            )
-
-
-def _check_scaled(model: Model, bounds: Bounds, free: Sequence[int]) -> None:
+def _check_scaled(model: Model, names: Sequence[str], free: Sequence[int]) -> None:
     """Refuse parameters that scale what the arm does not have."""
-    for name in bounds:
+    for name in names:
         if FREE_PARAMETERS[name].apply(model.chain, 2.0) == model.chain:
             raise ValueError(
                 f"{name} has no effect: the arm has no {SCALED[name]} to scale; give it some, or "
@@ -262,18 +296,6 @@ def _check_scaled(model: Model, bounds: Bounds, free: Sequence[int]) -> None:
                 "friction has no effect: all joints are held; leave friction out of the fit, or "
                 "let a joint move."
             )
-
-
-def _rotors(model: Model) -> Array:
-    """(n_joint, n) angle of every joint's rotor by q; it turns with the root of its link."""
-    result = np.eye(model.n)[list(model.arm.joint_index)]
-    first = 0
-    for link in model.chain.links:
-        modes = slice(first + (not link.welded), first + (not link.welded) + len(link.K))
-        if link.driven:
-            result[model.arm.joint_index.index(first), modes] = link.root_slope
-        first = modes.stop
-    return result
 
 
 def _with_held(arm: Arm, held: Mapping[int, float | None]) -> Arm:
@@ -293,5 +315,15 @@ def _with_held(arm: Arm, held: Mapping[int, float | None]) -> Arm:
 def _place(given: float | None, readings: Array) -> float:
     """Angle of a held joint: as given, or the mean of its encoder."""
     if given is None:
-        return float(readings.mean())
+        return float(np.nanmean(readings))
     return validate.number(given, "angle of a held joint")
+
+
+def _first(readings: Array) -> float:
+    return float(readings[np.isfinite(readings)][0])
+
+
+def _fastest(time: Array, readings: Array) -> float:
+    """Largest rate between neighbouring readings."""
+    there = np.isfinite(readings)
+    return float(np.abs(np.diff(readings[there]) / np.diff(time[there])).max())

@@ -1,4 +1,4 @@
-"""Unknowns of a fit, a row each: parameters of the arm, and the state in which the log starts.
+"""Unknowns of a fit, a row each: parameters of the rig, and the state in which the log starts.
 
 The state at the start is not the user's question, but the motion depends on it. Bending starts as a
 sum of the arm's natural modes with its joints locked, as many as the samples can show. Their
@@ -6,12 +6,14 @@ amplitudes and rates are known to no more than the size of the arm. Angles of jo
 first reading of the encoder, which is as noisy as the others.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigh
 
+from dynamics.description import validate
+from dynamics.description.arm import Arm
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.linearized import inertia
@@ -20,6 +22,7 @@ from dynamics.types import Array
 
 Bounds = Mapping[str, tuple[float, float]]
 
+ASKED = ("parameters", "torque", "gain", "delay")  # of the arm, motors and signals
 LOCKED = 1e8  # [-] a locked rotor's inertia over the arm's
 
 
@@ -28,8 +31,8 @@ class Unknown:
     """A number that a fit estimates, and what it changes."""
 
     name: str
-    into: str  # what it is added to: "parameters", or "q" or "v" at the start
-    direction: Array  # (p,) or (n,) by one unit of it
+    into: str  # what it is added to: a key of `ASKED`, "zero" of sensors, "q" or "v" at the start
+    direction: Array  # (p,), (n_torque,), (c,) or (n,) by one unit of it
     size: float  # a large change of it
     nominal: float = 0.0
     low: float = -np.inf
@@ -47,11 +50,11 @@ class Unknowns:
         self.size = np.array([row.size for row in rows])
         self.low = np.array([row.low for row in rows])
         self.high = np.array([row.high for row in rows])
-        self.asked = np.array([row.into == "parameters" for row in rows])  # the others: the start
+        self.asked = np.array([row.into in ASKED for row in rows])  # the others: the start
         self._rows = rows
 
     def changes(self, into: str, values: Array) -> Array:
-        """(..., n) or (..., p) that values (..., k) add to q, v or the parameters."""
+        """(..., p), (..., c), (..., n) that values (..., k) add to parameters, signals, q, v."""
         chosen = [j for j, row in enumerate(self._rows) if row.into == into]
         if not chosen:
             return np.zeros(1)
@@ -66,15 +69,64 @@ class Unknowns:
         ])  # fmt: skip
 
 
-def asked(bounds: Bounds) -> list[Unknown]:
-    """Free parameters of the arm, within their bounds (low, high)."""
+def asked(bounds: Bounds, arm: Arm, signals: Sequence[str]) -> list[Unknown]:
+    """Parameters of the arm, its motors and its signals, within their bounds (low, high).
+
+    Friction of one joint, `viscous_1` and `coulomb_1`, is all of it, in SI units. `torque_1` scales
+    the logged torque of a joint. `gain_encoder_1` scales a signal, `delay_encoder_1` [s] is the
+    time by which it is late.
+    """
+    joints = range(1, arm.n_joint + 1)
+    words = [signal.replace(" ", "_") for signal in signals]
+    groups = {
+        "parameters": [name for name in FREE_PARAMETERS if name in bounds],
+        "torque": [f"torque_{k}" for k in joints],
+        "gain": [f"gain_{word}" for word in words],
+        "delay": [f"delay_{word}" for word in words],
+    }
+    places = {name: (into, unit) for into, names in groups.items()
+              for name, unit in zip(names, np.eye(len(names)), strict=True)}  # fmt: skip
+    known = [name for name in FREE_PARAMETERS if joint_of(name) in (None, *joints)]
+    known += [name for into in ("torque", "gain", "delay") for name in groups[into]]
+    for name in bounds:
+        validate.known(name, "parameter", known)
     return [
         Unknown(
-            name=name, into="parameters", direction=unit, size=high - low,
-            nominal=FREE_PARAMETERS[name].nominal, low=low, high=high,
+            name=name, into=places[name][0], direction=places[name][1], size=high - low,
+            nominal=described(name, arm), low=low, high=high,
         )
-        for (name, (low, high)), unit in zip(bounds.items(), np.eye(len(bounds)), strict=True)
+        for name, (low, high) in bounds.items()
     ]  # fmt: skip
+
+
+def joint_of(name: str) -> int | None:
+    """Joint, counted from 1, of a name such as `viscous_1`; None of another free parameter."""
+    word, _, number = name.rpartition("_")
+    return int(number) if word in ("viscous", "coulomb") and number.isdecimal() else None
+
+
+def described(name: str, arm: Arm) -> float:
+    """Value of a parameter of the arm, its motors or its signals before the fit."""
+    joint = joint_of(name)
+    if joint is not None:
+        own = arm.links[arm.joints[joint - 1]].joint
+        return own.viscous if name.startswith("viscous") else own.coulomb
+    if name in FREE_PARAMETERS:
+        return FREE_PARAMETERS[name].nominal
+    return 0.0 if name.startswith("delay") else 1.0
+
+
+def without_friction(arm: Arm, names: Iterable[str]) -> Arm:
+    """The arm less the friction of joints that parameters, by their names, add in full."""
+    links = list(arm.links)
+    for name in names:
+        joint = joint_of(name)
+        if joint is not None:
+            k = arm.joints[joint - 1]
+            own = links[k].joint
+            bare = replace(own, viscous=0.0) if name.startswith("v") else replace(own, coulomb=0.0)
+            links[k] = replace(links[k], joint=bare)
+    return replace(arm, links=tuple(links))
 
 
 def start(
@@ -105,6 +157,19 @@ def start(
                     Unknown(name=name, into=into, direction=by * shape, size=1.0, deviation=1.0)
                 )
     return result
+
+
+def zeros(names: Sequence[str], deviation: Array, n_encoder: int) -> list[Unknown]:
+    """Readings of the signals, after the encoders, of the straight arm."""
+    return [
+        Unknown(
+            name=f"zero of {name}", into="zero", direction=unit, size=size, deviation=size
+        )
+        for name, unit, size in zip(
+            names[n_encoder:], np.eye(len(names))[n_encoder:], deviation[n_encoder:].tolist(),
+            strict=True,
+        )
+    ]  # fmt: skip
 
 
 def locked_modes(model: Model, q: Array, rotors: Array) -> tuple[Array, Array]:

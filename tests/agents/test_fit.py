@@ -6,12 +6,15 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
+import flexarm_env  # noqa: F401
 from agents.fit import EXAMPLE, PLUCK_EXAMPLE, _parser, doubts, main
 from benchmarks.measured_data import COMMAND, PLUCK_COMMAND, page_table
 from benchmarks.output import RESULTS
+from dynamics import load_arm
 from dynamics.measured.fit import Fit
 from tests.paths import ROOT
 
@@ -63,6 +66,11 @@ def test_the_page_shows_the_stored_coverage() -> None:
         ({"--gauge-at": ["1:0.02:0.001"] * 2}, "each column of --gauge, got 2 places for 1"),
         ({"--gauge-at": ["1:0.02"]}, "needs LINK:X:DISTANCE for microstrain"),
         ({"--gauge-at": ["2:0.02:0.001"]}, "link must be"),
+        ({"--gauge-at": ["2:angle"]}, "link must be"),
+        ({"--gauge-at": ["1:slope"]}, "is an angle, but its unit is microstrain; give the unit"),
+        ({"--units": ["gauge=deg"]}, "needs LINK:angle or LINK:slope for a column in deg, got"),
+        ({"--shooting": ["0.5"]}, 'shooting needs start "measured"'),
+        ({"--to": ["-1"]}, "From 0 s to -1 s the log holds 0 samples"),
         ({"--gauge-at": ["1:2.0:0.001"]}, "x must be within the link"),
         ({"--units": ["gauge=1/m"]}, "give the unit: --units gauge=strain"),
         ({"--units": ["ms"]}, "--units takes NAME=VALUE"),
@@ -132,7 +140,7 @@ def test_an_unexplained_encoder_suggests_a_clamp() -> None:
         bounds={"stiffness": (0.2, 5.0)}, values=np.ones(1), intervals=np.ones((1, 2)),
         covariance=np.eye(1), signals=("encoder 2", "gauge 1"), measured=np.hstack([t, t]),
         nominal=np.hstack([t, t]), fitted=np.hstack([0.0 * t + 0.095, t]),
-        correlation=np.zeros(2), start={},
+        correlation=np.zeros(2), start={}, arm=load_arm("slim"),
     )  # fmt: skip
     assert doubts(found) == [
         "The fit explains nothing of encoder 2.",
@@ -150,3 +158,25 @@ def test_the_python_of_the_page_prints_what_it_says(
     said = [float(x) for x in re.findall(r"\d+\.\d+", capsys.readouterr().out)]
     written = [float(x) for x in re.findall(r"\d+\.\d+", code.rpartition("#")[2])]
     assert said == pytest.approx(written, rel=1e-3)
+
+
+def test_an_environment_of_a_fit_draws_its_parameters(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In two lines, from the file; every episode has friction and stiffness in their intervals."""
+    given = [*COMMAND, "--fit", "stiffness=0.5:2", "damping=0:10", "viscous_1=0:0.1",
+             "delay_gauge_1=0:0.05", "--from", "0.5"]  # fmt: skip
+    assert main([LOG, *given, "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "explained" in said
+    found = json.loads((tmp_path / "fit.json").read_text())
+    kwargs = found["environment"]
+    env = gym.make("FlexArm/OneLink-Reach-v0", **kwargs)
+    assert list(kwargs["randomize"]) == ["stiffness", "damping", "viscous_1"]
+    drawn = []
+    for seed in range(3):
+        env.reset(seed=seed)
+        drawn.append(env.unwrapped.core.parameters[0].copy())
+    low, high = np.array([found["parameters"][name]["interval"] for name in kwargs["randomize"]]).T
+    assert np.all((np.maximum(low, 0.0) <= drawn) & (drawn <= high))
+    assert np.ptp(drawn, axis=0).min() > 0.0

@@ -78,8 +78,8 @@ def edited(number: int, line: str) -> list[str]:
     [
         (rows(), "t,angle,unused,u,gauge", "holds no column 'strain'; it holds"),
         (rows(), "t,angle,t,u,strain", "column 't' is named twice"),
-        (edited(3, "15,6,x,-3,nan"), HEADER, "column 'strain' is not finite at sample 4 of 12"),
-        (edited(3, "15,,x,-3,3"), HEADER, "column 'angle' is not finite at sample 4 of 12"),
+        (edited(3, "15,6,x,-3,inf"), HEADER, "column 'strain' is not finite at sample 4 of 12"),
+        (edited(3, ",6,x,-3,3"), HEADER, "column 't' is not finite at sample 4 of 12"),
         (edited(3, "15,six,x,-3,3"), HEADER, "column 'angle' holds 'six' in line 5"),
         (edited(3, "15,6,x,-3"), HEADER, "line 5 holds 4 values, but the header names 5"),
         (edited(3, "10,6,x,-3,3"), HEADER, "time must increase, but sample 4 (10)"),
@@ -121,14 +121,14 @@ def test_files_that_are_no_logs_are_refused(tmp_path: Path) -> None:
         b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"x" * 99
     )
     (tmp_path / "short.mat").write_bytes(b"no")
-    (tmp_path / "log.csv").write_bytes(b"t,\xff\n1,2\n")
+    (tmp_path / "log.csv").write_bytes(b"t,\x81\n1,2\n")
     (tmp_path / "log.xlsx").write_bytes(b"")
     for name, sentence in (
         ("log.mat", "version 7.3"), ("short.mat", "cannot be read as a MAT file"),
-        ("log.csv", "must be UTF-8 text"), ("log.xlsx", "must end in one of"),
+        ("log.csv", "is no text in UTF-8"), ("log.xlsx", "must end in one of"),
         ("none.csv", "cannot be read (No such file"),
     ):  # fmt: skip
-        with pytest.raises(ValueError, match=f"{sentence[:8]}") as refusal:
+        with pytest.raises(ValueError, match=sentence[:8]) as refusal:
             read_log(tmp_path / name, COLUMNS)
         assert sentence in str(refusal.value)
 
@@ -147,7 +147,7 @@ def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
         ({"time": "min"}, "The unit of time must be one of ['s', 'ms', 'us'] or a factor"),
         ({"encoder": "nan"}, "got 'nan'"),
         ({"encoder": "0"}, "got '0'"),
-        ({"angle": "deg"}, "Unknown kinds of units ['angle']"),
+        ({"gauge 1": "deg"}, "Unknown kinds of units ['gauge 1']"),
     ],
 )
 def test_units_are_names_or_factors(units: dict[str, str], sentence: str, tmp_path: Path) -> None:
