@@ -20,6 +20,8 @@ from dynamics.types import Array
 
 ITERATIONS = 30  # of Newton's method at one share of gravity
 CONVERGED = 1e-12  # [-] last change over the size of the unknowns
+FARTHEST = 1e3  # [m] or [rad] that a coordinate moves in search of it
+TINY = 1e-30
 SMALLEST_SHARE = 1.0 / 256.0  # of gravity that is added at once
 
 
@@ -69,7 +71,8 @@ def settling(traced: TracedArm) -> Any:
 
     `rest` are the `bent_coordinates` of an arm on a fixed base. It is a step of Newton's method
     with the stiffness as its Jacobian: it divides the error by about the weight that would make
-    the arm buckle over its own.
+    the arm buckle over its own. A last number is the square of the step over that of `rest`; where
+    the arm is too soft to converge, `rest` stays below FARTHEST.
     """
     import casadi as ca
 
@@ -85,8 +88,10 @@ def settling(traced: TracedArm) -> Any:
     chain = graphs.with_parameters(traced, parameters)
     residual = _without_torques(traced, chain, placed)[bent]
     elastic = _without_torques(traced, replace(chain, gravity=(0.0, 0.0, 0.0)), placed)[bent]
-    step = ca.solve(ca.jacobian(elastic, rest), residual)
-    return ca.Function("settle", symbols, [ca.cse(ca.densify(rest - step))])
+    step = ca.densify(ca.solve(ca.jacobian(elastic, rest), residual))
+    nearer = ca.fmax(ca.fmin(rest - step, FARTHEST), -FARTHEST)
+    share = ca.sumsqr(step) / (ca.sumsqr(nearer) + TINY)
+    return ca.Function("settle", symbols, [ca.cse(ca.vertcat(nearer, share))])
 
 
 def _without_torques(traced: TracedArm, chain: Chain, q: list[Any]) -> Any:

@@ -29,6 +29,7 @@ from flexarm_env.task.tasks import SETTLED_BAND
 
 NUMBERS = ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")  # one row of info each
 # hash, at import, of the sources that determine the compiled code besides those of `dynamics`
+SETTLED = 1e-6  # [-] square of the last step to the equilibrium over that of the bending
 _HERE = Path(__file__).parent
 _TASK = _HERE.with_name("task")
 _SOURCES = hash_of_files([*_HERE.glob("*.py"), *_TASK.glob("*.py")])
@@ -95,10 +96,11 @@ class Signals:
         sizes = {name.upper(): size for name, size in self.memory.items()}
         sizes |= {"GIVEN": u, "BEFORE": u, "LOST": 1, "CONSTANTS": self.constants.total}
         sizes |= {"DRAWN": sum(self.drawn.values()), "NOISE": self.noise}
+        # what `report` gives, in its order
         sizes |= {"TARGET_NOW": m, "READINGS_NOW": self.readings}
         sizes |= {"FLAGS": len(FLAGS), "INFO": self.info.total}
-        sizes |= {"REST": len(self.bent)} if self.bent else {}
         sizes |= {"OBSERVATION": self.layout.size, "RATE_BEFORE": m if self.actuation else 0}
+        sizes |= {"REST": len(self.bent), "UNSETTLED": 1} if self.bent else {}
         parts = [(part.name, part.entries, part.bound) for part in self.layout.parts]
 
         def functions(at: Mapping[str, int]) -> list[Function]:
@@ -154,19 +156,22 @@ class Signals:
         return [traced("place", graphs.carried_base(self.model.traced), inputs, at["ANCHOR"])]
 
     def _bending(self, at: Mapping[str, int]) -> list[Function]:
-        """`settle(w)`, a step to the equilibrium under gravity, and `bend(w)` of straight links."""
+        """`settle(w)`, a step to the equilibrium under gravity, and `bend(w)` of straight links.
+
+        Links too soft for an equilibrium that the model can follow start straight.
+        """
         import casadi as ca
 
         if not self.bent:
             return []
         inputs = [at[name] for name in ("Q", "REST", "PARAMETERS")]
         settle = traced("settle", settling(self.model.traced), inputs, at["REST"])
-        sizes = {"q": self.model.n, "rest": len(self.bent), "elapsed": 1}
-        q, rest, elapsed = (ca.SX.sym(name, size) for name, size in sizes.items())
-        bent = q[self.bent] + (elapsed < 0.0) * rest
-        outputs = ca.vertcat(bent, ca.fmax(elapsed, 0.0))
-        graph = ca.Function("bend", [q, rest, elapsed], [outputs])
-        inputs = [at[name] for name in ("Q", "REST", "ELAPSED")]
+        sizes = {"Q": self.model.n, "REST": len(self.bent), "UNSETTLED": 1, "ELAPSED": 1}
+        symbols = q, rest, unsettled, elapsed = [ca.SX.sym(*size) for size in sizes.items()]
+        begun = (elapsed < 0.0) * (unsettled < SETTLED)
+        outputs = ca.vertcat(q[self.bent] + begun * rest, ca.fmax(elapsed, 0.0))
+        graph = ca.Function("bend", symbols, [outputs])
+        inputs = [at[name] for name in sizes]
         slots = [*(at["Q"] + i for i in self.bent), at["ELAPSED"]]
         return [settle, traced("bend", graph, inputs, slots)]
 

@@ -340,8 +340,9 @@ KEYWORDS = (
      "on the motions of the certificate; searched once, then cached"),
     ("dtype", '"float64"', 'number type of the compiled code: "float64" or "float32"'),
     ("randomize", "None",
-     "dict of ranges (low, high) of `payload_mass` [kg] and of factors on `stiffness`, "
-     "`damping` and `friction`, drawn at every reset"),
+     "dict of ranges (low, high), drawn at every reset: `payload_mass` [kg], factors on "
+     "`stiffness`, `damping` and `friction`, and friction that is added to joint k, `viscous_k` "
+     "[N m s/rad] and `coulomb_k` [N m]"),
 )  # fmt: skip
 
 

@@ -117,11 +117,24 @@ def settled(arm: Arm, task: str = "Reach", **keywords: Any) -> FlexArmVectorEnv:
 def test_episodes_start_at_the_equilibrium_under_gravity(name: str) -> None:
     arm = HEAVY[name]
     model, envs = Model(arm), settled(arm)
-    for q in envs.core.q:
+    core, modal = envs.core, np.setdiff1d(np.arange(arm.n), arm.joint_index)
+    observation, _ = envs.reset(seed=0)
+    seen = observation[:, core.layout.slices["modal_amplitude"]]
+    for row, q in enumerate(core.q):
         expected = equilibrium(model, q[list(arm.joint_index)])[0]
         np.testing.assert_allclose(q, expected, atol=1e-9, rtol=1e-9)
-    assert not envs.core.v.any()
-    assert [envs.core.elapsed(row) for row in range(4)] == [0, 0, 0, 0]
+        amplitudes = seen[row] * core.layout.scales["modal_amplitude"]
+        np.testing.assert_allclose(amplitudes, expected[modal], atol=1e-6)
+    assert not core.v.any()
+    assert [core.elapsed(row) for row in range(4)] == [0, 0, 0, 0]
+
+
+def test_links_too_soft_for_an_equilibrium_start_straight() -> None:
+    (link,) = load_arm(OWN).links
+    soft = replace(load_arm(OWN), links=(replace(link, EIz=0.1), replace(link, EIz=0.1)))
+    core = settled(soft, torque_limit=[20.0, 20.0]).core
+    assert not core.q[:, np.setdiff1d(np.arange(soft.n), soft.joint_index)].any()
+    assert np.isfinite(core.q).all()
 
 
 def test_drawn_parameters_bend_the_arm_at_the_start() -> None:

@@ -12,6 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecMonitor
 
 import flexarm_env
+from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.runtime import thread_pool
 from flexarm_env.interfaces.env import CHANGEABLE, GUARDED
 from tests.refusal import NONSENSE, used_or_refused
@@ -252,7 +253,7 @@ def test_other_keywords_are_refused_with_the_remedy(make: Any) -> None:
     before, attributes = numbers(base), dict(vars(base))
     names = [*FIXED, "max_episode_steps"] if make is single else FIXED
     for name in names:
-        parameter = name in ("payload_mass", "stiffness", "damping", "friction")
+        parameter = name in FREE_PARAMETERS
         remedy = rf"randomize={{'{name}': \(0.25, 0.25\)}}" if parameter else rf"{name}=0\.25"
         for way in ways:
             with pytest.raises(ValueError, match=rf"^{name} .*{remedy}"):
