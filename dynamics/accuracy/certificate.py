@@ -64,6 +64,8 @@ def certify(
     ValueError : for a scene that does not fit the arm.
     """
     accuracy = validate.positive(accuracy, "accuracy", "m")
+    validate.known(integrator, "integrator", INTEGRATORS)
+    validate.positive(dt, "dt", "s")
     with Progress(progress) as line:
         return Certifier(arm, scene, accuracy, line).certificate(integrator, dt)
 
