@@ -45,8 +45,8 @@ QUICK = {
     "dynamics/simulation/test_large_deflection.py",
     "dynamics/tracing/test_recorded_steps.py",
     "dynamics/tracing/test_statements.py",
-    "flexarm_env/test_reward_terms.py",
-    "flexarm_env/test_tasks.py",
+    "flexarm_env/task/test_reward_terms.py",
+    "flexarm_env/task/test_tasks.py",
     "test_layers.py",
     "test_release.py",
 }

@@ -50,9 +50,9 @@ class Judge:
 
 
 JUDGES = {
-    "flexarm_env/task/rewards.py": Judge(("tests/flexarm_env/test_reward_terms.py",)),
+    "flexarm_env/task/rewards.py": Judge(("tests/flexarm_env/task/test_reward_terms.py",)),
     "flexarm_env/task/tasks.py": Judge(
-        ("tests/flexarm_env/test_tasks.py",),
+        ("tests/flexarm_env/task/test_tasks.py",),
         equal={"tempo[1] != 0.0": "no frequency is negative"},
     ),
     "agents/metrics.py": Judge(
