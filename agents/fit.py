@@ -57,9 +57,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
             for place, name in zip(a.gauge_at, a.gauge, strict=True)
         ]
         held = dict(_held(text, arm.n_joint) for text in a.held)
-        found = fit(
-            arm, log, gauges, bounds, start=a.start, held=held, shooting=a.shooting
-        )  # fmt: skip
+        found = fit(arm, log, gauges, bounds, start=a.start, held=held, shooting=a.shooting)
     except (ValueError, FolderError) as error:
         print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
@@ -112,13 +110,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add("--held", nargs="+", default=[], metavar="JOINT[:ANGLE]",
         help="joints, from 1, that a clamp or a stiff drive holds, and their angles in rad "
         "(default: the mean of the encoder, or 0 without one)")  # fmt: skip
-    add(
-        "--start",
-        choices=STARTS,
-        default=STARTS[0],
+    add("--start", choices=STARTS, default=STARTS[0],
         help="of the log: deflections and rates are estimated with the parameters, or the arm is "
-        "straight and at rest, or they are those of encoders and gauges (default: %(default)s)",
-    )
+        "straight and at rest, or they are those of encoders and gauges "
+        "(default: %(default)s)")  # fmt: skip
     add("--shooting", type=float, metavar="SECONDS",
         help="start the motion again from encoders and gauges after each such time, so that no "
         "drift grows; with --start measured")  # fmt: skip

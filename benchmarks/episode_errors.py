@@ -37,7 +37,7 @@ from flexarm_env.task.scales import SAFE, scales
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 24)
 DRAWN = tuple(name for name, kind in KINDS.items() if kind.actions)
 OF_KIND = 4  # episodes of each kind that are solved on the second path
-LONGEST = {"SixLink": 15}  # control steps of them, where SciPy needs a minute for each second
+LONGEST = {"SixLink": 15}  # control steps of them, where SciPy is slow
 SHORT = LONGEST["SixLink"] * SCENES["SixLink"][1]  # [s]
 TOLERANCE = 1e-8  # of SciPy's steps
 
@@ -147,8 +147,7 @@ is the cheapest run of another method with at most the default's error, over its
 
 Links in other segments, with powers of x as shapes, under SciPy's error control: the largest error
 of an episode from there and from the reference, medians and the largest relative difference.
-Episodes are whole, but those of six links end after {SHORT:g} s, where SciPy needs a quarter of an
-hour.
+Episodes are whole, but those of six links end after {SHORT:g} s, since SciPy is slow there.
 
 {table(("scene", "episodes", "from the reference", "from SciPy", "apart at most"), paths, "lr")}
 """

@@ -119,8 +119,6 @@ class Certifier:
 
     def _distances(self, integrator: str, dt: float) -> tuple[float, float]:
         """[m] of a run from the reference, and from the model's converged motion."""
-        validate.known(integrator, "integrator", INTEGRATORS)
-        validate.positive(dt, "dt", "s")
         for motion in self._errors.scene.motions:
             if motion.hold and abs(motion.hold / dt - round(motion.hold / dt)) > 1e-6:
                 raise ValueError(

@@ -86,7 +86,7 @@ def asked(bounds: Bounds, arm: Arm, signals: Sequence[str]) -> list[Unknown]:
     }
     places = {name: (into, unit) for into, names in groups.items()
               for name, unit in zip(names, np.eye(len(names)), strict=True)}  # fmt: skip
-    known = [name for name in FREE_PARAMETERS if joint_of(name) in (None, *joints)]
+    known = [x for x in FREE_PARAMETERS if not (own := friction_of(x)) or own[1] in joints]
     known += [name for into in ("torque", "gain", "delay") for name in groups[into]]
     for name in bounds:
         validate.known(name, "parameter", known)
@@ -99,18 +99,18 @@ def asked(bounds: Bounds, arm: Arm, signals: Sequence[str]) -> list[Unknown]:
     ]  # fmt: skip
 
 
-def joint_of(name: str) -> int | None:
-    """Joint, counted from 1, of a name such as `viscous_1`; None of another free parameter."""
+def friction_of(name: str) -> tuple[str, int] | None:
+    """Field and joint, counted from 1, of a name such as `viscous_1`; None of another parameter."""
     word, _, number = name.rpartition("_")
-    return int(number) if word in ("viscous", "coulomb") and number.isdecimal() else None
+    named = word in ("viscous", "coulomb") and number.isdecimal()
+    return (word, int(number)) if named else None
 
 
 def described(name: str, arm: Arm) -> float:
     """Value of a parameter of the arm, its motors or its signals before the fit."""
-    joint = joint_of(name)
-    if joint is not None:
-        own = arm.links[arm.joints[joint - 1]].joint
-        return own.viscous if name.startswith("viscous") else own.coulomb
+    if friction := friction_of(name):
+        word, joint = friction
+        return float(getattr(arm.links[arm.joints[joint - 1]].joint, word))
     if name in FREE_PARAMETERS:
         return FREE_PARAMETERS[name].nominal
     return 0.0 if name.startswith("delay") else 1.0
@@ -120,12 +120,10 @@ def without_friction(arm: Arm, names: Iterable[str]) -> Arm:
     """The arm less the friction of joints that parameters, by their names, add in full."""
     links = list(arm.links)
     for name in names:
-        joint = joint_of(name)
-        if joint is not None:
-            k = arm.joints[joint - 1]
-            own = links[k].joint
-            bare = replace(own, viscous=0.0) if name.startswith("v") else replace(own, coulomb=0.0)
-            links[k] = replace(links[k], joint=bare)
+        if friction := friction_of(name):
+            word, joint = friction
+            k, bare = arm.joints[joint - 1], {word: 0.0}
+            links[k] = replace(links[k], joint=replace(links[k].joint, **bare))  # type: ignore[arg-type]
     return replace(arm, links=tuple(links))
 
 

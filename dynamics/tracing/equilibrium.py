@@ -20,9 +20,11 @@ from dynamics.types import Array
 
 ITERATIONS = 30  # of Newton's method at one share of gravity
 CONVERGED = 1e-12  # [-] last change over the size of the unknowns
-FARTHEST = 1e3  # [m] or [rad] that a coordinate moves in search of it
-TINY = 1e-30
 SMALLEST_SHARE = 1.0 / 256.0  # of gravity that is added at once
+SETTLING = 8  # steps of `settling`, each of about two digits
+SETTLED = 1e-6  # [-] share of the last of them in what it has come to, both squared
+FARTHEST = 1e3  # [m] or [rad] that a coordinate may move by them
+TINY = 1e-30
 
 
 class Equilibrium(NamedTuple):
@@ -92,6 +94,21 @@ def settling(traced: TracedArm) -> Any:
     nearer = ca.fmax(ca.fmin(rest - step, FARTHEST), -FARTHEST)
     share = ca.sumsqr(step) / (ca.sumsqr(nearer) + TINY)
     return ca.Function("settle", symbols, [ca.cse(ca.vertcat(nearer, share))])
+
+
+def settled(traced: TracedArm, q: Array) -> Array:
+    """Coordinates (N, n) of straight links bent as gravity bends them in SETTLING steps.
+
+    Links that are too soft to settle stay straight.
+    """
+    bent, count = bent_coordinates(traced.arm), len(q)
+    parameters = np.tile(traced.nominal_parameters[:, None], count)
+    step, found = settling(traced).map(count), np.zeros((len(bent) + 1, count))
+    for _ in range(SETTLING):
+        found = np.array(step(q.T, found[:-1], parameters))
+    result = q.copy()
+    result[:, bent] += np.where(found[-1] < SETTLED, found[:-1], 0.0).T
+    return result
 
 
 def _without_torques(traced: TracedArm, chain: Chain, q: list[Any]) -> Any:

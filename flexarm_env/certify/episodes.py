@@ -11,14 +11,14 @@ from gymnasium.utils import seeding
 
 from dynamics.accuracy.same_shape import transferred
 from dynamics.description.arm import Arm
-from dynamics.model import Model
 from dynamics.simulation.statics import RigidArm
 from dynamics.tracing import graphs
+from dynamics.tracing.equilibrium import settled
 from dynamics.types import AnyArray, Array
 from flexarm_env.accuracy.motions import KINDS, Kind, Recorded, recorded
 from flexarm_env.compiled.termination import FLAGS
 from flexarm_env.core import Core
-from flexarm_env.task.scales import RIGID_PERIOD, Scales
+from flexarm_env.task.scales import RIGID_PERIOD
 from flexarm_env.task.tasks import TASKS
 
 SHARE = 0.95  # of the episodes of a kind that stay within a stated error
@@ -163,7 +163,7 @@ def _random(
     rng, kind = np.random.default_rng([0, sum(name.encode())]), KINDS[name]
     assert kind.actions is not None
     shares = kind.actions(rng, (steps, count, core.torque_limit.size), step)
-    q, v = _start(core.arm, core.scales, kind, count, rng)
+    q, v = _start(core, kind, count, rng)
     return q, v, _with_holding(core, q, shares)
 
 
@@ -177,16 +177,16 @@ def _as_recorded(arm: Arm, found: Recorded, count: int, steps: int) -> tuple[Arr
     return q, np.zeros_like(q), actions
 
 
-def _start(arm: Arm, found: Scales, kind: Kind, count: int, rng: Any) -> tuple[Array, Array]:
+def _start(core: Core, kind: Kind, count: int, rng: Any) -> tuple[Array, Array]:
     """(count, n) coordinates and rates of the starts of Reach, or of Damp if `kind.shaken`."""
+    arm, found = core.arm, core.scales
     task = TASKS["Damp" if kind.shaken else "Reach"]
     joints = list(arm.joint_index)
     q, v = np.zeros((2, count, arm.n))
     q[:, : arm.base.n] = arm.base.q
     q[:, joints] = found.home + rng.uniform(*task.start, (count, arm.n_joint))
-    if any(arm.gravity) and not arm.base.n:
-        model = Model(arm)
-        q[:] = [model.equilibrium(angles).q for angles in q[:, joints]]
+    if core.signals.bent:
+        q = settled(core.model.traced, q)
     modal = [i for i in range(arm.base.n, arm.n) if i not in joints]
     for x, shapes in ((q, found.vibration), (v, found.vibration_rate)):
         if kind.shaken and modal:

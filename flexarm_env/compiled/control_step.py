@@ -8,6 +8,7 @@ floating base, `settle(w)` and `bend(w)` of one that gravity bends, `mark(w)`, `
 
 from collections.abc import Iterable
 
+from dynamics.tracing.equilibrium import SETTLING
 from dynamics.tracing.statements import (
     Call,
     Clear,
@@ -26,8 +27,6 @@ from dynamics.tracing.statements import (
 from flexarm_env.compiled import rows as named
 from flexarm_env.compiled.actuation import EVALUATION, SUBSTEP
 from flexarm_env.compiled.termination import FLAGS
-
-SETTLING = 8  # steps to the equilibrium under gravity, each of about two digits
 
 
 def control_step(

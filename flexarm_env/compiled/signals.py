@@ -14,7 +14,7 @@ from dynamics.backends.numba_llvm.fingerprint import hash_of_files
 from dynamics.model import Model
 from dynamics.tracing import graphs
 from dynamics.tracing.assembly import Addition
-from dynamics.tracing.equilibrium import bent_coordinates, settling
+from dynamics.tracing.equilibrium import SETTLED, bent_coordinates, settling
 from dynamics.tracing.function import Function, traced
 from dynamics.types import Symbols
 from flexarm_env.compiled.actuation import Actuation
@@ -29,7 +29,6 @@ from flexarm_env.task.tasks import SETTLED_BAND
 
 NUMBERS = ("time", "tip_error", "tip_speed", "deflection", "tip_deflection")  # one row of info each
 # hash, at import, of the sources that determine the compiled code besides those of `dynamics`
-SETTLED = 1e-6  # [-] square of the last step to the equilibrium over that of the bending
 _HERE = Path(__file__).parent
 _TASK = _HERE.with_name("task")
 _SOURCES = hash_of_files([*_HERE.glob("*.py"), *_TASK.glob("*.py")])

@@ -15,7 +15,9 @@ from dynamics import ARMS, Arm, Joint, Link, load_arm
 from dynamics.formulations.gibbs_appell import bias
 from dynamics.model import Model
 from dynamics.simulation.statics import RigidArm, held, loaded
+from dynamics.tracing.equilibrium import settled as bent
 from dynamics.types import Array
+from flexarm_env.certify.episodes import Episodes
 from flexarm_env.interfaces.vector import FlexArmVectorEnv
 from flexarm_env.plant import GravityWarning
 from flexarm_env.task.scales import DEFLECTION_LIMIT, EXTENT, MOVE, scales
@@ -147,6 +149,18 @@ def test_drawn_parameters_bend_the_arm_at_the_start() -> None:
         angles = q[list(arm.joint_index)]
         tip = drawn.tip(equilibrium(drawn, angles)[0])
         assert np.linalg.norm(tip - envs.core.model.tip(q)) < 1e-5 * arm.reach
+
+
+@pytest.mark.parametrize("stiffness", [6.0, 0.1])  # of links that settle, and too soft ones
+def test_episodes_of_a_certificate_start_as_those_of_the_environment(stiffness: float) -> None:
+    (link,) = load_arm(OWN).links
+    arm = replace(load_arm(OWN), links=2 * (replace(link, EIz=stiffness),))
+    core, joints = settled(arm, torque_limit=[20.0, 20.0]).core, list(arm.joint_index)
+    for q in (core.q, Episodes.drawn(core, ["white"], 4, 2).q):
+        straight = np.zeros_like(q)
+        straight[:, joints] = q[:, joints]
+        np.testing.assert_allclose(bent(core.model.traced, straight), q, atol=1e-12)
+        assert np.array_equal(straight, q) == (stiffness < 1.0)
 
 
 def test_torques_that_hold_the_start_keep_it_there() -> None:
