@@ -84,7 +84,7 @@ class Model:
         self.nominal_parameters = self.traced.nominal_parameters
         self.measurements = self.traced.measurements
         self.n_measure = self.traced.n_measure
-        self._programs: dict[tuple[int, str, str], ModuleType] = {}
+        self._programs: dict[tuple[int, str, str, bool], ModuleType] = {}
 
     def __reduce__(self) -> Any:
         return Model, (self.arm, self.free_parameters, self.dtype, self.formulation)
@@ -238,14 +238,23 @@ class Model:
 
     # ---- compiled programs ---------------------------------------------------------------------
 
-    def program(self, lanes: int, integrator: str, addition: Addition | None = None) -> ModuleType:
+    def program(
+        self,
+        lanes: int,
+        integrator: str,
+        addition: Addition | None = None,
+        derivatives: bool = False,
+    ) -> ModuleType:
         """Generated module for a number of lanes and an integrator, from the cache if possible.
 
-        `addition` replaces the measurements and entry points of the stepper.
+        `addition` replaces the measurements and entry points of the stepper; with `derivatives`,
+        those of its control step take the place of the step.
         """
-        kind = lanes, integrator, addition.key if addition else ""
+        kind = lanes, integrator, addition.key if addition else "", derivatives
         if kind not in self._programs:
-            self._programs[kind] = program(self.traced, self.dtype, lanes, integrator, addition)
+            self._programs[kind] = program(
+                self.traced, self.dtype, lanes, integrator, addition, derivatives
+            )
         return self._programs[kind]
 
     def workspace(self, program: ModuleType) -> Array:

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -183,7 +184,7 @@ class Core:
             self.settings = changed
             self.starts = self._episode_ranges()
             for w in self.workspaces:
-                self._fill_constants(w)
+                self.fill_constants(w, self.program)
         finally:
             self.busy = False
 
@@ -245,10 +246,12 @@ class Core:
         self.parameters = self.state[rows["free"], :n_env].T
         threads = useful_threads(self.threads, blocks, n_env * self._operations())
         self.shares = shares(n_env, lanes, threads)
-        self.workspaces = [self._workspace() for _ in range(threads)]
+        self.workspaces = [self.model.workspace(self.program) for _ in range(threads)]
+        for w in self.workspaces:
+            self.fill_constants(w, self.program)
         self.action = np.zeros((1, self.arm.n_torque), np.float32)
         self._no_actions = self.action[:0]
-        self._pool = ThreadPool(threads)
+        self.pool = ThreadPool(threads)
         self.busy = False
 
     def _operations(self) -> int:
@@ -256,13 +259,9 @@ class Core:
         evaluations = INTEGRATORS[self.integrator].evaluations(self.substeps)
         return int(evaluations * self.program.OPERATIONS + self.program.FURTHER_OPERATIONS)
 
-    def _workspace(self) -> Array:
-        w = self.model.workspace(self.program)
-        self._fill_constants(w)
-        return w
-
-    def _fill_constants(self, w: Array) -> None:
-        lanes, first = int(self.program.LANES), int(self.program.CONSTANTS)
+    def fill_constants(self, w: Array, program: ModuleType) -> None:
+        """Write the numbers that all environments share into a workspace of a program."""
+        lanes, first = int(program.LANES), int(program.CONSTANTS)
         w[first : first + lanes * self.constants.size] = np.repeat(self.constants, lanes)
 
     def outputs(self) -> Any:
@@ -292,7 +291,7 @@ class Core:
             ended = -1  # refuse before any environment is stepped
         else:
             rows = self.shares.copy()
-            ended = sum(self._pool.run(lambda k: compiled(*self._bound(rows, k, actions, out))))
+            ended = sum(self.pool.run(lambda k: compiled(*self._bound(rows, k, actions, out))))
         if ended < 0:
             raise arguments.not_finite(actions)
         return out, ended

@@ -38,6 +38,7 @@ ROOMS = (
     "flexarm_env.accuracy",
     "flexarm_env.plant",
     "flexarm_env.core",
+    "flexarm_env.derivatives",
     "flexarm_env.certify",
     "flexarm_env.rendering",
     "flexarm_env.interfaces",

@@ -8,7 +8,7 @@ from dynamics.integrators.table import INTEGRATORS, usable
 from dynamics.tracing import graphs
 from dynamics.tracing.function import Function, traced
 from dynamics.tracing.method import Method, traced_method
-from dynamics.tracing.statements import Call, ControlStep, Statements
+from dynamics.tracing.statements import Call, ControlStep, Derivatives, Statements
 from dynamics.tracing.traced_arm import TracedArm
 
 
@@ -36,7 +36,7 @@ class Program:
     renewal: Sequence[Function]  # of a free base, after every step
     method: Method
     routines: Mapping[str, Statements]
-    entry: ControlStep | str
+    entry: ControlStep | Derivatives | str
     shared: Sequence[str]  # names of slots that are equal in all environments
 
     @property

@@ -9,7 +9,7 @@ from dynamics.tracing.ssa import Code
 
 _TEXT = {
     "+": "{0} + {1}", "-": "{0} - {1}", "*": "{0} * {1}", "/": "{0} / {1}", "neg": "-{0}",
-    "floor": "floor({0})", "sqrt": "sqrt({0})", "abs": "abs({0})",
+    "floor": "floor({0})", "rounded": "floor({0})", "sqrt": "sqrt({0})", "abs": "abs({0})",
     "min": "min({0}, {1})", "max": "max({0}, {1})", "less": "less({0}, {1})",
     "at_most": "at_most({0}, {1})",
 }  # fmt: skip

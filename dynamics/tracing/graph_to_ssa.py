@@ -18,7 +18,7 @@ def from_graph(graph: Any, slots: Sequence[int], expand: bool = True) -> tuple[C
     simple = {
         ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_NEG: "neg",
         ca.OP_FABS: "abs", ca.OP_FMIN: "min", ca.OP_FMAX: "max", ca.OP_LT: "less",
-        ca.OP_LE: "at_most", ca.OP_FLOOR: "floor",
+        ca.OP_LE: "at_most", ca.OP_FLOOR: "rounded",
     }  # fmt: skip
     functions = {ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TANH: "tanh"}
     code = Code()

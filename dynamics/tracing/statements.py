@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 # Arrays in which each environment is a row; in all others it is a column.
-ROW_PER_ENVIRONMENT = ("actions", "obs")
+ROW_PER_ENVIRONMENT = ("actions", "obs", "actions_mirror", "obs_mirror")
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,24 @@ class Uniform:
 
 
 @dataclass(frozen=True)
+class Push:
+    """Copy of slots to the next rows of the array `stack`."""
+
+    slots: str  # name of the first
+    skipped: int  # slots after that one
+    count: int
+
+
+@dataclass(frozen=True)
+class Pop:
+    """Copy of the last rows of the array `stack` back to the slots that they came from."""
+
+    slots: str
+    skipped: int
+    count: int
+
+
+@dataclass(frozen=True)
 class Prefetch:
     """Hint that rows will be written soon: of this environment, or of the next ones."""
 
@@ -121,8 +139,8 @@ class WhereEnded:
 
 
 Statement = (
-    Call | Load | Store | Copy | Clear | Noise | Uniform | Prefetch | Substeps | WhereLost
-    | WhereEnded
+    Call | Load | Store | Copy | Clear | Noise | Uniform | Push | Pop | Prefetch | Substeps
+    | WhereLost | WhereEnded
 )  # fmt: skip
 Statements = tuple[Statement, ...]
 
@@ -143,18 +161,29 @@ class ControlStep:
     @property
     def rows(self) -> dict[str, Rows]:
         """All rows by name."""
-        found: dict[str, Rows] = {}
-        for statement in self.statements:
-            if isinstance(statement, Load | Store | Copy | Prefetch):
-                rows = statement.rows
-                if found.setdefault(rows.name, rows) != rows:
-                    raise ValueError(f"{rows} and {found[rows.name]} must not share a name.")
-        return found
+        return rows_of((*self.step, *self.start))
 
-    @property
-    def noise(self) -> Noise | None:
-        """The statement that draws random numbers, if there is one."""
-        return next((x for x in self.statements if isinstance(x, Noise)), None)
+
+@dataclass(frozen=True, kw_only=True)
+class Derivatives:
+    """Programs of a control step and its derivatives; see `tracing.differentiated`."""
+
+    record: Statements  # the step, with a stack of the numbers that `pull_back` needs
+    pull_back: Statements  # cotangents of what the step stored, to those of what it loaded
+    push_forward: Statements  # the step, with derivatives along a direction
+    fixed: int  # rows of the stack
+    per_substep: int  # further rows for each substep
+
+
+def rows_of(statements: Iterable[Statement]) -> dict[str, Rows]:
+    """Rows that statements move, by name."""
+    found: dict[str, Rows] = {}
+    for statement in walked(statements):
+        if isinstance(statement, Load | Store | Copy | Prefetch):
+            rows = statement.rows
+            if found.setdefault(rows.name, rows) != rows:
+                raise ValueError(f"{rows} and {found[rows.name]} must not share a name.")
+    return found
 
 
 def walked(statements: Iterable[Statement]) -> Iterator[Statement]:

@@ -9,7 +9,7 @@ _TEXT = {
     "min": "least({0}, {1})", "max": "greatest({0}, {1})", "less": "less({0}, {1})",
     "at_most": "at_most({0}, {1})",
 }  # fmt: skip
-_LIBRARY = {"floor": "floor", "sqrt": "sqrt", "abs": "fabs"}
+_LIBRARY = {"floor": "floor", "rounded": "floor", "sqrt": "sqrt", "abs": "fabs"}
 # comparisons as in the LLVM code: a NaN in the first argument survives
 PRELUDE = """\
 typedef {real} real;

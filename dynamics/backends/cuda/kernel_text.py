@@ -16,7 +16,9 @@ from dynamics.tracing.statements import (
     Copy,
     Load,
     Noise,
+    Pop,
     Prefetch,
+    Push,
     Rows,
     Statement,
     Statements,
@@ -151,6 +153,12 @@ def _line(statement: Statement, routines: Mapping[str, Statements]) -> list[str]
         case Store(slots, rows):
             value = f"w[{slots} + k]" + (" != 0" if rows.array == "flags" else "")
             return _each(f"N_{rows.name}", f"{_element(rows)} = {value};")
+        case Push(slots, skipped, number):
+            saved = f"stack[(top + k) * count + i] = w[{slots} + {skipped} + k];"
+            return [*_each(str(number), saved), f"top += {number};"]
+        case Pop(slots, skipped, number):
+            restored = f"w[{slots} + {skipped} + k] = stack[(top + k) * count + i];"
+            return [f"top -= {number};", *_each(str(number), restored)]
         case Substeps(body):
             return _block("for (int s = 0; s < substeps; ++s)", _lines(body, routines))
         case WhereLost(flag, restored, then, given):

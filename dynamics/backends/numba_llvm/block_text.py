@@ -10,7 +10,9 @@ from dynamics.tracing.statements import (
     Copy,
     Load,
     Noise,
+    Pop,
     Prefetch,
+    Push,
     Rows,
     Statement,
     Statements,
@@ -52,8 +54,12 @@ def _block(statement: Statement, routines: Routines) -> list[str]:
         case Call(name):
             return [f"{name}(w)"]
         case Clear(slots, count):
-            lanes = "LANES" if count == 1 else f"{count} * LANES"
+            lanes = "LANES" if count == 1 else f"np.uint64({count}) * LANES"
             return [f"for b in range({lanes}):", f"    w[{slots} + b] = 0.0"]
+        case Push(_, _, count):
+            return [*_of_stack(statement, "put"), f"top += np.uint64({count})"]
+        case Pop(_, _, count):
+            return [f"top -= np.uint64({count})", *_of_stack(statement, "take")]
         case Noise():
             return ["noise(w)"]
         case Substeps(body):
@@ -73,6 +79,15 @@ def _block(statement: Statement, routines: Routines) -> list[str]:
         case WhereLost(flag=flag, restored=restored, then=then):
             return _where_lost(flag, restored, block_lines(then, routines))
     raise TypeError(f"The LLVM backend starts episodes between steps, so not by {statement}.")
+
+
+def _of_stack(statement: Push | Pop, move: str) -> list[str]:
+    """Moves between slots and the rows of the stack from `top` on."""
+    slots = f"{statement.slots} + (np.uint64({statement.skipped}) + k) * LANES"
+    return [
+        f"for k in range(np.uint64({statement.count})):",
+        f"    {move}(w, {slots}, stack, (top + k) * width + column)",
+    ]
 
 
 def _each(rows: Rows, line: str) -> list[str]:

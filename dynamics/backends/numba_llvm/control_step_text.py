@@ -6,10 +6,10 @@ actions of the first chunk are not finite; then nothing is stepped. With `subste
 reports on the environments that `rows` lists.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from dynamics.backends.numba_llvm.block_text import Routines, block_lines, filled, listed_lines
-from dynamics.tracing.statements import ControlStep, Noise
+from dynamics.tracing.statements import ControlStep, Noise, Rows, Statement
 
 _NOISE = """
 from dynamics.backends.numba_llvm.noise import normal
@@ -59,19 +59,28 @@ def control_step(rows, thread, substeps, dt, actions, state, w, obs, info, flags
 
 def control_step_text(entry: ControlStep, routines: Routines, steps: Sequence[str]) -> str:
     """Constants, random numbers and entry point of an environment's module."""
-    counts = []
-    for rows in entry.rows.values():
-        counts += [f"N_{rows.name} = np.uint64({rows.count})"]
-        counts += [f"FIRST_{rows.name} = np.uint64({rows.first})"] if rows.first else []
     step = filled(
         _ENTRY,
         start=listed_lines(entry.start, routines),
         steps=steps,
         step=block_lines(entry.step, routines),
     )
-    noise = [_noise_text(entry.noise)] if entry.noise else []
-    return "\n".join([*counts, *noise, step])
+    return "\n".join([*row_constants(entry.rows.values()), *noise_text(entry.statements), step])
 
 
-def _noise_text(noise: Noise) -> str:
-    return _NOISE.format(count=noise.count, slots=noise.slots, key=noise.key, step=noise.step)
+def row_constants(rows: Iterable[Rows]) -> list[str]:
+    """Lines that define how many rows there are of each name, and the first ones."""
+    lines = []
+    for x in rows:
+        lines += [f"N_{x.name} = np.uint64({x.count})"]
+        lines += [f"FIRST_{x.name} = np.uint64({x.first})"] if x.first else []
+    return lines
+
+
+def noise_text(statements: Iterable[Statement]) -> list[str]:
+    """The function that draws random numbers, if a statement does."""
+    noise = next((x for x in statements if isinstance(x, Noise)), None)
+    if noise is None:
+        return []
+    slots, key, step = noise.slots, noise.key, noise.step
+    return [_NOISE.format(count=noise.count, slots=slots, key=key, step=step)]

@@ -14,6 +14,7 @@ from types import ModuleType
 from dynamics import cache
 from dynamics.backends.numba_llvm.block_text import block_lines
 from dynamics.backends.numba_llvm.control_step_text import control_step_text
+from dynamics.backends.numba_llvm.derivative_text import derivative_text
 from dynamics.backends.numba_llvm.fingerprint import fingerprint
 from dynamics.backends.numba_llvm.integrator_text import setting
 from dynamics.backends.numba_llvm.module_text import module_text, straight_line_text
@@ -21,8 +22,9 @@ from dynamics.backends.numba_llvm.stepper_entries import FORCES, step_length, st
 from dynamics.runtime.numba_internals import DIGEST
 from dynamics.tracing import graphs
 from dynamics.tracing.assembly import Addition, assembled
+from dynamics.tracing.differentiated import differentiated
 from dynamics.tracing.function import Function, finite_check, traced
-from dynamics.tracing.statements import Call, ControlStep
+from dynamics.tracing.statements import Call, ControlStep, Derivatives
 from dynamics.tracing.traced_arm import TracedArm
 
 STEPPER, INVERSE_DYNAMICS = "stepper", "inverse dynamics"  # loops of `stepper_entries`
@@ -31,26 +33,43 @@ _importing = threading.RLock()
 
 
 def program(
-    arm: TracedArm, dtype: str, lanes: int, integrator: str, addition: Addition | None = None
+    arm: TracedArm,
+    dtype: str,
+    lanes: int,
+    integrator: str,
+    addition: Addition | None = None,
+    derivatives: bool = False,
 ) -> ModuleType:
     """The generated module of an arm for a number of lanes and a method.
 
-    `addition` replaces the stepper's measurements and entry points by others.
+    `addition` replaces the stepper's measurements and entry points by others; with `derivatives`,
+    derivatives of its control step take the place of the step.
     """
     added = addition or stepping(arm)
     described = json.dumps(arm.arm.to_dict(), sort_keys=True)
     free = ",".join(arm.free_parameters)
-    key = fingerprint(described, free, str(lanes), integrator, dtype, arm.formulation, added.key)
-    return cached_module(key, lambda: generate(arm, dtype, lanes, integrator, added))
+    kind = f"{added.key} derivatives" if derivatives else added.key
+    key = fingerprint(described, free, str(lanes), integrator, dtype, arm.formulation, kind)
+    return cached_module(key, lambda: generate(arm, dtype, lanes, integrator, added, derivatives))
 
 
-def generate(arm: TracedArm, dtype: str, lanes: int, integrator: str, added: Addition) -> str:
+def generate(
+    arm: TracedArm,
+    dtype: str,
+    lanes: int,
+    integrator: str,
+    added: Addition,
+    derivatives: bool = False,
+) -> str:
     """Text of the module of `program`."""
     program = assembled(arm, dtype, lanes, integrator, added)
+    program = differentiated(program) if derivatives else program
     method = setting(program.method, block_lines([Call("evaluate")], program.routines))
     steps = step_length(method.prepare)
     if isinstance(program.entry, ControlStep):
         entries = control_step_text(program.entry, program.routines, steps)
+    elif isinstance(program.entry, Derivatives):
+        entries = derivative_text(program.entry, steps)
     elif program.entry == STEPPER:
         columns = [f"N_TORQUE = {arm.n_torque}", f"N_MEASURED = {arm.n_measure}"]
         loops = stepper_text(program.routines, steps, arm.arm.base.spatial)

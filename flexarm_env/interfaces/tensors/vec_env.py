@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode
 from dynamics.description import validate
 from flexarm_env.interfaces.env import Changeable
 from flexarm_env.interfaces.tensors.device import DeviceBatch
+from flexarm_env.interfaces.tensors.differentiable import DifferentiableBatch
 from flexarm_env.interfaces.tensors.host import HostBatch
 from flexarm_env.interfaces.tensors.privileged import Privileged
 from flexarm_env.interfaces.tensors.results import Info
@@ -40,6 +41,8 @@ class TorchVecEnv(Changeable):
     id : a registered id, such as "FlexArm/OneLink-Reach-v0".
     num_envs : number of environments.
     device : "cpu", or "cuda" for one NVIDIA GPU (extra `gpu`).
+    differentiable : whether observation, reward and info carry gradients by the actions and by the
+        state, back to the last `detach` or the start of the episode; see docs/gradients.md.
     keywords : those of `gymnasium.make_vec` for this id: `hardware`, `obs`, `threads` and so on;
         `dtype` is "float32" on a GPU unless given.
 
@@ -55,9 +58,15 @@ class TorchVecEnv(Changeable):
     """
 
     def __init__(
-        self, id: str, num_envs: int, device: str | torch.device = "cpu", **keywords: Any
+        self,
+        id: str,
+        num_envs: int,
+        device: str | torch.device = "cpu",
+        differentiable: bool = False,
+        **keywords: Any,
     ) -> None:
         self.device = _known_device(device)
+        self.differentiable = differentiable
         for name in REFUSED.keys() & keywords.keys():
             raise ValueError(
                 f"{name} is not a keyword of TorchVecEnv, got {validate.shown(keywords[name])}; "
@@ -73,7 +82,7 @@ class TorchVecEnv(Changeable):
         self.single_observation_space = envs.single_observation_space
         self.single_action_space = envs.single_action_space
         self._shape = (self.num_envs, envs.core.arm.n_torque)
-        self._batch = _batch(envs, self.device)
+        self._batch = _batch(envs, self.device, differentiable)
         self._privileged = Privileged(envs.core)
         self.core = envs.core
 
@@ -127,6 +136,16 @@ class TorchVecEnv(Changeable):
         info["final_obs"] = self._observed(last)
         return self._observed(obs), reward, terminated, truncated, info
 
+    def detach(self) -> torch.Tensor:
+        """Cut the graph: gradients of later steps go back to the present state, which is returned.
+
+        It is (rows, M) with a column per environment and some unused ones, M >= N, and a leaf:
+        after `backward`, its `grad` holds the derivatives by `core.signals.state.slices`.
+        """
+        if not isinstance(self._batch, DifferentiableBatch):
+            raise ValueError("detach needs TorchVecEnv(..., differentiable=True).")
+        return self._batch.detach()
+
     def privileged(self) -> torch.Tensor:
         """(N, size) float32 true state, drawn parameters and delay, scaled; see its slices.
 
@@ -157,7 +176,8 @@ class TorchVecEnv(Changeable):
             )
         if tuple(actions.shape) != self._shape:
             raise ValueError(f"Actions must have shape {self._shape}, got {tuple(actions.shape)}.")
-        return actions.detach().to(torch.float32).contiguous()
+        kept = actions if self.differentiable else actions.detach()
+        return kept.to(torch.float32).contiguous()
 
     def _observed(self, elements: torch.Tensor) -> Observation:
         return self.core.layout.observed(elements)
@@ -178,8 +198,22 @@ def _known_device(device: Any) -> torch.device:
     return found
 
 
-def _batch(envs: FlexArmVectorEnv, device: torch.device) -> HostBatch | DeviceBatch:
+def _batch(
+    envs: FlexArmVectorEnv, device: torch.device, differentiable: bool
+) -> HostBatch | DeviceBatch:
     """The batch of a device."""
+    if differentiable:
+        if device.type != "cpu":
+            raise ValueError(
+                f"differentiable=True needs device='cpu', got {str(device)!r}: derivatives are "
+                "compiled for the processor."
+            )
+        if envs.core.layout.goal:
+            raise ValueError(
+                "obs must be 'state' or 'sensors' with differentiable=True, got 'goal': rewards of "
+                "goals are not part of the compiled step; give the target with obs='state'."
+            )
+        return DifferentiableBatch(envs)
     if device.type == "cpu":
         return HostBatch(envs)
     from dynamics.backends.cuda.compiler import Kernels

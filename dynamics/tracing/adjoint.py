@@ -1,0 +1,203 @@
+"""Derivatives of straight-line functions: a function in, a function out.
+
+Each slot of the workspace has a mirror, `mirror` slots further on. In a tangent function it holds
+the derivative of the slot along a direction; in an adjoint function it holds the slot's cotangent,
+the derivative of a later number by the slot.
+
+Rules where a derivative jumps: a minimum and a maximum follow the operand that they return, the
+first if both are equal; an absolute value and a square root have derivative zero at zero;
+comparisons have derivative zero. A floor in the equations of an arm or an environment rounds a
+reading to counts ("rounded"), and passes derivatives as if it did not round; a floor within an
+elementary function counts turns, and has derivative zero.
+"""
+
+from collections.abc import Callable, Collection, Iterable
+
+from dynamics.tracing.function import Function, written
+from dynamics.tracing.ssa import Code
+
+# operations whose derivative needs the values of their operands
+_NONLINEAR = ("*", "/", "sqrt", "abs", "min", "max")
+_CONSTANT = ("floor", "less", "at_most")  # between their jumps
+
+
+def loads(function: Function) -> set[int]:
+    """Slots that a function reads."""
+    return {int(op[5:]) for op, _ in function.code.statements if op.startswith("load")}
+
+
+def stores(function: Function) -> dict[int, int]:
+    """Numbers of the values that a function writes, by slot."""
+    return {slot: value for pairs in function.stores.values() for slot, value in pairs}
+
+
+def adjoint(function: Function, mirror: int, passive: Collection[int] = ()) -> Function:
+    """Function that takes cotangents back through `function`.
+
+    It reads the slots that `function` read, as they were then, and the cotangents of what that
+    stored; it adds to the cotangents of what that read. `passive` slots have no cotangents.
+    """
+    statements, results = function.code.statements, stores(function)
+    results = {slot: value for slot, value in results.items() if slot not in passive}
+    active = _active(function, passive)
+    reached, needed = _reached(function, results.values(), active)
+    code = Code()
+    place = _replayed(function.code, needed, code)
+    bars: dict[int, int] = {}
+
+    def add(value: int, bar: int, sign: str = "+") -> None:
+        if not active[value]:
+            return
+        if value in bars:
+            bars[value] = code.emit(sign, bars[value], bar)
+        else:
+            bars[value] = bar if sign == "+" else code.emit("neg", bar)
+
+    for slot, value in results.items():
+        add(value, code.load(mirror + slot))
+    found = {}
+    for v in sorted(reached, reverse=True):
+        op, args = statements[v]
+        bar = bars[v]
+        if op.startswith("load"):
+            found[int(op[5:])] = bar
+        elif op in "+-":
+            add(args[0], bar)
+            add(args[1], bar, op)
+        elif op in ("neg", "rounded"):
+            add(args[0], bar, "-" if op == "neg" else "+")
+        else:
+            for argument, factor, sign in _partials(code, op, args, place):
+                if active[argument]:
+                    add(argument, code.emit("*", bar, factor()), sign)
+    for slot, bar in found.items():
+        if slot not in results:
+            found[slot] = code.emit("+", code.load(mirror + slot), bar)
+    for slot in results:
+        if slot not in found:
+            found[slot] = code.constant(0.0)
+    outputs = {mirror + slot: value for slot, value in found.items()}
+    return _named(function, "adjoint", code, outputs)
+
+
+def tangent(function: Function, mirror: int, passive: Collection[int] = ()) -> Function:
+    """Function that does as `function`, and takes derivatives along a direction with it."""
+    statements, results = function.code.statements, stores(function)
+    active = _active(function, passive)
+    code = Code()
+    place = _replayed(function.code, range(len(statements)), code)
+    dots: dict[int, int] = {}
+    for v, (op, args) in enumerate(statements):
+        if not active[v]:
+            continue
+        if op.startswith("load"):
+            dots[v] = code.load(mirror + int(op[5:]))
+        elif op in "+-":
+            dots[v] = _signed(code, op, *(dots.get(a) for a in args))
+        elif op in ("neg", "rounded"):
+            dots[v] = _signed(code, "-" if op == "neg" else "+", None, dots[args[0]])
+        else:
+            total = None
+            for argument, factor, sign in _partials(code, op, args, place):
+                if argument in dots:
+                    total = _signed(code, sign, total, code.emit("*", dots[argument], factor()))
+            dots[v] = code.constant(0.0) if total is None else total
+    outputs = {slot: place[value] for slot, value in results.items()}
+    for slot, value in results.items():
+        if slot not in passive:
+            outputs[mirror + slot] = dots[value] if value in dots else code.constant(0.0)
+    return _named(function, "tangent", code, outputs)
+
+
+def _signed(code: Code, sign: str, a: int | None, b: int | None) -> int:
+    """a + b or a - b, where one of the two may be missing."""
+    if a is None:
+        assert b is not None
+        return b if sign == "+" else code.emit("neg", b)
+    return a if b is None else code.emit(sign, a, b)
+
+
+def _named(function: Function, kind: str, code: Code, outputs: dict[int, int]) -> Function:
+    made = written(f"{function.name}_{kind}", code, outputs)
+    return Function(made.name, made.code, made.stores, function.loose)
+
+
+def _active(function: Function, passive: Collection[int]) -> list[bool]:
+    """True of each value that depends smoothly on a slot that is not passive."""
+    active: list[bool] = []
+    for op, args in function.code.statements:
+        if op.startswith("load"):
+            active.append(int(op[5:]) not in passive)
+        else:
+            active.append(op not in _CONSTANT and any(active[a] for a in args))
+    return active
+
+
+def _reached(
+    function: Function, results: Iterable[int], active: list[bool]
+) -> tuple[set[int], set[int]]:
+    """Active values on which the results depend, and values whose numbers their partials need."""
+    statements = function.code.statements
+    reached = {v for v in results if active[v]}
+    needed: set[int] = set()
+    for v in range(len(statements) - 1, -1, -1):
+        op, args = statements[v]
+        if v in reached:
+            reached.update(a for a in args if active[a])
+            if op == "*":
+                needed.update(b for a, b in zip(args, args[::-1], strict=True) if active[a])
+            elif op in _NONLINEAR:
+                needed.update(args)
+        if v in needed:
+            needed.update(args)
+    return reached, needed
+
+
+def _replayed(source: Code, values: Iterable[int], code: Code) -> dict[int, int]:
+    """Emit values of other code again; their new numbers."""
+    place: dict[int, int] = {}
+    for v in sorted(values):
+        op, args = source.statements[v]
+        place[v] = code.emit(op, *(place[a] for a in args))
+        if v in source.names:
+            code.names[place[v]] = source.names[v]
+    return place
+
+
+def _partials(
+    code: Code, op: str, args: tuple[int, ...], place: dict[int, int]
+) -> list[tuple[int, Callable[[], int], str]]:
+    """Operand, factor and sign of each partial derivative of a nonlinear operation."""
+    emit, constant = code.emit, code.constant
+    a, b = args[0], args[-1]
+
+    def x(value: int) -> int:
+        return place[value]
+
+    def step(first: int, second: int, of: str = "less") -> int:
+        return emit(of, first, second)
+
+    if op == "*":
+        return [(a, lambda: x(b), "+"), (b, lambda: x(a), "+")]
+    if op == "/":
+        inverse = lambda: emit("/", constant(1.0), x(b))  # noqa: E731
+        ratio = lambda: emit("*", emit("/", x(a), x(b)), inverse())  # noqa: E731
+        return [(a, inverse, "+"), (b, ratio, "-")]
+    zero = constant(0.0)
+    if op == "abs":
+        return [(a, lambda: emit("-", step(zero, x(a)), step(x(a), zero)), "+")]
+    if op == "sqrt":
+
+        def slope() -> int:
+            root = emit("sqrt", x(a))
+            positive = step(zero, root)
+            twice = emit("+", emit("+", root, root), emit("-", constant(1.0), positive))
+            return emit("/", positive, twice)
+
+        return [(a, slope, "+")]
+    if op in ("min", "max"):
+        first = lambda: (  # noqa: E731
+            step(x(a), x(b), "at_most") if op == "min" else step(x(b), x(a), "at_most")
+        )
+        return [(a, first, "+"), (b, lambda: emit("-", constant(1.0), first()), "+")]
+    raise TypeError(f"No derivative of operation {op!r}; add it to tracing/adjoint.py.")

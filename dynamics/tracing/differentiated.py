@@ -1,0 +1,239 @@
+"""Derivatives of a program: a control step in, a recording step and its derivatives out.
+
+Every slot of the workspace gets a mirror (`tracing.adjoint`), and so has every array of the caller.
+Going back needs the numbers that functions read. So the recording step saves on a stack what a
+function is about to overwrite, where the adjoint of an earlier one needs it; `pull_back` undoes the
+calls in reverse. An environment that is lost, and the start of an episode, have no derivatives: the
+caller puts zero there.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import groupby
+
+from dynamics.tracing.adjoint import adjoint, loads, stores, tangent
+from dynamics.tracing.assembly import Program
+from dynamics.tracing.function import Function, written
+from dynamics.tracing.ssa import Code
+from dynamics.tracing.statements import (
+    Call,
+    Clear,
+    ControlStep,
+    Copy,
+    Derivatives,
+    Load,
+    Noise,
+    Pop,
+    Push,
+    Rows,
+    Statement,
+    Statements,
+    Store,
+    Substeps,
+)
+
+MIRROR = "_MIRROR"  # ending of the names of mirrored slots
+
+
+def differentiated(program: Program) -> Program:
+    """The program with mirrored slots, whose entry is `Derivatives` of its control step."""
+    if not isinstance(program.entry, ControlStep):
+        raise TypeError(f"Only a control step has derivatives, not {program.entry!r}.")
+    made = _Derivation(program)
+    step = tuple(made.flattened(program.entry.step))
+    record = made.recorded(step)
+    end = made.kept_to_the_end()
+    mirrored = {name + MIRROR: size for name, size in program.sizes.items()}
+    entry = Derivatives(
+        record=(*record, *end),
+        pull_back=tuple(made.pulled_back(step, record, end)),
+        push_forward=(made.cleared, *made.pushed_forward(step)),
+        fixed=sum(x.count for x in (*record, *end) if isinstance(x, Push)),
+        per_substep=sum(
+            y.count
+            for x in record if isinstance(x, Substeps)
+            for y in x.body if isinstance(y, Push)
+        ),
+    )  # fmt: skip
+    return replace(
+        program,
+        title=f"{program.title}, derivatives",
+        sizes={**program.sizes, **mirrored},
+        at={
+            **program.at,
+            **{name + MIRROR: program.slots + program.at[name] for name in program.sizes},
+        },
+        slots=2 * program.slots,
+        further=[*program.further, *made.functions],
+        routines={},
+        entry=entry,
+    )
+
+
+class _Derivation:
+    """Derivatives of a program's functions, and what they need.
+
+    Attributes
+    ----------
+    functions : adjoints, tangents and copies that statements call.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        self.functions: list[Function] = []
+        entry = program.entry
+        assert isinstance(entry, ControlStep)
+        self._primal = {function.name: function for function in program.functions}
+        self._changed = {slot for function in program.functions for slot in stores(function)}
+        loaded: set[int] = set()
+        for x in entry.step:
+            if isinstance(x, Load):
+                loaded.update(self._slots(x.slots, x.rows.count))
+            elif isinstance(x, Noise):
+                self._changed.update(self._slots(x.slots, x.count))
+        self._passive = set(range(program.slots)) - self._changed - loaded
+        self._adjoints: dict[str, Function] = {}
+        self._due: set[int] = set()  # slots whose present numbers an adjoint needs
+
+    def _slots(self, name: str, count: int) -> range:
+        first = self._program.at[name]
+        return range(first, first + count)
+
+    @property
+    def cleared(self) -> Clear:
+        """Zeros in all mirrors."""
+        return Clear(next(iter(self._program.sizes)) + MIRROR, self._program.slots)
+
+    # ---- the step ----------------------------------------------------------------------------
+
+    def flattened(self, statements: Iterable[Statement]) -> Iterable[Statement]:
+        """Statements without routines; copies become calls."""
+        for statement in statements:
+            match statement:
+                case Call(name) if name in self._program.routines:
+                    yield from self.flattened(self._program.routines[name])
+                case Copy(source, target, rows):
+                    yield Call(self._copy(source, target, rows))
+                case Substeps(body):
+                    yield Substeps(tuple(self.flattened(body)))
+                case _:
+                    yield statement
+
+    def _copy(self, source: str, target: str, rows: Rows) -> str:
+        """Name of a function that copies slots."""
+        code, name = Code(), f"copy_{target.lower()}"
+        pairs = zip(self._slots(target, rows.count), self._slots(source, rows.count), strict=True)
+        function = written(name, code, {to: code.load(slot) for to, slot in pairs})
+        self._primal[name] = function
+        self.functions.append(function)
+        return name
+
+    # ---- recording ---------------------------------------------------------------------------
+
+    def recorded(self, statements: Statements) -> Statements:
+        """Statements that save what is overwritten and still needed."""
+        result: list[Statement] = []
+        for statement in statements:
+            match statement:
+                case Call(name):
+                    self._due |= loads(self._adjoint(name)) & set(range(self._program.slots))
+                    changed = self._due & set(stores(self._primal[name]))
+                    self._due -= changed
+                    result += [*self._pushes(changed), statement]
+                case Substeps(body):
+                    before = set(self._due)
+                    self.recorded(body)
+                    self._due |= before  # a later substep overwrites what an earlier one left due
+                    result.append(Substeps(self.recorded(body)))
+                case _:
+                    result.append(statement)
+        return tuple(result)
+
+    def kept_to_the_end(self) -> list[Statement]:
+        """Pushes of the numbers that adjoints need as the step left them."""
+        return self._pushes(self._due & self._changed)
+
+    def _pushes(self, slots: set[int]) -> list[Statement]:
+        """Pushes of runs of slots."""
+        runs = groupby(enumerate(sorted(slots)), lambda pair: pair[1] - pair[0])
+        found = []
+        for _, run in runs:
+            numbers = [slot for _, slot in run]
+            name = max((at, name) for name, at in self._program.at.items()
+                       if at <= numbers[0] and name in self._program.sizes)[1]  # fmt: skip
+            found.append(Push(name, numbers[0] - self._program.at[name], len(numbers)))
+        return list(found)
+
+    def _adjoint(self, name: str) -> Function:
+        """Adjoint of a function."""
+        if name not in self._adjoints:
+            made = adjoint(self._primal[name], self._program.slots, self._passive)
+            self._adjoints[name] = made
+            self.functions.append(made)
+        return self._adjoints[name]
+
+    # ---- derivatives -------------------------------------------------------------------------
+
+    def pulled_back(
+        self, step: Statements, record: Statements, end: Iterable[Statement]
+    ) -> Iterable[Statement]:
+        """Cotangents of stored rows in, cotangents of loaded rows out."""
+        given = [x for x in step if isinstance(x, Load)]
+        yield self.cleared
+        yield from given
+        yield from self._undone(end)
+        for load in given:  # rows that the step leaves as they are keep their cotangents
+            if load.rows.array == "state":
+                yield _mirrored(load)
+        for x in step:
+            if isinstance(x, Store) and x.rows.array in ("obs", "info"):
+                yield Load(x.slots + MIRROR, _mirror_of(x.rows))
+        yield from self._undone(record)
+        for load in given:
+            yield Store(load.slots + MIRROR, _mirror_of(load.rows))
+
+    def _undone(self, statements: Iterable[Statement]) -> Iterable[Statement]:
+        """Adjoints of calls, last first, each where its function's pushes are undone."""
+        called: list[Call] = []
+        for statement in reversed(list(statements)):
+            if isinstance(statement, Push):
+                yield Pop(statement.slots, statement.skipped, statement.count)
+                continue
+            yield from called
+            called.clear()
+            match statement:
+                case Call(name):
+                    called.append(Call(self._adjoint(name).name))
+                case Clear(slots, count):
+                    yield Clear(slots + MIRROR, count)
+                case Substeps(body):
+                    yield Substeps(tuple(self._undone(body)))
+        yield from called
+
+    def pushed_forward(self, statements: Iterable[Statement]) -> Iterable[Statement]:
+        """The step, whose functions take derivatives along."""
+        for statement in statements:
+            match statement:
+                case Call(name):
+                    made = tangent(self._primal[name], self._program.slots, self._passive)
+                    if all(made.name != other.name for other in self.functions):
+                        self.functions.append(made)
+                    yield Call(made.name)
+                case Load() | Store():
+                    yield statement
+                    if statement.rows.array != "flags":
+                        yield _mirrored(statement)
+                case Clear(slots, count):
+                    yield from (statement, Clear(slots + MIRROR, count))
+                case Substeps(body):
+                    yield Substeps(tuple(self.pushed_forward(body)))
+                case Noise():
+                    yield statement
+
+
+def _mirrored(move: Load | Store) -> Load | Store:
+    return replace(move, slots=move.slots + MIRROR, rows=_mirror_of(move.rows))
+
+
+def _mirror_of(rows: Rows) -> Rows:
+    return replace(rows, name=rows.name + MIRROR, array=f"{rows.array}_mirror")
