@@ -136,6 +136,11 @@ class TorchVecEnv(Changeable):
         info["final_obs"] = self._observed(last)
         return self._observed(obs), reward, terminated, truncated, info
 
+    @property
+    def state(self) -> torch.Tensor:
+        """(rows, N) state of all environments, in the rows `core.signals.state.slices`."""
+        return self._batch.state
+
     def detach(self) -> torch.Tensor:
         """Cut the graph: gradients of later steps go back to the present state, which is returned.
 
