@@ -307,7 +307,8 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
             return out.reward
         observation = self._observed(out.obs)
         reward = goal_reward(*(observation[name] for name in GOALS))
-        return np.where(out.described()["time"] > 0.0, reward, 0.0)  # none at a reset
+        moved = out.described()["time"] > 0.0  # no reward at a reset
+        return np.where(moved, reward, 0.0).astype(out.reward.dtype)
 
     def _restart_now(
         self, out: BatchOutputs, ended: int

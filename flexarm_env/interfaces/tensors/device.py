@@ -16,7 +16,7 @@ from flexarm_env import arguments
 from flexarm_env.compiled.restart import restarting
 from flexarm_env.compiled.termination import FLAGS, LOST
 from flexarm_env.core import DIVERGED, Core
-from flexarm_env.interfaces.tensors.results import Info, Results, named_info
+from flexarm_env.interfaces.tensors.results import Info, Results, goal_reward, named_info
 
 
 class Launcher(Protocol):
@@ -47,7 +47,6 @@ class DeviceBatch:
     def __init__(
         self, core: Core, device: torch.device, compiled: Callable[[str], Launcher]
     ) -> None:
-        refuse_goals(core)
         self._core, self._device = core, device
         added = restarting(core.signals, core.starts)
         self._source = generate(core.model.traced, core.model.dtype, core.integrator, added)
@@ -79,7 +78,9 @@ class DeviceBatch:
         """Advance all by one control step; ended episodes restart."""
         obs, last, info, flags = self._run(STEP, actions)
         named = named_info(info, flags, self._core.signals.info)
-        return Results(obs.T, last.T, info[0], flags[0], flags[1], named)
+        goals = self._core.layout.goal
+        reward = goal_reward(last.T, goals).to(self._dtype) if goals else info[0]
+        return Results(obs.T, last.T, reward, flags[0], flags[1], named)
 
     def _run(self, kernel: str, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Run a kernel on new output tensors: observations, last ones, info, flags, as columns."""
@@ -112,12 +113,3 @@ class DeviceBatch:
         for name, values in (("CONSTANTS", core.constants), ("RANGES", core.starts[7].ravel())):
             numbers[at[name] : at[name] + len(values)] = values
         self._numbers = torch.from_numpy(numbers).to(self._device)
-
-
-def refuse_goals(core: Core) -> None:
-    """Refuse goals, whose rewards only the processor's batch computes."""
-    if core.layout.goal:
-        raise ValueError(
-            "obs must be 'state' or 'sensors' with device='cuda', got 'goal': rewards of goals are "
-            "computed on the processor; take device='cpu'."
-        )

@@ -8,6 +8,7 @@ from flexarm_env.compiled.outputs import SETTLED, WIDE, scalars
 from flexarm_env.compiled.rows import Rows
 from flexarm_env.compiled.termination import FLAGS
 from flexarm_env.task.rewards import TERMS
+from flexarm_env.task.tasks import SETTLED_BAND
 
 Info = dict[str, Any]  # tensors by name; "reward_terms" is a dict of tensors
 
@@ -31,3 +32,9 @@ def named_info(info: torch.Tensor, flags: torch.Tensor, names: Rows) -> Info:
     found |= dict(zip(FLAGS[SETTLED:], flags[SETTLED:], strict=True))
     found["reward_terms"] = dict(zip(TERMS, info[at["reward_terms"]], strict=True))
     return found
+
+
+def goal_reward(obs: torch.Tensor, size: int) -> torch.Tensor:
+    """(N,) bool rewards of `rewards.goal_reward`, of observations that end with two goals."""
+    achieved, desired = obs[:, -2 * size :].double().split(size, dim=1)
+    return torch.linalg.vector_norm(achieved - desired, dim=1) < SETTLED_BAND
