@@ -12,6 +12,7 @@ from agents.environments import check_keywords
 from agents.learners.algorithms import (
     DISCRETE,
     NUMBER,
+    ON_TENSORS,
     algorithms,
     default,
     policies,
@@ -62,6 +63,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "n_delta": (1, 10_000),
     "n_top": (1, 10_000),
     "n_eval_episodes": (1, 10_000),
+    "desired_kl": (1e-6, 10.0),
 }
 NUMBERS_BETWEEN = (-1e6, 1e6)
 TEXTS = {  # texts of agent keywords that are no schedules, and their description
@@ -70,6 +72,7 @@ TEXTS = {  # texts of agent keywords that are no schedules, and their descriptio
     "target_entropy": (re.compile("auto"), "a number or 'auto'"),
     "noise_type": (re.compile("normal|ornstein-uhlenbeck"), "'normal' or 'ornstein-uhlenbeck'"),
 }
+DEVICES = ("cpu", "cuda")
 LARGEST_ROLLOUT = 2**24  # steps, summed over all environments
 FOLDER_NAME = re.compile(r"\w[\w .,()+=@-]{0,99}")
 
@@ -100,7 +103,7 @@ class EnvConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class AgentConfig:
-    """Algorithm of stable-baselines3 or sb3-contrib and its keywords."""
+    """Algorithm and its keywords."""
 
     name: str
     policy: str | None = None  # by default the algorithm's first of a vector of observations
@@ -140,6 +143,7 @@ class Config:
     base: BaseConfig | None = None  # None: the policy acts alone
     total_steps: int
     seed: int = 0
+    device: str = "cpu"  # "cuda": arms and networks on one NVIDIA GPU
     checkpoint_seconds: float = 10.0  # [s] wall time between checkpoints
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     sweep: dict[str, Any] = field(default_factory=dict)  # ranges of agent.kwargs, for agents.sweep
@@ -221,6 +225,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
             f"name must be the plain name of a folder, at most 100 characters, got "
             f"{validate.shown(config.name)}."
         )
+    check_device(config)
     return config
 
 
@@ -379,6 +384,25 @@ def check_sweep(agent: AgentConfig, ranges: dict[str, Any]) -> None:
         raise
     except ValueError as error:
         raise ConfigError(str(error)) from None
+
+
+def check_device(config: Config) -> None:
+    """Refuse a GPU for algorithms on arrays, and what algorithms on tensors do not have."""
+    name = config.agent.name
+    if config.device not in DEVICES:
+        raise ConfigError(
+            f"device must be one of {list(DEVICES)}, got {validate.shown(config.device)}."
+        )
+    if name not in ON_TENSORS:
+        if config.device != "cpu":
+            raise ConfigError(
+                f"device must be 'cpu' for {name}, got {config.device!r}; on a GPU trains "
+                f"agent.name: {ON_TENSORS[0]}."
+            )
+        return
+    for where, given in (("env.normalize", config.env.normalize), ("base", config.base)):
+        if given:
+            raise ConfigError(f"{where} is not for {name}: leave it out, or take agent.name: ppo.")
 
 
 def check_batch(agent: AgentConfig, env: EnvConfig) -> None:

@@ -29,7 +29,7 @@ from agents.files import FolderError
 from agents.hybrid.controller import KEY, acting, base_of, description
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
-from agents.learners.algorithms import algorithms
+from agents.learners.algorithms import ON_TENSORS, algorithms
 from agents.learners.export import export_policy
 from agents.learners.normalization import normalized
 from agents.metrics import make_batch, write_json
@@ -53,18 +53,47 @@ class TrainingError(ValueError):
 
 
 def build_model(config: Config) -> Any:
-    """The stable-baselines3 model of the experiment on its batch environment."""
+    """The model of the experiment on its batch environment."""
     import torch
+
+    torch.set_num_threads(1)  # faster for small networks, and leaves the other cores free
+    try:
+        env = batch_of_tensors(config) if config.agent.name in ON_TENSORS else batch(config)
+    except ConfigError:
+        raise
+    except REFUSALS as error:
+        keywords = validate.shown(config.env.make_kwargs)
+        raise ConfigError(f"env: {config.env.id} refuses {keywords}: {error}") from None
+    try:
+        return algorithms()[config.agent.name](
+            config.agent.policy,
+            env,
+            seed=config.seed,
+            device=config.device,
+            **learner_kwargs(config.agent, env.action_space.shape),
+        )
+    except ModuleNotFoundError as error:
+        raise ConfigError(str(error)) from None
+    except REFUSALS as error:
+        raise ConfigError(f"agent: {config.agent.name} refuses its keywords: {error}") from None
+
+
+def batch_of_tensors(config: Config) -> Any:
+    """The experiment's arms as an algorithm on tensors takes them."""
+    from agents.learners.rsl import Arms
+    from flexarm_env import TorchVecEnv
+
+    envs = TorchVecEnv(config.env.id, config.env.n_envs, config.device, **config.env.make_kwargs)
+    return Arms(envs, config.env.stack)
+
+
+def batch(config: Config) -> Any:
+    """The experiment's arms as stable-baselines3 takes them."""
     from stable_baselines3.common.vec_env import VecFrameStack
 
     from flexarm_env import SB3VecEnv
 
-    torch.set_num_threads(1)  # faster for small networks, and leaves the other cores free
-    try:
-        env: Any = SB3VecEnv(config.env.id, config.env.n_envs, **config.env.make_kwargs)
-    except REFUSALS as error:
-        keywords = validate.shown(config.env.make_kwargs)
-        raise ConfigError(f"env: {config.env.id} refuses {keywords}: {error}") from None
+    env: Any = SB3VecEnv(config.env.id, config.env.n_envs, **config.env.make_kwargs)
     if config.base is not None:
         from agents.hybrid.environment import HybridVecEnv
 
@@ -73,18 +102,7 @@ def build_model(config: Config) -> Any:
         except REFUSALS as error:
             raise ConfigError(str(error)) from None
     env = normalized(env, config.env.normalize, config.agent.gamma)
-    if config.env.stack > 1:
-        env = VecFrameStack(env, config.env.stack)
-    try:
-        return algorithms()[config.agent.name](
-            config.agent.policy,
-            env,
-            seed=config.seed,
-            device="cpu",
-            **learner_kwargs(config.agent, env.action_space.shape),
-        )
-    except REFUSALS as error:
-        raise ConfigError(f"agent: {config.agent.name} refuses its keywords: {error}") from None
+    return VecFrameStack(env, config.env.stack) if config.env.stack > 1 else env
 
 
 def base_description(base: BaseConfig, env: EnvConfig) -> dict[str, Any]:

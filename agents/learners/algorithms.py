@@ -1,4 +1,6 @@
-"""Algorithms of stable-baselines3 and sb3-contrib by name, and the settings that a file may give.
+"""Algorithms by name, and the settings that a file may give.
+
+They are those of stable-baselines3 and sb3-contrib, and PPO of rsl_rl, which trains on tensors.
 
 A name is that of the class in lower case, with a hyphen before an abbreviation: "ppo", "crossq",
 "recurrent-ppo". Settings and their types are those of the class's own signature, so names and
@@ -14,6 +16,7 @@ from typing import Any, get_args, get_origin
 
 NUMBER = (int, float)
 DISCRETE = ("dqn", "maskable-ppo", "qrdqn")  # algorithms without continuous actions
+ON_TENSORS = ("rsl-ppo",)  # algorithms whose batch is `rsl.Arms`, on any device
 POLICIES = ("MlpPolicy", "LinearPolicy", "MlpLstmPolicy")  # policies of one vector of observations
 # Set by the run, or objects that no file can hold
 NOT_IN_FILES = {"policy", "env", "verbose", "tensorboard_log", "seed", "device"}
@@ -48,6 +51,7 @@ def algorithms() -> dict[str, Any]:
 
     from agents.learners.ars import ARS
     from agents.learners.recurrent import RecurrentPPO
+    from agents.learners.rsl import RslPPO
 
     found = [
         thing
@@ -55,7 +59,7 @@ def algorithms() -> dict[str, Any]:
         for thing in vars(package).values()
         if isinstance(thing, type) and issubclass(thing, BaseAlgorithm)
     ]
-    named = {name_of(algorithm): algorithm for algorithm in [*found, ARS, RecurrentPPO]}
+    named = {name_of(algorithm): algorithm for algorithm in [*found, ARS, RecurrentPPO, RslPPO]}
     return {name: named[name] for name in sorted(named) if name not in DISCRETE}
 
 

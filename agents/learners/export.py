@@ -9,7 +9,7 @@ from zipfile import ZipFile
 
 import numpy as np
 
-from agents.learners.algorithms import algorithms, name_of
+from agents.learners.algorithms import ON_TENSORS, algorithms, name_of
 from agents.policy import (
     ACTIVATIONS,
     LARGEST_LAYER,
@@ -35,7 +35,7 @@ ZIPPED = {
 
 
 def export_policy(model: Any, about: dict[str, Any]) -> Policy:
-    """The actor of a model of stable-baselines3 or sb3-contrib.
+    """The actor of a model of one of the algorithms.
 
     Batch renormalisation, which is affine in a trained network, becomes part of the next layer.
     """
@@ -123,6 +123,8 @@ def actor(model: Any) -> tuple[list[tuple[AnyArray, AnyArray]], list[Any]]:
 
     policy = model.policy
     squashed = [torch.nn.Tanh()]
+    if name_of(type(model)) in ON_TENSORS:
+        return [], list(policy["actor"].mlp)
     if isinstance(policy, ActorCriticPolicy):
         recurrent = isinstance(policy, RecurrentActorCriticPolicy)
         modules = [*policy.mlp_extractor.policy_net, policy.action_net]

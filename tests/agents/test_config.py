@@ -94,6 +94,8 @@ def test_shipped_configs_load(path: Path) -> None:
         ("name: ppo", "name: PPO", r"agent\.name must be one of \['a2c', .*\], got 'PPO'"),
         ("id: FlexArm/OneLink-Reach-v0, ", "", r"env\.id is missing"),
         ("tracking: 1.0", "tracking: high", r"env\.reward\.tracking must be a number, got 'high'"),
+        ("total_steps", "device: gpu\ntotal_steps", r"device must be one of .*, got 'gpu'"),
+        ("total_steps", "device: cuda\ntotal_steps", r"'cpu' for ppo, .*agent\.name: rsl-ppo"),
         ("agent: {", "agent: [", r"is not valid YAML: .* line 3"),
     ],
 )

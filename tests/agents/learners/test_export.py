@@ -8,7 +8,7 @@ import pytest
 import torch
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
 
-from agents.learners.algorithms import algorithms
+from agents.learners.algorithms import ON_TENSORS, algorithms
 from agents.learners.export import export_policy, load_zip
 from agents.policy import Policy, PolicyError, load_policy, save_policy
 from tests.agents.toys import KWARGS, NETWORK, Toy, build, trained
@@ -43,7 +43,7 @@ def test_the_stored_actor_of_every_algorithm_acts_as_the_learner(name: str, tmp_
 
 
 def test_every_algorithm_of_the_libraries_is_tested() -> None:
-    assert sorted(KWARGS) == list(algorithms())
+    assert sorted([*KWARGS, *ON_TENSORS]) == list(algorithms())
 
 
 @pytest.mark.parametrize("name", ["a2c", "crossq", "ppo", "sac", "tqc"])

@@ -1,0 +1,212 @@
+"""PPO of rsl_rl on a batch of tensors, in the frame of stable-baselines3's algorithms.
+
+Rollouts and updates stay on the device; runs, checkpoints and logs take it as any other algorithm.
+"""
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+
+from dynamics.description import validate
+from dynamics.extras import missing
+from flexarm_env import TorchVecEnv
+
+Schedule = Callable[[float], float]  # of the remaining share of the run
+
+
+class Arms:
+    """A batch of arms with dicts of tensors: "observation", and "privileged" for the critic.
+
+    Parameters
+    ----------
+    envs : the batch.
+    stack : number of latest observations that are given; zeros precede an episode's first.
+    """
+
+    def __init__(self, envs: TorchVecEnv, stack: int) -> None:
+        space = envs.single_observation_space
+        if not isinstance(space, gym.spaces.Box):
+            raise ValueError("obs='goal' gives dicts, which rsl-ppo does not take; leave obs out.")
+        self.envs, self.num_envs = envs, envs.num_envs
+        low, high = np.tile(space.low, stack), np.tile(space.high, stack)
+        self.observation_space = gym.spaces.Box(low, high)
+        self.action_space = envs.single_action_space
+        self._latest = torch.zeros((self.num_envs, low.size), device=envs.device)
+        self._seed: int | None = None
+
+    def seed(self, seed: int | None) -> None:
+        """Seed the next reset."""
+        self._seed = seed
+
+    def reset(self) -> Any:
+        """Start episodes in all environments."""
+        obs, _ = self.envs.reset(seed=self._seed)
+        self._seed = None
+        return self._observed(obs, torch.ones_like(self._latest[:, 0], dtype=torch.bool))
+
+    def step(self, actions: Any) -> tuple[Any, ...]:
+        """Observation, reward, ended, out of time, and info."""
+        given = torch.as_tensor(actions, device=self.envs.device)
+        obs, reward, terminated, truncated, info = self.envs.step(given)
+        ended = terminated | truncated
+        return self._observed(obs, ended), reward.float(), ended, truncated & ~terminated, info
+
+    def close(self) -> None:
+        """Close the batch."""
+        self.envs.close()
+
+    def _observed(self, obs: torch.Tensor, begun: torch.Tensor) -> Any:
+        from tensordict import TensorDict
+
+        before = self._latest[:, obs.shape[1] :].masked_fill(begun[:, None], 0.0)
+        self._latest = torch.cat([before, obs], dim=1)
+        parts = {"observation": self._latest, "privileged": self.envs.privileged()}
+        return TensorDict(parts, batch_size=[self.num_envs], device=self.envs.device)
+
+
+def networks(
+    net_arch: list[int] | dict[str, list[int]] = [64, 64],  # noqa: B006
+    activation_fn: type[torch.nn.Module] = torch.nn.Tanh,
+    log_std_init: float = 0.0,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Keywords of rsl_rl's models of actor and critic, from those of a stable-baselines3 policy."""
+    sizes = net_arch if isinstance(net_arch, dict) else {"pi": net_arch, "vf": net_arch}
+    if sizes.keys() != {"pi", "vf"} or not all(sizes.values()):
+        raise ValueError(
+            "net_arch must list layers of the actor (pi) and of the critic (vf), such as [64, 64], "
+            f"got {validate.shown(net_arch)}."
+        )
+    activation = activation_fn.__name__.lower()
+    actor, critic = ({"hidden_dims": sizes[x], "activation": activation} for x in ("pi", "vf"))
+    distribution = {
+        "class_name": "GaussianDistribution",
+        "std_type": "log",
+        "init_std": float(np.exp(log_std_init)),
+    }
+    return {**actor, "distribution_cfg": distribution}, critic
+
+
+class RslPPO(OnPolicyAlgorithm):
+    """PPO of rsl_rl, whose critic also sees the true state and drawn parameters.
+
+    Keywords are those of stable-baselines3's PPO, and `desired_kl`, to which the learning rate
+    adapts; None: the rate as given.
+    """
+
+    policy_aliases: ClassVar[dict[str, Any]] = {"MlpPolicy": networks}
+
+    def __init__(
+        self,
+        policy: str,
+        env: Arms,
+        learning_rate: float | Schedule = 1e-3,
+        n_steps: int = 32,
+        batch_size: int = 2048,
+        n_epochs: int = 5,
+        gamma: float = 0.99,
+        gae_lambda: float = 0.95,
+        clip_range: float = 0.2,
+        ent_coef: float = 0.0,
+        vf_coef: float = 1.0,
+        max_grad_norm: float = 1.0,
+        desired_kl: float | None = None,
+        policy_kwargs: dict[str, Any] | None = None,
+        seed: int | None = None,
+        device: str = "cpu",
+    ) -> None:
+        super().__init__(
+            policy, None, learning_rate, n_steps, gamma, gae_lambda, ent_coef, vf_coef,
+            max_grad_norm, False, -1, policy_kwargs=policy_kwargs, seed=seed, device=device,
+            _init_setup_model=False,
+        )  # fmt: skip
+        self.env, self.n_envs = env, env.num_envs
+        self.observation_space, self.action_space = env.observation_space, env.action_space
+        self.batch_size, self.n_epochs, self.clip_range = batch_size, n_epochs, clip_range
+        self.desired_kl, self.rollout_buffer = desired_kl, None
+        self._setup_model()
+
+    def _setup_model(self) -> None:
+        """Build the networks and rsl_rl's algorithm."""
+        try:
+            from rsl_rl.algorithms import PPO
+            from rsl_rl.models import MLPModel
+            from rsl_rl.storage import RolloutStorage
+        except ModuleNotFoundError as error:
+            raise missing(error, "agent.name: rsl-ppo", "tensors") from None
+        self._setup_lr_schedule()
+        self.set_random_seed(self.seed)
+        self._last_obs = obs = self.env.reset()
+        size = self.action_space.shape[0]
+        groups = {"actor": ["observation"], "critic": ["observation", "privileged"]}
+        actor, critic = networks(**self.policy_kwargs)
+        self.policy = torch.nn.ModuleDict({
+            "actor": MLPModel(obs, groups, "actor", size, **actor),
+            "critic": MLPModel(obs, groups, "critic", 1, **critic),
+        }).to(self.device)  # fmt: skip
+        self.ppo = PPO(
+            self.policy["actor"],
+            self.policy["critic"],
+            RolloutStorage("rl", self.n_envs, self.n_steps, obs, [size], self.device),
+            num_learning_epochs=self.n_epochs,
+            num_mini_batches=self.n_steps * self.n_envs // self.batch_size,
+            clip_param=self.clip_range,
+            gamma=self.gamma,
+            lam=self.gae_lambda,
+            value_loss_coef=self.vf_coef,
+            entropy_coef=self.ent_coef,
+            learning_rate=self.lr_schedule(1.0),
+            max_grad_norm=self.max_grad_norm,
+            schedule="fixed" if self.desired_kl is None else "adaptive",
+            desired_kl=self.desired_kl,
+            device=self.device,
+        )
+
+    @torch.inference_mode()
+    def collect_rollouts(
+        self, env: Arms, callback: Any, rollout_buffer: None, n_rollout_steps: int
+    ) -> bool:
+        """Fill rsl_rl's storage with a rollout; False if the callback ends the training."""
+        callback.on_rollout_start()
+        for _ in range(n_rollout_steps):
+            actions = self.ppo.act(self._last_obs)
+            self._last_obs, reward, ended, late, info = env.step(actions)
+            self.ppo.process_env_step(self._last_obs, reward, ended, {"time_outs": late.float()})
+            self.num_timesteps += env.num_envs
+            rewards, dones, infos = _on_host(reward, ended, late, info)
+            callback.update_locals({"rewards": rewards, "dones": dones, "infos": infos})
+            if not callback.on_step():
+                return False
+        self.ppo.compute_returns(self._last_obs)
+        callback.on_rollout_end()
+        return True
+
+    def train(self) -> None:
+        """Update the networks with the rollout."""
+        if self.desired_kl is None:
+            self._update_learning_rate(self.ppo.optimizer)
+        self.ppo.learning_rate = self.ppo.optimizer.param_groups[0]["lr"]  # also after a restore
+        losses = self.ppo.update()
+        self._n_updates += self.n_epochs
+        for name, value in (losses | {"learning_rate": self.ppo.learning_rate}).items():
+            self.logger.record(f"train/{name}", value)
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        """Names of what a checkpoint holds."""
+        return ["policy", "ppo.optimizer"], []
+
+
+def _on_host(
+    reward: torch.Tensor, ended: torch.Tensor, late: torch.Tensor, info: dict[str, Any]
+) -> tuple[Any, Any, dict[int, dict[str, Any]]]:
+    """Rewards, ends, and the info of ended episodes by environment; one transfer."""
+    columns = (reward, ended, late, info["tip_error"], info["settled"])
+    rewards, dones, timed, error, settled = torch.stack([x.float() for x in columns]).cpu().numpy()
+    infos = {
+        i: {"TimeLimit.truncated": bool(timed[i]), "tip_error": error[i], "settled": settled[i]}
+        for i in np.flatnonzero(dones).tolist()
+    }
+    return rewards, dones, infos

@@ -1,0 +1,85 @@
+"""PPO on tensors: the critic's input, the stored actor with its frames, and refusals."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from agents.config import ConfigError, config_from_dict
+from agents.learners.export import export_policy
+from agents.training import build_model
+from agents.training import main as train
+from tests.agents.tiny import ENV_ID, KWARGS, one_sentence, write_config
+
+
+def model(env: dict[str, Any] | None = None, **kwargs: Any) -> Any:
+    pytest.importorskip("rsl_rl")
+    arms = {"id": ENV_ID, "n_envs": 8, "kwargs": {"max_episode_steps": 12}}
+    agent = {"name": "rsl-ppo", "kwargs": KWARGS["rsl-ppo"] | kwargs}
+    return build_model(
+        config_from_dict({"env": arms | (env or {}), "agent": agent, "total_steps": 256})
+    )
+
+
+def test_the_stored_policy_acts_as_the_actor_over_ends_of_episodes() -> None:
+    """The frames of NumPy's policy beside those of the batch, and two forms of one network."""
+    learner = model({"stack": 3})
+    policy, state, starts = export_policy(learner, {"stack": 3}), None, np.ones(8, bool)
+    obs, size = learner.env.reset(), policy.n_observation
+    for _ in range(30):
+        newest = obs["observation"][:, -size:].numpy()
+        action, state = policy.predict(newest, state, starts)
+        expected = learner.policy["actor"](obs).clamp(-1.0, 1.0).detach()
+        np.testing.assert_allclose(action, expected.numpy(), atol=5e-6)
+        obs, _, ended, _, _ = learner.env.step(torch.rand(8, 1) - 0.5)
+        starts = ended.numpy()
+
+
+def test_only_the_critic_learns_from_the_true_state() -> None:
+    learner = model()
+    actor, critic = learner.policy["actor"], learner.policy["critic"]
+    learner.learn(256, log_interval=None)
+    obs = learner._last_obs.clone()
+    action, value = actor(obs), critic(obs)
+    obs["privileged"] += 0.1
+    assert torch.equal(actor(obs), action)
+    assert bool((critic(obs) != value).all())
+
+
+def test_the_rate_adapts_only_to_a_wanted_divergence() -> None:
+    rates = []
+    for wanted in ({}, {"desired_kl": 1e-6}):
+        learner = model(**wanted)
+        learner.learn(256, log_interval=None)
+        rates.append(learner.ppo.optimizer.param_groups[0]["lr"])
+    assert rates[0] == pytest.approx(1e-3)
+    assert rates[1] < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"env": {"normalize": True}}, r"env\.normalize is not for rsl-ppo: leave it out"),
+        ({"base": {"controller": "pd"}}, "base is not for rsl-ppo: leave it out"),
+    ],
+)
+def test_what_tensors_do_not_have_is_refused(changed: dict[str, Any], sentence: str) -> None:
+    data = {"env": {"id": ENV_ID} | changed.get("env", {}), "agent": {"name": "rsl-ppo"}}
+    data["agent"]["kwargs"] = {"batch_size": 32}
+    with pytest.raises(ConfigError, match=sentence):
+        config_from_dict(changed | data | {"total_steps": 256})
+
+
+def test_a_missing_gpu_ends_the_run_before_it_writes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    config = write_config(tmp_path, "rsl-ppo", 256)
+    config.write_text(yaml.safe_dump(yaml.safe_load(config.read_text()) | {"device": "cuda"}))
+    assert train(["--config", str(config), "--out", str(tmp_path / "out")]) == 2
+    assert "needs an NVIDIA GPU" in one_sentence(capsys)
+    assert not (tmp_path / "out").exists()
