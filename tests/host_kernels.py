@@ -22,18 +22,20 @@ _HEAD = """\
 #define __device__
 #define __global__
 #define __forceinline__ inline
+#define __noinline__
+#define __grid_constant__
 struct Index { int x; };
 static Index blockIdx, blockDim, threadIdx;
 """
 _RUN = """
 extern "C" void run_{name}(
     real* state, whole* streams, const float* actions, float* obs, float* final_obs, real* info,
-    unsigned char* flags, const real* numbers, int count, int substeps)
+    unsigned char* flags, const Numbers* numbers, int count, int substeps)
 {{
     blockDim.x = 1;
     for (blockIdx.x = 0; blockIdx.x < count; ++blockIdx.x)
         {name}(
-            state, streams, actions, obs, final_obs, info, flags, numbers, count, substeps);
+            state, streams, actions, obs, final_obs, info, flags, *numbers, count, substeps);
 }}
 """
 
@@ -60,7 +62,8 @@ class HostKernels:
         self._library = _library(source)
 
     def launch(self, name: str, stream: int, count: int, arguments: Sequence[Any]) -> None:
-        """Run a kernel; `arguments` are addresses, then two whole numbers."""
+        """Run a kernel; `arguments` are addresses, the shared numbers, and two whole numbers."""
+        *addresses, numbers, n, substeps = arguments
+        given = [*map(int, addresses), numbers.ctypes.data]
         function = getattr(self._library, f"run_{name}")
-        *addresses, n, substeps = arguments
-        function(*map(ctypes.c_void_p, addresses), ctypes.c_int(n), ctypes.c_int(substeps))
+        function(*map(ctypes.c_void_p, given), ctypes.c_int(n), ctypes.c_int(substeps))

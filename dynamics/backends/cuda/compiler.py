@@ -1,13 +1,21 @@
-"""Compilation of kernels by NVRTC and their launch, through cuda-core (extra `gpu`)."""
+"""Compilation of kernels by NVRTC and their launch, through NVIDIA's cuda-core (extra `gpu`)."""
 
 import hashlib
+import re
 from collections.abc import Sequence
-from typing import Any
+from io import StringIO
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from dynamics import cache
 from dynamics.backends.cuda.kernel_text import KERNELS
 from dynamics.extras import missing
 
+USAGE = (  # of one kernel, in the assembler's report
+    r"Function properties for {name}\n.*?(\d+) bytes stack frame, (\d+) bytes spill stores, "
+    r"(\d+) bytes spill loads\n.*?Used (\d+) registers"
+)
 THREADS = 128  # per block: registers, not blocks, limit how many run at a time
 
 
@@ -26,11 +34,10 @@ class Kernels:
 
     def __init__(self, source: str, device: int) -> None:
         core = _cuda_core()
-        self._launch, self._config = core.launch, core.LaunchConfig
         self._device = core.Device(device)
         self._device.set_current()
-        code = _object_code(core, source, f"sm_{self._device.arch}")
-        self._kernels = {name: code.get_kernel(name) for name in KERNELS}
+        self._code = _object_code(core, source, f"sm_{self._device.arch}")
+        self._kernels = {name: int(self._code.get_kernel(name).handle) for name in KERNELS}
 
     def launch(self, name: str, stream: int, count: int, arguments: Sequence[Any]) -> None:
         """Run a kernel for `count` environments on a stream; returns before it has ended.
@@ -39,20 +46,39 @@ class Kernels:
         ----------
         name : one of `kernel_text.KERNELS`.
         stream : handle of a CUDA stream.
-        arguments : addresses, then NumPy numbers.
+        arguments : NumPy numbers and arrays, which the kernel gets by value.
+
+        Raises
+        ------
+        RuntimeError : the driver refuses the launch.
         """
-        config = self._config(grid=-(-count // THREADS), block=THREADS)
-        self._launch(_Stream(stream), config, self._kernels[name], *arguments)
+        from cuda.bindings import driver  # cuda-core passes no arrays by value
+
+        values = [np.atleast_1d(x) for x in arguments]
+        places = np.array([x.ctypes.data for x in values], np.uint64)
+        grid, block, kernel = -(-count // THREADS), THREADS, driver.CUfunction(self._kernels[name])
+        (error,) = driver.cuLaunchKernel(
+            kernel, grid, 1, 1, block, 1, 1, 0, driver.CUstream(stream), places.ctypes.data, 0
+        )
+        if error:
+            raise RuntimeError(f"The kernel {name} was not launched: {error.name}.")
 
 
-class _Stream:
-    """A stream of another library, in the form that cuda-core takes."""
+class Usage(NamedTuple):
+    """What one thread of a kernel takes."""
 
-    def __init__(self, handle: int) -> None:
-        self.handle = handle
+    stack: int  # [B] local memory: spilled registers, and arrays that do not lie in registers
+    stores: int  # [B] of registers that are spilled, in the text of the kernel
+    loads: int  # [B] of spilled registers
+    registers: int
 
-    def __cuda_stream__(self) -> tuple[int, int]:
-        return 0, self.handle
+
+def usage(source: str, arch: str) -> dict[str, Usage]:
+    """Registers and spills of all kernels on an architecture, such as "sm_90"; needs no GPU."""
+    report = StringIO()
+    _program(_cuda_core(), source, arch, ptxas_options="-v").compile("cubin", logs=report)
+    found = {name: re.search(USAGE.format(name=name), report.getvalue(), re.S) for name in KERNELS}
+    return {name: Usage(*map(int, match.groups())) for name, match in found.items() if match}
 
 
 def _cuda_core() -> Any:
@@ -70,7 +96,11 @@ def _object_code(core: Any, source: str, arch: str) -> Any:
     known = cache.load(name)
     if known is not None:
         return core.ObjectCode.from_cubin(known)
-    options = core.ProgramOptions(std="c++17", arch=arch)
-    code = core.Program(source, code_type="c++", options=options).compile("cubin")
+    code = _program(core, source, arch).compile("cubin")
     cache.store(name, bytes(code.code))
     return code
+
+
+def _program(core: Any, source: str, arch: str, **more: Any) -> Any:
+    options = core.ProgramOptions(std="c++17", arch=arch, **more)
+    return core.Program(source, code_type="c++", options=options)

@@ -2,10 +2,12 @@
 
 All arrays lie column by column, an environment a column, so that neighbouring threads read
 neighbouring numbers; only `actions` has a row per environment. The workspace is a local array whose
-indices are constants. Slots that do not depend on the environment come from `numbers`.
+indices are constants. Slots that all environments share are an argument of the kernel, which lies
+in constant memory and takes no registers. A restart is a function with a workspace of its own, so
+that the step keeps nothing for it.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from dynamics.backends.cuda.function_text import function_text, prelude
 from dynamics.tracing.assembly import Program
@@ -56,19 +58,34 @@ static __device__ __forceinline__ real normal(real key, real step, whole k)
     return (real(low) - real(131070)) * real(1.7320508075688772 / 65536.0);
 }
 """
-_KERNEL = """\
-extern "C" __global__ void {name}(
+_ARRAYS = """\
     real* __restrict__ state, whole* __restrict__ streams, const float* __restrict__ actions,
     float* __restrict__ obs, float* __restrict__ final_obs, real* __restrict__ info,
-    unsigned char* __restrict__ flags, const real* __restrict__ numbers, int count, int substeps)
-{{
+    unsigned char* __restrict__ flags"""
+_KERNEL = f"""\
+extern "C" __global__ void {{name}}(
+{_ARRAYS}, const __grid_constant__ Numbers numbers,
+    int count, int substeps)
+{{{{
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= count) return;
+{{body}}
+}}}}
+"""
+RESTART = "restart"
+_RESTART = f"""\
+static __device__ __noinline__ void {RESTART}(
+{_ARRAYS}, const Numbers& numbers,
+    int count, int i)
+{{{{
+{{body}}
+}}}}
+"""
+_RESTARTED = f"{RESTART}(state, streams, actions, obs, final_obs, info, flags, numbers, count, i);"
+_WORKSPACE = """\
     real w[SLOTS];
     #pragma unroll
     for (int k = 0; k < SLOTS; ++k) w[k] = 0;
-{body}
-}}
 """
 
 
@@ -91,35 +108,46 @@ def kernel_text(program: Program, dtype: str) -> str:
             "backend compiles; leave integrator out or take 'midpoint'."
         )
     functions = [function_text(function, dtype) for function in program.functions]
-    constants = [*_shared(program), ""]
-    bodies = {STEP: entry.step, START: entry.start}
-    kernels = [
-        _KERNEL.format(
-            name=name,
-            body="\n".join(_indented([*constants, *_lines(bodies[name], program.routines)])),
-        )
-        for name in KERNELS
+    restarts = [
+        _RESTART.format(body=_body(program, statement.body))
+        for statement in entry.step
+        if isinstance(statement, WhereEnded)
     ]
-    return "\n".join([prelude(dtype), _names(program, entry), _RANDOM, *functions, *kernels])
+    kernels = [
+        _KERNEL.format(name=name, body=_body(program, statements))
+        for name, statements in ((STEP, entry.step), (START, entry.start))
+    ]
+    parts = [prelude(dtype), _names(program, entry), _RANDOM, *functions, *restarts, *kernels]
+    return "\n".join(parts)
+
+
+def shared_slots(program: Program) -> list[int]:
+    """Slots that all environments share, in the order of the kernels' argument `numbers`."""
+    return [program.at[name] + k for name in program.shared for k in range(program.sizes[name])]
 
 
 def _names(program: Program, entry: ControlStep) -> str:
-    """Slots, and numbers and first rows, as an enumeration."""
-    names = {"SLOTS": program.slots, **program.at}
+    """Slots, and numbers and first rows, as an enumeration; the type of shared numbers."""
+    names = {"SLOTS": program.slots, "SHARED": len(shared_slots(program)), **program.at}
     for rows in entry.rows.values():
         names |= {f"N_{rows.name}": rows.count, f"FIRST_{rows.name}": rows.first}
     lines = [f"    {name} = {number}," for name, number in names.items()]
-    return "\n".join(["enum {", *lines, "};", ""])
+    return "\n".join(["enum {", *lines, "};", "", "struct Numbers { real at[SHARED]; };", ""])
 
 
-def _shared(program: Program) -> list[str]:
+def _body(program: Program, statements: Statements) -> str:
+    """Statements on a workspace of their own, which begins with the shared numbers."""
+    lines = [*_shared(program), "", *_lines(statements, program.routines)]
+    return _WORKSPACE + "\n".join(_indented(lines))
+
+
+def _shared(program: Program) -> Iterator[str]:
     """Lines that copy the slots that all environments share."""
-    return [
-        line
-        for name in program.shared
-        if program.sizes[name]
-        for line in _each(str(program.sizes[name]), f"w[{name} + k] = numbers[{name} + k];")
-    ]
+    first = 0
+    for name in program.shared:
+        if count := program.sizes[name]:
+            yield from _each(str(count), f"w[{name} + k] = numbers.at[{first} + k];")
+        first += count
 
 
 def _indented(lines: Iterable[str]) -> list[str]:
@@ -165,8 +193,8 @@ def _line(statement: Statement, routines: Mapping[str, Statements]) -> list[str]
             numbers = [line for slots, count in given for line in _each(str(count), _number(slots))]
             lines = [*numbers, *_lines((*restored, *then), routines)]
             return _block(f"if (w[{flag}] > 0)", lines)
-        case WhereEnded(flags, body):
-            return _block(f"if (w[{flags}] != 0 || w[{flags} + 1] != 0)", _lines(body, routines))
+        case WhereEnded(flags):
+            return _block(f"if (w[{flags}] != 0 || w[{flags} + 1] != 0)", [_RESTARTED])
 
 
 def _number(slots: str) -> str:

@@ -1,10 +1,11 @@
 """Kernels of an arm: their text, the numbers they share, and their compiled form."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from dynamics.backends.cuda.kernel_text import kernel_text
+from dynamics.backends.cuda.kernel_text import kernel_text, shared_slots
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.tracing.assembly import Addition, Program, assembled
 from dynamics.tracing.traced_arm import TracedArm
@@ -19,17 +20,19 @@ class KernelSource:
     program: Program
     dtype: str
 
-    def numbers(self, dt: float) -> Array:
-        """(SLOTS,) slots that all environments share, for substeps of dt [s].
+    def numbers(self, dt: float, given: Mapping[str, Array]) -> Array:
+        """(n,) slots that all environments share, for substeps of dt [s].
 
-        The method's constants are in it; the caller fills in what its addition shares.
+        `given` are those of the addition, by name.
         """
         program, method = self.program, self.program.method
         w = np.zeros(program.slots)
         w[program.at["H"]] = dt
         if method.aid is not None:
             INTEGRATORS[method.integrator].prepare(w, dt, method.places, method.aid)
-        return w.astype(self.dtype)
+        for name, values in given.items():
+            w[program.at[name] : program.at[name] + len(values)] = values
+        return w[shared_slots(program)].astype(self.dtype)
 
 
 def generate(arm: TracedArm, dtype: str, integrator: str, added: Addition) -> KernelSource:

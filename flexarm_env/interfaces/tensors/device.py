@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from dynamics.backends.cuda.kernel_text import START, STEP
-from dynamics.backends.cuda.program import generate
+from dynamics.backends.cuda.program import KernelSource, generate
 from flexarm_env import arguments
 from flexarm_env.compiled.restart import restarting
 from flexarm_env.compiled.termination import FLAGS, LOST
@@ -48,8 +48,7 @@ class DeviceBatch:
         self, core: Core, device: torch.device, compiled: Callable[[str], Launcher]
     ) -> None:
         self._core, self._device = core, device
-        added = restarting(core.signals, core.starts)
-        self._source = generate(core.model.traced, core.model.dtype, core.integrator, added)
+        self._source = kernel_source(core)
         self._kernels = compiled(self._source.text)
         self._dtype = torch.float64 if core.model.dtype == "float64" else torch.float32
         self.state = torch.zeros(
@@ -93,10 +92,10 @@ class DeviceBatch:
 
         obs, last = (columns(core.layout.size, torch.float32) for _ in range(2))
         info, flags = columns(core.signals.info.total, self._dtype), columns(len(FLAGS), torch.bool)
-        given = (self.state, self._streams, actions, obs, last, info, flags, self._numbers)
-        addresses = [tensor.data_ptr() for tensor in given]
-        counts = [np.int32(n), np.int32(core.substeps)]
-        self._kernels.launch(kernel, self._stream(), n, [*addresses, *counts])
+        given = (self.state, self._streams, actions, obs, last, info, flags)
+        addresses = [np.uint64(tensor.data_ptr()) for tensor in given]
+        values = [self._numbers, np.int32(n), np.int32(core.substeps)]
+        self._kernels.launch(kernel, self._stream(), n, [*addresses, *values])
         return obs, last, info, flags
 
     def _stream(self) -> int:
@@ -107,9 +106,12 @@ class DeviceBatch:
 
     def _fill_numbers(self) -> None:
         """Numbers that all environments share, by the present settings."""
-        core, at = self._core, self._source.program.at
-        self._settings = core.settings
-        numbers = self._source.numbers(core.dt)
-        for name, values in (("CONSTANTS", core.constants), ("RANGES", core.starts[7].ravel())):
-            numbers[at[name] : at[name] + len(values)] = values
-        self._numbers = torch.from_numpy(numbers).to(self._device)
+        core, self._settings = self._core, self._core.settings
+        given = {"CONSTANTS": core.constants, "RANGES": core.starts[7].ravel()}
+        self._numbers = self._source.numbers(core.dt, given)
+
+
+def kernel_source(core: Core) -> KernelSource:
+    """Kernels that step a batch and restart its ended episodes."""
+    added = restarting(core.signals, core.starts)
+    return generate(core.model.traced, core.model.dtype, core.integrator, added)

@@ -66,9 +66,9 @@ def test_a_program_prints_its_kernels() -> None:
 def test_numbers_hold_the_step_and_the_factors_of_the_method() -> None:
     arm = TracedArm(load_arm("slim"))
     plain = generate(arm, "float64", "rk4", swinging())
-    assert plain.numbers(0.01).tolist().count(0.0) == plain.program.slots - 1
+    assert plain.numbers(0.01, {}).tolist() == [0.01]
     prepared = generate(arm, "float64", "exponential-2", swinging())
-    assert (prepared.numbers(0.01) != 0.0).sum() > 20
+    assert (prepared.numbers(0.01, {}) != 0.0).sum() > 20
     assert prepared.program.shared == ["H", "SCRATCH"]
 
 
@@ -87,8 +87,7 @@ def test_uniform_numbers_are_those_of_the_streams() -> None:
     assert "uniform(streams + i)" in source.text
     kernels = HostKernels(source.text)
     state, stream = (ctypes.c_double * 6)(), ctypes.c_uint64(5)
-    numbers = (ctypes.c_double * source.program.slots)(*source.numbers(0.01))
-    given = [ctypes.addressof(x) for x in (state, stream)] + [0] * 5 + [ctypes.addressof(numbers)]
+    given = [ctypes.addressof(x) for x in (state, stream)] + [0] * 5 + [source.numbers(0.01, {})]
     kernels.launch("control_step", 0, 1, [*given, 1, 3])
     assert stream.value == 5  # no episode has ended
     assert list(state) == [0.0] * 6  # an arm at rest stays there

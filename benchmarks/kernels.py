@@ -1,0 +1,154 @@
+"""Registers, spills and compile times of the GPU's kernels, which needs no GPU.
+
+    python -m benchmarks.kernels [--variants] [--out docs/results/kernels.json]
+
+NVRTC (extra `gpu`) compiles the control steps of Reach for an H100; its assembler reports registers
+and spills. `--variants` also compiles other forms of the same text. Fills the tables of docs/gpu.md.
+"""
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from benchmarks.output import (
+    RESULTS,
+    ROOT,
+    argument_parser,
+    filled,
+    provenance,
+    save_results,
+    table,
+)
+from dynamics.backends.cuda.compiler import usage
+from dynamics.backends.cuda.kernel_text import RESTART, STEP
+from flexarm_env import FlexArmVectorEnv
+from flexarm_env.interfaces.tensors.device import kernel_source
+
+PAGE = ROOT / "docs" / "gpu.md"
+ARCH = "sm_90"  # of an H100
+SCENES = {"OneLink": "one link", "TwoLink": "two links", "SixLink": "six links"}
+DTYPES = ("float32", "float64")
+Row = dict[str, float]
+
+
+def text_of(scene: str, dtype: str) -> str:
+    """Kernels of a scene's Reach."""
+    envs = gym.make_vec(f"FlexArm/{scene}-Reach-v0", num_envs=1, dtype=dtype)
+    assert isinstance(envs, FlexArmVectorEnv)
+    return kernel_source(envs.core).text
+
+
+def called(*names: str) -> Callable[[str], str]:
+    """Form whose functions of these names, or all, are called."""
+    return lambda text: re.sub(
+        rf"__forceinline__ void ({'|'.join(names)})\(real", r"__noinline__ void \1(real", text
+    )
+
+
+def bounded(blocks: int) -> Callable[[str], str]:
+    """Form with registers for this many blocks of 128 threads on a multiprocessor."""
+    head = f"__global__ void __launch_bounds__(128, {blocks}) {STEP}("
+    return lambda text: text.replace(f"__global__ void {STEP}(", head)
+
+
+def inlined_restart(text: str) -> str:
+    """Form whose restart is inlined."""
+    return text.replace(f"__noinline__ void {RESTART}(", f"__forceinline__ void {RESTART}(")
+
+
+def shared_in_global_memory(text: str) -> str:
+    """Form whose shared numbers are read through a pointer."""
+    text = text.replace("const __grid_constant__ Numbers numbers", "const Numbers* numbers")
+    return text.replace("const Numbers& numbers", "const Numbers* numbers").replace(
+        "numbers.at[", "numbers->at["
+    )
+
+
+def spilled_to_shared_memory(text: str) -> str:
+    """Form that spills to shared memory first, in blocks of 64 threads."""
+    head = f"__global__ void __launch_bounds__(64, 1) {STEP}("
+    before, _, after = text.replace(f"__global__ void {STEP}(", head).partition(head)
+    arguments, brace, body = after.partition("{")
+    pragma = '\n    asm volatile (".pragma \\"enable_smem_spilling\\";");'
+    return before + head + arguments + brace + pragma + body
+
+
+FORMS: dict[str, Callable[[str], str]] = {
+    "as printed": lambda text: text,
+    "restart inlined": inlined_restart,
+    "shared numbers in global memory": shared_in_global_memory,
+    "report called": called("report"),
+    "all functions called": called(r"\w+"),
+    "for at least 4 blocks": bounded(4),
+    "for at least 8 blocks": bounded(8),
+    "spills in shared memory": spilled_to_shared_memory,
+}
+
+
+def measured(text: str) -> Row:
+    """Registers and spilled bytes of the control step, and CPU time of the compilation [s]."""
+    begin = time.process_time()
+    found = usage(text, ARCH)[STEP]
+    seconds = time.process_time() - begin
+    return {**found._asdict(), "seconds": round(seconds, 1)}
+
+
+def cells(row: Row) -> list[str]:
+    """A row's registers, stack, stored and loaded bytes, and seconds."""
+    names = ("registers", "stack", "stores", "loads")
+    return [*(f"{row[name]:,.0f}" for name in names), f"{row['seconds']:.1f}"]
+
+
+HEADER = ("registers", "stack [B]", "spill stores [B]", "spill loads [B]", "compile [s of CPU]")
+
+
+def kernels_table(rows: dict[str, dict[str, Row]]) -> str:
+    """Table of scenes and number types."""
+    listed = [
+        [SCENES[scene], dtype, *cells(row)] for scene in rows for dtype, row in rows[scene].items()
+    ]
+    return table(["", "", *HEADER], listed, "llr")
+
+
+def forms_table(rows: dict[str, dict[str, Row]]) -> str:
+    """Table of forms: registers, and bytes of spill stores where there are any, per scene."""
+
+    def cell(row: Row) -> str:
+        spills = f"; {row['stores']:,.0f} + {row['loads']:,.0f} B" if row["stack"] else ""
+        return f"{row['registers']}{spills}"
+
+    listed = [[form, *(cell(rows[form][scene]) for scene in SCENES)] for form in rows]
+    return table(["float32", *SCENES.values()], listed, "lr")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Compile, write the results and fill the page."""
+    parser = argument_parser("kernels", __doc__)
+    parser.add_argument("--variants", action="store_true", help="compile other forms too")
+    parser.add_argument("--out", type=Path, default=RESULTS / "kernels.json")
+    options = parser.parse_args(arguments)
+    texts = {scene: {dtype: text_of(scene, dtype) for dtype in DTYPES} for scene in SCENES}
+    results: dict[str, Any] = provenance("cuda-core", "nvidia-cuda-nvrtc") | {"arch": ARCH}
+    results["kernels"] = {
+        scene: {dtype: measured(text) for dtype, text in of.items()} for scene, of in texts.items()
+    }
+    blocks = {"kernels": kernels_table(results["kernels"])}
+    if options.variants:
+        results["forms"] = {
+            form: {scene: measured(changed(of["float32"])) for scene, of in texts.items()}
+            for form, changed in FORMS.items()
+        }
+        blocks["forms"] = forms_table(results["forms"])
+    page = "\n\n".join(["# Kernels", *(blocks.values())]) + "\n"
+    save_results(results, page, options.out)
+    if options.out == RESULTS / "kernels.json":
+        PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), blocks), encoding="utf-8")
+    print(page)
+
+
+if __name__ == "__main__":
+    main()
