@@ -2,8 +2,8 @@
 
     python -m benchmarks.kernels [--variants] [--out docs/results/kernels.json]
 
-NVRTC (extra `gpu`) compiles the control steps of Reach for an H100; its assembler reports registers
-and spills. `--variants` also compiles other forms of the same text. Fills the tables of docs/gpu.md.
+NVRTC (extra `gpu`) compiles the control steps of Reach for an H100; its assembler reports what
+they take. `--variants` also compiles other forms of the text. Fills the tables of docs/gpu.md.
 """
 
 import re

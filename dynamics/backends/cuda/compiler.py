@@ -26,25 +26,26 @@ class Kernels:
     ----------
     source : CUDA C of the kernels.
     device : number of the device.
+    names : of the kernels.
 
     Raises
     ------
     ModuleNotFoundError : cuda-core is not installed; with the line that installs it.
     """
 
-    def __init__(self, source: str, device: int) -> None:
+    def __init__(self, source: str, device: int, names: Sequence[str] = KERNELS) -> None:
         core = _cuda_core()
         self._device = core.Device(device)
         self._device.set_current()
         self._code = _object_code(core, source, f"sm_{self._device.arch}")
-        self._kernels = {name: int(self._code.get_kernel(name).handle) for name in KERNELS}
+        self._kernels = {name: int(self._code.get_kernel(name).handle) for name in names}
 
     def launch(self, name: str, stream: int, count: int, arguments: Sequence[Any]) -> None:
-        """Run a kernel for `count` environments on a stream; returns before it has ended.
+        """Run a kernel in `count` threads on a stream; returns before it has ended.
 
         Parameters
         ----------
-        name : one of `kernel_text.KERNELS`.
+        name : one of the kernels.
         stream : handle of a CUDA stream.
         arguments : NumPy numbers and arrays, which the kernel gets by value.
 
