@@ -13,6 +13,7 @@ from agents.learners.export import export_policy
 from agents.training import build_model
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, KWARGS, one_sentence, write_config
+from tests.paths import ROOT
 
 
 def model(env: dict[str, Any] | None = None, **kwargs: Any) -> Any:
@@ -71,6 +72,12 @@ def test_what_tensors_do_not_have_is_refused(changed: dict[str, Any], sentence: 
     data["agent"]["kwargs"] = {"batch_size": 32}
     with pytest.raises(ConfigError, match=sentence):
         config_from_dict(changed | data | {"total_steps": 256})
+
+
+def test_the_experiment_of_the_page_is_one() -> None:
+    page = (ROOT / "docs" / "gpu.md").read_text(encoding="utf-8")
+    config = config_from_dict(yaml.safe_load(page.partition("```yaml")[2].partition("```")[0]))
+    assert (config.device, config.agent.name) == ("cuda", "rsl-ppo")
 
 
 def test_a_missing_gpu_ends_the_run_before_it_writes(
