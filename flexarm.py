@@ -7,6 +7,7 @@ one of our packages is refused with a sentence.
 import argparse
 import os
 import sys
+import warnings
 from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -50,7 +51,11 @@ def main(arguments: list[str] | None = None) -> int:
         )
         return MISSING
     try:
-        status: int = run(given[1:], prog=f"flexarm {name}")
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_, **__: print(
+                f"flexarm {name}: {message}", file=sys.stderr
+            )
+            status: int = run(given[1:], prog=f"flexarm {name}")
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

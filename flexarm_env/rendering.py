@@ -105,6 +105,7 @@ class Renderer:
     def shapes(self, core: Core, q: Array, factor: float) -> list[Array]:
         """(., 3) [m] centre line of every link in the world frame, deflections times `factor`.
 
+        It begins at the link's joint and ends at the next one, beyond offset roots and brackets.
         R_i = R_{i-1} E_{i-1} F_i Rz(q_i), with the rotation E of a bent end. A parallel drive
         turns relative to the base frame of the joint before.
         """
@@ -114,6 +115,8 @@ class Renderer:
         at = core.arm.base.n
         for link, constants in zip(core.arm.links, self.constants, strict=True):
             end = end + R @ E @ np.array(link.joint.offset)
+            if lines and any(link.joint.offset):
+                lines[-1] = np.vstack([lines[-1], end])
             joints = link.joint.moves + link.joint.elastic  # the rotor, the twist of its spring
             angle = sum(q[at : at + joints].tolist())
             c, s = math.cos(angle), math.sin(angle)
@@ -123,8 +126,8 @@ class Renderer:
             base = R @ E
             E = E @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
             at += joints
+            line = [end[None]] if any(link.joint.root) else []
             end = end + R @ E @ np.array(link.joint.root)
-            line = []
             for part, constant in zip(parts(link), constants[-link.segments :], strict=True):
                 delta = factor * q[at : at + len(part.modes)]
                 at += len(part.modes)
@@ -152,8 +155,16 @@ class Renderer:
         """
         bent = self.shapes(core, core.q[0], 1.0)
         straight = self.shapes(core, _straight(core, 0), 0.0)
-        even = [line[np.linspace(0, len(line) - 1, POINTS).round().astype(int)] for line in bent]
-        return np.array(even), np.array([x[[0, -1]] for x in straight]), core.goal(0).copy()
+        beams = [self._beam(core, k, line) for k, line in enumerate(bent)]
+        even = [line[np.linspace(0, len(line) - 1, POINTS).round().astype(int)] for line in beams]
+        ends = [self._beam(core, k, line)[[0, -1]] for k, line in enumerate(straight)]
+        return np.array(even), np.array(ends), core.goal(0).copy()
+
+    def _beam(self, core: Core, k: int, line: Array) -> Array:
+        """The line of link k without its offset root and the bracket of the next joint."""
+        links = core.arm.links
+        bracket = k + 1 < len(links) and any(links[k + 1].joint.offset)
+        return line[int(any(links[k].joint.root)) : len(line) - bracket]
 
     def pixels(self, points: Array) -> list[tuple[float, float]]:
         """Pixels of world points [m] on the supersampled canvas."""
@@ -207,11 +218,13 @@ class Renderer:
             _disc(pen, self.pixels(foot)[0], 2.0 * self.fine, colour)
 
     def _draw_base(self, pen: ImageDraw.ImageDraw, core: Core, q: Array) -> None:
-        """A floating base: the square that has its mass and its inertia."""
+        """The square that has a floating base's mass and inertia; the post of a fixed one."""
         base = core.arm.base
-        if not base.n:
-            return
         R, place = _base_pose(core, q)
+        if not base.n:
+            post = np.array([place, core.arm.links[0].joint.offset])
+            pen.line(self.pixels(post), fill=FAINT, width=round(7 * self.fine))
+            return
         half = 0.5 * math.sqrt(6.0 * base.inertia[2][2] / base.mass)  # [m]
         corners = half * np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) + base.com
         pen.polygon(

@@ -18,6 +18,7 @@ DIRECTIONS = ("y", "z", "x", "axial")  # bending, bending, torsion, stretching
 MOST_MODES = 4  # per link and direction, in models that `choose_model` tries
 MOST_SEGMENTS = 8
 TORSION_WAVE = 3000.0  # [m/s] in a round bar of metal
+THINNEST = 0.02  # [-] radius over length of the thinnest rod that twists without a stated inertia
 _NATURAL = {"x": "torsion-fixed-free", "y": "clamped-tip-mass", "z": "clamped-tip-mass",
             "axial": "axial-fixed-free"}  # fmt: skip
 _POLYNOMIAL = {"x": "torsion-poly", "y": "hierarchical", "z": "hierarchical", "axial": "axial-poly"}
@@ -181,16 +182,24 @@ def divisible(arm: Arm) -> tuple[bool, ...]:
 def _polar_inertia(link: Link, counts: Counts) -> dict[str, Any]:
     """Field with the rho_Ip [kg m] of a link that twists and states none.
 
-    It is as small as in a round bar of metal. Without it a twist would be massless in line with the
-    links beyond, and in all segments but one.
+    It is that of a round bar of metal, or of the thinnest rod where that is more. With less, the
+    twist is almost massless where the links beyond are in line, and the mass matrix of a bent link
+    with many modes is not positive.
     """
     if link.mean("rho_Ip") or not counts[DIRECTIONS.index("x")]:
         return {}
+    square = 0.5 * (THINNEST * link.length) ** 2  # [m^2]
+
+    def inertia(GJ: float, rho_A: float) -> float:
+        return max(GJ / TORSION_WAVE**2, rho_A * square)
+
     if not link.sections:
-        return {"rho_Ip": (link.GJ or 0.0) / TORSION_WAVE**2}
-    ends = [[GJ / TORSION_WAVE**2 for GJ in section.ends("GJ")] for section in link.sections]
-    pairs = zip(link.sections, ends, strict=True)
-    return {"sections": tuple(replace(section, rho_Ip=(a, b)) for section, (a, b) in pairs)}
+        return {"rho_Ip": inertia(link.GJ or 0.0, link.rho_A)}
+    result = []
+    for section in link.sections:
+        inner, outer = map(inertia, section.ends("GJ"), section.ends("rho_A"))
+        result.append(replace(section, rho_Ip=(inner, outer)))
+    return {"sections": tuple(result)}
 
 
 def _link_text(counts: Counts, segments: int) -> str:

@@ -39,6 +39,7 @@ USELESS = 0.05  # gain below which no single change helps, and all modes are rai
 STEP_RATIO = 10.0**0.1  # of a step and the smaller one that has to confirm it
 LARGEST_FALL = 0.25  # of a step to the next smaller one that is tried
 MOST_STEPS = 1e6  # per motion
+MOST_FROZEN = 12  # coordinates of an arm that exponential steps are tried on: many need small steps
 
 
 def choose_model(
@@ -287,6 +288,8 @@ def _steps(errors: ModelErrors, fidelity: Fidelity, cheapest: float = math.inf) 
     for name in usable(arm.n, arm.base.spatial):
         if INTEGRATORS[name].aid == "jacobian":
             continue  # it costs 3 (one link) to 19 (six links) evaluations: never the cheapest
+        if INTEGRATORS[name].aid == "modes" and arm.n > MOST_FROZEN:
+            continue
         dt, integration = _largest_step(errors, fidelity, name, cheapest)
         fits = integration <= errors.step_budget(fidelity)
         work = _cost(errors, fidelity, name, dt)
@@ -358,7 +361,7 @@ def _cost(errors: ModelErrors, fidelity: Fidelity, integrator: str, dt: float) -
 
 
 def _reason(errors: ModelErrors, chosen: Fidelity, best: Rung) -> str:
-    simpler = [errors.error(f) for f in chosen.reductions().values()]
+    simpler = [errors.error(f) for f in chosen.reductions().values() if errors.measured(f)]
     less = f"; the next simpler model errs by {metres(min(simpler))} m" if simpler else ""
     if simpler and min(simpler) <= errors.model_tolerance:
         less += ", and its shorter steps cost more"

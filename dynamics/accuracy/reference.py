@@ -64,6 +64,10 @@ class ModelErrors:
         except NotConverged:
             return [np.full_like(tip, np.nan) for tip in self.reference]
 
+    def measured(self, fidelity: Fidelity) -> bool:
+        """True if a model's motions have been computed."""
+        return fidelity in self._tips
+
     def error(self, fidelity: Fidelity) -> float:
         """[m] distance of a model, with converged integration, from the reference."""
         return largest_distance(self.tips(fidelity), self.reference)

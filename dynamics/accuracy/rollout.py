@@ -24,6 +24,7 @@ from dynamics.integrators.slots import Slots
 from dynamics.integrators.table import INTEGRATORS, Integrator
 from dynamics.model import Model
 from dynamics.simulation import step_limits
+from dynamics.simulation.case_file import Numbers
 from dynamics.tracing import graphs
 from dynamics.tracing.operation_counts import operations
 from dynamics.types import Array
@@ -92,6 +93,7 @@ class Rollout:
     def __init__(self, arm: Arm) -> None:
         self.arm, self.model = arm, Model(arm)
         self._methods: dict[str, TracedMethod] = {}
+        self._rest: dict[Numbers, Array] = {}  # joint angles -> equilibrium
 
     @cached_property
     def operations(self) -> int:
@@ -108,12 +110,23 @@ class Rollout:
         return step_limits.fastest(self.model, self._start(motion)[0])
 
     def _start(self, motion: JointMotion) -> tuple[Array, Array]:
-        """(n,) coordinates and rates: links straight, a free base as `Base` describes it."""
+        """(n,) coordinates and rates; a free base starts as `Base` describes it."""
         base, joints = self.arm.base, list(self.arm.joint_index)
         q, v = np.zeros(self.model.n), np.zeros(self.model.n)
         q[: base.n], v[: base.n] = base.q, base.v
         q[joints], v[joints] = motion.joint_angles, motion.joint_rates
+        if motion.settled and not base.n and any(self.arm.gravity):
+            q = self._settled(motion.joint_angles, q)
         return q, v
+
+    def _settled(self, angles: Numbers, straight: Array) -> Array:
+        """(n,) coordinates at rest under gravity; `straight` if links are too soft for that."""
+        if angles not in self._rest:
+            try:
+                self._rest[angles] = self.model.equilibrium(np.array(angles)).q
+            except ValueError:
+                self._rest[angles] = straight
+        return self._rest[angles]
 
     def method(self, integrator: str) -> TracedMethod:
         """CasADi functions of one integrator."""

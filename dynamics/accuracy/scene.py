@@ -1,8 +1,9 @@
 """Scenes: motions in joint space that any model of an arm can follow.
 
 A scene gives joint angles, joint rates and joint torques, and no modal amplitudes: every link
-starts straight and without modal rates. A free base starts as `Base` describes it, and the tip is
-in the world. Sliding joints have m, m/s and N. `choose_model` compares models of an arm on a scene.
+starts without modal rates, and straight or as gravity bends it. A free base starts as `Base`
+describes it, and the tip is in the world. Sliding joints have m, m/s and N. `choose_model` compares
+models of an arm on a scene.
 """
 
 import math
@@ -28,6 +29,7 @@ class JointMotion:
     t_end: float  # [s]
     torque: TorqueSignal | None = None  # None: no torque
     hold: float | None = None  # [s] torque is held, a method starts anew after it; None: each step
+    settled: bool = False  # links of a fixed base start as gravity bends them, else straight
 
     def __post_init__(self) -> None:
         angles = validate.numbers(self.joint_angles, "JointMotion.joint_angles", unit="rad or m")
@@ -42,6 +44,7 @@ class JointMotion:
                 "JointMotion.torque must be a function of time or None, "
                 f"got {validate.shown(self.torque)}."
             )
+        validate.boolean(self.settled, "JointMotion.settled")
         if self.hold is not None:
             hold = validate.positive(self.hold, "JointMotion.hold", "s")
             for t in (*self.knots[1:-1], t_end):

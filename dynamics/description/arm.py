@@ -5,6 +5,7 @@ Every description validates itself on construction.
 
 import math
 from dataclasses import MISSING, dataclass, field, fields, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -152,6 +153,7 @@ class Arm:
             raise ValueError("Arm.links must hold at least one link on a fixed base, got [].")
         for i, link in enumerate(links):
             validate.instance(link, f"Arm.links[{i}]", Link)
+        links = tuple(link.by_rule(_welded(links[i + 1 :])) for i, link in enumerate(links))
         count = sum(link.n for link in links)
         if count > MOST_COORDINATES:
             raise ValueError(
@@ -258,6 +260,12 @@ class Arm:
     def to_dict(self) -> dict[str, Any]:
         """Description as plain lists, numbers and text without defaults; `load_arm` reads it."""
         return _plain(self)
+
+
+def _welded(links: tuple[Link, ...]) -> float:
+    """[kg] of the first of the links, those beyond a tip, that are welded to it."""
+    fixed = takewhile(lambda link: link.joint.welds, links)
+    return sum(x.beam.line_mass.mass + x.tip_mass + (x.body.mass if x.body else 0) for x in fixed)
 
 
 def _joint_inertia(links: tuple[Link, ...], payload: Payload | None) -> float:

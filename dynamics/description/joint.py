@@ -98,6 +98,11 @@ class Joint:
         return self.type != "fixed"
 
     @property
+    def welds(self) -> bool:
+        """True if the joint lets the link neither move nor give."""
+        return not (self.moves or self.elastic)
+
+    @property
     def elastic(self) -> bool:
         """True if there is a spring in front of the link."""
         return self.stiffness is not None

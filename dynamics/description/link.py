@@ -3,6 +3,7 @@
 import logging
 import warnings
 from collections import Counter
+from copy import copy
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -190,10 +191,21 @@ class Link:
                 )
         clean(self, length=total)
 
-    def _by_rule(self) -> ModesByRule:
+    def _by_rule(self, welded: float = 0.0) -> ModesByRule:
         return mode_rule.modes_by_rule(
-            self.beam, self.joint, self.stiffnesses, self.segments, self.body is None
+            self.beam, self.joint, self.stiffnesses, self.segments, self.body is None, welded
         )
+
+    def by_rule(self, welded: float) -> "Link":
+        """The link, whose modes by rule, if it has them, suit a mass [kg] welded to its tip."""
+        modes = self._by_rule(welded) if isinstance(self.modes, ModesByRule) else self.modes
+        if modes == self.modes:
+            return self
+        words = mode_rule.in_words(modes, self.stiffnesses)
+        _log.info('link of %.4g m with modes "auto" in its arm: %s', self.length, words)
+        result = copy(self)
+        clean(result, modes=modes)
+        return result
 
     def _check_body(self) -> None:
         if self.body is not None and self.segments > 1 and not self.modes:

@@ -8,6 +8,7 @@ A bending direction with a stiffness gets two modes. Their family suits both end
 | any other                                        | with or without it | clamped-tip-mass |
 | any other                                        | a very heavy body  | poly             |
 | any, of a link in segments                       | any                | hierarchical     |
+| any                                              | a heavy weld       | hierarchical     |
 
 A light joint has less than LIGHT of the link's inertia: `python -m benchmarks.stability` finds two
 pinned shapes closer than two clamped ones up to there. Torsion gets one mode, if the link or its
@@ -15,7 +16,8 @@ tip body has an inertia about x; in segments two, if the link itself has. Axial 
 none, its frequencies are far above those of bending.
 
 Segments are welded, and a weld carries moment and shear. Shapes of a beam whose tip is free of
-them make a link in segments too stiff, however many segments it has.
+them make a link in segments too stiff, however many segments it has. They also suit a link no
+longer to whose tip others are welded with more than LADEN of its mass.
 """
 
 from collections.abc import Collection
@@ -25,6 +27,7 @@ from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, shape
 
 AUTO = "auto"
 BENDING = 2  # modes per bending direction
+LADEN = 0.5  # [-] mass welded to the tip over the link's, from which hierarchical shapes err less
 LIGHT = 0.005  # [-] joint inertia over the link's, up to which pinned shapes suit
 _REMEDY = 'list modes, or write "auto" (shapes by a rule) or [] (a rigid link)'
 
@@ -38,16 +41,22 @@ class ModesByRule(tuple[Mode, ...]):
 
 
 def modes_by_rule(
-    beam: Beam, joint: Joint, stiffnesses: Collection[str], segments: int, bare_root: bool
+    beam: Beam,
+    joint: Joint,
+    stiffnesses: Collection[str],
+    segments: int,
+    bare_root: bool,
+    welded: float = 0.0,
 ) -> ModesByRule:
     """Modes for the directions whose stiffness is among `stiffnesses`, names of Link fields.
 
-    `bare_root` is false where a body is fixed to the root.
+    `bare_root` is false where a body is fixed to the root; `welded` [kg] is fixed to the tip.
     """
     modes: list[Mode] = []
     for direction in "yz":
         if STIFFNESS[direction] in stiffnesses:
-            kind = "hierarchical" if segments > 1 else _bending(beam, joint, direction, bare_root)
+            welds = segments > 1 or welded > LADEN * beam.line_mass.mass
+            kind = "hierarchical" if welds else _bending(beam, joint, direction, bare_root)
             modes += _first(BENDING, kind, direction)
     if STIFFNESS["x"] in stiffnesses:
         if segments > 1 and beam.rho_Ip > 0.0:

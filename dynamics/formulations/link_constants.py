@@ -118,7 +118,7 @@ def _on_root(
             piece,
             payload if k == last else None,
             foreshortening=foreshortening,
-            welded=k > 0 or not (link.joint.moves or link.joint.elastic),
+            welded=k > 0 or link.joint.welds,
         )
         for k, piece in enumerate([*pieces, *others])
     )
@@ -181,7 +181,6 @@ def link_constants(
     s, c, C = _modal_inertia(link, b)
     payload = payload or Payload(mass=0.0)
     tip_inertia = np.array(link.tip_inertia) + about_origin(payload)
-    tilt = np.array([TILT[mode.direction] for mode in link.modes]).reshape(-1, 3)
     constants = LinkConstants(
         length=link.length,
         welded=welded,
@@ -199,7 +198,7 @@ def link_constants(
         D=_tuples(_pairs(second, lambda u, w: _skew(u).T @ _skew(w), b.along)),
         C0=_tuples(C0),
         tip_phi=_tuples(b.tip[:, None] * b.along),
-        tip_theta=_tuples(b.tip_slope[:, None] * tilt + (b.tip * b.twist)[:m, None] * _E_X),
+        tip_theta=_tuples(_tip_theta(link, b)),
         root_slope=_tuples(b.root_slope[:m]),
         K=_tuples(b.K),
         K_pairs=_tuples(b.K_pairs) if foreshortening == FOURTH_ORDER else (),
@@ -315,16 +314,25 @@ def _modal_inertia(link: Link, b: BeamIntegrals) -> tuple[Array, Array, list[Arr
     return s, c, C
 
 
+def _tip_theta(link: Link, b: BeamIntegrals) -> Array:
+    """(m, 3) [1/m] rotation of the tip by each mode."""
+    m = len(link.modes)
+    tilt = np.array([TILT[mode.direction] for mode in link.modes]).reshape(-1, 3)
+    return b.tip_slope[:, None] * tilt + (b.tip * b.twist)[:m, None] * _E_X
+
+
 def _damping(link: Link, b: BeamIntegrals) -> Array:
     """(m, m) [N s/m] 2 zeta sqrt(K_jj m_jj) on the diagonal, or beta K.
 
-    m_jj is the mass that a mode displaces, beam and tip mass without payload; of a torsion mode the
+    m_jj is the mass that a mode moves, of beam and tip body without payload; of a torsion mode the
     inertia that it turns.
     """
     m = len(link.modes)
     square, tip, twist = np.diag(b.square)[:m], b.tip[:m] ** 2, b.twist[:m] == 1.0
-    displaced = link.mean("rho_A") * square + link.tip_mass * tip
-    modal = np.where(twist, link.mean("rho_Ip") * square + link.tip_inertia[0][0] * tip, displaced)
+    theta = _tip_theta(link, b)
+    beam = np.where(twist, link.mean("rho_Ip"), link.mean("rho_A")) * square
+    turning = np.einsum("ja,ab,jb->j", theta, link.tip_inertia, theta)
+    modal = beam + link.tip_mass * tip * ~twist + turning
     damping = 2.0 * link.damping_ratio * np.diag(np.sqrt(np.diag(b.K) * modal))
     own = link.damping_beta_torsion
     beta = np.where(twist, link.damping_beta if own is None else own, link.damping_beta)

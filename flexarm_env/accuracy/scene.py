@@ -41,6 +41,7 @@ def scene(arm: Arm, control_dt: float) -> tuple[Scene, Conditions]:
                 t_end=control_dt * STEPS,
                 torque=Torque(signals=signals),
                 hold=control_dt,
+                settled=True,
             )
         )
     name = f"{' and '.join(CHOSEN)} torques for {control_dt * STEPS:g} s, held for {control_dt:g} s"

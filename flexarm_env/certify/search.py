@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.accuracy.model_choice import MOST_FROZEN
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.types import Array
 from flexarm_env.accuracy.motions import KINDS
@@ -30,7 +31,6 @@ LOST = 1e-2  # [of the reach] error of the model beyond which no step is judged
 MOMENTUM_ERROR = 1e-3  # [of the base's own momentum] that a step may lose on a floating base
 MOST_STEPS = 24  # per control step; more than that is never the cheapest
 MOST_WORK = 3.0  # evaluations over the fewest of the methods before
-MOST_FROZEN = 12  # coordinates of an arm that exponential steps are tried on: many need small steps
 BATCH = 1024  # environments that are timed together
 TIMED = 500  # timing rounds, a second of each method: the choice must not depend on disturbances
 TIME_PER_DECADE = 0.1  # relative increase of CPU time that is accepted for a tenth of the error

@@ -143,7 +143,10 @@ def resisting_forces(arm: Arm, q: Array, v: Array, dampers: bool = True) -> Arra
                     K[j, k] = EI * weights @ (s.curvature(x) * r.curvature(x))
             twist = mode.direction == "x"
             m = (link.rho_Ip if twist else link.rho_A) * weights @ s.value(x) ** 2
-            m += (link.tip_inertia[0][0] if twist else link.tip_mass) * s.value(link.length) ** 2
+            axis = {"x": 0, "z": 1, "y": 2, "axial": 0}[mode.direction]  # about which the tip turns
+            turn = s.slope(link.length) if mode.direction in "yz" else twist * s.value(link.length)
+            m += link.tip_inertia[axis][axis] * turn**2
+            m += 0.0 if twist else link.tip_mass * s.value(link.length) ** 2
             C[j, j] = 2.0 * link.damping_ratio * np.sqrt(K[j, j] * m)
         twists = np.array([mode.direction == "x" for mode in link.modes], dtype=bool)
         torsion = link.damping_beta_torsion

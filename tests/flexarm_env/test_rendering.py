@@ -17,6 +17,7 @@ from flexarm_env import registration
 from flexarm_env.core import Core
 from flexarm_env.pages.environments import common_page, file_name, page
 from flexarm_env.rendering import (
+    FINE,
     GHOST,
     SHADOW,
     SIDE,
@@ -82,6 +83,29 @@ def test_the_drawn_tip_is_the_measured_tip(arm: str) -> None:
     q[modal] *= 0.2 * np.array(core.scales.modal_scale)
     drawn = renderer.shapes(core, q, 1.0)[-1][-1]
     np.testing.assert_allclose(drawn, core.model.tip(q), atol=1e-12)
+
+
+def test_brackets_and_roots_beside_joints_are_drawn() -> None:
+    """Their corners by complex numbers; the picture has ink between a tip and the next joint."""
+    rod = {"length": 0.4, "rho_A": 0.5}
+    elbow = {"offset": [0.05, -0.2, 0.0], "root": [0.0, 0.1, 0.0]}
+    core = Core(task="Reach", arm={"links": [rod, {**rod, "joint": elbow}]})
+    renderer, q = Renderer(core), np.array([0.3, 0.5])
+    turn, both = np.exp(0.3j), np.exp(0.8j)
+    tip = 0.4 * turn
+    joint = tip + (0.05 - 0.2j) * turn
+    root = joint + 0.1j * both
+    lines = renderer.shapes(core, q, 1.0)
+    corners = [*lines[0][[0, -2, -1]], *lines[1][[0, 1, -1]]]
+    expected = [0.0, tip, joint, joint, root, root + 0.4 * both]
+    np.testing.assert_allclose([x + 1j * y for x, y, _ in corners], expected, atol=1e-14)
+
+    core.q[0] = q
+    middle = 0.5 * (tip + joint)
+    x, y = renderer.pixels(np.array([middle.real, middle.imag, 0.0]))[0]
+    assert renderer.draw(core)[round(y) // FINE, round(x) // FINE] @ (1, 1, 1) < 300
+    bent, straight, _ = renderer.forms(core)
+    np.testing.assert_allclose(bent[:, [0, -1]], straight, atol=1e-14)
 
 
 def test_human_mode_needs_no_display() -> None:

@@ -77,6 +77,17 @@ def test_the_command_writes_the_arm_that_python_loads(
     assert capsys.readouterr().out == out.read_text(encoding="utf-8")
 
 
+def test_the_command_warns_in_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An arm of these lengths is warned of once in a process."""
+    rods = robot(link("base", ""), link("rod"), link("end", ""), joint("base", "rod", CONTENT),
+                 joint("rod", "end", type="fixed", xyz="0.8125 0 0"))  # fmt: skip
+    words = [str(written(tmp_path, rods)), "--flexible", "rod", "EIz=40", "EA=1000"]
+    assert flexarm.main(["arms", "convert", *words]) == 0
+    assert re.fullmatch("flexarm arms: Link 1 is thick: .* as much.\n", capsys.readouterr().err)
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

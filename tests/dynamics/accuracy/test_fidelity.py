@@ -27,6 +27,7 @@ OWN = Link(
 )  # fmt: skip
 DAMPED = Link(
     length=0.9, rho_A=0.3, EIz=12.0, EIy=20.0, tip_mass=0.2, damping_ratio=0.03,
+    tip_inertia=((0.0, 0.0, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, 0.03)),
     modes=tuple(Mode(kind="clamped-tip-mass", index=1, direction=d) for d in "yz"),
 )  # fmt: skip
 
@@ -100,14 +101,30 @@ def test_modes_beyond_the_fifth_of_segments_are_damped_more() -> None:
     assert np.all(np.diff(found[4:]) > 0.0)
 
 
-def test_twisting_without_a_stated_inertia_gets_that_of_a_metal_bar() -> None:
-    shaft = replace(DAMPED, GJ=8.0)
-    twisted = Fidelity(counts=((1, 0, 1),), segments=(2,), polynomial=True).arm(Arm(links=(shaft,)))
-    assert twisted.links[0].rho_Ip == pytest.approx(8.0 / 3000.0**2)
-    straight = Fidelity(counts=((1, 0, 0),), segments=(2,), polynomial=True).arm(
-        Arm(links=(shaft,))
-    )
-    assert straight.links[0].rho_Ip == 0.0
+def test_twisting_without_a_stated_inertia_gets_that_of_a_metal_bar_or_a_thin_rod() -> None:
+    def twisted(GJ: float, **fields: object) -> Link:
+        arm = Arm(links=(replace(DAMPED, GJ=GJ, **fields),))
+        return Fidelity(counts=((1, 0, 1),), segments=(2,), polynomial=True).arm(arm).links[0]
+
+    assert twisted(8e3).rho_Ip == pytest.approx(8e3 / 3000.0**2)
+    assert twisted(8.0).rho_Ip == pytest.approx(0.3 * (0.9 / 50) ** 2 / 2)
+    stated = twisted(8.0, rho_Ip=1e-6)
+    assert stated.rho_Ip == 1e-6
+    straight = Fidelity(counts=((1, 0, 0),), segments=(2,), polynomial=True)
+    assert straight.arm(Arm(links=(replace(DAMPED, GJ=8.0),))).links[0].rho_Ip == 0.0
+
+
+def test_a_massless_twist_leaves_the_mass_matrix_of_a_bent_arm_positive() -> None:
+    """With the inertia of a metal bar alone its least eigenvalue is -1.3e-7 kg m^2."""
+    post = Link(length=0.25, rho_A=1.2, joint=Joint(rotor_inertia=0.05))
+    beam = Link(length=0.6, rho_A=0.35, EIz=18.0, EIy=25.0, GJ=9.0, modes=())
+    tip = Link(length=0.5, rho_A=0.2, EIz=6.0, EIy=8.0, tip_mass=0.3, modes=())
+    counts = ((0, 0, 0), (1, 1, 1), (4, 4, 0))
+    whole = Fidelity(counts=counts, segments=(1, 1, 1), foreshortening=True, polynomial=True)
+    model = Model(whole.arm(Arm(links=(post, beam, tip))))
+    q = np.zeros(model.n)
+    q[5], q[[2, 6]] = 0.67, -0.04  # joint 3, first modes along y: 7 and 8 % of the lengths
+    assert np.linalg.eigvalsh(model.mass_matrix(q))[0] > 0.0
 
 
 @pytest.mark.compiles

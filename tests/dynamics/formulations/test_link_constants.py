@@ -313,11 +313,12 @@ def test_a_rotor_that_modes_turn_resists_like_a_gyroscope() -> None:
 
 
 def test_damping_is_the_ratio_of_each_clamped_mode() -> None:
-    """c_j = 2 zeta sqrt(K_jj m_jj) with the tip mass, or the inertia that torsion turns."""
+    """c_j = 2 zeta sqrt(K_jj m_jj) with the tip body, or the inertia that torsion turns."""
     chosen = (*modes("clamped-free", 2), Mode(kind="torsion-poly", index=1, direction="x"))
     link = a_link(*chosen, damping_ratio=0.03)
     k = link_constants(link)
-    m = np.array((k.s[0][0] + 0.4, k.s[1][1] + 0.4, k.s[2][2] + link.tip_inertia[0][0]))
+    turned = [0.03 * shape(mode, link.beam).slope(0.7) ** 2 for mode in chosen[:2]]
+    m = np.diag(k.s) + np.array((0.4 + turned[0], 0.4 + turned[1], link.tip_inertia[0][0]))
     assert_allclose(np.diag(k.damping), 0.06 * np.sqrt(np.diag(k.K) * m), rtol=1e-14)
     assert np.count_nonzero(k.damping) == 3
 
