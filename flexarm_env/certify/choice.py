@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 from dynamics.accuracy.model_choice import choose_model
+from dynamics.accuracy.progress import Progress
 from dynamics.description.arm import Arm
 from dynamics.load import load_arm
 from flexarm_env.accuracy.motions import KINDS
@@ -44,7 +45,8 @@ def chosen(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
             if search == 0:
                 raise
             break
-        measured = _in_episodes(found, control_dt, tolerance)
+        with Progress(None) as line:
+            measured = _in_episodes(found, control_dt, tolerance, line)
         best = min(best, found | measured, key=lambda x: x["error"])
         if best["error"] <= tolerance:
             break
@@ -61,11 +63,13 @@ def chosen(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
     return best | {"tolerance": tolerance, "holds": conditions.to_dict()}
 
 
-def _in_episodes(found: dict[str, Any], control_dt: float, tolerance: float) -> dict[str, Any]:
+def _in_episodes(
+    found: dict[str, Any], control_dt: float, tolerance: float, line: Progress
+) -> dict[str, Any]:
     """The fewest steps of a chosen model that keep a tolerance, and its errors with these."""
     arm = load_arm(found["arm"])
     kinds = [name for name, kind in KINDS.items() if kind.actions]
-    certifier = Certifier(arm, {"control_dt": control_dt}, LENGTH, kinds=kinds, count=EPISODES)
+    certifier = Certifier(arm, {"control_dt": control_dt}, LENGTH, line, kinds, EPISODES)
     least = max(1, math.ceil(control_dt / found["dt"] - 1e-9))
     most = MORE * least if certifier.model_error().worst_share <= tolerance else least
     for substeps in range(least, most + 1):

@@ -132,6 +132,21 @@ def test_restarts_are_part_of_the_error_and_of_the_cost() -> None:
     assert 2.5 < costs[0] / costs[1] < 3.1
 
 
+def test_a_settled_start_rests_under_the_torques_that_hold_it() -> None:
+    """Statics beside dynamics: the tip stays, where straight links fall into a swing."""
+    arm = replace(two_link_spatial(), gravity=(0.0, 3.0, -9.81))
+    angles = START["joint_angles"]
+    held = Model(arm).equilibrium(np.array(angles)).torque
+    still = JointMotion(joint_angles=angles, joint_rates=(0.0,) * len(angles), t_end=0.1,
+                        torque=lambda t: held, settled=True)  # fmt: skip
+    moved = [
+        np.ptp(Rollout(arm).tips(motion, "rk4", 0.1 / 256), axis=0).max()
+        for motion in (still, replace(still, settled=False))
+    ]
+    assert moved[0] < 1e-9
+    assert moved[1] > 1e-3
+
+
 def test_a_free_base_moves_as_in_simulate() -> None:
     """The tip in the world: the frame of a free base follows it from step to step."""
     base = Base(
