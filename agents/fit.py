@@ -125,7 +125,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add("--fit", nargs="+", metavar="NAME=LOW:HIGH",
         help="parameters and their bounds: stiffness, damping, friction, times the arm's own; "
         "payload_mass [kg]; of joint 1 viscous_1 [N m s/rad], coulomb_1 [N m], and torque_1, times "
-        "the logged one; of a signal gain_gauge_1 and delay_gauge_1 [s], or of encoder_1, "
+        "the logged one; of a signal gain_gauge_1, delay_gauge_1 [s] and lag_gauge_1 [s], the time "
+        "constant of a low pass of second order, or of encoder_1, "
         f"link_angle_1, tip_slope_1 (default: {default})")  # fmt: skip
     add("--out", type=Path, default=Path("fit"), metavar="DIR")
     return parser

@@ -63,7 +63,7 @@ class Fit:
     def environment(self) -> dict[str, Any]:
         """Keywords of an environment of the fitted arm: `arm`, and `randomize` over intervals.
 
-        Torques, gains and delays belong to the rig's motors and sensors, not to its arm.
+        Torques, gains, delays and lags belong to the rig's motors and sensors, not to its arm.
         """
         ranges = {
             name: (max(low, least), min(high, most))
@@ -127,7 +127,8 @@ def fit(
     gauges : sensors of the log's gauge columns.
     bounds : (low, high) by parameter; default BOUNDS. Parameters are the names in FREE_PARAMETERS,
         where `viscous_1` [N m s/rad] and `coulomb_1` [N m] are all friction of a joint; `torque_1`
-        times the logged torque of a joint; and of a signal `gain_gauge_1` and `delay_gauge_1` [s].
+        times the logged torque of a joint; and of a signal `gain_gauge_1`, `delay_gauge_1` [s] and
+        `lag_gauge_1` [s], the time constant of a low pass of second order, critically damped.
     start : "estimated": deflections and rates at the first sample are fitted too. "rest": the arm
         starts straight and at rest. "measured": as encoders and gauges read, smoothed.
     held : by joint, counted from 0, that cannot move, its angle [rad] or place [m]; None: the mean

@@ -12,7 +12,7 @@ from dynamics.formulations.linearized import inertia
 from dynamics.load import ArmSource, load_arm
 from dynamics.measured import sensors, unknowns
 from dynamics.measured.log_file import Log
-from dynamics.measured.readings import Readings, delayed
+from dynamics.measured.readings import Readings, delayed, low_passed
 from dynamics.measured.sensors import Sensor
 from dynamics.measured.unknowns import LOCKED, Bounds, Unknowns
 from dynamics.model import Model, compile_arm
@@ -25,6 +25,8 @@ FINEST = 1e-7  # [of a signal's deviation] change that is small enough for every
 MOST_SUBSTEPS = 4096  # per sample
 TOGETHER = (16, 512)  # fewest and most motions that are stepped together
 MOST_NUMBERS = 20_000_000  # of motions that are stepped together
+POLES = 2  # of the low pass of a signal, with one time constant: it is critically damped
+FORGOTTEN = 8.0  # [of a time constant] after which the filter's state at the start counts as gone
 STRAIGHT = 1e-9  # [of the largest force] modal force at rest that counts as none
 WINDOW = 1.0 / 12.0  # [of the first mode's period] readings that tell a state
 SCALED = {  # parameter: what it scales
@@ -103,8 +105,9 @@ class LoggedMotion:
         else:
             self._check_rest()
         self.unknowns = Unknowns(rows)
-        late = self.unknowns.changes("delay", self.unknowns.high) + np.zeros(len(self.names))
-        self._has_delays = bool(late.any())
+        delay, lag = (self.unknowns.changes(x, self.unknowns.high) for x in ("delay", "lag"))
+        self._has_delays = bool(delay.any() or lag.any())
+        late = delay + (start != "rest") * FORGOTTEN * lag + np.zeros(len(self.names))
         self.present = np.isfinite(self.measured) & (log.time[:, None] >= log.time[0] + late)
         if self.present.sum() <= len(rows) + len(self.names):
             raise ValueError(
@@ -140,19 +143,23 @@ class LoggedMotion:
         span = WINDOW * 2.0 * np.pi / float(omegas[0]) if len(omegas) else 0.0
         self._readings = Readings(self.log.time, self.measured, span)
 
-    def scales(self, values: Array) -> tuple[Array, Array, Array]:
-        """Factors of torques (..., n_torque), gains and delays [s] of signals (..., c), or (1,)."""
+    def scales(self, values: Array) -> tuple[Array, Array, Array, Array]:
+        """Factors of torques (..., n_torque), gains, delays and lags [s] of signals (..., c).
+
+        Any may be (1,).
+        """
         above = values - self.unknowns.nominal
         torque, gain = (1.0 + self.unknowns.changes(into, above) for into in ("torque", "gain"))
-        return torque, gain, self.unknowns.changes("delay", values)
+        delay, lag = (self.unknowns.changes(into, values) for into in ("delay", "lag"))
+        return torque, gain, delay, np.maximum(lag, 0.0)
 
     def state(self, values: Array, sample: int = 0) -> tuple[Array, Array]:
         """q and v, (n,) or (P, n), at the first sample, or where the motion starts again."""
         if self._lift is None:
             v = self.unknowns.changes("v", values)
             return self.start + self.unknowns.changes("q", values), v + np.zeros(self.model.n)
-        _, gain, delay = self.scales(values)
-        times = self.log.time[sample] + delay + np.zeros(len(self.names))
+        _, gain, delay, lag = self.scales(values)
+        times = self.log.time[sample] + delay + POLES * lag + np.zeros(len(self.names))
         read, rates = self._readings.at(times)
         true = (read - self.unknowns.changes("zero", values)) / gain
         return self._unread + true @ self._lift.T, rates / gain @ self._lift.T
@@ -176,7 +183,7 @@ class LoggedMotion:
         stepper = Stepper(self.model, len(values), dt=1.0, substeps=self.substeps)
         stepper.q[:], stepper.v[:] = self.state(values)
         stepper.parameters[:] = self.unknowns.changes("parameters", values)
-        torque, gain, delay = self.scales(values)
+        torque, gain, delay, lag = self.scales(values)
         size = len(self.names)
         before = np.empty((1 + self._has_delays, samples, len(values), size))  # and rates
         after = before.copy() if self._has_delays else before
@@ -197,8 +204,10 @@ class LoggedMotion:
             failed |= stepper.status > 0
         read = before[0]
         if self._has_delays:
-            lateness = delay + np.zeros((len(values), size))
-            read = delayed(self.log.time[:samples], after, before, lateness)
+            time, none = self.log.time[:samples], np.zeros((len(values), size))
+            for _ in range(POLES if lag.any() else 0):
+                after, before = low_passed(time, after, before, lag + none)
+            read = delayed(time, after, before, delay + none)
         read[:, failed] = np.nan
         return np.swapaxes(read * gain, 0, 1)
 

@@ -7,6 +7,7 @@ from dynamics.types import Array
 
 ORDER = 3  # of the polynomials
 FEWEST = 5  # readings in a window
+TINY = 1e-12  # [s] time constant that counts as none
 
 
 class Readings:
@@ -64,3 +65,41 @@ def delayed(time: Array, after: Array, before: Array, delay: Array) -> Array:
         bend = s * (1.0 - s) * (h * (v0 * (1.0 - s) - v1 * s) + (y1 - y0) * (2.0 * s - 1.0))
         result[..., c] = y0 + s * (y1 - y0) + bend
     return result
+
+
+def low_passed(time: Array, after: Array, before: Array, lag: Array) -> tuple[Array, Array]:
+    """Signals and rates behind a low pass of first order, as `delayed` takes them.
+
+    Cubics between samples are followed exactly. At the start the filter is in the state after a
+    steady motion.
+
+    Parameters
+    ----------
+    lag : (P, c) [s] time constants; 0 passes everything.
+    """
+    h = np.diff(time)[:, None, None]
+    ends = _forced(h, after[:, :-1], before[:, 1:], lag)
+    kept = np.exp(-h / np.maximum(lag, TINY))
+    y = [after[0, 0] - lag * after[1, 0]]
+    for (begin, end), share in zip(zip(*ends, strict=True), kept, strict=True):
+        y.append(end + share * (y[-1] - begin))
+    values = np.array(y)
+
+    def with_rates(x: Array) -> Array:
+        rates = np.where(lag > TINY, (x[0] - values) / np.maximum(lag, TINY), x[1])
+        return np.stack([values, rates])
+
+    return with_rates(after), with_rates(before)
+
+
+def _forced(h: Array, begin: Array, end: Array, lag: Array) -> tuple[Array, Array]:
+    """Response without transients to the cubic of a step, x - T x' + T^2 x'' - ..., at its ends."""
+    (y0, v0), (y1, v1) = begin, end
+    rise = 6.0 * (y1 - y0) / h
+    third = (6.0 * (v0 + v1) - 2.0 * rise) / h**2
+    second = ((rise - 4.0 * v0 - 2.0 * v1) / h, (4.0 * v1 + 2.0 * v0 - rise) / h)
+    first, last = (
+        x - lag * (v - lag * (bend - lag * third))
+        for (x, v), bend in zip((begin, end), second, strict=True)
+    )
+    return first, last

@@ -22,7 +22,7 @@ from dynamics.types import Array
 
 Bounds = Mapping[str, tuple[float, float]]
 
-ASKED = ("parameters", "torque", "gain", "delay")  # of the arm, motors and signals
+ASKED = ("parameters", "torque", "gain", "delay", "lag")  # of the arm, motors and signals
 LOCKED = 1e8  # [-] a locked rotor's inertia over the arm's
 
 
@@ -74,7 +74,7 @@ def asked(bounds: Bounds, arm: Arm, signals: Sequence[str]) -> list[Unknown]:
 
     Friction of one joint, `viscous_1` and `coulomb_1`, is all of it, in SI units. `torque_1` scales
     the logged torque of a joint. `gain_encoder_1` scales a signal, `delay_encoder_1` [s] is the
-    time by which it is late.
+    time by which it is late, `lag_encoder_1` [s] both time constants of a low pass before it.
     """
     joints = range(1, arm.n_joint + 1)
     words = [signal.replace(" ", "_") for signal in signals]
@@ -83,11 +83,12 @@ def asked(bounds: Bounds, arm: Arm, signals: Sequence[str]) -> list[Unknown]:
         "torque": [f"torque_{k}" for k in joints],
         "gain": [f"gain_{word}" for word in words],
         "delay": [f"delay_{word}" for word in words],
+        "lag": [f"lag_{word}" for word in words],
     }
     places = {name: (into, unit) for into, names in groups.items()
               for name, unit in zip(names, np.eye(len(names)), strict=True)}  # fmt: skip
     known = [x for x in FREE_PARAMETERS if not (own := friction_of(x)) or own[1] in joints]
-    known += [name for into in ("torque", "gain", "delay") for name in groups[into]]
+    known += [name for into in ASKED[1:] for name in groups[into]]
     for name in bounds:
         validate.known(name, "parameter", known)
     return [
@@ -113,7 +114,7 @@ def described(name: str, arm: Arm) -> float:
         return float(getattr(arm.links[arm.joints[joint - 1]].joint, word))
     if name in FREE_PARAMETERS:
         return FREE_PARAMETERS[name].nominal
-    return 0.0 if name.startswith("delay") else 1.0
+    return 0.0 if name.startswith(("delay", "lag")) else 1.0
 
 
 def without_friction(arm: Arm, names: Iterable[str]) -> Arm:

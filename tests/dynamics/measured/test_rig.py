@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
+from scipy.signal import lsim
 
 from benchmarks.measured_data import GAUGE, PRESET, STIFFER, clean_log, noisy, rig, truth
 from dynamics import Arm, Stepper, compile_arm, load_arm
 from dynamics.measured.fit import BOUNDS, Fit, LinkAngle, TipSlope, fit
 from dynamics.measured.log_file import Log
 from dynamics.measured.motion import LoggedMotion
-from dynamics.measured.readings import Readings, delayed
+from dynamics.measured.readings import Readings, delayed, low_passed
 from dynamics.measured.sensors import Sensor
 from dynamics.types import Array
 
@@ -193,6 +194,27 @@ def test_a_delay_reads_the_motion_before() -> None:
     late = delayed(t, jump, before, np.full((2, 1), 1e-9))
     assert_allclose(late[4, 0, 0], cubic(t[4]), atol=1e-6)
     assert_allclose(late[5, 0, 0], cubic(t[5]) + 5.0, atol=1e-6)
+
+
+def test_a_low_pass_answers_a_sine_as_its_transfer_function() -> None:
+    """1 / (1 + i w T), after the transient, and the rate with it."""
+    t, omega, lag = np.linspace(0.0, 3.0, 601), 9.0, np.array([[0.05, 0.1, 0.0]])
+    wave = np.exp(1j * omega * t)[:, None, None] * np.ones((1, 3))
+    signals = np.stack([wave.imag, (1j * omega * wave).imag])
+    after, before = low_passed(t, signals, signals, lag)
+    through = wave / (1.0 + 1j * omega * lag)
+    for found in (after[:, 400:], before[:, 400:]):
+        assert_allclose(found[0], through.imag[400:], atol=1e-5)
+        assert_allclose(found[1], (1j * omega * through).imag[400:], atol=2e-4)
+
+
+def test_the_time_constant_of_a_filtered_gauge_is_fitted(clean: Log) -> None:
+    """The gauge behind a low pass of scipy's, fast enough to take away a third."""
+    through = ([1.0], np.polymul((0.06, 1.0), (0.06, 1.0)))
+    filtered = lsim(through, clean.gauge[:, 0], clean.time)[1]
+    log = noisy(replace(clean, gauge=filtered[:, None]), 0)
+    found = fit(PRESET, log, [GAUGE], BOUNDS | {"lag_gauge_1": (0.0, 0.1)}, start="rest")
+    assert np.abs(misses(found, np.array([*truth(), 0.06]))).max() < 3.5
 
 
 @pytest.mark.parametrize(
