@@ -16,6 +16,7 @@ from pathlib import Path
 COMMANDS = {  # module whose `main` runs the command, and its line in the help
     "train": ("agents.training", "train a policy from an experiment file, and compare it"),
     "evaluate": ("agents.evaluate", "evaluate a run's policy or a classical controller"),
+    "export": ("agents.export.command", "write a run's policy as a C header or an ONNX model"),
     "sweep": ("agents.sweep.command", "search the settings of an experiment, by Ray"),
     "leaderboard": ("agents.leaderboard.run", "rank controllers on tasks and tracks"),
     "certify": ("flexarm_env.certify.run", "measure the errors of an arm's model and step"),

@@ -38,6 +38,7 @@ def test_every_command_says_what_it_takes(name: str, capsys: pytest.CaptureFixtu
     [
         ("train", ["--config", "none.yaml"], "train.py"),
         ("evaluate", ["nothing", "--out", "nowhere"], "agents.evaluate"),
+        ("export", ["nothing", "--format", "c"], "agents.export.command"),
         ("sweep", [], "agents.sweep"),
         ("leaderboard", ["--tasks", "nothing"], "agents.leaderboard"),
         ("certify", ["nothing"], "flexarm_env.certify"),

@@ -176,12 +176,12 @@ def _elements(env_id: str, kind: str) -> str:
         index = f"{at.start}" if at.stop == at.start + 1 else f"{at.start} to {at.stop - 1}"
         scale = part.scale[:1] if len(set(part.scale)) == 1 else part.scale
         unit = "" if part.unit == "-" else f" {part.unit}"
-        rows.append((index, f"`{part.name}`", _components(env.core, part), _numbers(scale) + unit))
+        rows.append((index, f"`{part.name}`", components(env.core, part), _numbers(scale) + unit))
     env.close()
     return f"{layout.size} elements.\n\n" + _table(("index", "name", "of", "scale"), rows)
 
 
-def _components(core: Core, part: Part) -> str:
+def components(core: Core, part: Part) -> str:
     """The joints, coordinates, directions or strain gauges of the elements of a part."""
     if part.name.startswith("modal"):
         return ", ".join(core.arm.names[k] for k in part.entries)

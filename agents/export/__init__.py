@@ -1,0 +1,1 @@
+"""Trained policies as files for other programs: a C header, an ONNX graph."""

@@ -1,0 +1,129 @@
+"""Policies in C, compiled as C99 without a warning, act as in Python."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.export.c_header import header
+from agents.export.signals import Signals, signals_of
+from agents.leaderboard.shipped import shipped
+from agents.metrics import make_batch
+from agents.policy import Policy
+from dynamics.types import AnyArray
+from tests.agents.export.kinds import (
+    ENV_ID,
+    KINDS,
+    RESTART,
+    ROUND_OFF,
+    laboratory,
+    policy_of,
+    readings,
+    signals,
+    torques,
+)
+
+COMPILER = shutil.which("cc")
+STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1"]
+MAIN = """
+#include <stdio.h>
+#include "policy.h"
+
+int main(void)
+{
+    policy_memory memory;
+    double input[POLICY_INPUTS], torque[POLICY_OUTPUTS];
+    int begins;
+    policy_start(&memory);
+    while (scanf("%d", &begins) == 1) {
+        for (int i = 0; i < POLICY_INPUTS; i++)
+            if (scanf("%lf", &input[i]) != 1)
+                return 1;
+        if (begins)
+            policy_start(&memory);
+        printf("%d", policy_act(&memory, input, torque));
+        for (int i = 0; i < POLICY_OUTPUTS; i++)
+            printf(" %.17g", torque[i]);
+        printf("\\n");
+    }
+    return 0;
+}
+"""
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+
+
+def run(
+    folder: Path, policy: Policy, wanted: Signals, rows: AnyArray, starts: AnyArray
+) -> AnyArray:
+    """(T, 1 + m) result and torques of a compiled policy."""
+    (folder / "policy.h").write_text(header(policy, wanted, "policy"), encoding="ascii")
+    (folder / "main.c").write_text(MAIN, encoding="ascii")
+    program = folder / "main"
+    subprocess.run(
+        [str(COMPILER), *STRICT, "-o", str(program), str(folder / "main.c"), "-lm"], check=True
+    )
+    lines = [
+        f"{k:d} {' '.join(map(repr, row))}" for k, row in zip(starts, rows.tolist(), strict=True)
+    ]
+    done = subprocess.run([str(program)], input="\n".join(lines), capture_output=True, text=True)
+    return np.array([line.split() for line in done.stdout.splitlines()], float)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_policy_of_every_kind_acts_in_c_as_in_python(kind: str, tmp_path: Path) -> None:
+    policy, rows = policy_of(kind), readings()
+    starts = np.isin(np.arange(len(rows)), (0, RESTART))
+    found, expected = run(tmp_path, policy, signals(policy), rows, starts), torques(policy)
+    assert not found[:, 0].any()
+    most = laboratory().torque_limit[0]
+    np.testing.assert_allclose(found[:, 1:], expected, atol=ROUND_OFF * most, rtol=0.0)
+    assert np.ptp(expected) > 0.05 * most
+
+
+def test_a_trained_policy_gives_the_torques_of_its_environment(tmp_path: Path) -> None:
+    """Readings of an episode in the laboratory go in; info has the torques that acted."""
+    env_id, kwargs = "FlexArm/OneLink-Reach-v0", {"hardware": "laboratory"}
+    policy = shipped(env_id, "laboratory")["ppo-stacked"][0]
+    envs = make_batch(env_id, 1, kwargs)
+    scales = np.concatenate(list(envs.unwrapped.observation_scales.values()))[:-1]
+    observation, _ = envs.reset(seed=[3])
+    rows, expected, state = [], [], None
+    for _ in range(100):
+        rows.append(observation[0, :-1] * scales)
+        action, state = policy.predict(observation, state)
+        observation, _, _, _, info = envs.step(action)
+        expected.append(info["torque"][0])
+    envs.close()
+    starts = np.arange(100) == 0
+    wanted = signals_of(policy, env_id, envs.unwrapped.core)
+    found = run(tmp_path, policy, wanted, np.array(rows), starts)
+    np.testing.assert_allclose(found[:, 1:], expected, atol=ROUND_OFF, rtol=0.0)
+    assert np.abs(expected).max() > 0.9
+
+
+def test_a_reading_that_is_not_a_number_gives_no_torque_and_is_forgotten(tmp_path: Path) -> None:
+    policy, rows = policy_of("stacked"), readings()[:8]
+    with_gap = np.insert(rows, 4, [0.1, np.nan, 0.1], axis=0)
+    starts = np.arange(9) == 0
+    found = run(tmp_path, policy, signals(policy), with_gap, starts)
+    assert found[4].tolist() == [1.0, 0.0]
+    whole = run(tmp_path, policy, signals(policy), rows, starts[:8])
+    np.testing.assert_array_equal(np.delete(found, 4, axis=0), whole)
+
+
+def test_the_header_states_what_goes_in_and_out() -> None:
+    text = header(policy_of("tanh"), signals(policy_of("tanh")), "policy")
+    for words in (
+        f"A policy for {ENV_ID}",
+        "Arm: slim. Control step: 0.02 s.",
+        "the tip stays within",  # certificate
+        "joint_rate      joint 1   rad/s",
+        "root_curvature  link 1 y  1/m",
+        "torque  joint 1  N m   at most 0.95",
+        "experiment wi* /ld",  # text of a file ends no comment and continues no line
+        "#define POLICY_CONTROL_STEP 0.02 /* s */",
+        "POLICY_ROOT_CURVATURE = 2,",
+    ):
+        assert words in text

@@ -1,0 +1,58 @@
+"""`flexarm export`: what it writes, and what it refuses before it writes."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from agents.export.command import main
+from agents.leaderboard.shipped import place
+from agents.policy import save_policy
+from tests.agents.export.kinds import ENV_ID, policy_of
+from tests.agents.tiny import one_sentence
+
+
+def test_both_formats_are_written_into_the_run(tmp_path: Path) -> None:
+    save_policy(policy_of("tanh"), tmp_path / "policy")
+    for form, name in (("c", "policy.h"), ("onnx", "policy.onnx")):
+        assert main([str(tmp_path), "--format", form]) == 0
+        assert (tmp_path / name).stat().st_size > 10_000
+    other = tmp_path / "new" / "arm_2.h"
+    assert main([str(tmp_path), "--format", "c", "--out", str(other)]) == 0
+    assert "int arm_2_act(arm_2_memory *memory" in other.read_text()
+
+
+def test_a_policy_on_a_controller_is_refused_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = place(ENV_ID, "laboratory") / "ppo-watching-lqg" / "seed0"
+    assert main([str(folder), "--format", "c", "--out", str(tmp_path / "policy.h")]) == 2
+    assert "acts on the controller 'lqg' (learned: 'alone')" in one_sentence(capsys)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("about", "arguments", "sentence"),
+    [
+        ({}, ["--out", "x/class-1.h"], "named as a variable of C in lower case, with the suffix"),
+        ({}, ["--out", "x/policy.c"], r"with the suffix .h, such as policy.h, got 'x/policy.c'"),
+        ({"env_id": ""}, [], "a policy that stores none"),
+        ({"env_id": "CartPole-v1"}, [], "not allowed"),
+        ({"env_kwargs": {}}, [], "takes 4 observations and gives 1 actions, but .* has 8 and 1"),
+    ],
+)
+def test_bad_requests_are_refused_and_write_nothing(
+    about: dict[str, object],
+    arguments: list[str],
+    sentence: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    policy = policy_of("tanh")
+    save_policy(replace(policy, about=policy.about | about), tmp_path / "policy")
+    assert main([".", "--format", "c", *arguments]) == 2
+    assert re.search(sentence, one_sentence(capsys))
+    assert [path.name for path in tmp_path.iterdir()] == ["policy"]
