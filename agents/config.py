@@ -74,6 +74,7 @@ TEXTS = {  # texts of agent keywords that are no schedules, and their descriptio
 }
 DEVICES = ("cpu", "cuda")
 LARGEST_ROLLOUT = 2**24  # steps, summed over all environments
+DAGGER, DISTILLED = "dagger", "distilled"  # the algorithm, and what it makes of a base
 FOLDER_NAME = re.compile(r"\w[\w .,()+=@-]{0,99}")
 
 TYPE_NAMES = {int: "an int", float: "a float", str: "text", bool: "true or false"}
@@ -117,10 +118,11 @@ class AgentConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class BaseConfig:
-    """Classical controller on which the policy acts, and the part that is learned."""
+    """Classical controller on which the policy acts, or which it imitates, and what is learned."""
 
     controller: str
-    learned: str = "residual"  # of its actions; "advised", "alone": others; its "reference"
+    # of its actions; "advised", "alone": others; its "reference"; "distilled": itself
+    learned: str = "residual"
     scale: float = 0.3  # largest learned action, of the torque limit; shift of the target [rad]
     parameters: dict[str, Any] = field(default_factory=dict)  # empty: the tuned ones
 
@@ -218,6 +220,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     check_sweep(agent, data.get("sweep", {}))
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
     base = BaseConfig(**data["base"]) if "base" in data else None
+    check_expert(agent, base)
     rest = {k: v for k, v in data.items() if k not in SECTIONS} | {"base": base}
     config = Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
     if not FOLDER_NAME.fullmatch(config.name):
@@ -403,6 +406,17 @@ def check_device(config: Config) -> None:
     for where, given in (("env.normalize", config.env.normalize), ("base", config.base)):
         if given:
             raise ConfigError(f"{where} is not for {name}: leave it out, or take agent.name: ppo.")
+
+
+def check_expert(agent: AgentConfig, base: BaseConfig | None) -> None:
+    """Refuse an imitation without an expert, and an expert for another algorithm."""
+    learned = None if base is None else base.learned
+    if (agent.name == DAGGER) != (learned == DISTILLED):
+        raise ConfigError(
+            f"agent.name: {DAGGER} and base.learned: {DISTILLED} go together, got "
+            f"{validate.shown(agent.name)} and {validate.shown(learned)}; the base is the expert "
+            f"that {DAGGER} imitates."
+        )
 
 
 def check_batch(agent: AgentConfig, env: EnvConfig) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from agents.comparison import compare, titled
 from agents.config import (
+    DISTILLED,
     LIMITS,
     AgentConfig,
     BaseConfig,
@@ -26,7 +27,7 @@ from agents.environments import REFUSALS
 from agents.experiments import find_experiment, shipped_experiments
 from agents.figures import plot_learning_curve
 from agents.files import FolderError
-from agents.hybrid.controller import KEY, acting, base_of, description
+from agents.hybrid.controller import EXPERT, KEY, acting, base_of, description
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
 from agents.learners.algorithms import ON_TENSORS, algorithms
@@ -153,8 +154,11 @@ def prepare(config: Config) -> None:
 
 
 def falling(start: float) -> Any:
-    """Schedule from `start` to zero, a function of the remaining share of the run."""
-    return lambda remaining: start * remaining
+    """Schedule from `start` to zero, a function of the remaining share of the run.
+
+    The last update may come after the last step asked for, at a share below zero.
+    """
+    return lambda remaining: start * max(remaining, 0.0)
 
 
 def learn(run: RunFolder, config: Config) -> int:
@@ -185,7 +189,8 @@ def about_policy(config: Config) -> dict[str, Any]:
         "versions": versions()["packages"],
     }
     if config.base is not None:
-        about[KEY] = base_description(config.base, config.env)
+        key = EXPERT if config.base.learned == DISTILLED else KEY
+        about[key] = base_description(config.base, config.env)
     return about
 
 
@@ -262,6 +267,10 @@ def judge(run: RunFolder, config: Config) -> None:
     trained, untrained = (acting(load_policy(x), env) for x in (run.policy, run.untrained))
     controllers: dict[str, Controller] = {"trained policy": trained, "joint PD": pd}
     controllers["untrained policy"] = untrained
+    if config.base is not None and config.base.learned == DISTILLED:
+        name = config.base.controller
+        about = base_description(config.base, config.env)
+        controllers[name] = controller(name, env, about["parameters"])
     track = track_of(config.agent.name, env_id, kwargs)
     episodes, seed = config.evaluation.episodes, config.evaluation.seed
     best = None

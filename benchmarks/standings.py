@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agents.config import load_config
+from agents.config import DISTILLED, load_config
 from agents.controllers import CONTROLLERS
 from agents.experiments import shipped_experiments
 from agents.leaderboard.bound import is_moving
@@ -32,7 +32,7 @@ Tables = Mapping[str, Mapping[str, Mapping[str, Figures]]]  # by task, track and
 def kind(name: str) -> str:
     """Kind of a controller of the package."""
     if name not in CONTROLLERS:
-        based = any(f"-{link}-" in name for link in LINKS.values())
+        based = any(f"-{link}-" in name for key, link in LINKS.items() if key != DISTILLED)
         return "learned, on a model" if based else "learned"
     if "mpc" in name:
         return "predictive"

@@ -19,6 +19,7 @@ from dynamics.description import validate
 from dynamics.types import AnyArray, Array
 
 KEY = "base"  # in experiments and in the description of a policy
+EXPERT = "expert"  # in the description of a policy that imitates a controller and needs none
 FIELDS = ("controller", "learned", "parameters", "scale")
 
 
@@ -100,6 +101,21 @@ class Advised(Residual):
         return super().complete((np.zeros_like(own), state), learned)
 
 
+class Distilled(Advised):
+    """The policy's actions alone, on the observation; the controller only tells its own."""
+
+    def __init__(self, controller: Controller, scale: float, env: Any) -> None:
+        super().__init__(controller, 1.0, env)
+        self.added = 0
+
+    def begin(
+        self, observation: AnyArray, state: Any, episode_start: AnyArray | None
+    ) -> tuple[AnyArray, Any]:
+        """The observation as it is; the controller's actions and state."""
+        _, begun = super().begin(observation, state, episode_start)
+        return observation, begun
+
+
 class Alone:
     """The policy's actions alone, on what the controller estimates."""
 
@@ -161,6 +177,7 @@ class Reference:
 LEARNED: dict[str, type[Residual] | type[Alone] | type[Reference]] = {
     "residual": Residual,
     "advised": Advised,
+    "distilled": Distilled,
     "alone": Alone,
     "reference": Reference,
 }

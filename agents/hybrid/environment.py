@@ -23,6 +23,12 @@ class HybridVecEnv(VecEnvWrapper):
         self._begun: Any = None  # the base's step that waits for the learner
         self._state: Any = None
 
+    @property
+    def advice(self) -> AnyArray:
+        """(N, m) actions of the controller itself at the present observations."""
+        own, _ = self._begun
+        return np.clip(own, -1.0, 1.0)
+
     def reset(self) -> AnyArray:
         """Start episodes; the base forgets the former ones."""
         seen, self._begun = self.base.begin(self.venv.reset(), None, None)

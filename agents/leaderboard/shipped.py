@@ -9,12 +9,14 @@ from agents.policy import Policy, load_policy, save_policy
 
 FOLDER = Path(__file__).parents[1] / "policies"
 LINKS = {"residual": "on", "advised": "advised-by", "alone": "watching", "reference": "ahead-of"}
+LINKS |= {"distilled": "of"}
 
 
 def name_of(policy: Policy) -> str:
     """Algorithm of a policy, with its base, and "-stacked"."""
     about = policy.about
-    return ranked_as(about.get("algorithm", "policy"), about.get("base"), policy.stack)
+    base = about.get("base", about.get("expert"))
+    return ranked_as(about.get("algorithm", "policy"), base, policy.stack)
 
 
 def ranked_as(algorithm: str, base: Mapping[str, Any] | None, stack: int) -> str:

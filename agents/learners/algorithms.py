@@ -44,12 +44,13 @@ def name_of(algorithm: type) -> str:
 
 @cache
 def algorithms() -> dict[str, Any]:
-    """Classes of the algorithms with continuous actions, by name."""
+    """Classes of the algorithms with continuous actions, by name; DAgger is our own."""
     import sb3_contrib
     import stable_baselines3
     from stable_baselines3.common.base_class import BaseAlgorithm
 
     from agents.learners.ars import ARS
+    from agents.learners.dagger import DAgger
     from agents.learners.recurrent import RecurrentPPO
     from agents.learners.rsl import RslPPO
 
@@ -59,7 +60,8 @@ def algorithms() -> dict[str, Any]:
         for thing in vars(package).values()
         if isinstance(thing, type) and issubclass(thing, BaseAlgorithm)
     ]
-    named = {name_of(algorithm): algorithm for algorithm in [*found, ARS, RecurrentPPO, RslPPO]}
+    own = (ARS, DAgger, RecurrentPPO, RslPPO)
+    named = {name_of(algorithm): algorithm for algorithm in (*found, *own)}
     return {name: named[name] for name in sorted(named) if name not in DISCRETE}
 
 

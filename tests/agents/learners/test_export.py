@@ -43,7 +43,7 @@ def test_the_stored_actor_of_every_algorithm_acts_as_the_learner(name: str, tmp_
 
 
 def test_every_algorithm_of_the_libraries_is_tested() -> None:
-    assert sorted([*KWARGS, *ON_TENSORS]) == list(algorithms())
+    assert sorted([*KWARGS, *ON_TENSORS, "dagger"]) == list(algorithms())  # test_dagger.py
 
 
 @pytest.mark.parametrize("name", ["a2c", "crossq", "ppo", "sac", "tqc"])

@@ -1,0 +1,180 @@
+"""Policies distilled from classical controllers, beside their experts in the same episodes.
+
+    python -m benchmarks.distilled [--seeds 0 1 2] [--keep FOLDER]
+
+Takes every shipped experiment with `learned: distilled`. Writes docs/results/distilled.json and
+distilled.md.
+"""
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.comparison import titled
+from agents.config import DISTILLED, Config, load_config
+from agents.controllers import controller
+from agents.experiments import shipped_experiments
+from agents.export.c_header import header
+from agents.export.signals import signals_of
+from agents.hybrid.controller import EXPERT
+from agents.leaderboard.run import decision_times
+from agents.metrics import episode_metrics, make_batch, record
+from agents.policy import Policy, load_policy
+from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.training import run_seed
+from dynamics.types import AnyArray
+
+FIRST, EPISODES = 20_000, 200  # test episodes, other than those of the training and of tuning
+RESAMPLES = 2_000
+CALLS = 100_000  # timed calls in C
+HEADER = (
+    "experiment", "expert", "policy", "gain [95 % interval]", "training [s]", "expert [us]",
+    "policy [us]", "in C [us]",
+)  # fmt: skip
+MAIN = """
+#include <stdio.h>
+#include <time.h>
+#include "policy.h"
+
+int main(void)
+{
+    policy_memory memory;
+    double input[POLICY_INPUTS] = {0.0}, torque[POLICY_OUTPUTS], sum = 0.0;
+    policy_start(&memory);
+    const clock_t begin = clock();
+    for (int k = 0; k < CALLS; k++) {
+        input[0] = 1e-5 * (k % 1000);
+        policy_act(&memory, input, torque);
+        sum += torque[0];
+    }
+    printf("%.9g %g", 1e6 * (clock() - begin) / CLOCKS_PER_SEC / CALLS, sum);
+    return 0;
+}
+"""
+
+
+def distilled() -> list[Config]:
+    """Shipped experiments whose policy imitates a controller."""
+    configs = map(load_config, shipped_experiments().values())
+    return [c for c in configs if c.base is not None and c.base.learned == DISTILLED]
+
+
+def gain(policy: AnyArray, expert: AnyArray) -> tuple[float, float, float]:
+    """Mean gain of scores (seeds, episodes) on the expert's (episodes,), and its 95 % interval.
+
+    Training seeds and episodes are resampled, the latter in pairs with the expert's.
+    """
+    rng, gains = np.random.default_rng(0), policy - expert
+    seeds, episodes = gains.shape
+    means = [
+        gains[rng.integers(seeds, size=seeds)][:, rng.integers(episodes, size=episodes)].mean()
+        for _ in range(RESAMPLES)
+    ]
+    low, high = np.percentile(means, (2.5, 97.5))
+    return float(gains.mean()), float(low), float(high)
+
+
+def row(config: Config, seeds: Sequence[int], work: Path) -> dict[str, Any]:
+    """Scores, training times and times of decisions of an experiment."""
+    assert config.base is not None
+    trained = [run_seed(config, work / config.name, seed) for seed in seeds]
+    policies = [load_policy(run.policy) for run, _ in trained]
+    env_id, kwargs = config.env.id, config.env.kwargs
+    envs, single = (make_batch(env_id, n, kwargs) for n in (EPISODES, 1))
+    try:
+        parameters = policies[0].about[EXPERT]["parameters"]
+        expert = controller(config.base.controller, envs, parameters)
+        episodes = range(FIRST, FIRST + EPISODES)
+        theirs, *ours = (
+            episode_metrics(record(x, envs, episodes))["score"] for x in (expert, *policies)
+        )
+        return {
+            "name": config.name,
+            "env": titled(env_id, kwargs),
+            "expert": config.base.controller,
+            "seeds": list(seeds),
+            "expert_score": float(theirs.mean()),
+            "scores": [float(x.mean()) for x in ours],
+            "gain": gain(np.array(ours), theirs),
+            "seconds": [seconds for _, seconds in trained],
+            "expert_us": 1e3 * float(np.median(decision_times(expert, single, FIRST))),
+            "policy_us": 1e3 * float(np.median(decision_times(policies[0], single, FIRST))),
+            "c_us": in_c(policies[0], env_id, single.unwrapped.core),
+        }
+    finally:
+        envs.close()
+        single.close()
+
+
+def in_c(policy: Policy, env_id: str, core: Any) -> float | None:
+    """[us] CPU time of a decision of the exported header; None without a compiler."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        return None
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        text = header(policy, signals_of(policy, env_id, core), "policy")
+        (folder / "policy.h").write_text(text, encoding="ascii")
+        (folder / "main.c").write_text(MAIN, encoding="ascii")
+        build = [compiler, "-std=c99", "-O2", f"-DCALLS={CALLS}", "main.c", "-o", "main", "-lm"]
+        subprocess.run(build, cwd=folder, check=True)
+        done = subprocess.run(["./main"], cwd=folder, check=True, capture_output=True, text=True)
+    return float(done.stdout.split()[0])
+
+
+def cells(found: dict[str, Any]) -> list[str]:
+    """Texts of a row, in the order of HEADER."""
+    mean, low, high = found["gain"]
+    least, most = min(found["seconds"]), max(found["seconds"])
+    times = (found[key] for key in ("expert_us", "policy_us", "c_us"))
+    return [
+        f"[{found['name']}]({found['name']}.md): {found['env']}",
+        f"{found['expert']} {found['expert_score']:.3f}",
+        f"{np.mean(found['scores']):.3f}",
+        f"{mean:+.4f} [{low:+.4f}, {high:+.4f}]",
+        f"{least:.0f} to {most:.0f}",
+        *("" if x is None else f"{x:.3g}" for x in times),
+    ]
+
+
+def page(results: dict[str, Any]) -> str:
+    """Markdown page of the results."""
+    rows, seeds = results["rows"], results["rows"][0]["seeds"]
+    machine = results["provenance"]["machine"]
+    return f"""# Distilled policies
+
+Made by `{results["provenance"]["command"]}` on {machine["processor"]}.
+
+A policy without a model learns from a classical controller, its expert, by DAgger
+([training](../training.md#distilled-policies)). Scores are means over {EPISODES} episodes from seed
+{FIRST} on, which neither training nor tuning uses, and over {len(seeds)} training seeds. Gain: the
+policy's score less the expert's in the same episodes, with a bootstrap over seeds and episodes.
+Times are of one decision: medians of the controllers in Python, and the mean of the
+[exported C header](../export.md) with `cc -O2`. Training ran on one core of a machine that other
+work shared.
+
+{table(HEADER, map(cells, rows), "lrr")}
+"""
+
+
+def main() -> None:
+    """Command line."""
+    parser = argument_parser("distilled", __doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--out", type=Path, default=RESULTS / "distilled.json", help="file")
+    parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
+    a = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        rows = [row(config, a.seeds, a.keep or Path(temporary)) for config in distilled()]
+    results = {"rows": rows, "provenance": provenance("flexarm", "torch", "stable_baselines3")}
+    save_results(results, page(results), a.out)
+    print(page(results))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+"""Policies distilled from a classical controller, which act without it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from agents.config import ConfigError, config_from_dict
+from agents.controllers import CONTROLLERS, controller
+from agents.hybrid.controller import acting, base_of
+from agents.hybrid.environment import HybridVecEnv
+from agents.leaderboard.shipped import name_of
+from agents.learners.dagger import misses
+from agents.metrics import make_batch
+from agents.policy import load_policy
+from agents.run_folder.folder import RunFolder
+from agents.training import base_description, build_model
+from agents.training import main as train
+from flexarm_env import SB3VecEnv
+from tests.agents.tiny import ENV_ID
+
+KWARGS = {"learning_rate": 3e-3, "learning_starts": 400, "batch_size": 128, "train_freq": 50}
+
+
+def experiment(name: str, steps: int, updates: int = 10, **env: Any) -> dict[str, Any]:
+    parameters = CONTROLLERS[name].middle
+    return {
+        "env": {"id": ENV_ID, "n_envs": 8} | env,
+        "agent": {"name": "dagger", "kwargs": KWARGS | {"gradient_steps": updates}},
+        "base": {"controller": name, "learned": "distilled", "parameters": parameters},
+        "total_steps": steps,
+        "evaluation": {"episodes": 3},
+    }
+
+
+def test_the_expert_advises_what_it_does_alone_if_it_is_followed() -> None:
+    """With filters that must know the torques, through an end of episodes."""
+    env = {"kwargs": {"hardware": "laboratory", "max_episode_steps": 12}, "n_envs": 3}
+    config = config_from_dict(experiment("lqg", 100, **env))
+    assert config.base is not None
+    batch = SB3VecEnv(ENV_ID, 3, **config.env.kwargs)
+    batch.seed(4)
+    described = base_description(config.base, config.env)
+    advised = HybridVecEnv(batch, base_of(described, batch.envs))
+    alone = SB3VecEnv(ENV_ID, 3, **config.env.kwargs)
+    alone.seed(4)
+    expert = controller("lqg", alone.envs, described["parameters"])
+    ours, theirs, state, starts = advised.reset(), alone.reset(), None, None
+    for _ in range(30):
+        np.testing.assert_array_equal(ours, theirs)
+        action, state = expert.predict(theirs, state, starts)
+        np.testing.assert_allclose(advised.advice, np.clip(action, -1.0, 1.0), atol=1e-6)
+        ours = advised.step(advised.advice)[0]
+        theirs, _, starts, _ = alone.step(np.clip(action, -1.0, 1.0).astype(np.float32))
+
+
+def test_a_linear_law_is_learned_on_the_states_that_the_learner_meets() -> None:
+    config = config_from_dict(experiment("lqr", 2_400, updates=150))
+    model = build_model(config)
+    expert = controller("lqr", model.env.envs, CONTROLLERS["lqr"].middle)
+
+    def distance() -> float:
+        """RMS distance of actions on episodes of the learner itself."""
+        observation, gaps = make_batch(ENV_ID, 8), []
+        seen, _ = observation.reset(seed=list(range(8)))
+        for _ in range(40):
+            own, _ = model.predict(seen, deterministic=True)
+            gaps.append(own - np.clip(expert.predict(seen)[0], -1.0, 1.0))
+            seen, *_ = observation.step(own)
+        return float(np.sqrt(np.mean(np.square(gaps))))
+
+    before = distance()
+    model.learn(config.total_steps)
+    assert distance() < 0.2 * before
+    assert before > 0.3
+
+
+def test_beyond_a_limit_that_the_expert_reaches_nothing_is_missed() -> None:
+    mean = torch.tensor([1.5, 0.5, -1.5, -2.0, 0.3])
+    advice = torch.tensor([1.0, 1.0, 1.0, -1.0, 0.1])
+    expected = torch.tensor([0.0, -0.5, -2.5, 0.0, 0.2])
+    torch.testing.assert_close(misses(mean, advice), expected)
+
+
+def test_a_distilled_policy_is_stored_without_its_expert(
+    tmp_path: Path, unjudged: list[RunFolder]
+) -> None:
+    """And resumes with what it has seen."""
+    path, run = tmp_path / "distilled.yaml", RunFolder(tmp_path / "run")
+    given = experiment("lqr", 800, stack=2) | {"checkpoint_seconds": 0.001}
+    path.write_text(yaml.safe_dump(given))
+    assert train([str(path), "--out", str(run.path)]) == 0
+    assert train(["--resume", str(run.path), "--steps", "1600"]) == 0
+    policy = load_policy(run.path)
+    assert policy.about["expert"]["controller"] == "lqr"
+    assert (policy.about["algorithm"], policy.about["steps"]) == ("dagger", 1600)
+    assert name_of(policy) == "dagger-of-lqr-stacked"
+    envs = make_batch(ENV_ID, 1)
+    assert acting(policy, envs) is policy
+    state = np.load(sorted(run.checkpoints.iterdir())[-1] / "arrays.npz")
+    assert len(state["replay/actions"]) == 1600 / 8
+
+
+@pytest.mark.parametrize(
+    ("agent", "learned"), [("dagger", None), ("dagger", "residual"), ("ppo", "distilled")]
+)
+def test_dagger_and_its_expert_go_together(agent: str, learned: str | None) -> None:
+    given = experiment("lqr", 100) | {"agent": {"name": agent}}
+    given["base"] = {"controller": "lqr", "learned": learned}
+    if learned is None:
+        del given["base"]
+    with pytest.raises(ConfigError, match=r"go together, got '(dagger|ppo)' and"):
+        config_from_dict(given)
