@@ -14,6 +14,7 @@ from agents.learners.algorithms import (
     NUMBER,
     ON_TENSORS,
     algorithms,
+    check_expert,
     default,
     policies,
     policy_settings,
@@ -27,6 +28,8 @@ from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
 from flexarm_env import registered
 
+COUNTS = "policy_delay cg_max_steps line_search_max_iter n_critic_updates sub_sampling_factor "
+COUNTS += "n_delta n_top n_eval_episodes"
 # Smallest and largest value by key; NUMBERS_BETWEEN for all other keys.
 LIMITS: dict[str, tuple[float, float]] = {
     "total_steps": (1, 10**11),
@@ -55,14 +58,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "n_quantiles": (1, 1000),
     "lstm_hidden_size": (1, LARGEST_LAYER),
     "n_lstm_layers": (1, MOST_LAYERS - 2),
-    "policy_delay": (1, 10_000),
-    "cg_max_steps": (1, 10_000),
-    "line_search_max_iter": (1, 10_000),
-    "n_critic_updates": (1, 10_000),
-    "sub_sampling_factor": (1, 10_000),
-    "n_delta": (1, 10_000),
-    "n_top": (1, 10_000),
-    "n_eval_episodes": (1, 10_000),
+    **dict.fromkeys(COUNTS.split(), (1, 10_000)),
     "desired_kl": (1e-6, 10.0),
 }
 NUMBERS_BETWEEN = (-1e6, 1e6)
@@ -74,7 +70,6 @@ TEXTS = {  # texts of agent keywords that are no schedules, and their descriptio
 }
 DEVICES = ("cpu", "cuda")
 LARGEST_ROLLOUT = 2**24  # steps, summed over all environments
-DAGGER, DISTILLED = "dagger", "distilled"  # the algorithm, and what it makes of a base
 FOLDER_NAME = re.compile(r"\w[\w .,()+=@-]{0,99}")
 
 TYPE_NAMES = {int: "an int", float: "a float", str: "text", bool: "true or false"}
@@ -121,8 +116,7 @@ class BaseConfig:
     """Classical controller on which the policy acts, or which it imitates, and what is learned."""
 
     controller: str
-    # of its actions; "advised", "alone": others; its "reference"; "distilled": itself
-    learned: str = "residual"
+    learned: str = "residual"  # or "advised", "alone", "reference", "distilled"
     scale: float = 0.3  # largest learned action, of the torque limit; shift of the target [rad]
     parameters: dict[str, Any] = field(default_factory=dict)  # empty: the tuned ones
 
@@ -220,7 +214,10 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     check_sweep(agent, data.get("sweep", {}))
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
     base = BaseConfig(**data["base"]) if "base" in data else None
-    check_expert(agent, base)
+    try:
+        check_expert(agent.name, base.learned if base else None)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
     rest = {k: v for k, v in data.items() if k not in SECTIONS} | {"base": base}
     config = Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
     if not FOLDER_NAME.fullmatch(config.name):
@@ -383,8 +380,6 @@ def check_sweep(agent: AgentConfig, ranges: dict[str, Any]) -> None:
     try:
         for key, value in checked_ranges(ranges):
             check_table({key: value}, settings(agent.name), "sweep")
-    except ConfigError:
-        raise
     except ValueError as error:
         raise ConfigError(str(error)) from None
 
@@ -406,17 +401,6 @@ def check_device(config: Config) -> None:
     for where, given in (("env.normalize", config.env.normalize), ("base", config.base)):
         if given:
             raise ConfigError(f"{where} is not for {name}: leave it out, or take agent.name: ppo.")
-
-
-def check_expert(agent: AgentConfig, base: BaseConfig | None) -> None:
-    """Refuse an imitation without an expert, and an expert for another algorithm."""
-    learned = None if base is None else base.learned
-    if (agent.name == DAGGER) != (learned == DISTILLED):
-        raise ConfigError(
-            f"agent.name: {DAGGER} and base.learned: {DISTILLED} go together, got "
-            f"{validate.shown(agent.name)} and {validate.shown(learned)}; the base is the expert "
-            f"that {DAGGER} imitates."
-        )
 
 
 def check_batch(agent: AgentConfig, env: EnvConfig) -> None:

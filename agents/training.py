@@ -13,7 +13,6 @@ import numpy as np
 
 from agents.comparison import compare, titled
 from agents.config import (
-    DISTILLED,
     LIMITS,
     AgentConfig,
     BaseConfig,
@@ -30,7 +29,7 @@ from agents.files import FolderError
 from agents.hybrid.controller import EXPERT, KEY, acting, base_of, description
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
-from agents.learners.algorithms import ON_TENSORS, algorithms
+from agents.learners.algorithms import DISTILLED, ON_TENSORS, algorithms
 from agents.learners.export import export_policy
 from agents.learners.normalization import normalized
 from agents.metrics import make_batch, write_json

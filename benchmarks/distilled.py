@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 
 from agents.comparison import titled
-from agents.config import DISTILLED, Config, load_config
+from agents.config import Config, load_config
 from agents.controllers import controller
 from agents.experiments import shipped_experiments
 from agents.export.c_header import header
 from agents.export.signals import signals_of
 from agents.hybrid.controller import EXPERT
 from agents.leaderboard.run import decision_times
+from agents.learners.algorithms import DISTILLED
 from agents.metrics import episode_metrics, make_batch, record
 from agents.policy import Policy, load_policy
 from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table

@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agents.config import DISTILLED, load_config
+from agents.config import load_config
 from agents.controllers import CONTROLLERS
 from agents.experiments import shipped_experiments
 from agents.leaderboard.bound import is_moving
@@ -20,6 +20,7 @@ from agents.leaderboard.output import best_of_either, leader, order
 from agents.leaderboard.shipped import LINKS
 from agents.leaderboard.statistics import Figures
 from agents.leaderboard.tracks import TRACKS
+from agents.learners.algorithms import DISTILLED
 from agents.tune.learners import place_of
 from agents.tuned import tuned
 from benchmarks.output import RESULTS, ROOT, argument_parser, filled, table

@@ -14,6 +14,8 @@ from functools import cache
 from types import UnionType
 from typing import Any, get_args, get_origin
 
+from dynamics.description import validate
+
 NUMBER = (int, float)
 DISCRETE = ("dqn", "maskable-ppo", "qrdqn")  # algorithms without continuous actions
 ON_TENSORS = ("rsl-ppo",)  # algorithms whose batch is `rsl.Arms`, on any device
@@ -34,6 +36,7 @@ NOT_IN_POLICIES = {
     "normalize_images",
     "use_sde",
 }
+DAGGER, DISTILLED = "dagger", "distilled"  # an algorithm, and what it makes of a controller
 NOISE = {"noise_type": (str,), "noise_std": NUMBER}  # of actions, as in RL Zoo
 
 
@@ -63,6 +66,15 @@ def algorithms() -> dict[str, Any]:
     own = (ARS, DAgger, RecurrentPPO, RslPPO)
     named = {name_of(algorithm): algorithm for algorithm in (*found, *own)}
     return {name: named[name] for name in sorted(named) if name not in DISCRETE}
+
+
+def check_expert(algorithm: str, learned: str | None) -> None:
+    """Refuse an imitation without an expert, and an expert for another algorithm."""
+    if (algorithm == DAGGER) != (learned == DISTILLED):
+        raise ValueError(
+            f"agent.name: {DAGGER} and base.learned: {DISTILLED} go together, got {algorithm} and "
+            f"{validate.shown(learned)}; the base is the expert that {DAGGER} imitates."
+        )
 
 
 def policies(name: str) -> list[str]:

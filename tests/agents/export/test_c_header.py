@@ -1,5 +1,6 @@
 """Policies in C, compiled as C99 without a warning, act as in Python."""
 
+import math
 import shutil
 import subprocess
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agents.controllers.models.reading import Reading
 from agents.export.c_header import header
 from agents.export.signals import Signals, signals_of
 from agents.leaderboard.shipped import shipped
@@ -24,6 +26,7 @@ from tests.agents.export.kinds import (
     signals,
     torques,
 )
+from tests.paths import ROOT
 
 COMPILER = shutil.which("cc")
 STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1"]
@@ -60,15 +63,24 @@ def run(
     """(T, 1 + m) result and torques of a compiled policy."""
     (folder / "policy.h").write_text(header(policy, wanted, "policy"), encoding="ascii")
     (folder / "main.c").write_text(MAIN, encoding="ascii")
-    program = folder / "main"
-    subprocess.run(
-        [str(COMPILER), *STRICT, "-o", str(program), str(folder / "main.c"), "-lm"], check=True
+    lines = [f"{k:d} {' '.join(map(repr, x))}" for k, x in zip(starts, rows.tolist(), strict=True)]
+    return np.array([line.split() for line in fed(compiled(folder, "main"), lines)], float)
+
+
+def compiled(folder: Path, name: str) -> Path:
+    """Program of a C file in the folder."""
+    program = folder / name
+    command = [str(COMPILER), *STRICT, "-o", str(program), str(folder / f"{name}.c"), "-lm"]
+    subprocess.run(command, check=True)
+    return program
+
+
+def fed(program: Path, lines: list[str], *arguments: str) -> list[str]:
+    """Lines that a program prints when it is given lines."""
+    done = subprocess.run(
+        [str(program), *arguments], input="\n".join(lines), capture_output=True, text=True
     )
-    lines = [
-        f"{k:d} {' '.join(map(repr, row))}" for k, row in zip(starts, rows.tolist(), strict=True)
-    ]
-    done = subprocess.run([str(program)], input="\n".join(lines), capture_output=True, text=True)
-    return np.array([line.split() for line in done.stdout.splitlines()], float)
+    return done.stdout.splitlines()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -101,6 +113,33 @@ def test_a_trained_policy_gives_the_torques_of_its_environment(tmp_path: Path) -
     found = run(tmp_path, policy, wanted, np.array(rows), starts)
     np.testing.assert_allclose(found[:, 1:], expected, atol=ROUND_OFF, rtol=0.0)
     assert np.abs(expected).max() > 0.9
+
+
+def test_the_loop_of_the_page_turns_counts_into_the_torques_of_the_environment(
+    tmp_path: Path,
+) -> None:
+    """Whole counts of encoder and gauge of an episode with late, noisy, biased readings."""
+    env_id, kwargs = "FlexArm/OneLink-Reach-v0", {"hardware": "laboratory"}
+    page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
+    policy = shipped(env_id, "laboratory")["ppo-stacked"][1]
+    envs = make_batch(env_id, 1, kwargs)
+    core, reading = envs.unwrapped.core, Reading.of(envs)
+    text = header(policy, signals_of(policy, env_id, core), "policy")
+    (tmp_path / "policy.h").write_text(text, encoding="ascii")
+    (tmp_path / "loop.c").write_text(page.partition("```c\n")[2].partition("```")[0])
+    program = compiled(tmp_path, "loop")
+    observation, _ = envs.reset(seed=[5])
+    target, lines, expected, state = core.joint_target()[0, 0], [], [], None
+    for _ in range(100):
+        angle = reading(observation, "joint_error")[0, 0] + target
+        bend = reading(observation, "root_curvature")[0, 0] / core.gauge_scale[0]
+        lines.append(f"{round(angle * 4096 / math.tau)} {round(1000 * bend)}")
+        action, state = policy.predict(observation, state)
+        observation, _, _, _, info = envs.step(action)
+        expected.append(info["torque"][0, 0])
+    envs.close()
+    found = fed(program, lines, repr(float(target)))
+    np.testing.assert_allclose([float(x) for x in found], expected, atol=1e-6, rtol=0.0)
 
 
 def test_a_reading_that_is_not_a_number_gives_no_torque_and_is_forgotten(tmp_path: Path) -> None:
