@@ -12,8 +12,8 @@ from agents.environments import check_keywords
 from agents.learners.algorithms import (
     DISCRETE,
     NUMBER,
-    ON_TENSORS,
     algorithms,
+    check_device,
     check_expert,
     default,
     policies,
@@ -68,10 +68,8 @@ TEXTS = {  # texts of agent keywords that are no schedules, and their descriptio
     "target_entropy": (re.compile("auto"), "a number or 'auto'"),
     "noise_type": (re.compile("normal|ornstein-uhlenbeck"), "'normal' or 'ornstein-uhlenbeck'"),
 }
-DEVICES = ("cpu", "cuda")
 LARGEST_ROLLOUT = 2**24  # steps, summed over all environments
 FOLDER_NAME = re.compile(r"\w[\w .,()+=@-]{0,99}")
-
 TYPE_NAMES = {int: "an int", float: "a float", str: "text", bool: "true or false"}
 TYPE_NAMES |= {list: "a list", dict: "a table"}
 
@@ -214,18 +212,18 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     check_sweep(agent, data.get("sweep", {}))
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
     base = BaseConfig(**data["base"]) if "base" in data else None
-    try:
-        check_expert(agent.name, base.learned if base else None)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
     rest = {k: v for k, v in data.items() if k not in SECTIONS} | {"base": base}
     config = Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
+    try:
+        check_expert(agent.name, base.learned if base else None)
+        check_device(agent.name, config.device, {"env.normalize": env.normalize, "base": base})
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
     if not FOLDER_NAME.fullmatch(config.name):
         raise ConfigError(
-            f"name must be the plain name of a folder, at most 100 characters, got "
+            f"name must be a folder's plain name of at most 100 characters, got "
             f"{validate.shown(config.name)}."
         )
-    check_device(config)
     return config
 
 
@@ -382,25 +380,6 @@ def check_sweep(agent: AgentConfig, ranges: dict[str, Any]) -> None:
             check_table({key: value}, settings(agent.name), "sweep")
     except ValueError as error:
         raise ConfigError(str(error)) from None
-
-
-def check_device(config: Config) -> None:
-    """Refuse a GPU for algorithms on arrays, and what algorithms on tensors do not have."""
-    name = config.agent.name
-    if config.device not in DEVICES:
-        raise ConfigError(
-            f"device must be one of {list(DEVICES)}, got {validate.shown(config.device)}."
-        )
-    if name not in ON_TENSORS:
-        if config.device != "cpu":
-            raise ConfigError(
-                f"device must be 'cpu' for {name}, got {config.device!r}; on a GPU trains "
-                f"agent.name: {ON_TENSORS[0]}."
-            )
-        return
-    for where, given in (("env.normalize", config.env.normalize), ("base", config.base)):
-        if given:
-            raise ConfigError(f"{where} is not for {name}: leave it out, or take agent.name: ppo.")
 
 
 def check_batch(agent: AgentConfig, env: EnvConfig) -> None:

@@ -24,13 +24,14 @@ from benchmarks.output import (
 from benchmarks.style import pyplot, series
 from dynamics import Arm, compile_arm, load_arm, simulate
 from dynamics.accuracy.fidelity import everything, rigid
+from dynamics.accuracy.model_choice import MOST_FROZEN
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.simulation.case_file import PiecewiseConstant, Torque
 from dynamics.types import Array
 from flexarm_env.accuracy.motions import KINDS
 from flexarm_env.certify.certificate import Certifier
 from flexarm_env.certify.episodes import Distances, Episodes, Trace
-from flexarm_env.certify.search import METHODS, MOST_FROZEN, timed
+from flexarm_env.certify.search import METHODS, timed
 from flexarm_env.registration import SCENES
 from flexarm_env.task.scales import SAFE, scales
 

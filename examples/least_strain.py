@@ -44,7 +44,9 @@ class Move:
         self._scale = torch.from_numpy(core.gauge_scale)
         self._units = torch.from_numpy(units.ravel())
         self._target = torch.from_numpy(np.concatenate([self.end, np.zeros(n)]))
-        self._envs = TorchVecEnv(env_id, 1 + 2 * n, differentiable=True, max_episode_steps=None, deflection_limit=0.3)
+        self._envs = TorchVecEnv(
+            env_id, 1 + 2 * n, differentiable=True, max_episode_steps=None, deflection_limit=0.3
+        )
         self.options = {"state": {"q": self.start}, "target": self.end[joints]}
         self._actions: Any = None
 
@@ -102,16 +104,14 @@ def replayed(env_id: str, move: Move, actions: Any) -> dict[str, float]:
     """The move in the single environment, and then without torque."""
     env = gym.make(env_id, max_episode_steps=-1)
     env.reset(seed=0, options=move.options)
-    during, after, errors = [], [], []
-    for action in np.concatenate([actions, np.zeros((AFTER, move.torques))]).astype(np.float32):
-        info = env.step(action)[-1]
-        (during if len(during) < len(actions) else after).append(np.abs(info["root_curvature"]))
-        errors.append(info["tip_error"])
+    coasting = np.zeros((AFTER, move.torques))
+    infos = [env.step(x)[-1] for x in np.concatenate([actions, coasting]).astype(np.float32)]
     env.close()
+    bent = [float(np.abs(info["root_curvature"]).max()) for info in infos]
     return {
-        "largest curvature [1/m]": float(np.max(during)),
-        "curvature afterwards [1/m]": float(np.max(after)),
-        "tip error at the end [mm]": 1e3 * errors[len(actions) - 1],
+        "largest curvature [1/m]": max(bent[: len(actions)]),
+        "curvature afterwards [1/m]": max(bent[len(actions) :]),
+        "tip error at the end [mm]": 1e3 * infos[len(actions) - 1]["tip_error"],
         "largest action": float(np.abs(actions).max()),
     }
 

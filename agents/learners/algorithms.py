@@ -9,7 +9,7 @@ meanings are stable-baselines3's, and settings of RL Zoo can be copied.
 
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from types import UnionType
 from typing import Any, get_args, get_origin
@@ -19,6 +19,7 @@ from dynamics.description import validate
 NUMBER = (int, float)
 DISCRETE = ("dqn", "maskable-ppo", "qrdqn")  # algorithms without continuous actions
 ON_TENSORS = ("rsl-ppo",)  # algorithms whose batch is `rsl.Arms`, on any device
+DEVICES = ("cpu", "cuda")
 POLICIES = ("MlpPolicy", "LinearPolicy", "MlpLstmPolicy")  # policies of one vector of observations
 # Set by the run, or objects that no file can hold
 NOT_IN_FILES = {"policy", "env", "verbose", "tensorboard_log", "seed", "device"}
@@ -66,6 +67,27 @@ def algorithms() -> dict[str, Any]:
     own = (ARS, DAgger, RecurrentPPO, RslPPO)
     named = {name_of(algorithm): algorithm for algorithm in (*found, *own)}
     return {name: named[name] for name in sorted(named) if name not in DISCRETE}
+
+
+def check_device(algorithm: str, device: str, given: Mapping[str, Any]) -> None:
+    """Refuse a GPU for an algorithm on arrays, and settings that one on tensors does not have.
+
+    `given` are the values of such settings.
+    """
+    if device not in DEVICES:
+        raise ValueError(f"device must be one of {list(DEVICES)}, got {validate.shown(device)}.")
+    if algorithm not in ON_TENSORS:
+        if device != "cpu":
+            raise ValueError(
+                f"device must be 'cpu' for {algorithm}, got {device!r}; on a GPU trains "
+                f"agent.name: {ON_TENSORS[0]}."
+            )
+        return
+    for where, value in given.items():
+        if value:
+            raise ValueError(
+                f"{where} is not for {algorithm}: leave it out, or take agent.name: ppo."
+            )
 
 
 def check_expert(algorithm: str, learned: str | None) -> None:

@@ -66,7 +66,7 @@ class Kernels:
 
 
 class Usage(NamedTuple):
-    """What one thread of a kernel takes."""
+    """Registers and memory that one thread of a kernel takes."""
 
     stack: int  # [B] local memory: spilled registers, and arrays that do not lie in registers
     stores: int  # [B] of registers that are spilled, in the text of the kernel
