@@ -221,7 +221,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
         raise ConfigError(str(error)) from None
     if not FOLDER_NAME.fullmatch(config.name):
         raise ConfigError(
-            f"name must be a folder's plain name of at most 100 characters, got "
+            f"name must be the plain name of a folder, at most 100 characters, got "
             f"{validate.shown(config.name)}."
         )
     return config
