@@ -17,16 +17,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.kernels import DTYPES, HEADER, SCENES, Row, cells, measured
+from benchmarks.kernels import DTYPES, FORMS, HEADER, SCENES, Row, cells, measured
 from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
 from dynamics.backends.cuda.function_text import prelude
+from dynamics.backends.cuda.kernel_text import KERNELS
 from flexarm_env import TorchVecEnv
 from flexarm_env.compiled.termination import FLAGS
-from flexarm_env.interfaces.tensors.device import kernel_source
+from flexarm_env.interfaces.tensors.device import DeviceBatch, kernel_source
 
 BATCHES = tuple(2**k for k in (12, 14, 16, 18, 20))
 FOLLOWED, STEPS, EPISODE = 20, 40, 15  # environments, steps and steps of an episode, for agreement
 RUNS, SECONDS = 5, 0.1  # of one measurement, and the least time of a run
+FORMS_SCENE, FORMS_BATCH = "SixLink", 2**16  # the scene that spills
 CHAINS, ROUNDS = 16, 4096  # of multiply-adds in a thread
 THREADS = 2**18
 TRAINING = {
@@ -39,7 +41,7 @@ TRAINING = {
             "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -0.5},
         },
     },
-    "total_steps": 20_000_000,
+    "total_steps": 10_000_000,
     "device": "cuda",
 }  # fmt: skip
 
@@ -91,13 +93,33 @@ def gap(expected: torch.Tensor, found: torch.Tensor) -> float:
     return float(((found - expected).abs() / (1.0 + expected.abs())).max())
 
 
-def rate(scene: str, dtype: str, device: str, n: int) -> dict[str, float]:
-    """Control steps per second of a batch of n, and bytes that one moves."""
+def rate(
+    scene: str, dtype: str, device: str, n: int, form: Callable[[str], str] | None = None
+) -> dict[str, float]:
+    """Control steps per second of a batch of n, and bytes that one moves.
+
+    `form` changes the text of the kernels.
+    """
     envs = TorchVecEnv(env_id(scene), n, device, dtype=dtype)
+    if form is not None:
+        envs._batch = DeviceBatch(envs.core, envs.device, lambda text: kernels_of(form(text)))
     envs.reset()
     actions = 2.0 * torch.rand(n, envs.single_action_space.shape[0], device=device) - 1.0
     found = n / seconds(lambda: envs.step(actions), device)
     return {"steps_per_second": found, "bytes": moved(envs)}
+
+
+def kernels_of(text: str, *names: str) -> Any:
+    """Kernels of a text on the present GPU."""
+    from dynamics.backends.cuda.compiler import Kernels
+
+    return Kernels(text, torch.cuda.current_device(), names or KERNELS)
+
+
+def forms(device: str, n: int = FORMS_BATCH) -> dict[str, float]:
+    """Control steps per second of the scene of FORMS_SCENE by form of the text, in float32."""
+    found = {form: rate(FORMS_SCENE, "float32", device, n, f) for form, f in FORMS.items()}
+    return {form: row["steps_per_second"] for form, row in found.items()}
 
 
 def moved(envs: TorchVecEnv) -> int:
@@ -134,9 +156,7 @@ def peak_text(dtype: str) -> str:
 
 def multiply_adds(dtype: str) -> float:
     """Operations per second of the GPU's multiply-adds, two each."""
-    from dynamics.backends.cuda.compiler import Kernels
-
-    kernels = Kernels(peak_text(dtype), torch.cuda.current_device(), ("chains",))
+    kernels = kernels_of(peak_text(dtype), "chains")
     out = torch.zeros(THREADS, dtype=getattr(torch, dtype), device="cuda")
     factors = np.array([0.999, 0.001], dtype)
     given = [np.uint64(out.data_ptr()), *factors, np.int32(ROUNDS)]
@@ -216,6 +236,11 @@ def page(results: dict[str, Any]) -> str:
         "The share is that of the largest batch. Agreement is the largest difference from the "
         f"processor over {STEPS} steps, relative to numbers above 1.",
         table(["", "", *HEADER], [[SCENES[s], d, *cells(f["kernel"])] for s, d, f in each], "llr"),
+        table(
+            [f"{SCENES[FORMS_SCENE]}, float32, {FORMS_BATCH} environments", "steps/s"],
+            [[form, f"{x:.2g}"] for form, x in results["forms"].items()],
+            "lr",
+        ),
         f"PPO of rsl_rl takes {training['seconds']:.0f} s for {training['steps']:,} steps of "
         f"{TRAINING['env']['id']} ({training['steps_per_second']:.3g}/s); "  # type: ignore[index]
         f"success {100.0 * training['success']:.0f} %, score {training['score']:.3f}.",
@@ -235,6 +260,7 @@ def main(arguments: list[str] | None = None) -> None:
     name = torch.cuda.get_device_name()
     results = provenance("torch", "cuda-core", "rsl-rl-lib") | {"gpu": name} | measure("cuda")
     results["multiply_adds"] = {dtype: multiply_adds(dtype) for dtype in DTYPES}
+    results["forms"] = forms("cuda")
     results["training"] = trained(TRAINING)
     text = page(results)
     slug = re.sub(r"\W+", "_", name).strip("_").lower()

@@ -146,3 +146,20 @@ def plain_types(annotation: Any) -> tuple[type, ...]:
         elif kind in (Callable, type):
             found.append(str)
     return tuple(dict.fromkeys(found))
+
+
+def check_device(name: str, experiment: Mapping[str, Any]) -> None:
+    """Refuse a GPU for algorithms on arrays, and what algorithms on tensors do not have."""
+    device = experiment.get("device", "cpu")
+    validate.choice(device, "device", DEVICES)
+    if name not in ON_TENSORS:
+        if device != "cpu":
+            raise ValueError(
+                f"device must be 'cpu' for {name}, got {device!r}; on a GPU trains "
+                f"agent.name: {ON_TENSORS[0]}."
+            )
+        return
+    normalize = experiment["env"].get("normalize")
+    for where, given in (("env.normalize", normalize), ("base", experiment.get("base"))):
+        if given:
+            raise ValueError(f"{where} is not for {name}: leave it out, or take agent.name: ppo.")

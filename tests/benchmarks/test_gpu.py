@@ -30,6 +30,7 @@ def test_without_a_gpu_nothing_is_written(
 
 def test_a_device_is_measured_and_its_page_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpu, "SCENES", {"OneLink": "one link"})
+    monkeypatch.setattr(gpu, "FORMS_SCENE", "OneLink")
     monkeypatch.setattr(gpu, "DTYPES", ("float64",))
     monkeypatch.setattr(gpu, "SECONDS", 1e-3)
     monkeypatch.setattr(gpu, "bandwidth", lambda device: 1e12)
@@ -40,12 +41,27 @@ def test_a_device_is_measured_and_its_page_shows_it(monkeypatch: pytest.MonkeyPa
     assert all(row["steps_per_second"] > 0.0 for row in found["rates"].values())
     found["rates"]["8"] = {"steps_per_second": 2e9, "bytes": 250}
     results |= {"gpu": "Name", "command": "python -m benchmarks.gpu", "multiply_adds": {"x": 1.0}}
+    results["forms"] = {"as printed": 1.5e8}
     results["training"] = {
         "steps": 9, "seconds": 3.0, "steps_per_second": 3.0, "success": 1.0, "score": 0.5,
     }  # fmt: skip
     text = gpu.page(results)
     assert "| 2e+09 | 50 % | 0 |" in text
+    assert "| as printed | 1.5e+08 |" in text
     assert "| one link | float64 | 79 | 0 | 0 | 0 | 0.5 |" in text
+
+
+@pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+def test_forms_of_the_text_are_what_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled: list[str] = []
+    changes = {form: kernels.FORMS[form] for form in ("as printed", "restart inlined")}
+    monkeypatch.setattr(gpu, "FORMS_SCENE", "OneLink")
+    monkeypatch.setattr(gpu, "FORMS", changes)
+    monkeypatch.setattr(gpu, "SECONDS", 1e-3)
+    monkeypatch.setattr(gpu, "kernels_of", lambda x: compiled.append(x) or HostKernels(x))
+    found = gpu.forms("cpu", n=4)
+    assert all(rate > 0.0 for rate in found.values())
+    assert [changes["restart inlined"](compiled[0])] == compiled[1:]
 
 
 def test_a_copy_moves_twice_its_bytes(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -66,7 +66,7 @@ class Kernels:
 
 
 class Usage(NamedTuple):
-    """Registers and memory that one thread of a kernel takes."""
+    """Registers and local memory of one thread of a kernel."""
 
     stack: int  # [B] local memory: spilled registers, and arrays that do not lie in registers
     stores: int  # [B] of registers that are spilled, in the text of the kernel
