@@ -62,26 +62,25 @@ _ARRAYS = """\
     real* __restrict__ state, whole* __restrict__ streams, const float* __restrict__ actions,
     float* __restrict__ obs, float* __restrict__ final_obs, real* __restrict__ info,
     unsigned char* __restrict__ flags"""
-_KERNEL = f"""\
-extern "C" __global__ void {{name}}(
-{_ARRAYS}, const __grid_constant__ Numbers numbers,
+_KERNEL = """\
+extern "C" __global__ void {name}(
+{arrays}, const __grid_constant__ Numbers numbers,
     int count, int substeps)
-{{{{
+{{
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= count) return;
-{{body}}
-}}}}
+{body}
+}}
 """
-RESTART = "restart"
-_RESTART = f"""\
-static __device__ __noinline__ void {RESTART}(
-{_ARRAYS}, const Numbers& numbers,
+_RESTART = """\
+static __device__ __noinline__ void restart(
+{arrays}, const Numbers& numbers,
     int count, int i)
-{{{{
-{{body}}
-}}}}
+{{
+{body}
+}}
 """
-_RESTARTED = f"{RESTART}(state, streams, actions, obs, final_obs, info, flags, numbers, count, i);"
+_RESTARTED = "restart(state, streams, actions, obs, final_obs, info, flags, numbers, count, i);"
 _WORKSPACE = """\
     real w[SLOTS];
     #pragma unroll
@@ -109,12 +108,12 @@ def kernel_text(program: Program, dtype: str) -> str:
         )
     functions = [function_text(function, dtype) for function in program.functions]
     restarts = [
-        _RESTART.format(body=_body(program, statement.body))
+        _RESTART.format(arrays=_ARRAYS, body=_body(program, statement.body))
         for statement in entry.step
         if isinstance(statement, WhereEnded)
     ]
     kernels = [
-        _KERNEL.format(name=name, body=_body(program, statements))
+        _KERNEL.format(arrays=_ARRAYS, name=name, body=_body(program, statements))
         for name, statements in ((STEP, entry.step), (START, entry.start))
     ]
     parts = [prelude(dtype), _names(program, entry), _RANDOM, *functions, *restarts, *kernels]
