@@ -60,6 +60,9 @@ def test_a_program_prints_its_kernels() -> None:
     assert "for (int s = 0; s < substeps; ++s) {" in text
     assert "if (w[FLAGS] != 0 || w[FLAGS + 1] != 0) {" in text
     assert text.count("{") == text.count("}")
+    restart, step = text.partition("void restart(")[2].split("void control_step(")
+    assert "uniform(streams + i)" in restart
+    assert "uniform(" not in step
     assert text.isascii()
 
 
