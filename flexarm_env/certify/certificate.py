@@ -17,18 +17,21 @@ from dynamics.accuracy.certificate import fidelity_of
 from dynamics.accuracy.fidelity import Fidelity, everything, rigid
 from dynamics.accuracy.progress import Progress
 from dynamics.description.arm import Arm
+from dynamics.integrators.table import INTEGRATORS
 from dynamics.types import Array
 from flexarm_env.accuracy.certificates import REFERENCE_METHOD as METHOD
 from flexarm_env.accuracy.certificates import reference
 from flexarm_env.accuracy.motions import KINDS
 from flexarm_env.certify.episodes import SHARE, Distances, Episodes, Trace, environment
 from flexarm_env.core import Core
-from flexarm_env.task.scales import DEFLECTION_LIMIT, RIGID_PERIOD, scales
+from flexarm_env.task.scales import DEFLECTION_LIMIT, RIGID_PERIOD, SAFE, scales
 
 EPISODES = 64  # of each kind
 CHECKED = 16  # of each kind, by a finer reference
 RICH = (6, 2)  # modes of the rich model: of bending, of torsion
+EXPLICIT = "rk4"  # of a stiff model, with which the implicit METHOD diverges
 FINE = 60  # least steps of a fine model per control step
+MOST_FINE = 1000  # steps of EXPLICIT per control step
 PER_PERIOD = 400  # and per period of the first joint-free mode
 WIDER = 1.1  # times the deflection limit, of other models: a controller may ride the environment's
 DISTURBANCE = 1e-6  # [rad] of every joint at the start
@@ -79,9 +82,9 @@ class Certifier:
         self.episodes = Episodes.drawn(base, kinds, count, steps)
         self._fine = converged_steps(arm, self.control_dt)
         self.line.stage("reference")
-        self.reference = self._played(reference(arm), METHOD, self._fine)
+        self.reference = self._converged(reference(arm))
         self.line.stage("model")
-        self._own = self._played("auto", METHOD, self._fine)
+        self._own = self._converged("auto")
 
     def model_error(self) -> Distances:
         """Distances of the model, with fine steps, from the reference."""
@@ -104,7 +107,7 @@ class Certifier:
         """The certificate of a step: JSON numbers and text."""
         kinds, own = self.episodes.kinds, self._played("auto", integrator, substeps)
         self.line.stage("causes")
-        many = self._played(rich(self.arm), METHOD, self._fine)
+        many = self._converged(rich(self.arm))
         nudged = self._played("auto", integrator, substeps, DISTURBANCE)
         total = Distances.between(own, self.reference, kinds)
         growth = Distances.between(own, nudged, kinds)
@@ -135,9 +138,8 @@ class Certifier:
         kinds = np.array(self.episodes.kinds)
         rows = np.concatenate([np.flatnonzero(kinds == k)[:CHECKED] for k in dict.fromkeys(kinds)])
         some = self.episodes.of(rows)
-        core = self._core(reference(self.arm, finer=1), METHOD, 2 * self._fine, len(rows), WIDER)
-        ends = own.of(rows)
-        coarse, finer = self.reference.of(rows).until(ends), some.played(core).until(ends)
+        ends, fine = own.of(rows), self._converged(reference(self.arm, finer=1), some, finer=2)
+        coarse, finer = self.reference.of(rows).until(ends), fine.until(ends)
         return Distances.between(coarse, finer, some.kinds).worst_share
 
     def _core(
@@ -153,12 +155,32 @@ class Certifier:
         keywords = {**self.keywords, **steps, "fidelity": model, "deflection_limit": limit}
         return environment(self.arm, count, keywords)
 
-    def _played(
-        self, model: str | Fidelity, integrator: str, substeps: int, disturbance: float = 0.0
+    def _converged(
+        self, model: str | Fidelity, some: Episodes | None = None, finer: int = 1
     ) -> Trace:
+        """The episodes of a model with fine steps, of a stable explicit method if they diverge."""
+        trace = self._played(model, METHOD, finer * self._fine, some=some)
+        if trace.diverged.mean() <= 1.0 - SHARE:
+            return trace
+        arm = model.arm(self.arm) if isinstance(model, Fidelity) else self.model
+        limit = SAFE * INTEGRATORS[EXPLICIT].limit
+        stable = max(self._fine, ceil(self.control_dt * scales(arm).fastest / limit))
+        if stable > MOST_FINE:
+            return trace
+        return self._played(model, EXPLICIT, finer * stable, some=some)
+
+    def _played(
+        self,
+        model: str | Fidelity,
+        integrator: str,
+        substeps: int,
+        disturbance: float = 0.0,
+        some: Episodes | None = None,
+    ) -> Trace:
+        episodes = some or self.episodes
         wider = 1.0 if model == "auto" else WIDER
-        core = self._core(model, integrator, substeps, len(self.episodes.kinds), wider)
-        trace = self.episodes.played(core, disturbance)
+        core = self._core(model, integrator, substeps, len(episodes.kinds), wider)
+        trace = episodes.played(core, disturbance)
         self.line.motion()
         return trace
 
