@@ -152,10 +152,7 @@ class ModelErrors:
         try:
             self._tips[fidelity] = self._converged(self.rollout(fidelity))
         except NotConverged as error:
-            raise RuntimeError(
-                f"No reference from '{fidelity}': {error} Take a larger tolerance or a shorter "
-                "scene."
-            ) from error
+            raise RuntimeError(f"No reference from '{fidelity}': {error}") from error
         return self._tips[fidelity]
 
     def _converged(self, rollout: Rollout) -> Tips:

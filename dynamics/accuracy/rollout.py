@@ -37,6 +37,9 @@ AGREE = 3.0  # difference of two results over the error of the finer one, with o
 ESTIMATE = 80.0  # [operations] of a link without modes in an estimate of the work
 TRAVELS = 100  # [of the reach] farthest tip of an arm that slides or is on a free base
 EARLY = 3  # samples: a tip that leaves the reach within them does so because of the step
+LAST = 8  # samples before a tip leaves the reach, in which the cause is looked for
+LOST = 0.5  # [-] least inertia of any motion over that at the start, which a step later is gone
+REMEDY = "Take a larger tolerance or a shorter scene."
 MOST_WORK = 5e9  # [operations] after which a motion is given up
 
 
@@ -228,9 +231,7 @@ class Rollout:
             # an exit that the step causes comes much later with half the step
             alike = min(exits) > EARLY and max(exits) <= 1.1 * min(exits)
             if max(exits) < len(fine) and (alike or work / dt > MOST_WORK):
-                raise NotConverged(
-                    f"The motion leaves the reach ({self.arm.reach:.6g} m): diverged."
-                )
+                raise NotConverged(self._divergence(motion, method, dt, max(exits)))
             if distance(fine, coarse) <= AGREE * accuracy:
                 return fine + (fine - coarse) / gain
             if work / dt > MOST_WORK:
@@ -238,8 +239,21 @@ class Rollout:
             coarse = fine
         raise NotConverged(
             f"Steps of {dt:.3g} s still move the tip by {distance(fine, coarse):.3g} m, more than "
-            f"{AGREE * accuracy:.3g} m; the motion is too long, too stiff or chaotic."
+            f"{AGREE * accuracy:.3g} m; the motion is too long, too stiff or chaotic. {REMEDY}"
         )
+
+    def _divergence(self, motion: JointMotion, method: str, dt: float, end: int) -> str:
+        """Cause of a divergence at a sample, in words: the model's inertia, or else the motion."""
+        q = np.array(self._states(motion, method, dt, 1, False))[:, : self.model.n]
+        looked = (q[0], *q[max(1, end - LAST) : end])
+        least = [np.linalg.eigvalsh(self.model.mass_matrix(row))[0] for row in looked]
+        if min(least) < LOST * least[0]:
+            return (
+                "The mass matrix of the bent arm is no longer positive: links move almost no "
+                "inertia in some direction. Give rho_Ip [kg m] of links with GJ, or tip_inertia "
+                "[kg m^2], or leave GJ out."
+            )
+        return f"The motion leaves the reach ({self.arm.reach:.6g} m): diverged. {REMEDY}"
 
     def _exit(self, tips: Array) -> int:
         """Index of the first sample that is too far or NaN, else the number of samples."""

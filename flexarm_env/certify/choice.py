@@ -1,7 +1,9 @@
 """The cheapest model and step that keep the tip within a tolerance in whole episodes.
 
 `dynamics.choose_model` compares models on two short motions, without compiling them. Its choice
-plays whole episodes beside the reference; where it errs by more, the search is made again for less.
+plays whole episodes beside the reference; where it errs by more, the search is made again for less,
+unless the searches that are left cannot come to the tolerance: motions of arms of many links grow
+apart in time, whatever the model.
 """
 
 import logging
@@ -29,8 +31,7 @@ _log = logging.getLogger(__name__)
 def chosen(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
     """JSON values of a `dynamics.Choice` whose error [m] is that of whole episodes.
 
-    A warning is logged if the best that was found errs by more than the tolerance: motions of arms
-    of many links grow apart in time, whatever the model.
+    A warning is logged if the best that was found errs by more than the tolerance.
 
     Raises
     ------
@@ -48,7 +49,8 @@ def chosen(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
         with Progress(None) as line:
             measured = _in_episodes(found, control_dt, tolerance, line)
         best = min(best, found | measured, key=lambda x: x["error"])
-        if best["error"] <= tolerance:
+        left = (MARGIN * LEAST) ** (SEARCHES - 1 - search)  # of the error after all searches
+        if tolerance >= best["error"] or tolerance < left * measured["error"] < math.inf:
             break
         wanted *= MARGIN * min(1.0, max(LEAST, tolerance / measured["error"]))
     if math.isinf(best["error"]):
@@ -57,8 +59,9 @@ def chosen(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
         )
     if best["error"] > tolerance:
         _log.warning(
-            "No model of %s keeps the tip within %.3g m in whole episodes; the best keeps %.0f %% "
-            "of them within %.2g m.", arm.name or "the arm", tolerance, 100 * SHARE, best["error"],
+            "No model of %s was found that keeps the tip within %.3g m in whole episodes; the best "
+            "keeps %.0f %% of them within %.2g m. A smaller tolerance gives a finer model.",
+            arm.name or "the arm", tolerance, 100 * SHARE, best["error"],
         )  # fmt: skip
     return best | {"tolerance": tolerance, "holds": conditions.to_dict()}
 

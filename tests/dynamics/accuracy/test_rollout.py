@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from dynamics import ARMS, Base, Stepper, simulate
+from dynamics import ARMS, Arm, Base, Joint, Link, Stepper, simulate
+from dynamics.accuracy.fidelity import Fidelity
 from dynamics.accuracy.rollout import SAMPLES, NotConverged, Rollout
 from dynamics.accuracy.scene import JointMotion, bang_bang, release
 from dynamics.integrators.table import INTEGRATORS
@@ -53,6 +54,23 @@ def test_a_motion_that_diverges_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(NotConverged, match=r"leaves the reach \(1\.\d+ m\)"):
         Rollout(ARM).converged(MOTION, 1e-6)
     assert len(steps) == 2
+
+
+def test_an_arm_without_inertia_is_not_blamed_on_the_motion() -> None:
+    """The twist of link 2 turns almost nothing where the links beyond are in line."""
+    post = Link(length=0.25, rho_A=1.2, joint=Joint(rotor_inertia=0.05))
+    level = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
+    upper = Link(length=0.6, rho_A=0.35, EIz=18.0, EIy=25.0, GJ=9.0, rho_Ip=1e-6, modes=(),
+                 joint=Joint(rotation=level, rotor_inertia=0.03))  # fmt: skip
+    fore = Link(length=0.5, rho_A=0.2, EIz=6.0, EIy=8.0, tip_mass=0.3, modes=(),
+                joint=Joint(rotor_inertia=0.02))  # fmt: skip
+    arm = Arm(links=(post, upper, fore), gravity=(0.0, 0.0, -9.81))
+    counts = ((0, 0, 0), (1, 1, 1), (4, 4, 0))
+    model = Fidelity(counts=counts, segments=(1, 1, 1), foreshortening=True, polynomial=True)
+    motion = JointMotion(joint_angles=(0.0, 0.6, 0.6), joint_rates=(0.0, 0.0, 0.0), t_end=0.2,
+                         torque=lambda t: (2.0, 8.0, 3.0))  # fmt: skip
+    with pytest.raises(NotConverged, match=r"mass matrix .* no longer positive: .* Give rho_Ip"):
+        Rollout(model.arm(arm)).converged(motion, 1e-4)
 
 
 @pytest.mark.parametrize("beta", [0.0, 0.1])
