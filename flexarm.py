@@ -29,6 +29,7 @@ COMMANDS = {  # module whose `main` runs the command, and its line in the help
 EXTRAS = {"sweep": "scale"}  # other than `train`
 PACKAGES = ("dynamics", "flexarm_env", "agents")
 MISSING = 2  # exit status: something is not installed, or ours is hidden
+INTERRUPTED = 130  # exit status, as a shell has it: Ctrl-C
 UNREAD = 141  # exit status, as a shell has it: nobody reads the output any more
 
 
@@ -61,6 +62,9 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNREAD
+    except KeyboardInterrupt:
+        print(f"flexarm {name}: interrupted.", file=sys.stderr)
+        return INTERRUPTED
     return status
 
 

@@ -116,6 +116,17 @@ def test_output_that_nobody_reads_ends_a_command_quietly(tmp_path: Path) -> None
     assert run.returncode == flexarm.UNREAD
 
 
+def test_an_interrupted_command_ends_with_a_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def pressed(*_: object, **__: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("flexarm_env.__main__.main", pressed)
+    assert flexarm.main(["arms"]) == flexarm.INTERRUPTED
+    assert capsys.readouterr().err == "flexarm arms: interrupted.\n"
+
+
 @pytest.mark.parametrize("package", ["flexarm_env", "agents.evaluate"])
 def test_a_users_own_dynamics_is_named(package: str, tmp_path: Path) -> None:
     (tmp_path / "dynamics.py").write_text("")

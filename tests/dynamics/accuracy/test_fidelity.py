@@ -102,8 +102,8 @@ def test_modes_beyond_the_fifth_of_segments_are_damped_more() -> None:
 
 
 def test_twisting_without_a_stated_inertia_gets_that_of_a_metal_bar_or_a_thin_rod() -> None:
-    def twisted(GJ: float, **fields: object) -> Link:
-        arm = Arm(links=(replace(DAMPED, GJ=GJ, **fields),))
+    def twisted(GJ: float, rho_Ip: float = 0.0) -> Link:
+        arm = Arm(links=(replace(DAMPED, GJ=GJ, rho_Ip=rho_Ip),))
         return Fidelity(counts=((1, 0, 1),), segments=(2,), polynomial=True).arm(arm).links[0]
 
     assert twisted(8e3).rho_Ip == pytest.approx(8e3 / 3000.0**2)
