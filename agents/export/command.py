@@ -7,12 +7,11 @@ import argparse
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
 from agents.environments import REFUSALS
 from agents.evaluate import UsageError, find_env
 from agents.export.c_header import header
-from agents.export.signals import refuse_base, signals_of
+from agents.export.signals import Signals, signals_of
 from agents.files import FolderError, atomic_write, check_folder
 from agents.metrics import make_batch
 from agents.policy import Policy, PolicyError, load_policy
@@ -55,7 +54,6 @@ def export(run: Path, form: str, out: Path | None = None) -> Path:
     Nothing is written before the policy, its environment and the file's name are checked.
     """
     policy = load_policy(run)
-    refuse_base(policy.about)
     out = run / f"policy{SUFFIXES[form]}" if out is None else out
     name = checked_name(out, SUFFIXES[form])
     check_folder(out.parent)
@@ -75,7 +73,7 @@ def export(run: Path, form: str, out: Path | None = None) -> Path:
     return out
 
 
-def serialised(form: str, policy: Policy, signals: Any, name: str) -> bytes:
+def serialised(form: str, policy: Policy, signals: Signals, name: str) -> bytes:
     """Content of the file."""
     if form == "c":
         return header(policy, signals, name).encode("ascii")

@@ -1,0 +1,27 @@
+"""Distilled policies beside their experts: the stored page, and the gain in the same episodes."""
+
+import json
+
+import numpy as np
+
+from benchmarks.distilled import distilled, gain, page
+from benchmarks.output import RESULTS
+
+
+def test_the_stored_page_is_that_of_the_stored_results() -> None:
+    """If not: python -m benchmarks.distilled"""
+    results = json.loads((RESULTS / "distilled.json").read_text(encoding="utf-8"))
+    assert (RESULTS / "distilled.md").read_text(encoding="utf-8") == page(results)
+    assert [row["name"] for row in results["rows"]] == [config.name for config in distilled()]
+
+
+def test_a_gain_in_the_same_episodes_is_without_what_makes_them_hard() -> None:
+    """Its interval is that of the differences, far narrower than that of the scores."""
+    rng = np.random.default_rng(0)
+    expert = rng.uniform(size=400)
+    policy = expert - 0.01 + 0.05 * rng.normal(size=(3, 400))
+    mean, low, high = gain(policy, expert)
+    assert low < mean < high
+    assert abs(mean + 0.01) < 0.005
+    expected = 2 * 1.96 * 0.05 / np.sqrt(3 * 400)  # of independent differences
+    assert expected < high - low < 2.0 * expected  # whole seeds and whole episodes are drawn
