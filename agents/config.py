@@ -207,7 +207,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
         if section and section in data:
             checked(data[section], section)
     agent = checked_agent(AgentConfig(**data["agent"]))
-    env = checked_environment(EnvConfig(**data["env"]), agent, data)
+    env = checked_environment(EnvConfig(**data["env"]), agent)
     check_batch(agent, env)
     check_sweep(agent, data.get("sweep", {}))
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
@@ -250,12 +250,11 @@ def checked_agent(agent: AgentConfig) -> AgentConfig:
     return replace(agent, policy=policy)
 
 
-def checked_environment(env: EnvConfig, agent: AgentConfig, data: Mapping[str, Any]) -> EnvConfig:
+def checked_environment(env: EnvConfig, agent: AgentConfig) -> EnvConfig:
     """The environment with its registered id; refuses unknown ids, keywords and weights."""
     try:
         plain = registered(env.id)
         check_keywords(env.kwargs, "env.kwargs")
-        check_device(agent.name, data)
         normalize = checked_normalization(env.normalize, agent.name, agent.gamma, env.stack)
     except ValueError as error:
         raise ConfigError(str(error)) from None

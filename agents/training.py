@@ -14,7 +14,6 @@ import numpy as np
 from agents.comparison import compare, titled
 from agents.config import (
     LIMITS,
-    AgentConfig,
     BaseConfig,
     Config,
     ConfigError,
@@ -29,7 +28,13 @@ from agents.files import FolderError
 from agents.hybrid.controller import EXPERT, KEY, acting, base_of, description
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
-from agents.learners.algorithms import DISTILLED, ON_TENSORS, algorithms
+from agents.learners.algorithms import (
+    DIFFERENTIATED,
+    DISTILLED,
+    ON_TENSORS,
+    algorithms,
+    learner_kwargs,
+)
 from agents.learners.export import export_policy
 from agents.learners.normalization import normalized
 from agents.metrics import make_batch, write_json
@@ -58,7 +63,7 @@ def build_model(config: Config) -> Any:
 
     torch.set_num_threads(1)  # faster for small networks, and leaves the other cores free
     try:
-        env = batch_of_tensors(config) if config.agent.name in ON_TENSORS else batch(config)
+        env = _tensors(config) if config.agent.name in ON_TENSORS else _arrays(config)
     except ConfigError:
         raise
     except REFUSALS as error:
@@ -70,7 +75,7 @@ def build_model(config: Config) -> Any:
             env,
             seed=config.seed,
             device=config.device,
-            **learner_kwargs(config.agent, env.action_space.shape),
+            **learner_kwargs(config.agent.kwargs, env.action_space.shape),
         )
     except ModuleNotFoundError as error:
         raise ConfigError(str(error)) from None
@@ -78,16 +83,17 @@ def build_model(config: Config) -> Any:
         raise ConfigError(f"agent: {config.agent.name} refuses its keywords: {error}") from None
 
 
-def batch_of_tensors(config: Config) -> Any:
+def _tensors(config: Config) -> Any:
     """The experiment's arms as an algorithm on tensors takes them."""
-    from agents.learners.rsl import Arms
+    from agents.learners.arms import Arms
     from flexarm_env import TorchVecEnv
 
-    envs = TorchVecEnv(config.env.id, config.env.n_envs, config.device, **config.env.make_kwargs)
-    return Arms(envs, config.env.stack)
+    env, differentiable = config.env, config.agent.name in DIFFERENTIATED
+    envs = TorchVecEnv(env.id, env.n_envs, config.device, differentiable, **env.make_kwargs)
+    return Arms(envs, env.stack)
 
 
-def batch(config: Config) -> Any:
+def _arrays(config: Config) -> Any:
     """The experiment's arms as stable-baselines3 takes them."""
     from stable_baselines3.common.vec_env import VecFrameStack
 
@@ -112,30 +118,6 @@ def base_description(base: BaseConfig, env: EnvConfig) -> dict[str, Any]:
     )
 
 
-def learner_kwargs(agent: AgentConfig, action_shape: tuple[int, ...]) -> dict[str, Any]:
-    """Keywords of the learner's class: texts of the file become schedules, classes and noise."""
-    import torch
-    from stable_baselines3.common import noise
-
-    activations = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU, "elu": torch.nn.ELU}
-    noises = {
-        "normal": noise.NormalActionNoise,
-        "ornstein-uhlenbeck": noise.OrnsteinUhlenbeckActionNoise,
-    }
-    kwargs = dict(agent.kwargs)
-    network = kwargs["policy_kwargs"] = dict(kwargs.pop("policy_kwargs", {}))
-    if "activation_fn" in network:
-        network["activation_fn"] = activations[network["activation_fn"]]
-    for key, value in kwargs.items():
-        if isinstance(value, str) and value.startswith("lin_"):
-            kwargs[key] = falling(float(value.removeprefix("lin_")))
-    kind, deviation = kwargs.pop("noise_type", "normal"), kwargs.pop("noise_std", None)
-    if deviation is not None:
-        zero = np.zeros(action_shape)
-        kwargs["action_noise"] = noises[kind](mean=zero, sigma=zero + deviation)
-    return kwargs
-
-
 def prepare(config: Config) -> None:
     """Build the experiment, store its policy in memory and take one step.
 
@@ -150,14 +132,6 @@ def prepare(config: Config) -> None:
     env.step(np.zeros((config.env.n_envs, *env.action_space.shape), np.float32))
     env.close()
     print(f"Ready after {time.monotonic() - begin:.1f} s.", flush=True)
-
-
-def falling(start: float) -> Any:
-    """Schedule from `start` to zero, a function of the remaining share of the run.
-
-    The last update may come after the last step asked for, at a share below zero.
-    """
-    return lambda remaining: start * max(remaining, 0.0)
 
 
 def learn(run: RunFolder, config: Config) -> int:

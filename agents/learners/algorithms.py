@@ -14,11 +14,14 @@ from functools import cache
 from types import UnionType
 from typing import Any, get_args, get_origin
 
+import numpy as np
+
 from dynamics.description import validate
 
 NUMBER = (int, float)
 DISCRETE = ("dqn", "maskable-ppo", "qrdqn")  # algorithms without continuous actions
-ON_TENSORS = ("rsl-ppo",)  # algorithms whose batch is `rsl.Arms`, on any device
+DIFFERENTIATED = ("shac",)  # algorithms that take gradients through the arms
+ON_TENSORS = ("rsl-ppo", *DIFFERENTIATED)  # algorithms whose batch is `arms.Arms`
 DEVICES = ("cpu", "cuda")
 POLICIES = ("MlpPolicy", "LinearPolicy", "MlpLstmPolicy")  # policies of one vector of observations
 # Set by the run, or objects that no file can hold
@@ -48,7 +51,7 @@ def name_of(algorithm: type) -> str:
 
 @cache
 def algorithms() -> dict[str, Any]:
-    """Classes of the algorithms with continuous actions, by name; DAgger is our own."""
+    """Classes of the algorithms with continuous actions, by name; DAgger and SHAC are our own."""
     import sb3_contrib
     import stable_baselines3
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -57,6 +60,7 @@ def algorithms() -> dict[str, Any]:
     from agents.learners.dagger import DAgger
     from agents.learners.recurrent import RecurrentPPO
     from agents.learners.rsl import RslPPO
+    from agents.learners.shac import SHAC
 
     found = [
         thing
@@ -64,7 +68,7 @@ def algorithms() -> dict[str, Any]:
         for thing in vars(package).values()
         if isinstance(thing, type) and issubclass(thing, BaseAlgorithm)
     ]
-    own = (ARS, DAgger, RecurrentPPO, RslPPO)
+    own = (ARS, DAgger, RecurrentPPO, RslPPO, SHAC)
     named = {name_of(algorithm): algorithm for algorithm in (*found, *own)}
     return {name: named[name] for name in sorted(named) if name not in DISCRETE}
 
@@ -148,18 +152,33 @@ def plain_types(annotation: Any) -> tuple[type, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def check_device(name: str, experiment: Mapping[str, Any]) -> None:
-    """Refuse a GPU for algorithms on arrays, and what algorithms on tensors do not have."""
-    device = experiment.get("device", "cpu")
-    validate.choice(device, "device", DEVICES)
-    if name not in ON_TENSORS:
-        if device != "cpu":
-            raise ValueError(
-                f"device must be 'cpu' for {name}, got {device!r}; on a GPU trains "
-                f"agent.name: {ON_TENSORS[0]}."
-            )
-        return
-    normalize = experiment["env"].get("normalize")
-    for where, given in (("env.normalize", normalize), ("base", experiment.get("base"))):
-        if given:
-            raise ValueError(f"{where} is not for {name}: leave it out, or take agent.name: ppo.")
+def learner_kwargs(given: Mapping[str, Any], action_shape: tuple[int, ...]) -> dict[str, Any]:
+    """Keywords of the learner's class: texts of the file become schedules, classes and noise."""
+    import torch
+    from stable_baselines3.common import noise
+
+    activations = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU, "elu": torch.nn.ELU}
+    noises = {
+        "normal": noise.NormalActionNoise,
+        "ornstein-uhlenbeck": noise.OrnsteinUhlenbeckActionNoise,
+    }
+    kwargs = dict(given)
+    network = kwargs["policy_kwargs"] = dict(kwargs.pop("policy_kwargs", {}))
+    if "activation_fn" in network:
+        network["activation_fn"] = activations[network["activation_fn"]]
+    for key, value in kwargs.items():
+        if isinstance(value, str) and value.startswith("lin_"):
+            kwargs[key] = falling(float(value.removeprefix("lin_")))
+    kind, deviation = kwargs.pop("noise_type", "normal"), kwargs.pop("noise_std", None)
+    if deviation is not None:
+        zero = np.zeros(action_shape)
+        kwargs["action_noise"] = noises[kind](mean=zero, sigma=zero + deviation)
+    return kwargs
+
+
+def falling(start: float) -> Any:
+    """Schedule from `start` to zero, a function of the remaining share of the run.
+
+    The last update may come after the last step asked for, at a share below zero.
+    """
+    return lambda remaining: start * max(remaining, 0.0)

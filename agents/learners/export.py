@@ -9,7 +9,7 @@ from zipfile import ZipFile
 
 import numpy as np
 
-from agents.learners.algorithms import ON_TENSORS, algorithms, name_of
+from agents.learners.algorithms import algorithms, name_of
 from agents.policy import (
     ACTIVATIONS,
     LARGEST_LAYER,
@@ -123,7 +123,7 @@ def actor(model: Any) -> tuple[list[tuple[AnyArray, AnyArray]], list[Any]]:
 
     policy = model.policy
     squashed = [torch.nn.Tanh()]
-    if name_of(type(model)) in ON_TENSORS:
+    if isinstance(policy, torch.nn.ModuleDict):
         return [], list(policy["actor"].mlp)
     if isinstance(policy, ActorCriticPolicy):
         recurrent = isinstance(policy, RecurrentActorCriticPolicy)

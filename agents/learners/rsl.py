@@ -6,66 +6,15 @@ Rollouts and updates stay on the device; runs, checkpoints and logs take it as a
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
+from agents.learners.arms import Arms, on_host
 from dynamics.description import validate
 from dynamics.extras import missing
-from flexarm_env import TorchVecEnv
 
 Schedule = Callable[[float], float]  # of the remaining share of the run
-
-
-class Arms:
-    """A batch of arms with dicts of tensors: "observation", and "privileged" for the critic.
-
-    Parameters
-    ----------
-    envs : the batch.
-    stack : number of latest observations that are given; zeros precede an episode's first.
-    """
-
-    def __init__(self, envs: TorchVecEnv, stack: int) -> None:
-        space = envs.single_observation_space
-        if not isinstance(space, gym.spaces.Box):
-            raise ValueError("obs='goal' gives dicts, which rsl-ppo does not take; leave obs out.")
-        self.envs, self.num_envs = envs, envs.num_envs
-        low, high = np.tile(space.low, stack), np.tile(space.high, stack)
-        self.observation_space = gym.spaces.Box(low, high)
-        self.action_space = envs.single_action_space
-        self._latest = torch.zeros((self.num_envs, low.size), device=envs.device)
-        self._seed: int | None = None
-
-    def seed(self, seed: int | None) -> None:
-        """Seed the next reset."""
-        self._seed = seed
-
-    def reset(self) -> Any:
-        """Start episodes in all environments."""
-        obs, _ = self.envs.reset(seed=self._seed)
-        self._seed = None
-        return self._observed(obs, torch.ones_like(self._latest[:, 0], dtype=torch.bool))
-
-    def step(self, actions: Any) -> tuple[Any, ...]:
-        """Observation, reward, ended, out of time, and info."""
-        given = torch.as_tensor(actions, device=self.envs.device)
-        obs, reward, terminated, truncated, info = self.envs.step(given)
-        ended = terminated | truncated
-        return self._observed(obs, ended), reward.float(), ended, truncated & ~terminated, info
-
-    def close(self) -> None:
-        """Close the batch."""
-        self.envs.close()
-
-    def _observed(self, obs: torch.Tensor, begun: torch.Tensor) -> Any:
-        from tensordict import TensorDict
-
-        before = self._latest[:, obs.shape[1] :].masked_fill(begun[:, None], 0.0)
-        self._latest = torch.cat([before, obs], dim=1)
-        parts = {"observation": self._latest, "privileged": self.envs.privileged()}
-        return TensorDict(parts, batch_size=[self.num_envs], device=self.envs.device)
 
 
 def networks(
@@ -139,7 +88,7 @@ class RslPPO(OnPolicyAlgorithm):
             raise missing(error, "agent.name: rsl-ppo", "tensors") from None
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
-        self._last_obs = obs = self.env.reset()
+        self._last_obs = obs = grouped(self.env.reset())
         size = self.action_space.shape[0]
         groups = {"actor": ["observation"], "critic": ["observation", "privileged"]}
         actor, critic = networks(**self.policy_kwargs)
@@ -173,10 +122,11 @@ class RslPPO(OnPolicyAlgorithm):
         callback.on_rollout_start()
         for _ in range(n_rollout_steps):
             actions = self.ppo.act(self._last_obs)
-            self._last_obs, reward, ended, late, info = env.step(actions)
+            obs, reward, ended, late, info = env.step(actions)
+            self._last_obs = grouped(obs)
             self.ppo.process_env_step(self._last_obs, reward, ended, {"time_outs": late.float()})
             self.num_timesteps += env.num_envs
-            rewards, dones, infos = _on_host(reward, ended, late, info)
+            rewards, dones, infos = on_host(reward, ended, late, info)
             callback.update_locals({"rewards": rewards, "dones": dones, "infos": infos})
             if not callback.on_step():
                 return False
@@ -199,14 +149,8 @@ class RslPPO(OnPolicyAlgorithm):
         return ["policy", "ppo.optimizer"], []
 
 
-def _on_host(
-    reward: torch.Tensor, ended: torch.Tensor, late: torch.Tensor, info: dict[str, Any]
-) -> tuple[Any, Any, dict[int, dict[str, Any]]]:
-    """Rewards, ends, and the info of ended episodes by environment; one transfer."""
-    columns = (reward, ended, late, info["tip_error"], info["settled"])
-    rewards, dones, timed, error, settled = torch.stack([x.float() for x in columns]).cpu().numpy()
-    infos = {
-        i: {"TimeLimit.truncated": bool(timed[i]), "tip_error": error[i], "settled": settled[i]}
-        for i in np.flatnonzero(dones).tolist()
-    }
-    return rewards, dones, infos
+def grouped(observations: dict[str, torch.Tensor]) -> Any:
+    """Observations as rsl_rl takes them."""
+    from tensordict import TensorDict
+
+    return TensorDict(observations, batch_size=[len(observations["observation"])])

@@ -20,7 +20,7 @@ KWARGS = toys.KWARGS | {
     "ppo": {"n_steps": 16, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}},
     "sac": {"batch_size": 16, "learning_starts": 64, "buffer_size": 4096},
 }
-KWARGS["rsl-ppo"] = KWARGS["ppo"]
+KWARGS["rsl-ppo"] = KWARGS["shac"] = KWARGS["ppo"]
 
 
 def write_config(folder: Path, name: str, total_steps: int, **env: Any) -> Path:

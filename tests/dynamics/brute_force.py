@@ -351,8 +351,7 @@ def _beam(
     if shorten == FOURTH_ORDER:
         further = _to_second_order(link, delta, x, mass, p, R)[1:]
         found += [(k, 0.0 * polar, at, section) for k, at in further]
-        end, none = np.array([link.length]), np.zeros((1, 3, 3))
-        m = np.array([_condensed_mass(link)])
+        end, m, none = np.array([link.length]), np.array([_condensed_mass(link)]), 0.0 * polar[:1]
         whole = p + _product(R, _deflection(link, delta, end, True)[0])
         found.append((m, none, whole, R))
         found += [(-k, none, at, R) for k, at in _to_second_order(link, delta, end, m, p, R)]
@@ -364,8 +363,7 @@ def _light_tip(arm: Arm, i: int, count: int) -> bool:
     link, payload = arm.links[-1], arm.payload
     inertia = np.array(link.tip_inertia)
     if payload:
-        com = np.array(payload.com)
-        inertia = inertia + np.array(payload.inertia)
+        com, inertia = np.array(payload.com), inertia + np.array(payload.inertia)
         inertia += payload.mass * ((com @ com) * np.eye(3) - np.outer(com, com))
     small = np.abs(inertia).max() <= 1e-3 * link.rho_A * link.length**3 / 3.0
     return bool(i == count - 1 and small)

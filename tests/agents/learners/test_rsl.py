@@ -10,6 +10,7 @@ import yaml
 
 from agents.config import ConfigError, config_from_dict
 from agents.learners.export import export_policy
+from agents.learners.rsl import grouped
 from agents.training import build_model
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, KWARGS, one_sentence, write_config
@@ -33,7 +34,7 @@ def test_the_stored_policy_acts_as_the_actor_over_ends_of_episodes() -> None:
     for _ in range(30):
         newest = obs["observation"][:, -size:].numpy()
         action, state = policy.predict(newest, state, starts)
-        expected = learner.policy["actor"](obs).clamp(-1.0, 1.0).detach()
+        expected = learner.policy["actor"](grouped(obs)).clamp(-1.0, 1.0).detach()
         np.testing.assert_allclose(action, expected.numpy(), atol=5e-6)
         obs, _, ended, _, _ = learner.env.step(torch.rand(8, 1) - 0.5)
         starts = ended.numpy()
