@@ -260,7 +260,7 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
             place[...] = action
         except (TypeError, ValueError):
             raise ValueError(
-                f"An action must be {place.size} numbers in [-1, 1], got {shown(action)}."
+                f"An action must have shape ({place.size},), in [-1, 1], got {shown(action)}."
             ) from None
 
     def render(self) -> NDArray[np.uint8] | None:
