@@ -124,8 +124,7 @@ def resisting_forces(arm: Arm, q: Array, v: Array, dampers: bool = True) -> Arra
     for (link, welded, spring), (turn, delta), (rate, delta_dot) in zip(
         _parts(arm), _by_part(arm, q), _by_part(arm, v), strict=True
     ):
-        K = np.zeros((len(delta), len(delta)))
-        C = link.damping_beta * K
+        K, C = np.zeros((2, len(delta), len(delta)))
         x, weights = 0.5 * link.length * (NODES + 1.0), 0.5 * link.length * WEIGHTS
         root = np.zeros(len(delta))
         for j, mode in enumerate(link.modes):
@@ -143,10 +142,9 @@ def resisting_forces(arm: Arm, q: Array, v: Array, dampers: bool = True) -> Arra
                     K[j, k] = EI * weights @ (s.curvature(x) * r.curvature(x))
             twist = mode.direction == "x"
             m = (link.rho_Ip if twist else link.rho_A) * weights @ s.value(x) ** 2
-            axis = {"x": 0, "z": 1, "y": 2, "axial": 0}[mode.direction]  # about which the tip turns
-            turn = s.slope(link.length) if mode.direction in "yz" else twist * s.value(link.length)
-            m += link.tip_inertia[axis][axis] * turn**2
-            m += 0.0 if twist else link.tip_mass * s.value(link.length) ** 2
+            m += (link.tip_inertia[0][0] if twist else link.tip_mass) * s.value(link.length) ** 2
+            about = {"z": link.tip_inertia[1][1], "y": link.tip_inertia[2][2]}
+            m += about.get(mode.direction, 0.0) * s.slope(link.length) ** 2
             C[j, j] = 2.0 * link.damping_ratio * np.sqrt(K[j, j] * m)
         twists = np.array([mode.direction == "x" for mode in link.modes], dtype=bool)
         torsion = link.damping_beta_torsion
