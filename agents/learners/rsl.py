@@ -42,8 +42,8 @@ def networks(
 class RslPPO(OnPolicyAlgorithm):
     """PPO of rsl_rl, whose critic also sees the true state and drawn parameters.
 
-    Keywords are those of stable-baselines3's PPO, and `desired_kl`, to which the learning rate
-    adapts; None: the rate as given.
+    Keywords have the names of stable-baselines3's PPO. Without a `batch_size` an update takes the
+    whole rollout. The learning rate adapts to a divergence `desired_kl`, if one is given.
     """
 
     policy_aliases: ClassVar[dict[str, Any]] = {"MlpPolicy": networks}
@@ -54,7 +54,7 @@ class RslPPO(OnPolicyAlgorithm):
         env: Arms,
         learning_rate: float | Schedule = 1e-3,
         n_steps: int = 32,
-        batch_size: int = 2048,
+        batch_size: int | None = None,
         n_epochs: int = 5,
         gamma: float = 0.99,
         gae_lambda: float = 0.95,
@@ -89,7 +89,7 @@ class RslPPO(OnPolicyAlgorithm):
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         self._last_obs = obs = grouped(self.env.reset())
-        size = self.action_space.shape[0]
+        size, rollout = self.action_space.shape[0], self.n_steps * self.n_envs
         groups = {"actor": ["observation"], "critic": ["observation", "privileged"]}
         actor, critic = networks(**self.policy_kwargs)
         self.policy = torch.nn.ModuleDict({
@@ -101,7 +101,7 @@ class RslPPO(OnPolicyAlgorithm):
             self.policy["critic"],
             RolloutStorage("rl", self.n_envs, self.n_steps, obs, [size], self.device),
             num_learning_epochs=self.n_epochs,
-            num_mini_batches=self.n_steps * self.n_envs // self.batch_size,
+            num_mini_batches=rollout // (self.batch_size or rollout),
             clip_param=self.clip_range,
             gamma=self.gamma,
             lam=self.gae_lambda,
