@@ -44,6 +44,7 @@ QUICK = {
     "dynamics/simulation/test_case_file.py",
     "dynamics/simulation/test_large_deflection.py",
     "dynamics/tracing/test_adjoint.py",
+    "dynamics/tracing/test_differentiated.py",
     "dynamics/tracing/test_recorded_steps.py",
     "dynamics/tracing/test_statements.py",
     "flexarm_env/task/test_reward_terms.py",

@@ -125,6 +125,8 @@ class _Derivation:
         pairs = zip(self._slots(target, rows.count), self._slots(source, rows.count), strict=True)
         function = written(name, code, {to: code.load(slot) for to, slot in pairs})
         self._primal[name] = function
+        self._changed |= set(stores(function))
+        self._passive -= self._changed
         self.functions.append(function)
         return name
 
