@@ -12,9 +12,17 @@ from benchmarks.peers.beam import Beam, beam, equations, tips
 from benchmarks.peers.models import Shapes, compiled, our_run
 from benchmarks.peers.scenes import SCENES, SWUNG
 from benchmarks.peers.truth import motion
-from dynamics import Arm
+from dynamics import Arm, load_arm
+from dynamics.accuracy.scene import JointMotion
+from dynamics.simulation.case_file import PiecewiseConstant, Torque
 from dynamics.types import Array
+from flexarm_env.certify.certificate import Certifier
+from flexarm_env.certify.episodes import Trace
+from flexarm_env.registration import SCENES as ENVIRONMENTS
 from tests.dynamics.beam_elements import beam_frequencies
+
+ONE_LINK = ENVIRONMENTS["OneLink"]  # preset, control step [s], control steps
+KINDS = ("white", "held", "bang-bang", "sines")  # of episodes that start at rest
 
 
 def apart(a: Array, b: Array, scene: str) -> float:
@@ -124,3 +132,34 @@ def test_the_error_without_axial_modes_is_the_stretch_by_the_spin() -> None:
     )
     assert stiff == pytest.approx(missing, rel=0.05)
     assert np.log2(four / eight) > 2.5
+
+
+@pytest.mark.slow
+def test_the_reference_of_certificates_follows_the_exact_beam_in_whole_episodes() -> None:
+    """One link without damping, at full torque, and the default's error from either."""
+    name, dt, steps = ONE_LINK
+    arm = load_arm(name)
+    arm = replace(arm, links=(replace(arm.links[0], damping_ratio=0.0),))
+    certifier = Certifier(arm, {"control_dt": dt}, steps, kinds=KINDS, count=1)
+    core, episodes = certifier.default(), certifier.episodes
+    own, reference = certifier.trace(core.integrator, core.substeps), certifier.reference
+    exact, times = beam(arm, 7), tuple((dt * np.arange(steps)).tolist())
+    for row, kind in enumerate(episodes.kinds):
+        torques = episodes.actions[:, row, 0].astype(np.float32) * core.torque_limit[0]
+        signal = PiecewiseConstant(times=times, values=tuple(torques.tolist()))
+        load = JointMotion(
+            joint_angles=tuple(episodes.q[row, :1].tolist()),
+            joint_rates=(0.0,),
+            t_end=dt * steps,
+            torque=Torque(
+                signals=(PiecewiseConstant(times=times, values=tuple(torques.tolist())),)
+            ),
+        )
+        truth, valid = tips(exact, load, dt)[1:, 1:], reference.valid[:, row]
+
+        def error(trace: Trace, other: Array, row: int = row, valid: Array = valid) -> float:
+            gaps = np.linalg.norm(trace.tips[:, row, :2] - other, axis=1)
+            return float(gaps[valid].max()) / arm.reach
+
+        assert error(reference, truth) < 5e-4, kind
+        assert error(own, truth) == pytest.approx(error(own, reference.tips[:, row, :2]), rel=0.15)

@@ -15,6 +15,7 @@ import torch
 from tests.paths import ROOT
 
 HERE = ("sb3_ppo", "sb3_contrib_trpo", "cleanrl_ppo")  # need no further library
+STRAIN = "least_strain"
 SHORT = ("--steps", "256", "--episodes", "2")
 APART = {  # script and arguments: libraries that it needs
     ("torchrl_ppo", *SHORT): ("torchrl",),
@@ -95,9 +96,27 @@ def test_the_shortest_example_learns(
     assert "100 %" in row[0]
 
 
+@pytest.mark.slow
+def test_the_move_of_least_strain_bends_less_and_ends_still(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the single environment, for a second after the move."""
+    monkeypatch.setattr(sys, "argv", [STRAIN])
+    monkeypatch.setenv("COLUMNS", "120")
+    runpy.run_path(str(ROOT / "examples" / f"{STRAIN}.py"), run_name="__main__")
+    out = capsys.readouterr().out
+    rows = [
+        re.findall(rf"{name}[^│]*│ *([^ ]+) *│ *([^ ]+)", out) for name in ("largest c", "curv")
+    ]
+    (torque, strain), after = (tuple(map(float, row[0])) for row in rows)
+    assert strain < 0.8 * torque
+    assert max(after) < 1e-6
+
+
 def test_every_example_is_tested_and_shown() -> None:
     names = {path.stem for path in (ROOT / "examples").glob("*.py")}
-    assert names == {*HERE, *(command[0] for command in APART)}
-    page = (ROOT / "docs" / "libraries.md").read_text(encoding="utf-8")
+    assert names == {*HERE, *(command[0] for command in APART), STRAIN}
+    pages = [ROOT / "docs" / name for name in ("libraries.md", "gradients.md")]
+    shown = "".join(page.read_text(encoding="utf-8") for page in pages)
     for name in names:
-        assert f"examples/{name}.py" in page
+        assert f"examples/{name}.py" in shown
