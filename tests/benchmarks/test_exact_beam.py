@@ -151,9 +151,7 @@ def test_the_reference_of_certificates_follows_the_exact_beam_in_whole_episodes(
             joint_angles=tuple(episodes.q[row, :1].tolist()),
             joint_rates=(0.0,),
             t_end=dt * steps,
-            torque=Torque(
-                signals=(PiecewiseConstant(times=times, values=tuple(torques.tolist())),)
-            ),
+            torque=Torque(signals=(signal,)),
         )
         truth, valid = tips(exact, load, dt)[1:, 1:], reference.valid[:, row]
 
