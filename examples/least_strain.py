@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from scipy.optimize import minimize
 
@@ -134,7 +135,7 @@ def main() -> None:
         rows[least] = replayed(arguments.id, move, actions) | taken
     table = Table("", *(f"least {name}" for name in rows))
     for quantity in rows["strain"]:
-        table.add_row(quantity, *(f"{row[quantity]:.2g}" for row in rows.values()))
+        table.add_row(escape(quantity), *(f"{row[quantity]:.2g}" for row in rows.values()))
     Console().print(table)
 
 

@@ -11,7 +11,7 @@ from flexarm_env.compiled.settings import Settings
 from flexarm_env.compiled.termination import FLAGS
 from flexarm_env.core import Core
 
-LIVELIER = 2  # times as many numbers live within an adjoint: so many times fewer lanes fit a cache
+FEWER = 4  # times fewer lanes than in a step: numbers of an adjoint live long, and must fit a cache
 
 
 class Recorded(NamedTuple):
@@ -45,7 +45,7 @@ class Derivatives:
                 "loops; leave it out or take 'numerov'."
             )
         self._core = core
-        lanes = max(1, core.model.lanes // LIVELIER) if core.n_env > 1 else 1
+        lanes = max(1, core.model.lanes // FEWER) if core.n_env > 1 else 1
         self._program = core.model.program(
             lanes, core.integrator, core.signals.addition, derivatives=True
         )
