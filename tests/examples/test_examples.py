@@ -105,10 +105,9 @@ def test_the_move_of_least_strain_bends_less_and_ends_still(
     monkeypatch.setenv("COLUMNS", "120")
     runpy.run_path(str(ROOT / "examples" / f"{STRAIN}.py"), run_name="__main__")
     out = capsys.readouterr().out
-    rows = [
-        re.findall(rf"{name}[^│]*│ *([^ ]+) *│ *([^ ]+)", out) for name in ("largest c", "curv")
-    ]
-    (torque, strain), after = (tuple(map(float, row[0])) for row in rows)
+    numbers = r"[^│]*│ *([^ ]+) *│ *([^ ]+)"
+    rows = [re.findall(name + numbers, out)[0] for name in ("largest curvature", "curvature after")]
+    (torque, strain), after = (tuple(map(float, row)) for row in rows)
     assert strain < 0.8 * torque
     assert max(after) < 1e-6
 
