@@ -23,7 +23,7 @@ class SHAC(OnPolicyAlgorithm):
     """Keywords are those of stable-baselines3's PPO; `tau` is of the critic's copy.
 
     An update of the actor takes one gradient of the whole rollout, then the critic takes `n_epochs`
-    on minibatches of it.
+    on minibatches of it (`batch_size` None: on all of it).
     """
 
     policy_aliases: ClassVar[dict[str, Any]] = {"MlpPolicy": ActorCriticPolicy}
@@ -34,7 +34,7 @@ class SHAC(OnPolicyAlgorithm):
         env: Arms,
         learning_rate: float | Schedule = 2e-3,
         n_steps: int = 32,
-        batch_size: int = 512,
+        batch_size: int | None = None,
         n_epochs: int = 8,
         gamma: float = 0.99,
         gae_lambda: float = 0.95,
@@ -98,7 +98,7 @@ class SHAC(OnPolicyAlgorithm):
         seen, wanted = torch.cat(self._seen), torch.cat(self._wanted())
         losses = []
         for _ in range(self.n_epochs):
-            for rows in torch.randperm(len(seen)).split(self.batch_size):
+            for rows in torch.randperm(len(seen)).split(self.batch_size or len(seen)):
                 found = self.policy.predict_values(seen[rows]).squeeze(1)
                 losses.append(torch.nn.functional.mse_loss(found, wanted[rows]))
                 self._descend(losses[-1])

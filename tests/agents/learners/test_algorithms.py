@@ -9,7 +9,7 @@ from agents.config import ConfigError, config_from_dict
 from agents.learners.algorithms import DISCRETE, algorithms, policies, policy_settings, settings
 
 NAMES = ["a2c", "ars", "crossq", "ddpg", "ppo", "recurrent-ppo"]
-NAMES += ["rsl-ppo", "sac", "td3", "tqc", "trpo"]
+NAMES += ["rsl-ppo", "sac", "shac", "td3", "tqc", "trpo"]
 ENV = {"id": "FlexArm/OneLink-Reach-v0"}
 
 
