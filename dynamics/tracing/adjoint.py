@@ -11,7 +11,7 @@ reading to counts ("rounded"), and passes derivatives as if it did not round; a 
 elementary function counts turns, and has derivative zero.
 """
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 
 from dynamics.tracing.function import Function, written
 from dynamics.tracing.ssa import Code
@@ -67,9 +67,10 @@ def adjoint(function: Function, mirror: int, passive: Collection[int] = ()) -> F
         elif op in ("neg", "rounded"):
             add(args[0], bar, "-" if op == "neg" else "+")
         else:
-            for argument, factor, sign in _partials(code, op, args, place):
+            for k, argument in enumerate(args):
                 if active[argument]:
-                    add(argument, code.emit("*", bar, factor()), sign)
+                    factor, sign = _slope(code, op, [place.get(a) for a in args], k)
+                    add(argument, code.emit("*", bar, factor), sign)
     for slot, bar in found.items():
         if slot not in results:
             found[slot] = code.emit("+", code.load(mirror + slot), bar)
@@ -98,9 +99,10 @@ def tangent(function: Function, mirror: int, passive: Collection[int] = ()) -> F
             dots[v] = _signed(code, "-" if op == "neg" else "+", None, dots[args[0]])
         else:
             total = None
-            for argument, factor, sign in _partials(code, op, args, place):
+            for k, argument in enumerate(args):
                 if argument in dots:
-                    total = _signed(code, sign, total, code.emit("*", dots[argument], factor()))
+                    factor, sign = _slope(code, op, [place[a] for a in args], k)
+                    total = _signed(code, sign, total, code.emit("*", dots[argument], factor))
             dots[v] = code.constant(0.0) if total is None else total
     outputs = {slot: place[value] for slot, value in results.items()}
     for slot, value in results.items():
@@ -164,40 +166,30 @@ def _replayed(source: Code, values: Iterable[int], code: Code) -> dict[int, int]
     return place
 
 
-def _partials(
-    code: Code, op: str, args: tuple[int, ...], place: dict[int, int]
-) -> list[tuple[int, Callable[[], int], str]]:
-    """Operand, factor and sign of each partial derivative of a nonlinear operation."""
-    emit, constant = code.emit, code.constant
-    a, b = args[0], args[-1]
+def _slope(code: Code, op: str, x: list[int | None], k: int) -> tuple[int, str]:
+    """Factor and sign of the partial derivative of a nonlinear operation by its operand k.
 
-    def x(value: int) -> int:
-        return place[value]
-
-    def step(first: int, second: int, of: str = "less") -> int:
-        return emit(of, first, second)
-
+    `x` are the operands; one that the derivative does not need may be missing.
+    """
     if op == "*":
-        return [(a, lambda: x(b), "+"), (b, lambda: x(a), "+")]
+        return _needed(x[1 - k]), "+"
+    emit, zero, one = code.emit, code.constant(0.0), code.constant(1.0)
+    a, b = _needed(x[0]), _needed(x[-1])
     if op == "/":
-        inverse = lambda: emit("/", constant(1.0), x(b))  # noqa: E731
-        ratio = lambda: emit("*", emit("/", x(a), x(b)), inverse())  # noqa: E731
-        return [(a, inverse, "+"), (b, ratio, "-")]
-    zero = constant(0.0)
+        inverse = emit("/", one, b)
+        return (inverse, "+") if k == 0 else (emit("*", emit("/", a, b), inverse), "-")
     if op == "abs":
-        return [(a, lambda: emit("-", step(zero, x(a)), step(x(a), zero)), "+")]
+        return emit("-", emit("less", zero, a), emit("less", a, zero)), "+"
     if op == "sqrt":
-
-        def slope() -> int:
-            root = emit("sqrt", x(a))
-            positive = step(zero, root)
-            twice = emit("+", emit("+", root, root), emit("-", constant(1.0), positive))
-            return emit("/", positive, twice)
-
-        return [(a, slope, "+")]
+        root = emit("sqrt", a)
+        positive = emit("less", zero, root)
+        return emit("/", positive, emit("+", emit("+", root, root), emit("-", one, positive))), "+"
     if op in ("min", "max"):
-        first = lambda: (  # noqa: E731
-            step(x(a), x(b), "at_most") if op == "min" else step(x(b), x(a), "at_most")
-        )
-        return [(a, first, "+"), (b, lambda: emit("-", constant(1.0), first()), "+")]
+        first = emit("at_most", *((a, b) if op == "min" else (b, a)))
+        return (first if k == 0 else emit("-", one, first)), "+"
     raise TypeError(f"No derivative of operation {op!r}; add it to tracing/adjoint.py.")
+
+
+def _needed(number: int | None) -> int:
+    assert number is not None
+    return number
