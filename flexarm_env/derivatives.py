@@ -26,6 +26,14 @@ class Recorded(NamedTuple):
     stack: Array  # (rows, width) numbers that the derivatives need
 
 
+class Along(NamedTuple):
+    """Derivatives of what a step gives along a direction; arrays as those of `Recorded`."""
+
+    after: Array
+    obs: AnyArray
+    info: Array
+
+
 class Derivatives:
     """Control steps of the environments of `core`, and their derivatives.
 
@@ -56,21 +64,11 @@ class Derivatives:
 
     def record(self, state: Array, actions: AnyArray) -> Recorded:
         """A control step from `state`, which is left as it is."""
-        core, dtype = self._core, self._core.model.dtype
-        after = aligned_zeros(state.shape, dtype)
-        after[...] = state
-        made = Recorded(
-            state,
-            actions,
-            after,
-            np.zeros((core.n_env, core.layout.size), actions.dtype),
-            aligned_zeros((core.signals.info.total, state.shape[1]), dtype),
-            aligned_zeros((len(FLAGS), state.shape[1]), np.bool_),
-            aligned_zeros((self._depth, state.shape[1]), dtype),
-        )
-        stored = made.obs, made.info, made.flags, made.stack
-        self._run(self._program.record, actions, after, *stored)
-        return made
+        after, dtype = _copy(state), self._core.model.dtype
+        stored = self._stored(state, actions)
+        stack = aligned_zeros((self._depth, state.shape[1]), dtype)
+        self._run(self._program.record, actions, after, *stored, stack)
+        return Recorded(state, actions, after, *stored, stack)
 
     def pull_back(
         self, step: Recorded, after: Array, obs: AnyArray, info: Array
@@ -82,35 +80,32 @@ class Derivatives:
         step : of `record`.
         after, obs, info : cotangents of the arrays of these names; they are left as they are.
         """
-        before, actions = aligned_zeros(after.shape, after.dtype), np.zeros_like(step.actions)
-        before[...] = after
+        before, actions = _copy(after), np.zeros_like(step.actions)
         mirrors = actions, before, obs, info
         self._run(self._program.pull_back, step.actions, step.before, step.stack, *mirrors)
         return before, actions
 
-    def push_forward(self, state: Array, actions: AnyArray, along: Array, by: AnyArray) -> Recorded:
+    def push_forward(self, state: Array, actions: AnyArray, along: Array, by: AnyArray) -> Along:
         """Derivatives of a step's results along a direction of the state and of the actions.
 
         Parameters
         ----------
         state, actions : before the step.
         along, by : (rows, width) direction of the state, (N, n_torque) direction of the actions.
-
-        Returns
-        -------
-        `Recorded` whose `after`, `obs` and `info` are derivatives.
         """
-        core, dtype = self._core, self._core.model.dtype
-        after, moved = aligned_zeros(state.shape, dtype), aligned_zeros(state.shape, dtype)
-        after[...], moved[...] = state, along
-        obs, obs_dot = (np.zeros((core.n_env, core.layout.size), actions.dtype) for _ in range(2))
-        info, info_dot = (
-            aligned_zeros((core.signals.info.total, state.shape[1]), dtype) for _ in range(2)
+        moved, (obs, info, _) = _copy(along), self._stored(state, actions)
+        given = (_copy(state), *self._stored(state, actions), by, moved, obs, info)
+        self._run(self._program.push_forward, actions, *given)
+        return Along(moved, obs, info)
+
+    def _stored(self, state: Array, actions: AnyArray) -> tuple[AnyArray, Array, AnyArray]:
+        """New arrays of observations, info and flags."""
+        core, width = self._core, state.shape[1]
+        return (
+            np.zeros((core.n_env, core.layout.size), actions.dtype),
+            aligned_zeros((core.signals.info.total, width), core.model.dtype),
+            aligned_zeros((len(FLAGS), width), np.bool_),
         )
-        flags = aligned_zeros((len(FLAGS), state.shape[1]), np.bool_)
-        mirrors = by, moved, obs_dot, info_dot
-        self._run(self._program.push_forward, actions, after, obs, info, flags, *mirrors)
-        return Recorded(state, actions, moved, obs_dot, info_dot, flags, moved[:0])
 
     def _run(self, entry: Any, actions: AnyArray, state: Array, *arrays: AnyArray) -> None:
         """Run an entry point on all environments."""
@@ -120,16 +115,11 @@ class Derivatives:
             for w in self._workspaces:
                 core.fill_constants(w, self._program)
 
-        def chunks(thread: int) -> None:
-            entry(
-                rows,
-                thread,
-                core.substeps,
-                core.dt,
-                actions,
-                state,
-                self._workspaces[thread],
-                *arrays,
-            )
+        given = core.substeps, core.dt, actions, state
+        core.pool.run(lambda k: entry(rows, k, *given, self._workspaces[k], *arrays))
 
-        core.pool.run(chunks)
+
+def _copy(values: Array) -> Array:
+    result = aligned_zeros(values.shape, values.dtype)
+    result[...] = values
+    return result

@@ -12,6 +12,7 @@ elementary function counts turns, and has derivative zero.
 """
 
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 
 from dynamics.tracing.function import Function, written
 from dynamics.tracing.ssa import Code
@@ -120,8 +121,7 @@ def _signed(code: Code, sign: str, a: int | None, b: int | None) -> int:
 
 
 def _named(function: Function, kind: str, code: Code, outputs: dict[int, int]) -> Function:
-    made = written(f"{function.name}_{kind}", code, outputs)
-    return Function(made.name, made.code, made.stores, function.loose)
+    return replace(written(f"{function.name}_{kind}", code, outputs), loose=function.loose)
 
 
 def _active(function: Function, passive: Collection[int]) -> list[bool]:

@@ -7,7 +7,7 @@ import pytest
 
 from dynamics.runtime.jit import aligned_zeros
 from flexarm_env.core import Core
-from flexarm_env.derivatives import Derivatives, Recorded
+from flexarm_env.derivatives import Along, Derivatives, Recorded
 from flexarm_env.task.tasks import TASKS
 
 N = 5
@@ -68,7 +68,7 @@ def direction(core: Core) -> tuple[Any, Any]:
     return aligned(along), 0.1 * rng.normal(size=(N, core.arm.n_torque))
 
 
-def results(step: Recorded) -> Any:
+def results(step: Recorded | Along) -> Any:
     """All numbers that a step gives, a row per environment."""
     return np.concatenate([step.after[:, :N].T, step.obs, step.info[:, :N].T], axis=1)
 

@@ -18,9 +18,7 @@ from dynamics.tracing.statements import (
     Copy,
     Load,
     Noise,
-    Pop,
     Prefetch,
-    Push,
     Rows,
     Statement,
     Statements,
@@ -180,12 +178,6 @@ def _line(statement: Statement, routines: Mapping[str, Statements]) -> list[str]
         case Store(slots, rows):
             value = f"w[{slots} + k]" + (" != 0" if rows.array == "flags" else "")
             return _each(f"N_{rows.name}", f"{_element(rows)} = {value};")
-        case Push(slots, skipped, number):
-            saved = f"stack[(top + k) * count + i] = w[{slots} + {skipped} + k];"
-            return [*_each(str(number), saved), f"top += {number};"]
-        case Pop(slots, skipped, number):
-            restored = f"w[{slots} + {skipped} + k] = stack[(top + k) * count + i];"
-            return [f"top -= {number};", *_each(str(number), restored)]
         case Substeps(body):
             return _block("for (int s = 0; s < substeps; ++s)", _lines(body, routines))
         case WhereLost(flag, restored, then, given):
@@ -194,6 +186,7 @@ def _line(statement: Statement, routines: Mapping[str, Statements]) -> list[str]
             return _block(f"if (w[{flag}] > 0)", lines)
         case WhereEnded(flags):
             return _block(f"if (w[{flags}] != 0 || w[{flags} + 1] != 0)", [_RESTARTED])
+    raise TypeError(f"The CUDA backend has no kernels of derivatives, so no {statement}.")
 
 
 def _number(slots: str) -> str:
