@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.integrators.table import INTEGRATORS
-from dynamics.runtime.jit import aligned_zeros
+from dynamics.runtime.recycled import Recycled
 from dynamics.types import AnyArray, Array
 from flexarm_env.compiled.settings import Settings
 from flexarm_env.compiled.termination import FLAGS
@@ -61,12 +61,12 @@ class Derivatives:
         self._depth = fixed + per_substep * core.substeps
         self._workspaces = [core.model.workspace(self._program) for _ in core.workspaces]
         self._settings: Settings | None = None  # by which the workspaces are filled
+        self._memory = Recycled()
 
     def record(self, state: Array, actions: AnyArray) -> Recorded:
         """A control step from `state`, which is left as it is."""
-        after, dtype = _copy(state), self._core.model.dtype
-        stored = self._stored(state, actions)
-        stack = aligned_zeros((self._depth, state.shape[1]), dtype)
+        after, stored = self._memory.copy(state), self._stored(state, actions)
+        stack = self._memory.array((self._depth, state.shape[1]), state.dtype)
         self._run(self._program.record, actions, after, *stored, stack)
         return Recorded(state, actions, after, *stored, stack)
 
@@ -80,7 +80,8 @@ class Derivatives:
         step : of `record`.
         after, obs, info : cotangents of the arrays of these names; they are left as they are.
         """
-        before, actions = _copy(after), np.zeros_like(step.actions)
+        before = self._memory.copy(after)
+        actions = self._memory.array(step.actions.shape, step.actions.dtype)
         mirrors = actions, before, obs, info
         self._run(self._program.pull_back, step.actions, step.before, step.stack, *mirrors)
         return before, actions
@@ -93,8 +94,8 @@ class Derivatives:
         state, actions : before the step.
         along, by : (rows, width) direction of the state, (N, n_torque) direction of the actions.
         """
-        moved, (obs, info, _) = _copy(along), self._stored(state, actions)
-        given = (_copy(state), *self._stored(state, actions), by, moved, obs, info)
+        moved, (obs, info, _) = self._memory.copy(along), self._stored(state, actions)
+        given = (self._memory.copy(state), *self._stored(state, actions), by, moved, obs, info)
         self._run(self._program.push_forward, actions, *given)
         return Along(moved, obs, info)
 
@@ -102,9 +103,9 @@ class Derivatives:
         """New arrays of observations, info and flags."""
         core, width = self._core, state.shape[1]
         return (
-            np.zeros((core.n_env, core.layout.size), actions.dtype),
-            aligned_zeros((core.signals.info.total, width), core.model.dtype),
-            aligned_zeros((len(FLAGS), width), np.bool_),
+            self._memory.array((core.n_env, core.layout.size), actions.dtype),
+            self._memory.array((core.signals.info.total, width), state.dtype),
+            self._memory.array((len(FLAGS), width), np.bool_),
         )
 
     def _run(self, entry: Any, actions: AnyArray, state: Array, *arrays: AnyArray) -> None:
@@ -117,9 +118,3 @@ class Derivatives:
 
         given = core.substeps, core.dt, actions, state
         core.pool.run(lambda k: entry(rows, k, *given, self._workspaces[k], *arrays))
-
-
-def _copy(values: Array) -> Array:
-    result = aligned_zeros(values.shape, values.dtype)
-    result[...] = values
-    return result

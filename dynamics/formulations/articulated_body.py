@@ -4,7 +4,7 @@ Blocks of the mass matrix come from gibbs_appell.py; each link's modes and joint
 from tip to base.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from dynamics.formulations.algebra import (
@@ -31,7 +31,9 @@ from dynamics.formulations.gibbs_appell import (
     Wrench,
     block_of,
     in_coordinate_order,
+    inverse_dynamics,
     joint_load,
+    transmitted,
 )
 from dynamics.formulations.kinematics import Chain, Frame, damper_forces, outward
 from dynamics.formulations.link_constants import LinkConstants
@@ -61,29 +63,93 @@ def accelerations(
     tau: Sequence[Scalar],
     implicit: Implicit | None = None,
 ) -> list[Scalar]:
-    """(n,) accelerations; one pass inward eliminates, one pass outward substitutes."""
+    """(n,) accelerations a of (M + W) a = B tau - h + W guess."""
     frames = outward(chain, q, v)
     rates, across = chain.split(v), chain.split(damper_forces(chain, v))
+    drives = _drives(chain, tau)
+
+    def loaded(i: int, load: Wrench) -> tuple[Wrench, list[Scalar]]:
+        wrench, forces = joint_load(frames[i], rates[i][0], load)
+        residual = [minus(t, h) for t, h in zip(drives[i], forces, strict=True)]
+        for j, force in enumerate(across[i][1]):
+            residual[j] = minus(residual[j], force)
+        return wrench, residual
+
+    return _solution(frames, implicit.split(chain) if implicit else [], loaded)
+
+
+def response(
+    chain: Chain, q: Sequence[Scalar], forces: Sequence[Scalar], implicit: Implicit | None = None
+) -> list[Scalar]:
+    """(n,) solution x of (M + W) x = forces."""
+    frames, given = outward(chain, q, [0.0] * len(q)), chain.split(forces)
     parts = implicit.split(chain) if implicit else []
-    torques = iter(reversed(list(tau)))
+
+    def loaded(i: int, load: Wrench) -> tuple[Wrench, list[Scalar]]:
+        wrench, carried = transmitted(frames[i], load)
+        joint, modal = given[i]
+        return wrench, [minus(x, y) for x, y in zip([*modal, joint], carried, strict=False)]
+
+    return _solution(frames, [x._replace(guess=[0.0] * len(x.guess)) for x in parts], loaded)
+
+
+def imbalance(
+    chain: Chain,
+    q: Sequence[Scalar],
+    v: Sequence[Scalar],
+    tau: Sequence[Scalar],
+    a: Sequence[Scalar],
+    implicit: Implicit | None = None,
+) -> list[Scalar]:
+    """(n,) B tau - h + W guess - (M + W) a, which is zero of the accelerations a."""
+    result: list[Scalar] = []
+    parts = implicit.split(chain) if implicit else [None] * len(chain.links)
+    forces, rises = chain.split(inverse_dynamics(chain, q, v, a)), chain.split(a)
+    for link, drive, (joint, modal), (rise, fast), part in zip(
+        chain.links, _drives(chain, tau), forces, rises, parts, strict=True
+    ):
+        own = [minus(t, h) for t, h in zip(drive, [*modal, joint], strict=False)]
+        if part:
+            off = [minus(x, y) for x, y in zip([*fast, rise], part.guess, strict=True)]
+            weights = _weights(link, part, len(own))
+            own = [minus(x, dot(row, off[: len(own)])) for x, row in zip(own, weights, strict=True)]
+        result += in_coordinate_order(link, own)
+    return result
+
+
+def _drives(chain: Chain, tau: Sequence[Scalar]) -> list[list[Scalar]]:
+    """B tau per body: on the modes, then on the joint if any."""
+    torques, result = iter(tau), []
+    for link in chain.links:
+        torque = next(torques) if link.driven else 0.0
+        joint = [] if link.welded else [torque]
+        result.append([*(mul(s, torque) for s in link.root_slope), *joint])
+    return result
+
+
+def _solution(
+    frames: list[Frame],
+    parts: list[Implicit],
+    loaded: Callable[[int, Wrench], tuple[Wrench, list[Scalar]]],
+) -> list[Scalar]:
+    """(n,) solution; one pass inward eliminates, one pass outward substitutes.
+
+    `loaded(i, load)` gives the wrench at the joint of body i and the right-hand side of its
+    coordinates, under the load of the bodies beyond.
+    """
     solved = []
     outer, load = NO_INERTIA, Wrench(ZERO, ZERO)
     for i in reversed(range(len(frames))):
         f = frames[i]
-        wrench, forces = joint_load(f, rates[i][0], load)
+        wrench, residual = loaded(i, load)
         block = block_of(f, outer)
-        torque = next(torques) if f.link.driven else 0.0
-        drive = [*(mul(s, torque) for s in f.link.root_slope), torque]
-        residual = [minus(t, h) for t, h in zip(drive, forces, strict=False)]
-        for j, force in enumerate(across[i][1]):
-            residual[j] = minus(residual[j], force)
-        if implicit:
+        if parts:
             add_implicit(f.link, block.D, residual, parts[i])
         pivots = _eliminate(block, residual)
         solved.append((block, residual, pivots))
         if i:
             own = f.link.rotor_inertia  # on the joint coordinate alone, not on the link before
-            if implicit:
+            if parts:
                 own = plus(own, mul(parts[i].damping[-1], f.link.viscous))
                 own = plus(own, mul(parts[i].stiffness[-1], f.link.spring))
             inertia = _articulated_inertia(f.link, block, pivots, own)
@@ -103,19 +169,25 @@ def add_implicit(
     part: Implicit,
 ) -> None:
     """Add one link's W to D, and W guess to the residual."""
-    m = len(link.K)
-    slopes = [*link.root_slope, 1.0]
     values = part.guess[: len(D)]
-    for j in range(len(D)):
-        row: list[Scalar] = []
-        for k in range(len(D)):
-            slope_product = slopes[j] * slopes[k]
-            C, K = mul(link.viscous, slope_product), mul(link.spring, slope_product)
-            if j < m and k < m:
-                C, K = plus(C, link.damping[j][k]), plus(K, link.K[j][k])
-            row.append(plus(mul(part.damping[j], C), mul(part.stiffness[j], K)))
-            D[j][k] = plus(D[j][k], row[k])
+    for j, row in enumerate(_weights(link, part, len(D))):
+        for k, weight in enumerate(row):
+            D[j][k] = plus(D[j][k], weight)
         residual[j] = plus(residual[j], dot(row, values))
+
+
+def _weights(link: LinkConstants, part: Implicit, size: int) -> list[list[Scalar]]:
+    """(size, size) W of one link."""
+    m, slopes = len(link.K), [*link.root_slope, 1.0]
+
+    def weight(j: int, k: int) -> Scalar:
+        slope_product = slopes[j] * slopes[k]
+        C, K = mul(link.viscous, slope_product), mul(link.spring, slope_product)
+        if j < m and k < m:
+            C, K = plus(C, link.damping[j][k]), plus(K, link.K[j][k])
+        return plus(mul(part.damping[j], C), mul(part.stiffness[j], K))
+
+    return [[weight(j, k) for k in range(size)] for j in range(size)]
 
 
 def _eliminate(block: Block, residual: list[Scalar]) -> list[Scalar]:

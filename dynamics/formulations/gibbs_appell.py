@@ -86,10 +86,10 @@ def friction_torque(link: LinkConstants, rate: Scalar) -> Scalar:
     return plus(viscous, mul(link.coulomb, tanh(mul(1.0 / link.coulomb_speed, rate))))
 
 
-def _own_bias(f: Frame) -> tuple[Vector, Vector, list[Scalar]]:
+def _own_inertia(f: Frame) -> tuple[Vector, Vector, list[Scalar]]:
     """Inertial force, moment about the joint and modal forces of a link: (96), (97), (102).
 
-    Second derivatives of the coordinates are zero. The body at the tip is not included.
+    The body at the tip is not included.
     """
     link, w, shape = f.link, f.w, f.shape
     eps_dot = combine(shape.x_dot, link.epsilon)
@@ -98,14 +98,14 @@ def _own_bias(f: Frame) -> tuple[Vector, Vector, list[Scalar]]:
         scale(link.mass, f.a),
         matvec(f.Phi, f.rho),
         scale(2.0, cross(w, eps_dot)),
-        combine(shape.bias, link.epsilon),
+        combine(shape.x_ddot, link.epsilon),
     )
     moment = add(
         cross(f.rho, f.a),
         scale(2.0, B8w),
         matvec(f.B9, f.w_dot),
         cross(w, matvec(f.B9, w)),
-        combine(shape.bias, f.alpha),
+        combine(shape.x_ddot, f.alpha),
     )
     modal = []
     for j, beta in enumerate(f.beta):
@@ -113,13 +113,13 @@ def _own_bias(f: Frame) -> tuple[Vector, Vector, list[Scalar]]:
             mul(2.0, dot(w, combine(shape.x_dot, link.c_jk[j]))), dot(w, matvec(beta, w))
         )
         inertial = plus(
-            dot(f.a, link.epsilon[j]), dot(f.w_dot, f.alpha[j]), dot(link.s[j], shape.bias)
+            dot(f.a, link.epsilon[j]), dot(f.w_dot, f.alpha[j]), dot(link.s[j], shape.x_ddot)
         )
         modal.append((minus(inertial, gyroscopic),))
     return force, moment, [x for (x,) in shape.project(modal)]
 
 
-def _tip_body_bias(f: Frame) -> tuple[Vector, Vector]:
+def _tip_body_inertia(f: Frame) -> tuple[Vector, Vector]:
     """Force and moment about the tip that accelerate the body at the tip."""
     J, s = congruence(f.E, f.link.tip_inertia), matvec(f.E, f.link.tip_moment)
     moment = add(matvec(J, f.w_dot_tip), cross(f.w_tip, matvec(J, f.w_tip)), cross(s, f.a_tip))
@@ -154,18 +154,22 @@ def joint_axis_component(link: LinkConstants, wrench: Wrench) -> Scalar:
     return wrench.force[2] if link.prismatic else wrench.moment[2]
 
 
-def joint_load(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
-    """Wrench at the joint and bias forces of the coordinates (modes, then the joint if any).
+def joint_load(
+    f: Frame, rate: Scalar, outer: Wrench, faster: Scalar = 0.0
+) -> tuple[Wrench, list[Scalar]]:
+    """Wrench at the joint and forces of the coordinates (modes, then the joint if any).
 
-    `outer` is the next link's wrench at the tip. Sums of (98) to (103), plus elastic, dissipative
-    and friction forces.
+    `rate` and `faster` are the joint's rate and acceleration, `outer` is the next link's wrench at
+    the tip. Sums of (98) to (103), plus elastic, dissipative and friction forces.
     """
     link = f.link
-    force, moment, modal = _own_bias(f)
-    body, load = _tip_body_bias(f), wrench_on_link(link, outer)
+    force, moment, modal = _own_inertia(f)
+    body, load = _tip_body_inertia(f), wrench_on_link(link, outer)
     tip = Wrench(add(body[0], load.force), add(body[1], load.moment))
     slip = plus(rate, dot(link.root_slope, f.delta_dot))
-    resistance = plus(friction_torque(link, slip), mul(link.spring, stretch(f)))
+    slip_dot = plus(faster, dot(link.root_slope, f.shape.x_ddot[: len(modal)]))
+    rotor = mul(link.rotor_inertia, slip_dot)
+    resistance = plus(friction_torque(link, slip), mul(link.spring, stretch(f)), rotor)
     elastic = elastic_forces(link, f.shape)
     for j, inertial in enumerate(modal):
         modal[j] = plus(
@@ -178,6 +182,19 @@ def joint_load(f: Frame, rate: Scalar, outer: Wrench) -> tuple[Wrench, list[Scal
         )
     total = Wrench(add(force, tip.force), add(moment, tip.moment, cross(f.r, tip.force)))
     forces = modal if link.welded else [*modal, plus(joint_axis_component(link, total), resistance)]
+    return Wrench(total.force, add(total.moment, bypassing_moment(link, outer))), forces
+
+
+def transmitted(f: Frame, outer: Wrench) -> tuple[Wrench, list[Scalar]]:
+    """Part of `joint_load` that the next link's wrench at the tip causes."""
+    link, load = f.link, wrench_on_link(f.link, outer)
+    forces = [
+        plus(dot(phi, load.force), dot(theta, load.moment))
+        for phi, theta in zip(f.tip_phi, f.tip_theta, strict=True)
+    ]
+    total = Wrench(load.force, add(load.moment, cross(f.r, load.force)))
+    if not link.welded:
+        forces.append(joint_axis_component(link, total))
     return Wrench(total.force, add(total.moment, bypassing_moment(link, outer))), forces
 
 
@@ -196,14 +213,26 @@ def bias(
 
     `load` is the wrench that the last link exerts on its surroundings, at its tip in its own frame.
     """
-    frames = outward(chain, q, v)
+    return inverse_dynamics(chain, q, v, [0.0] * len(q), load)
+
+
+def inverse_dynamics(
+    chain: Chain,
+    q: Sequence[Scalar],
+    v: Sequence[Scalar],
+    v_dot: Sequence[Scalar],
+    load: Wrench = NO_LOAD,
+) -> list[Scalar]:
+    """(n,) M v_dot + h, by one pass outward and one inward; `load` is as in `bias`."""
+    frames = outward(chain, q, v, v_dot)
     outer = load
-    h: list[Scalar] = []
-    for f, (rate, _) in zip(reversed(frames), reversed(chain.split(v)), strict=True):
-        wrench, forces = joint_load(f, rate, outer)
-        h = [*in_coordinate_order(f.link, forces), *h]
+    result: list[Scalar] = []
+    rates, rises = (reversed(chain.split(x)) for x in (v, v_dot))
+    for f, (rate, _), (faster, _) in zip(reversed(frames), rates, rises, strict=True):
+        wrench, forces = joint_load(f, rate, outer, faster)
+        result = [*in_coordinate_order(f.link, forces), *result]
         outer = wrench.from_next(f.R, f.offset)
-    return [plus(own, across) for own, across in zip(h, damper_forces(chain, v), strict=True)]
+    return [plus(own, across) for own, across in zip(result, damper_forces(chain, v), strict=True)]
 
 
 class Block(NamedTuple):
@@ -310,18 +339,8 @@ def mass_matrix(chain: Chain, q: Sequence[Scalar]) -> list[list[Scalar]]:
             wrench, child = column, f
             for k in reversed(range(i)):
                 parent = frames[k]
-                outside = wrench.from_next(child.R, child.offset)
-                tip = wrench_on_link(parent.link, outside)
-                wrench = Wrench(tip.force, add(tip.moment, cross(parent.r, tip.force)))
-                entries = [
-                    plus(dot(phi, tip.force), dot(theta, tip.moment))
-                    for phi, theta in zip(parent.tip_phi, parent.tip_theta, strict=True)
-                ]
-                entries.append(joint_axis_component(parent.link, wrench))
-                wrench = Wrench(
-                    tip.force, add(wrench.moment, bypassing_moment(parent.link, outside))
-                )
-                for row, entry in zip(indices[k], entries, strict=False):
+                wrench, entries = transmitted(parent, wrench.from_next(child.R, child.offset))
+                for row, entry in zip(indices[k], entries, strict=True):
                     M[row][indices[i][c]] = M[indices[i][c]][row] = entry
                 child = parent
         turn = Inertia.turned_composite if chain.rotation == "exp" else Inertia.turned

@@ -115,7 +115,7 @@ def bend(
     tip = add((link.length, 0.0, 0.0), combine(shape.x, link.tip_phi))
     M = [affine(S, phi, BOTTOM) for S, phi in zip(Rk, shape.project(link.tip_phi), strict=True)]
     rate = affine(mcombine(rates, Rk), combine(shape.x_dot, link.tip_phi), BOTTOM)
-    return Bend(affine(R, tip), M, rate, affine(Rdd, combine(shape.bias, link.tip_phi), BOTTOM))
+    return Bend(affine(R, tip), M, rate, affine(Rdd, combine(shape.x_ddot, link.tip_phi), BOTTOM))
 
 
 def _anticommutator(A: Matrix, B: Matrix) -> Matrix:
@@ -198,7 +198,7 @@ def transformed(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[
             mscale(mul(2.0, rate), matmul(W_tip_dot, U)),
             mscale(mul(rate, rate), matmul(W_tip, U2)),
         )
-        shape = amplitudes(link, delta, rates)
+        shape = amplitudes(link, delta, rates, [0.0] * len(delta))
         bent = bend(link, delta, rates, shape, chain.rotation)
         G, D, C = _integrals(link, shape)
         every = range(len(link.s))

@@ -40,6 +40,8 @@ from dynamics.formulations.algebra import (
 )
 from dynamics.formulations.link_constants import LinkConstants
 
+Scalars = Sequence[Scalar]
+
 
 @dataclass(frozen=True)
 class Damper:
@@ -61,7 +63,7 @@ class Chain:
     dampers: tuple[Damper, ...] = ()  # across bodies, beside the damping of each
     driven_base: bool = False  # a torque turns the base: the last of the torques
 
-    def split(self, x: Sequence[Scalar]) -> list[tuple[Scalar, Sequence[Scalar]]]:
+    def split(self, x: Scalars) -> list[tuple[Scalar, Scalars]]:
         """Split coordinates into (joint, modes) per body; a welded body's joint is 0.0."""
         parts, start = [], 0
         for link in self.links:
@@ -72,7 +74,7 @@ class Chain:
         return parts
 
 
-def damper_forces(chain: Chain, v: Sequence[Scalar]) -> list[Scalar]:
+def damper_forces(chain: Chain, v: Scalars) -> list[Scalar]:
     """(n,) forces of the dampers across bodies, on the left of the equations of motion."""
     forces: list[Scalar] = [0.0] * len(v)
     for damper in chain.dampers:
@@ -86,10 +88,10 @@ def damper_forces(chain: Chain, v: Sequence[Scalar]) -> list[Scalar]:
 class Shape(NamedTuple):
     """Amplitudes of a link's shapes: m modes, then p foreshortening shapes (mode products)."""
 
-    x: Sequence[Scalar]  # (m + p)
-    x_dot: Sequence[Scalar]  # (m + p)
-    bias: Sequence[Scalar]  # (m + p) second derivatives of x at zero second derivatives of delta
-    J: Sequence[Sequence[Scalar]]  # (p, m) derivatives of the p amplitudes by delta
+    x: Scalars  # (m + p)
+    x_dot: Scalars  # (m + p)
+    x_ddot: Scalars  # (m + p)
+    J: Sequence[Scalars]  # (p, m) derivatives of the p amplitudes by delta
 
     def project(self, values: Sequence[Vector]) -> list[Vector]:
         """Project vectors per shape (m + p) onto the modes (m)."""
@@ -100,9 +102,11 @@ class Shape(NamedTuple):
         ]
 
 
-def amplitudes(link: LinkConstants, delta: Sequence[Scalar], delta_dot: Sequence[Scalar]) -> Shape:
+def amplitudes(
+    link: LinkConstants, delta: Scalars, delta_dot: Scalars, delta_ddot: Scalars
+) -> Shape:
     """Shape of a link; the amplitude of a pair j, k is -delta_j delta_k, half of it if j = k."""
-    x, x_dot, bias = list(delta), list(delta_dot), [0.0] * len(delta)
+    x, x_dot, x_ddot = list(delta), list(delta_dot), list(delta_ddot)
     J = []
     for j, k in link.pairs:
         row: list[Scalar] = [0.0] * len(delta)
@@ -112,20 +116,24 @@ def amplitudes(link: LinkConstants, delta: Sequence[Scalar], delta_dot: Sequence
         J.append(row)
         x.append(mul(-half, mul(delta[j], delta[k])))
         x_dot.append(dot(row, delta_dot))
-        bias.append(mul(-2.0 * half, mul(delta_dot[j], delta_dot[k])))
-    return Shape(x, x_dot, bias, J)
+        faster = mul(-2.0 * half, mul(delta_dot[j], delta_dot[k]))
+        x_ddot.append(plus(faster, dot(row, delta_ddot)))
+    return Shape(x, x_dot, x_ddot, J)
 
 
 class Frame(NamedTuple):
-    """Kinematics of one link in its own frame; `*_tip` is at eta = l."""
+    """Kinematics of one link in its own frame; `*_tip` is at eta = l.
+
+    Accelerations hold at the second derivatives of the coordinates that `outward` was given.
+    """
 
     link: LinkConstants
     R: Matrix  # from this frame to the frame of the link before
     offset: Vector  # from the tip before to the joint, in the frame of the link before
     joint: Scalar  # joint coordinate
     slide: Vector  # velocity of a prismatic joint along its axis
-    delta: Sequence[Scalar]
-    delta_dot: Sequence[Scalar]
+    delta: Scalars
+    delta_dot: Scalars
     shape: Shape
     r: Vector  # from joint to tip
     r_dot: Vector  # tip velocity relative to the frame
@@ -136,9 +144,9 @@ class Frame(NamedTuple):
     alpha: Sequence[Vector]  # (m + p) (31)
     beta: Sequence[Matrix]  # (m + p) (32)
     B9: Matrix  # (33)
-    a: Vector  # acceleration of the joint at zero second derivatives of the coordinates
+    a: Vector  # acceleration of the joint
     w: Vector  # angular velocity
-    w_dot: Vector  # angular acceleration at zero second derivatives of the coordinates
+    w_dot: Vector  # angular acceleration
     Phi: Matrix  # w_dot~ + w~ w~
     a_tip: Vector
     w_tip: Vector
@@ -161,7 +169,7 @@ def series(x: Scalar, first: int) -> tuple[Scalar, Scalar]:
 
 
 def tip_rotation(
-    link: LinkConstants, delta: Sequence[Scalar], delta_dot: Sequence[Scalar], kind: str
+    link: LinkConstants, delta: Scalars, delta_dot: Scalars, kind: str
 ) -> tuple[Matrix, Sequence[Vector], Vector]:
     """Rotation of the deflected tip, angular velocity per modal rate, bias angular acceleration.
 
@@ -263,41 +271,45 @@ def _phi(w: Vector, w_dot: Vector) -> Matrix:
     return madd(skew(w_dot), ww)
 
 
-def outward(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Frame]:
+def outward(chain: Chain, q: Scalars, v: Scalars, v_dot: Scalars | None = None) -> list[Frame]:
     """Frames of all links from base to tip: (59), (63), (65), Steps 1 to 3.
 
+    Without `v_dot`, the second derivatives of the coordinates, these are zero.
     Gravity enters as an acceleration of the base: a_0 = -g. A joint's base is the tip of the link
     before; with a parallel drive it keeps the orientation of that link's own joint base.
     """
     frames: list[Frame] = []
     a_tip: Vector = scale(-1.0, chain.gravity)
     R_base, w_base, w_dot_base = EYE, ZERO, ZERO  # of a joint's base, in the link before's frame
-    for link, (joint, delta), (rate, delta_dot) in zip(
-        chain.links, chain.split(q), chain.split(v), strict=True
+    parts = (chain.split(x) for x in (q, v, v_dot or [0.0] * len(q)))
+    for link, (joint, delta), (rate, delta_dot), (faster, delta_ddot) in zip(
+        chain.links, *parts, strict=True
     ):
         mounting, place = _mounting(link, joint)
-        along = (0.0, 0.0, rate)
+        along, rise = (0.0, 0.0, rate), (0.0, 0.0, faster)
         spin, slide = (ZERO, along) if link.prismatic else (along, ZERO)
+        spin_dot, slide_dot = (ZERO, rise) if link.prismatic else (rise, ZERO)
         R = matmul(R_base, mounting)
         offset = matvec(R_base, place)
         before, before_dot = tmatvec(R, w_base), tmatvec(R, w_dot_base)
         a = tmatvec(R, add(a_tip, matvec(_phi(w_base, w_dot_base), offset)))
-        a = add(a, scale(2.0, cross(before, slide)))
+        a = add(a, scale(2.0, cross(before, slide)), slide_dot)
         w = add(before, spin)
-        w_dot = add(before_dot, cross(before, spin))
+        w_dot = add(before_dot, cross(before, spin), spin_dot)
         Phi = _phi(w, w_dot)
 
-        shape = amplitudes(link, delta, delta_dot)
+        shape = amplitudes(link, delta, delta_dot, delta_ddot)
         r = add((link.length, 0.0, 0.0), combine(shape.x, link.tip_phi))
         r_dot = combine(shape.x_dot, link.tip_phi)
         kind = "exp" if chain.free_base and not frames else chain.rotation
         E, tip_theta, bias = tip_rotation(link, delta, delta_dot, kind)
         theta_dot = combine(delta_dot, tip_theta)
         a_tip = add(
-            a, matvec(Phi, r), scale(2.0, cross(w, r_dot)), combine(shape.bias, link.tip_phi)
+            a, matvec(Phi, r), scale(2.0, cross(w, r_dot)), combine(shape.x_ddot, link.tip_phi)
         )
         w_tip = add(w, theta_dot)
-        w_dot_tip = add(w_dot, bias, cross(w, theta_dot))
+        theta_ddot = add(bias, combine(delta_ddot, tip_theta))
+        w_dot_tip = add(w_dot, theta_ddot, cross(w, theta_dot))
         R_base, w_base, w_dot_base = E, w_tip, w_dot_tip
         if link.bypassed:
             R_base, w_base, w_dot_base = transpose(_turn(joint)), before, before_dot
@@ -349,9 +361,7 @@ def poses(frames: Sequence[Frame]) -> list[Pose]:
     return result
 
 
-def energies(
-    chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]
-) -> tuple[Scalar, Scalar, Scalar]:
+def energies(chain: Chain, q: Scalars, v: Scalars) -> tuple[Scalar, Scalar, Scalar]:
     """Kinetic, elastic and gravity energy [J]; the last is zero for mass at the base's origin.
 
     Computed from velocities of mass points and bodies, not from the mass matrix.

@@ -154,7 +154,7 @@ def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]
         Q = madd(
             matmul(f.G, transpose(f.W_bias)),
             matmul(_sum(f.shape.x_dot, f.D, 2.0), transpose(f.W_dot)),
-            matmul(_sum(f.shape.bias, f.D), transpose(f.W)),
+            matmul(_sum(f.shape.x_ddot, f.D), transpose(f.W)),
             matmul(f.bend.E, Q),
         )  # (87), (88)
         P = add(f.G[0], matvec(f.bend.E, P))  # (89), (90)
@@ -175,7 +175,7 @@ def _own_forces(f: Transformed, g: Vector) -> list[Scalar]:
         inertial = plus(
             inner(D, transpose(resting)),
             inner(_sum(f.shape.x_dot, C, 2.0), turning),
-            inner(_sum(f.shape.bias, C), metric),
+            inner(_sum(f.shape.x_ddot, C), metric),
         )
         forces.append((minus(inertial, dot(g, matvec(W, D[0]))),))
     return [force for (force,) in f.shape.project(forces)]

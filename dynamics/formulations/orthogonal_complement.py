@@ -155,7 +155,7 @@ def bias(chain: Chain, q: Sequence[Scalar], v: Sequence[Scalar]) -> list[Scalar]
 def _link_wrench(f: Frame) -> Twist:
     """M_i N_i_dot v plus the gyroscopic wrench of one link; gravity is a base acceleration."""
     link, w, shape = f.link, f.w, f.shape
-    modal_bias = shape.bias  # of modes and foreshortening
+    modal_bias = shape.x_ddot  # of modes and foreshortening
     bending = Twist(
         combine(modal_bias, f.alpha),
         combine(modal_bias, link.epsilon),

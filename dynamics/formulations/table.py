@@ -6,6 +6,7 @@ and enter it in FORMULATIONS. Without a solver of its own, its whole mass matrix
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from dynamics.description import validate
 from dynamics.description.arm import FOURTH_ORDER, Arm
@@ -17,17 +18,35 @@ from dynamics.formulations import (
     lagrange_book,
     orthogonal_complement,
 )
-from dynamics.formulations.algebra import Scalar, Vector
+from dynamics.formulations.algebra import Scalar, Vector, dot, minus, plus
 from dynamics.formulations.articulated_body import Implicit
 from dynamics.formulations.dense_solve import Equations
 from dynamics.formulations.kinematics import Chain, outward, poses
 
 State = Sequence[Scalar]  # (n,)
-Solver = Callable[[Chain, State, State, State, Implicit | None], list[Scalar]]
 
 
 def _tip_velocity(chain: Chain, q: State, v: State) -> Vector:
     return poses(outward(chain, q, v))[-1].tip_velocity
+
+
+class Recursion(Protocol):
+    """Functions of a module that solves the equations of motion link by link, in O(n)."""
+
+    def accelerations(
+        self, chain: Chain, q: State, v: State, tau: State, implicit: Implicit | None
+    ) -> list[Scalar]:
+        """(n,) accelerations under torques tau."""
+
+    def response(
+        self, chain: Chain, q: State, forces: State, implicit: Implicit | None
+    ) -> list[Scalar]:
+        """(n,) accelerations that forces on the coordinates cause alone."""
+
+    def imbalance(
+        self, chain: Chain, q: State, v: State, tau: State, a: State, implicit: Implicit | None
+    ) -> list[Scalar]:
+        """(n,) forces that lack accelerations; zero of a that solves the equations of motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +54,7 @@ class Formulation:
     """Equations of motion, with the energies and tip velocity of the same convention."""
 
     equations: Equations
-    solver: Solver | None = None  # O(n) accelerations; None: factor the whole mass matrix
+    recursion: Recursion | None = None  # None: factor the whole mass matrix
     energies: Callable[[Chain, State, State], tuple[Scalar, Scalar, Scalar]] = kinematics.energies
     tip_velocity: Callable[[Chain, State, State], Vector] = _tip_velocity  # [m/s]
     supported: Mapping[str, frozenset[str]] | None = None  # class -> fields; None: all
@@ -44,9 +63,18 @@ class Formulation:
         self, chain: Chain, q: State, v: State, tau: State, implicit: Implicit | None = None
     ) -> list[Scalar]:
         """(n,) accelerations under joint torques tau."""
-        if self.solver:
-            return self.solver(chain, q, v, tau, implicit)
+        if self.recursion:
+            return self.recursion.accelerations(chain, q, v, tau, implicit)
         return dense_solve.accelerations(self.equations, chain, q, v, tau, implicit)
+
+    def inverse_dynamics(self, chain: Chain, q: State, v: State, v_dot: State) -> list[Scalar]:
+        """(n,) generalized forces M v_dot + h."""
+        if self.recursion:
+            no_torques = [0.0] * len(chain.links)
+            excess = self.recursion.imbalance(chain, q, v, no_torques, v_dot, None)
+            return [minus(0.0, force) for force in excess]
+        M, h = self.equations.mass_matrix(chain, q), self.equations.bias(chain, q, v)
+        return [plus(dot(row, v_dot), force) for row, force in zip(M, h, strict=True)]
 
 
 # Fields that "book" and "complement" support; all others must keep their defaults.
@@ -68,7 +96,7 @@ FIXED_BASE_AND_REVOLUTE = {
 
 FORMULATIONS = {
     "gibbs_appell": Formulation(
-        equations=gibbs_appell, solver=articulated_body.accelerations
+        equations=gibbs_appell, recursion=articulated_body
     ),
     "book": Formulation(
         equations=lagrange_book, energies=lagrange_book.energies,

@@ -5,15 +5,20 @@ Going back needs the numbers that functions read. So the recording step saves on
 function is about to overwrite, where the adjoint of an earlier one needs it; `pull_back` undoes the
 calls in reverse. An environment that is lost, and the start of an episode, have no derivatives: the
 caller puts zero there.
+
+The accelerations a solve F(q, v, tau, a) = 0, where F = B tau - h - M a is a short recursion. So
+the adjoint of their long elimination is not needed: if c is the cotangent of a, the adjoint of F
+takes x = M^-1 c back to q, v and tau, and x costs less than a second evaluation.
 """
 
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import groupby
 
+from dynamics.tracing import graphs
 from dynamics.tracing.adjoint import adjoint, loads, stores, tangent
 from dynamics.tracing.assembly import Program
-from dynamics.tracing.function import Function, written
+from dynamics.tracing.function import Function, traced, written
 from dynamics.tracing.ssa import Code
 from dynamics.tracing.statements import (
     Call,
@@ -31,23 +36,35 @@ from dynamics.tracing.statements import (
     Store,
     Substeps,
 )
+from dynamics.tracing.traced_arm import TracedArm
 
 MIRROR = "_MIRROR"  # ending of the names of mirrored slots
+SOLVED = "accelerations"
+EQUATIONS = "IMBALANCE"  # slots of F, which has a place in the step's order, but does not run
 
 
-def differentiated(program: Program) -> Program:
-    """The program with mirrored slots, whose entry is `Derivatives` of its control step."""
+def differentiated(program: Program, arm: TracedArm | None = None) -> Program:
+    """The program with mirrored slots, whose entry is `Derivatives` of its control step.
+
+    With the arm, the adjoint of the accelerations is made from the equations that they solve.
+    """
     if not isinstance(program.entry, ControlStep):
         raise TypeError(f"Only a control step has derivatives, not {program.entry!r}.")
-    made = _Derivation(program)
-    step = tuple(made.flattened(program.entry.step))
+    taken = program.entry.step
+    if arm is not None and arm.formed.recursion is None:
+        arm = None
+    if arm is not None:
+        sizes, at = {**program.sizes, EQUATIONS: arm.n}, {**program.at, EQUATIONS: program.slots}
+        program = replace(program, sizes=sizes, at=at, slots=program.slots + arm.n)
+    made = _Derivation(program, arm)
+    step = tuple(made.flattened(taken))
     record = made.recorded(step)
     end = made.kept_to_the_end()
     mirrored = {name + MIRROR: size for name, size in program.sizes.items()}
     entry = Derivatives(
-        record=(*record, *end),
+        record=tuple(_running([*record, *end])),
         pull_back=tuple(made.pulled_back(step, record, end)),
-        push_forward=(made.cleared, *made.pushed_forward(step)),
+        push_forward=(made.cleared, *made.pushed_forward(_running(step))),
         fixed=sum(x.count for x in (*record, *end) if isinstance(x, Push)),
         per_substep=sum(
             y.count
@@ -70,6 +87,15 @@ def differentiated(program: Program) -> Program:
     )
 
 
+def _running(statements: Iterable[Statement]) -> Iterable[Statement]:
+    """Statements without the place of the equations of motion."""
+    for statement in statements:
+        if isinstance(statement, Substeps):
+            yield Substeps(tuple(_running(statement.body)))
+        elif statement != Call(EQUATIONS):
+            yield statement
+
+
 class _Derivation:
     """Derivatives of a program's functions, and what they need.
 
@@ -78,8 +104,8 @@ class _Derivation:
     functions : adjoints, tangents and copies that statements call.
     """
 
-    def __init__(self, program: Program) -> None:
-        self._program = program
+    def __init__(self, program: Program, arm: TracedArm | None) -> None:
+        self._program, self._arm = program, arm
         self.functions: list[Function] = []
         entry = program.entry
         assert isinstance(entry, ControlStep)
@@ -92,8 +118,11 @@ class _Derivation:
             elif isinstance(x, Noise):
                 self._changed.update(self._slots(x.slots, x.count))
         self._passive = set(range(program.slots)) - self._changed - loaded
-        self._adjoints: dict[str, Function] = {}
+        self._adjoints: dict[str, tuple[Statement, ...]] = {}
+        self._needs: dict[str, set[int]] = {}  # slots that adjoints read
         self._due: set[int] = set()  # slots whose present numbers an adjoint needs
+        if arm is not None:
+            self._solve(arm)
 
     def _slots(self, name: str, count: int) -> range:
         first = self._program.at[name]
@@ -103,6 +132,24 @@ class _Derivation:
     def cleared(self) -> Clear:
         """Zeros in all mirrors."""
         return Clear(next(iter(self._program.sizes)) + MIRROR, self._program.slots)
+
+    def _solve(self, arm: TracedArm) -> None:
+        """Adjoint of the accelerations, from the equations that they solve."""
+        at, slots = self._program.at, self._program.slots
+        acc, implicit = self._slots("ACC", arm.n), self._program.sizes["IMPLICIT"] > 0
+        inputs = [at[name] for name in ("Q", "V", "TAU", "PARAMETERS", "IMPLICIT")]
+        response = traced(
+            "response", graphs.response(arm, implicit), [*inputs, acc[0] + slots],
+            slots + at[EQUATIONS],
+        )  # fmt: skip
+        graph = graphs.imbalance(arm, implicit)
+        equations = traced(EQUATIONS, graph, [*inputs, acc[0]], at[EQUATIONS])
+        back = adjoint(equations, slots, self._passive - set(stores(equations)) | set(acc))
+        self.functions += [response, back]
+        self._primal[EQUATIONS] = equations
+        self._adjoints[SOLVED], self._needs[SOLVED] = (Clear("ACC" + MIRROR, arm.n),), set()
+        self._adjoints[EQUATIONS] = Call(response.name), Call(back.name)
+        self._needs[EQUATIONS] = loads(response) | loads(back)
 
     # ---- the step ----------------------------------------------------------------------------
 
@@ -114,6 +161,8 @@ class _Derivation:
                     yield from self.flattened(self._program.routines[name])
                 case Copy(source, target, rows):
                     yield Call(self._copy(source, target, rows))
+                case Call(name) if name == SOLVED and self._arm is not None:
+                    yield from (statement, Call(EQUATIONS))
                 case Substeps(body):
                     yield Substeps(tuple(self.flattened(body)))
                 case _:
@@ -138,7 +187,8 @@ class _Derivation:
         for statement in statements:
             match statement:
                 case Call(name):
-                    self._due |= loads(self._adjoint(name)) & set(range(self._program.slots))
+                    self._adjoint(name)
+                    self._due |= self._needs[name] & set(range(self._program.slots))
                     changed = self._due & set(stores(self._primal[name]))
                     self._due -= changed
                     result += [*self._pushes(changed), statement]
@@ -166,11 +216,11 @@ class _Derivation:
             found.append(Push(name, numbers[0] - self._program.at[name], len(numbers)))
         return list(found)
 
-    def _adjoint(self, name: str) -> Function:
-        """Adjoint of a function."""
+    def _adjoint(self, name: str) -> tuple[Statement, ...]:
+        """Statements of the adjoint of a function."""
         if name not in self._adjoints:
             made = adjoint(self._primal[name], self._program.slots, self._passive)
-            self._adjoints[name] = made
+            self._adjoints[name], self._needs[name] = (Call(made.name),), loads(made)
             self.functions.append(made)
         return self._adjoints[name]
 
@@ -196,7 +246,7 @@ class _Derivation:
 
     def _undone(self, statements: Iterable[Statement]) -> Iterable[Statement]:
         """Adjoints of calls, last first, each where its function's pushes are undone."""
-        called: list[Call] = []
+        called: list[Statement] = []
         for statement in reversed(list(statements)):
             if isinstance(statement, Push):
                 yield Pop(statement.slots, statement.skipped, statement.count)
@@ -205,7 +255,7 @@ class _Derivation:
             called.clear()
             match statement:
                 case Call(name):
-                    called.append(Call(self._adjoint(name).name))
+                    called += self._adjoint(name)
                 case Clear(slots, count):
                     yield Clear(slots + MIRROR, count)
                 case Substeps(body):

@@ -31,6 +31,7 @@ from dynamics.formulations.free_base import (
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.formulations.kinematics import Chain, outward, poses
 from dynamics.formulations.link_constants import parts
+from dynamics.formulations.table import Recursion
 from dynamics.tracing.traced_arm import TracedArm
 
 
@@ -88,10 +89,8 @@ def generalized_forces(traced: TracedArm) -> Any:
     import casadi as ca
 
     s, a = _state(traced), ca.SX.sym("a", traced.n)
-    equations = traced.formed.equations
-    M, h = equations.mass_matrix(s.chain, s.x), equations.bias(s.chain, s.x, s.rates)
-    inertial = ca.vertcat(*(ca.horzcat(*row) for row in M)) @ a
-    return ca.Function("M_a_h", [*s.inputs, a], [ca.cse(inertial + ca.vertcat(*h))])
+    forces = traced.formed.inverse_dynamics(s.chain, s.x, s.rates, ca.vertsplit(a))
+    return ca.Function("M_a_h", [*s.inputs, a], [ca.cse(ca.vertcat(*forces))])
 
 
 @lru_cache(maxsize=8)
@@ -203,16 +202,59 @@ def accelerations(traced: TracedArm, implicit: bool = False) -> Any:
 def _accelerations(traced: TracedArm, implicit: bool) -> Any:
     import casadi as ca
 
-    parameters = len(traced.free_parameters) + traced.n_gravity
-    sizes = {"q": traced.n, "v": traced.n, "tau": traced.n_torque, "p": parameters,
-             "implicit": 3 * traced.n if implicit else 0}  # fmt: skip
-    symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
-    q, v, tau, _, x = (ca.vertsplit(symbol) for symbol in symbols)
-    n = traced.n
-    weights = Implicit(x[:n], x[n : 2 * n], x[2 * n :]) if implicit else None
-    chain = with_parameters(traced, symbols[3])
-    a = traced.formed.accelerations(chain, q, v, traced.along_chain(tau), weights)
-    return ca.Function("accelerations", symbols, [ca.cse(ca.vertcat(*a))])
+    s = _Motion.of(traced, implicit)
+    a = traced.formed.accelerations(s.chain, s.q, s.v, s.tau, s.implicit)
+    return ca.Function("accelerations", s.inputs, [ca.cse(ca.vertcat(*a))])
+
+
+def imbalance(traced: TracedArm, implicit: bool = False) -> Any:
+    """CasADi Function (inputs of `accelerations`, a) -> (n,) B tau - h + W guess - (M + W) a."""
+    import casadi as ca
+
+    s, a = _Motion.of(traced, implicit), ca.SX.sym("a", traced.n)
+    recursion = _recursion(traced)
+    off = recursion.imbalance(s.chain, s.q, s.v, s.tau, ca.vertsplit(a), s.implicit)
+    return ca.Function("imbalance", [*s.inputs, a], [ca.cse(ca.vertcat(*off))])
+
+
+def response(traced: TracedArm, implicit: bool = False) -> Any:
+    """CasADi Function (inputs of `accelerations`, forces) -> (n,) accelerations by these alone."""
+    import casadi as ca
+
+    s, forces = _Motion.of(traced, implicit), ca.SX.sym("forces", traced.n)
+    x = _recursion(traced).response(s.chain, s.q, ca.vertsplit(forces), s.implicit)
+    return ca.Function("response", [*s.inputs, forces], [ca.cse(ca.vertcat(*x))])
+
+
+def _recursion(traced: TracedArm) -> Recursion:
+    recursion = traced.formed.recursion
+    if recursion is None:
+        raise TypeError(f"Formulation {traced.formulation!r} has no recursion.")
+    return recursion
+
+
+class _Motion(NamedTuple):
+    """Symbols of the inputs of `accelerations`, and the recursion's arguments made of them."""
+
+    inputs: list[Any]
+    chain: Chain
+    q: list[Scalar]  # (n,)
+    v: list[Scalar]  # (n,)
+    tau: list[Scalar]  # (n_torque,) along the chain
+    implicit: Implicit | None
+
+    @classmethod
+    def of(cls, traced: TracedArm, implicit: bool) -> "_Motion":
+        import casadi as ca
+
+        n, parameters = traced.n, len(traced.free_parameters) + traced.n_gravity
+        sizes = {"q": n, "v": n, "tau": traced.n_torque, "p": parameters,
+                 "implicit": 3 * n if implicit else 0}  # fmt: skip
+        inputs = [ca.SX.sym(name, size) for name, size in sizes.items()]
+        q, v, tau, _, x = (ca.vertsplit(symbol) for symbol in inputs)
+        weights = Implicit(x[:n], x[n : 2 * n], x[2 * n :]) if implicit else None
+        chain = with_parameters(traced, inputs[3])
+        return cls(inputs, chain, q, v, traced.along_chain(tau), weights)
 
 
 def check_rest(traced: TracedArm) -> None:

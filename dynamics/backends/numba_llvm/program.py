@@ -63,7 +63,7 @@ def generate(
 ) -> str:
     """Text of the module of `program`."""
     program = assembled(arm, dtype, lanes, integrator, added)
-    program = differentiated(program) if derivatives else program
+    program = differentiated(program, arm) if derivatives else program
     method = setting(program.method, block_lines([Call("evaluate")], program.routines))
     steps = step_length(method.prepare)
     if isinstance(program.entry, ControlStep):

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from dynamics import Arm, compile_arm, simulate
+from dynamics import ARMS, Arm, compile_arm, simulate
+from dynamics.formulations import articulated_body
 from dynamics.formulations.articulated_body import Implicit
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.table import FORMULATIONS
@@ -168,6 +169,29 @@ def test_accelerations_solve_the_formulations_own_equations(
     implicit = formed.a(q, v, tau, Implicit([1e-5] * arm.n, [1e-3] * arm.n, floats(guess)))
     W = augmentation(arm, 1e-5, 1e-3)
     assert apart((M + W) @ implicit, drive + W @ guess, M + W) < 1e-10
+
+
+@pytest.mark.parametrize("case", [*CASES, "ralf-like", "free-flyer", "stanford"], ids=str)
+def test_the_recursion_states_the_equations_that_it_solves(case: str | tuple[int, ...]) -> None:
+    """Forces in excess: (M + W) a without accelerations, none with them; x answers forces alone."""
+    arm = ARMS[case] if isinstance(case, str) else random_arm(*case)
+    chain, n = compiled(arm).chain, arm.n
+    (q, v), tau = map(floats, random_state(arm)), floats(random_torque(arm))
+    M = np.array(FORMULATIONS["gibbs_appell"].equations.mass_matrix(chain, q))
+    cases: list[tuple[Implicit | None, Array]] = [(None, np.zeros((n, n)))]
+    if not isinstance(case, str):
+        guess = floats(np.linspace(-1.0, 2.0, n))
+        W = augmentation(arm, 1e-5, 1e-3)
+        cases.append((Implicit([1e-5] * n, [1e-3] * n, guess), W))
+    for weights, W in cases:
+        a = articulated_body.accelerations(chain, q, v, tau, weights)
+        excess = articulated_body.imbalance(chain, q, v, tau, [0.0] * n, weights)
+        rest = articulated_body.imbalance(chain, q, v, tau, a, weights)
+        x = articulated_body.response(chain, q, excess, weights)
+        force = np.array(excess)
+        assert apart((M + W) @ np.array(a), force, M + W) < 1e-10
+        assert apart(force + np.array(rest), force, M + W) < 1e-10
+        assert apart((M + W) @ np.array(x), force, M + W) < 1e-10
 
 
 def augmentation(arm: Arm, s: float, d: float) -> Array:
