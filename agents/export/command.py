@@ -87,8 +87,8 @@ def checked_name(out: Path, suffix: str) -> str:
     """Name of the file without its suffix, with which everything in the file begins."""
     if out.suffix != suffix or not IDENTIFIER.fullmatch(out.stem):
         raise UsageError(
-            f"--out must be a file named as a variable of C in lower case, with the suffix "
-            f"{suffix}, such as policy{suffix}, got {validate.shown(str(out))}."
+            f"--out must be a file such as policy{suffix}, named in lower-case letters, digits and "
+            f"underscores, got {validate.shown(str(out))}."
         )
     return out.stem
 

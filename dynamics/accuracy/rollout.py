@@ -245,7 +245,7 @@ class Rollout:
     def _divergence(self, motion: JointMotion, method: str, dt: float, end: int) -> str:
         """Cause of a divergence at a sample, in words: the model's inertia, or else the motion."""
         q = np.array(self._states(motion, method, dt, 1, False))[:, : self.model.n]
-        looked = (q[0], *q[max(1, end - LAST) : end])
+        looked = [q[0], *(row for row in q[max(1, end - LAST) : end] if np.isfinite(row).all())]
         least = [np.linalg.eigvalsh(self.model.mass_matrix(row))[0] for row in looked]
         if min(least) < LOST * least[0]:
             return (

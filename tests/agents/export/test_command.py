@@ -35,7 +35,7 @@ def test_a_policy_on_a_controller_is_refused_with_the_reason(
 @pytest.mark.parametrize(
     ("about", "arguments", "sentence"),
     [
-        ({}, ["--out", "x/class-1.h"], "named as a variable of C in lower case, with the suffix"),
+        ({}, ["--out", "x/class-1.h"], "such as policy.h, named in lower-case letters"),
         ({}, ["--out", "x/policy.c"], r"with the suffix .h, such as policy.h, got 'x/policy.c'"),
         ({"env_id": ""}, [], "a policy that stores none"),
         ({"env_id": "CartPole-v1"}, [], "not allowed"),

@@ -56,6 +56,22 @@ def test_a_motion_that_diverges_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
     assert len(steps) == 2
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_motion_that_overflows_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The finer steps may overflow before the coarser ones leave the reach."""
+    motion, fixed = replace(MOTION, torque=lambda t: (1e9,)), Rollout._states
+
+    def states(self: Rollout, *given: Any) -> Any:
+        rows = fixed(self, motion, "rk4", 1e-3, 1, False)
+        assert not np.isfinite(rows[-1]).all()
+        return [rows[0]] * (SAMPLES // 2 - 1) + rows
+
+    monkeypatch.setattr(Rollout, "_states", states)
+    monkeypatch.setattr(Rollout, "tips", lambda *given: path(0.5 * MOTION.t_end))
+    with pytest.raises(NotConverged, match="leaves the reach"):
+        Rollout(ARM).converged(MOTION, 1e-6)
+
+
 def test_an_arm_without_inertia_is_not_blamed_on_the_motion() -> None:
     """The twist of link 2 turns almost nothing where the links beyond are in line."""
     post = Link(length=0.25, rho_A=1.2, joint=Joint(rotor_inertia=0.05))
