@@ -36,7 +36,7 @@ def test_a_policy_on_a_controller_is_refused_with_the_reason(
     ("about", "arguments", "sentence"),
     [
         ({}, ["--out", "x/class-1.h"], "such as policy.h, named in lower-case letters"),
-        ({}, ["--out", "x/policy.c"], r"with the suffix .h, such as policy.h, got 'x/policy.c'"),
+        ({}, ["--out", "x/policy.c"], r"such as policy.h, named in .*, got 'x/policy.c'"),
         ({"env_id": ""}, [], "a policy that stores none"),
         ({"env_id": "CartPole-v1"}, [], "not allowed"),
         ({"env_kwargs": {}}, [], "takes 4 observations and gives 1 actions, but .* has 8 and 1"),
