@@ -51,7 +51,7 @@ def cost(scene: str) -> dict[str, Any]:
     calls: dict[str, Callable[[], Any]] = {
         "step": partial(core.step, actions),
         "record": partial(derivatives.record, state, actions),
-        "pull_back": partial(derivatives.pull_back, step, *bars),
+        "pull_back": partial(derivatives.pull_back, state, actions, step.stack, *bars),
         "push_forward": partial(derivatives.push_forward, state, actions, bars[0], actions),
     }
     times = {name: timing.median for name, timing in timed_in_turn(calls).items()}

@@ -71,20 +71,25 @@ class Derivatives:
         return Recorded(state, actions, after, *stored, stack)
 
     def pull_back(
-        self, step: Recorded, after: Array, obs: AnyArray, info: Array
+        self,
+        state: Array,
+        actions: AnyArray,
+        stack: Array,
+        after: Array,
+        obs: AnyArray,
+        info: Array,
     ) -> tuple[Array, Any]:
         """Cotangents of the state before a step and of its actions.
 
         Parameters
         ----------
-        step : of `record`.
-        after, obs, info : cotangents of the arrays of these names; they are left as they are.
+        state, actions, stack : before the step, and what `record` kept of it.
+        after, obs, info : cotangents of what `record` gave; they are left as they are.
         """
         before = self._memory.copy(after)
-        actions = self._memory.array(step.actions.shape, step.actions.dtype)
-        mirrors = actions, before, obs, info
-        self._run(self._program.pull_back, step.actions, step.before, step.stack, *mirrors)
-        return before, actions
+        by = self._memory.array(actions.shape, actions.dtype)
+        self._run(self._program.pull_back, actions, state, stack, by, before, obs, info)
+        return before, by
 
     def push_forward(self, state: Array, actions: AnyArray, along: Array, by: AnyArray) -> Along:
         """Derivatives of a step's results along a direction of the state and of the actions.

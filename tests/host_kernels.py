@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
 
-from dynamics.backends.cuda.kernel_text import KERNELS
+from dynamics.backends.cuda.kernel_text import ARRAYS
 
 COMPILER = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
 OPTIONS = ("-O1", "-std=c++17", "-shared", "-fPIC", "-ffp-contract=off", "-w")
@@ -26,23 +26,28 @@ _HEAD = """\
 #define __grid_constant__
 struct Index { int x; };
 static Index blockIdx, blockDim, threadIdx;
+struct Array { void* at; template <class T> operator T*() const { return static_cast<T*>(at); } };
 """
 _RUN = """
-extern "C" void run_{name}(
-    real* state, whole* streams, const float* actions, float* obs, float* final_obs, real* info,
-    unsigned char* flags, const Numbers* numbers, int count, int substeps)
+extern "C" void run_{name}(const Array* arrays, const Numbers* numbers, int count, int substeps)
 {{
     blockDim.x = 1;
     for (blockIdx.x = 0; blockIdx.x < count; ++blockIdx.x)
-        {name}(
-            state, streams, actions, obs, final_obs, info, flags, *numbers, count, substeps);
+        {name}({arrays}, *numbers, count, substeps);
 }}
 """
 
 
+def _run(name: str) -> str:
+    """Function that runs a kernel for each environment."""
+    arrays = ", ".join(f"arrays[{k}]" for k in range(len(ARRAYS[name])))
+    return _RUN.format(name=name, arrays=arrays)
+
+
 @lru_cache
 def _library(source: str) -> ctypes.CDLL:
-    text = "\n".join([_HEAD, source, *(_RUN.format(name=name) for name in KERNELS)])
+    kernels = [name for name in ARRAYS if f"void {name}(" in source]
+    text = "\n".join([_HEAD, source, *map(_run, kernels)])
     folder = Path(gettempdir()) / "flexarm_host_kernels"
     folder.mkdir(exist_ok=True)
     name = hashlib.sha256("\n".join([text, *OPTIONS]).encode()).hexdigest()[:20]
@@ -64,6 +69,6 @@ class HostKernels:
     def launch(self, name: str, stream: int, count: int, arguments: Sequence[Any]) -> None:
         """Run a kernel; `arguments` are addresses, the shared numbers, and two whole numbers."""
         *addresses, numbers, n, substeps = arguments
-        given = [*map(int, addresses), numbers.ctypes.data]
-        function = getattr(self._library, f"run_{name}")
-        function(*map(ctypes.c_void_p, given), ctypes.c_int(n), ctypes.c_int(substeps))
+        arrays = (ctypes.c_void_p * len(addresses))(*map(int, addresses))
+        given = ctypes.c_void_p(numbers.ctypes.data), ctypes.c_int(n), ctypes.c_int(substeps)
+        getattr(self._library, f"run_{name}")(arrays, *given)

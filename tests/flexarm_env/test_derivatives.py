@@ -94,7 +94,7 @@ def test_derivatives_are_those_of_the_step(moving: Core) -> None:
     step = derivatives.record(state, actions)
     rng = np.random.default_rng(3)
     bars = [aligned(rng.normal(size=x.shape)) for x in (step.after, step.obs, step.info)]
-    before, back = derivatives.pull_back(step, *bars)
+    before, back = derivatives.pull_back(state, actions, step.stack, *bars)
     moved = [x * y for x, y in zip((forward.after, forward.obs, forward.info), bars, strict=True)]
     gained = moved[0][:, :N].sum(0) + moved[1].sum(1) + moved[2][:, :N].sum(0)
     given = (before * along)[:, :N].sum(0) + (back * by).sum(1)

@@ -1,69 +1,57 @@
-"""Control steps as kernels in CUDA C: one thread per environment.
+"""Kernels in CUDA C of control steps and of their derivatives: one thread per environment.
 
 All arrays lie column by column, an environment a column, so that neighbouring threads read
-neighbouring numbers; only `actions` has a row per environment. The workspace is a local array whose
+neighbouring numbers; only actions have a row per environment. The workspace is a local array whose
 indices are constants. Slots that all environments share are an argument of the kernel, which lies
 in constant memory and takes no registers. A restart is a function with a workspace of its own, so
 that the step keeps nothing for it.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from dynamics.backends.cuda.function_text import function_text, prelude
+from dynamics.backends.cuda.statement_text import RANDOM, each, indented, lines_of
 from dynamics.tracing.assembly import Program
 from dynamics.tracing.statements import (
     Call,
-    Clear,
     ControlStep,
-    Copy,
+    Derivatives,
     Load,
-    Noise,
-    Prefetch,
-    Rows,
     Statement,
     Statements,
     Store,
-    Substeps,
-    Uniform,
     WhereEnded,
-    WhereLost,
+    rows_of,
+    walked,
 )
 
-STEP, START = "control_step", "first_report"  # a control step; the report on new episodes
-KERNELS = (STEP, START)
-_RANDOM = """\
-static __device__ __forceinline__ whole mixed(whole z)
-{
-    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ULL;
-    z = (z ^ (z >> 27)) * 0x94D049BB133111EBULL;
-    return z ^ (z >> 31);
+# a control step, which restarts ended episodes; the report on new episodes; restarts alone
+STEP, START, RESTART = "control_step", "first_report", "restart_ended"
+RECORD, PULL_BACK, PUSH_FORWARD = "record", "pull_back", "push_forward"
+DERIVATIVES = {RECORD, PULL_BACK, PUSH_FORWARD}  # kernels of `statements.Derivatives`
+_BEGUN = ("state", "streams", "obs")  # what a restart writes
+_OF_STEP = ("state", "streams", "actions", "obs", "final_obs", "info", "flags")
+_STORED = ("state", "actions", "obs", "info", "flags")
+_MIRRORS = ("actions_mirror", "state_mirror", "obs_mirror", "info_mirror")
+ARRAYS = {  # arguments of each kernel, before the shared numbers
+    STEP: _OF_STEP,
+    START: _OF_STEP,
+    RESTART: (*_BEGUN, "flags"),
+    RECORD: (*_STORED, "stack"),
+    PULL_BACK: ("state", "actions", "stack", *_MIRRORS),
+    PUSH_FORWARD: (*_STORED, *_MIRRORS),
 }
-
-static __device__ __forceinline__ real uniform(whole* stream)
-{
-    *stream += 0x9E3779B97F4A7C15ULL;
-    return real((double)(mixed(*stream) >> 11) * 1.1102230246251565e-16);
-}
-
-static __device__ __forceinline__ real normal(real key, real step, whole k)
-{
-    whole z = whole(key) * 0x9E3779B97F4A7C15ULL;
-    z ^= (whole(step) * 256ULL + k) * 0xD1342543DE82EF95ULL;
-    z = mixed(z);
-    whole low = 0;
-    for (int shift = 0; shift < 64; shift += 16)
-        low += (z >> shift) & 0xFFFFULL;
-    return (real(low) - real(131070)) * real(1.7320508075688772 / 65536.0);
-}
-"""
-_ARRAYS = """\
-    real* __restrict__ state, whole* __restrict__ streams, const float* __restrict__ actions,
-    float* __restrict__ obs, float* __restrict__ final_obs, real* __restrict__ info,
-    unsigned char* __restrict__ flags"""
+_TYPES = {
+    "streams": "whole*",
+    "actions": "const float*",
+    **dict.fromkeys(("obs", "final_obs", "actions_mirror", "obs_mirror"), "float*"),
+    "flags": "unsigned char*",
+}  # of arrays; of all others `real*`
+_TOPS = {RECORD: "0", PULL_BACK: "STACK_FIXED + STACK_PER_SUBSTEP * substeps"}  # of the stack
 _KERNEL = """\
 extern "C" __global__ void {name}(
-{arrays}, const __grid_constant__ Numbers numbers,
-    int count, int substeps)
+    {arrays},
+    const __grid_constant__ Numbers numbers, int count, int substeps)
 {{
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= count) return;
@@ -72,13 +60,12 @@ extern "C" __global__ void {name}(
 """
 _RESTART = """\
 static __device__ __noinline__ void restart(
-{arrays}, const Numbers& numbers,
-    int count, int i)
+    {arrays},
+    const Numbers& numbers, int count, int i)
 {{
 {body}
 }}
 """
-_RESTARTED = "restart(state, streams, actions, obs, final_obs, info, flags, numbers, count, i);"
 _WORKSPACE = """\
     real w[SLOTS];
     #pragma unroll
@@ -86,35 +73,31 @@ _WORKSPACE = """\
 """
 
 
-def kernel_text(program: Program, dtype: str) -> str:
-    """All kernels of a program.
+def kernel_text(program: Program, dtype: str, names: Collection[str]) -> str:
+    """Those kernels of a program that `names` lists.
 
     Raises
     ------
     ValueError : the program has no control step, or its integrator needs a Jacobian.
     """
-    entry = program.entry
-    if not isinstance(entry, ControlStep):
-        raise ValueError(
-            "The CUDA backend prints the control steps of environments; add --env ID, or take "
-            "backend='llvm'."
-        )
     if any(function.name == "AID" for function in program.functions):
         raise ValueError(
             f"integrator {program.method.integrator!r} needs a Jacobian, whose loops only the LLVM "
             "backend compiles; leave integrator out or take 'midpoint'."
         )
-    functions = [function_text(function, dtype) for function in program.functions]
-    restarts = [
-        _RESTART.format(arrays=_ARRAYS, body=_body(program, statement.body))
-        for statement in entry.step
-        if isinstance(statement, WhereEnded)
+    kernels = {name: body for name, body in _kernels(program).items() if name in names}
+    statements = [x for body in kernels.values() for x in body]
+    called = _called(statements, program.routines)
+    functions = [x for x in program.functions if x.name in called]
+    ended = [x for x in walked(statements) if isinstance(x, WhereEnded)]
+    parts = [
+        prelude(dtype),
+        _names(program, statements),
+        RANDOM,
+        *(function_text(function, dtype) for function in functions),
+        *(_restart(program, x) for x in ended[:1]),
+        *(_kernel(program, name, body) for name, body in kernels.items()),
     ]
-    kernels = [
-        _KERNEL.format(arrays=_ARRAYS, name=name, body=_body(program, statements))
-        for name, statements in ((STEP, entry.step), (START, entry.start))
-    ]
-    parts = [prelude(dtype), _names(program, entry), _RANDOM, *functions, *restarts, *kernels]
     return "\n".join(parts)
 
 
@@ -123,19 +106,69 @@ def shared_slots(program: Program) -> list[int]:
     return [program.at[name] + k for name in program.shared for k in range(program.sizes[name])]
 
 
-def _names(program: Program, entry: ControlStep) -> str:
+def _kernels(program: Program) -> dict[str, Statements]:
+    """Statements of all kernels of a program."""
+    match program.entry:
+        case ControlStep(step=step, start=start):
+            ended = [x for x in step if isinstance(x, WhereEnded)]
+            flags = [
+                Load(x.slots, x.rows)
+                for x in step
+                if isinstance(x, Store) and x.rows.array == "flags"
+            ]
+            return {STEP: step, START: start, RESTART: (*flags, *ended)}
+        case Derivatives(record=record, pull_back=back, push_forward=forward):
+            return {RECORD: record, PULL_BACK: back, PUSH_FORWARD: forward}
+    raise ValueError(
+        "The CUDA backend prints the control steps of environments; add --env ID, or take "
+        "backend='llvm'."
+    )
+
+
+def _called(statements: Iterable[Statement], routines: Mapping[str, Statements]) -> set[str]:
+    """Names of the functions that statements call, also in routines."""
+    found: set[str] = set()
+    for statement in walked(statements):
+        if isinstance(statement, Call):
+            inside = routines.get(statement.name)
+            found |= {statement.name} if inside is None else _called(inside, routines)
+    return found
+
+
+def _names(program: Program, statements: Iterable[Statement]) -> str:
     """Slots, and numbers and first rows, as an enumeration; the type of shared numbers."""
     names = {"SLOTS": program.slots, "SHARED": len(shared_slots(program)), **program.at}
-    for rows in entry.rows.values():
+    if isinstance(program.entry, Derivatives):
+        names |= {
+            "STACK_FIXED": program.entry.fixed,
+            "STACK_PER_SUBSTEP": program.entry.per_substep,
+        }
+    for rows in rows_of(statements).values():
         names |= {f"N_{rows.name}": rows.count, f"FIRST_{rows.name}": rows.first}
     lines = [f"    {name} = {number}," for name, number in names.items()]
     return "\n".join(["enum {", *lines, "};", "", "struct Numbers { real at[SHARED]; };", ""])
 
 
+def _kernel(program: Program, name: str, statements: Statements) -> str:
+    body = _body(program, statements)
+    if name in _TOPS:
+        body = f"    int top = {_TOPS[name]};\n{body}"
+    return _KERNEL.format(name=name, arrays=_arrays(ARRAYS[name]), body=body)
+
+
+def _restart(program: Program, ended: WhereEnded) -> str:
+    return _RESTART.format(arrays=_arrays(_BEGUN), body=_body(program, ended.body))
+
+
+def _arrays(names: Iterable[str]) -> str:
+    """Parameters of a function."""
+    return ", ".join(f"{_TYPES.get(name, 'real*')} __restrict__ {name}" for name in names)
+
+
 def _body(program: Program, statements: Statements) -> str:
     """Statements on a workspace of their own, which begins with the shared numbers."""
-    lines = [*_shared(program), "", *_lines(statements, program.routines)]
-    return _WORKSPACE + "\n".join(_indented(lines))
+    lines = [*_shared(program), "", *lines_of(statements, program.routines)]
+    return _WORKSPACE + "\n".join(indented(lines))
 
 
 def _shared(program: Program) -> Iterator[str]:
@@ -143,66 +176,5 @@ def _shared(program: Program) -> Iterator[str]:
     first = 0
     for name in program.shared:
         if count := program.sizes[name]:
-            yield from _each(str(count), f"w[{name} + k] = numbers.at[{first} + k];")
+            yield from each(str(count), f"w[{name} + k] = numbers.at[{first} + k];")
         first += count
-
-
-def _indented(lines: Iterable[str]) -> list[str]:
-    return [f"    {line}" if line else "" for line in lines]
-
-
-def _lines(statements: Iterable[Statement], routines: Mapping[str, Statements]) -> list[str]:
-    return [line for x in statements for line in _line(x, routines)]
-
-
-def _line(statement: Statement, routines: Mapping[str, Statements]) -> list[str]:
-    match statement:
-        case Call(name) if name in routines:
-            return _lines(routines[name], routines)
-        case Call(name):
-            return [f"{name}(w);"]
-        case Clear(slots, 1):
-            return [f"w[{slots}] = 0;"]
-        case Clear(slots, count):
-            return _each(str(count), f"w[{slots} + k] = 0;")
-        case Prefetch():
-            return []
-        case Noise(slots, count, key, step):
-            return _each(str(count), f"w[{slots} + k] = normal(w[{key}], w[{step}], k);")
-        case Uniform(slots, count):
-            return _each(str(count), f"w[{slots} + k] = uniform(streams + i);")
-        case Copy(source, target, rows):
-            return _each(f"N_{rows.name}", f"w[{target} + k] = w[{source} + k];")
-        case Load(slots, rows):
-            return _each(f"N_{rows.name}", f"w[{slots} + k] = {_element(rows)};")
-        case Store(slots, rows):
-            value = f"w[{slots} + k]" + (" != 0" if rows.array == "flags" else "")
-            return _each(f"N_{rows.name}", f"{_element(rows)} = {value};")
-        case Substeps(body):
-            return _block("for (int s = 0; s < substeps; ++s)", _lines(body, routines))
-        case WhereLost(flag, restored, then, given):
-            numbers = [line for slots, count in given for line in _each(str(count), _number(slots))]
-            lines = [*numbers, *_lines((*restored, *then), routines)]
-            return _block(f"if (w[{flag}] > 0)", lines)
-        case WhereEnded(flags):
-            return _block(f"if (w[{flags}] != 0 || w[{flags} + 1] != 0)", [_RESTARTED])
-    raise TypeError(f"The CUDA backend has no kernels of derivatives, so no {statement}.")
-
-
-def _number(slots: str) -> str:
-    """Zero in place of NaN."""
-    return f"if (w[{slots} + k] != w[{slots} + k]) w[{slots} + k] = 0;"
-
-
-def _block(head: str, lines: Iterable[str]) -> list[str]:
-    return [f"{head} {{", *_indented(lines), "}"]
-
-
-def _each(count: str, line: str) -> list[str]:
-    return ["#pragma unroll", f"for (int k = 0; k < {count}; ++k) {line}"]
-
-
-def _element(rows: Rows) -> str:
-    if rows.array == "actions":
-        return f"actions[(long long)i * N_{rows.name} + k]"
-    return f"{rows.array}[(long long)(FIRST_{rows.name} + k) * count + i]"

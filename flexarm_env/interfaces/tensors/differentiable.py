@@ -1,61 +1,83 @@
-"""The batch of the processor, whose observations, rewards and info carry gradients."""
+"""Batches whose observations, rewards and info carry gradients."""
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
 import torch
+from torch.autograd.function import once_differentiable
 
-from flexarm_env.core import DIVERGED
-from flexarm_env.derivatives import Derivatives, Recorded
-from flexarm_env.interfaces.tensors.host import HostBatch
-from flexarm_env.interfaces.tensors.results import Results, named_info
+from dynamics.backends.cuda.kernel_text import RESTART, START
+from flexarm_env.core import DIVERGED, Core
+from flexarm_env.interfaces.tensors.device import DeviceBatch, DeviceDerivatives, Launcher
+from flexarm_env.interfaces.tensors.host import HostBatch, HostDerivatives
+from flexarm_env.interfaces.tensors.results import Info, Results, named_info
 from flexarm_env.interfaces.vector import FlexArmVectorEnv
 
 
-class DifferentiableBatch(HostBatch):
+class DifferentiableBatch:
     """Steps that torch can differentiate by the actions and by the state.
 
     Gradients stop where an episode starts and where a simulation diverges. The state of every step
     and a stack (`Derivatives.record`) live as long as the graph.
+
+    Parameters
+    ----------
+    core : the batch of the processor.
+    batch : starts and restarts episodes.
+    derivatives : steps, on the memory of `batch`.
+
+    Attributes
+    ----------
+    state : (rows, N) state of all environments.
     """
 
-    def __init__(self, envs: FlexArmVectorEnv) -> None:
-        super().__init__(envs)
-        self._names = envs.core.signals.info
-        self.derivatives = Derivatives(envs.core)
-        self._padded = torch.from_numpy(envs.core.state)  # with unused columns
+    def __init__(
+        self,
+        core: Core,
+        batch: HostBatch | DeviceBatch,
+        derivatives: HostDerivatives | DeviceDerivatives,
+    ) -> None:
+        self._batch, self._derivatives = batch, derivatives
+        self._n, self._names = core.n_env, core.signals.info
+        self.detach(batch.padded())
 
-    def reset(self, options: Any) -> Any:
+    def reset(self, options: Mapping[str, Any] | None) -> tuple[torch.Tensor, Info]:
         """Start episodes in all environments, without gradients: observations, info."""
-        result = super().reset(options)
-        self.detach(torch.from_numpy(self._core.state.copy()))
+        result = self._batch.reset(options)
+        self.detach(self._batch.padded())
         return result
 
     def detach(self, state: torch.Tensor | None = None) -> torch.Tensor:
-        """Cut the graph, at `state` (rows, width) or the present one; returns it, a leaf."""
+        """Cut the graph, at `state` (rows, M) or the present one; returns it, a leaf."""
         self._padded = (self._padded if state is None else state).detach().requires_grad_()
-        self.state = self._padded[:, : self._core.n_env]
+        self.state = self._padded[:, : self._n]
         return self._padded
 
     def step(self, actions: torch.Tensor) -> Results:
         """Advance all by one control step; ended episodes restart."""
-        if not bool(torch.isfinite(actions).all()):
-            super().step(actions.detach())  # refuses them
-        core, n = self._core, self._core.n_env
-        after, obs, info, flags = _Step.apply(self.derivatives, self._padded, actions)
-        core.state[...] = after.detach().numpy()
-        last, ended = obs, flags[0, :n] | flags[1, :n]
-        if ended.any():
-            rows = np.flatnonzero(ended.numpy())
-            fresh = core.outputs()
-            core.restart(rows, fresh)
-            obs = torch.where(ended[:, None], torch.from_numpy(fresh.obs.copy()), obs)
-            columns = torch.zeros(after.shape[1], dtype=torch.bool)
-            columns[:n] = ended
-            after = torch.where(columns, torch.from_numpy(core.state.copy()), after)
+        n = self._n
+        after, obs, info, flags = _Step.apply(self._derivatives, self._padded, actions)
+        last, begun = obs, self._batch.restarted(after.detach(), flags)
+        if begun is not None:
+            ended = flags[0] | flags[1]
+            after = torch.where(ended, begun[0], after)
+            obs = torch.where(ended[:n, None], begun[1], obs)
         self._padded, self.state = after, after[:, :n]
         named = named_info(info[:, :n], flags[:, :n], self._names)
         return Results(obs, last, info[0, :n], flags[0, :n], flags[1, :n], named)
+
+
+def differentiable_on_host(envs: FlexArmVectorEnv) -> DifferentiableBatch:
+    """Batch of the processor."""
+    return DifferentiableBatch(envs.core, HostBatch(envs), HostDerivatives(envs.core))
+
+
+def differentiable_on_device(
+    core: Core, device: torch.device, compiled: Callable[[str], Launcher]
+) -> DifferentiableBatch:
+    """Batch of a device; arguments as those of `DeviceBatch`."""
+    batch = DeviceBatch(core, device, compiled, (START, RESTART))
+    return DifferentiableBatch(core, batch, DeviceDerivatives(core, device, compiled))
 
 
 class _Step(torch.autograd.Function):
@@ -63,25 +85,25 @@ class _Step(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, derivatives: Derivatives, state: torch.Tensor, actions: torch.Tensor
+        ctx: Any,
+        derivatives: HostDerivatives | DeviceDerivatives,
+        state: torch.Tensor,
+        actions: torch.Tensor,
     ) -> tuple[torch.Tensor, ...]:
         """Step and keep what the way back needs."""
-        step = derivatives.record(state.detach().numpy(), actions.detach().numpy())
-        ctx.derivatives, ctx.step = derivatives, step
-        after, obs, info, flags = map(
-            torch.from_numpy, (step.after, step.obs, step.info, step.flags)
-        )
+        state, actions = state.detach(), actions.detach()
+        after, obs, info, flags, stack = derivatives.record(state, actions)
+        ctx.derivatives = derivatives
+        ctx.save_for_backward(state, actions, stack, flags)
         ctx.mark_non_differentiable(flags)
         return after, obs, info, flags
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *bars: torch.Tensor) -> tuple[None, torch.Tensor, torch.Tensor]:
         """Cotangents of the state and of the actions; zero where the simulation diverged."""
-        step: Recorded = ctx.step
-        after, obs, info = (x.contiguous().numpy() for x in bars[:3])
-        before, actions = ctx.derivatives.pull_back(step, after, obs, info)
-        lost = step.flags[DIVERGED]
-        if lost.any():
-            before[:, lost] = 0.0
-            actions[lost[: len(actions)]] = 0.0
-        return None, torch.from_numpy(before), torch.from_numpy(actions)
+        *kept, flags = ctx.saved_tensors
+        before, actions = ctx.derivatives.pull_back(*kept, *bars[:3])
+        lost = flags[DIVERGED]
+        actions.masked_fill_(lost[: len(actions), None], 0.0)
+        return None, before.masked_fill_(lost, 0.0), actions

@@ -11,7 +11,11 @@ from gymnasium.vector import AutoresetMode
 from dynamics.description import validate
 from flexarm_env.interfaces.env import Changeable
 from flexarm_env.interfaces.tensors.device import DeviceBatch
-from flexarm_env.interfaces.tensors.differentiable import DifferentiableBatch
+from flexarm_env.interfaces.tensors.differentiable import (
+    DifferentiableBatch,
+    differentiable_on_device,
+    differentiable_on_host,
+)
 from flexarm_env.interfaces.tensors.host import HostBatch
 from flexarm_env.interfaces.tensors.privileged import Privileged
 from flexarm_env.interfaces.tensors.results import Info
@@ -205,23 +209,17 @@ def _known_device(device: Any) -> torch.device:
 
 def _batch(
     envs: FlexArmVectorEnv, device: torch.device, differentiable: bool
-) -> HostBatch | DeviceBatch:
+) -> HostBatch | DeviceBatch | DifferentiableBatch:
     """The batch of a device."""
-    if differentiable:
-        if device.type != "cpu":
-            raise ValueError(
-                f"differentiable=True needs device='cpu', got {str(device)!r}: derivatives are "
-                "compiled for the processor."
-            )
-        if envs.core.layout.goal:
-            raise ValueError(
-                "obs must be 'state' or 'sensors' with differentiable=True, got 'goal': rewards of "
-                "goals are not part of the compiled step; give the target with obs='state'."
-            )
-        return DifferentiableBatch(envs)
+    if differentiable and envs.core.layout.goal:
+        raise ValueError(
+            "obs must be 'state' or 'sensors' with differentiable=True, got 'goal': rewards of "
+            "goals are not part of the compiled step; give the target with obs='state'."
+        )
     if device.type == "cpu":
-        return HostBatch(envs)
+        return differentiable_on_host(envs) if differentiable else HostBatch(envs)
     from dynamics.backends.cuda.compiler import Kernels
 
     index = torch.cuda.current_device() if device.index is None else device.index
-    return DeviceBatch(envs.core, device, partial(Kernels, device=index))
+    made = differentiable_on_device if differentiable else DeviceBatch
+    return made(envs.core, device, partial(Kernels, device=index))

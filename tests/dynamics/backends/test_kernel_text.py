@@ -5,7 +5,7 @@ import ctypes
 import pytest
 
 from dynamics.backends.cuda.function_text import function_text
-from dynamics.backends.cuda.kernel_text import kernel_text
+from dynamics.backends.cuda.kernel_text import STEP, kernel_text
 from dynamics.backends.cuda.program import generate
 from dynamics.backends.numba_llvm.program import stepping
 from dynamics.load import load_arm
@@ -80,7 +80,7 @@ def test_what_has_no_kernel_is_refused_with_the_remedy() -> None:
     with pytest.raises(ValueError, match="take 'midpoint'"):
         generate(arm, "float32", "rosenbrock", swinging())
     with pytest.raises(ValueError, match="add --env ID"):
-        kernel_text(assembled(arm, "float32", 1, "rk4", stepping(arm)), "float32")
+        kernel_text(assembled(arm, "float32", 1, "rk4", stepping(arm)), "float32", (STEP,))
 
 
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
