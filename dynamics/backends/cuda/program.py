@@ -1,6 +1,6 @@
 """Kernels of an arm: their text, the numbers they share, and their compiled form."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +48,7 @@ def generate(
     dtype: str,
     integrator: str,
     added: Addition,
-    names: Sequence[str] = (STEP, START),
+    names: Collection[str] = (STEP, START),
 ) -> KernelSource:
     """Kernels of an arm with an integrator and an environment's addition.
 

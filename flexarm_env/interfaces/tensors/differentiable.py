@@ -39,17 +39,19 @@ class DifferentiableBatch:
     ) -> None:
         self._batch, self._derivatives = batch, derivatives
         self._n, self._names = core.n_env, core.signals.info
-        self.detach(batch.padded())
+        self._padded = batch.padded()
+        self.detach()
 
     def reset(self, options: Mapping[str, Any] | None) -> tuple[torch.Tensor, Info]:
         """Start episodes in all environments, without gradients: observations, info."""
         result = self._batch.reset(options)
-        self.detach(self._batch.padded())
+        self._padded = self._batch.padded()
+        self.detach()
         return result
 
-    def detach(self, state: torch.Tensor | None = None) -> torch.Tensor:
-        """Cut the graph, at `state` (rows, M) or the present one; returns it, a leaf."""
-        self._padded = (self._padded if state is None else state).detach().requires_grad_()
+    def detach(self) -> torch.Tensor:
+        """Cut the graph at the present state (rows, M), which is returned, a leaf."""
+        self._padded = self._padded.detach().requires_grad_()
         self.state = self._padded[:, : self._n]
         return self._padded
 

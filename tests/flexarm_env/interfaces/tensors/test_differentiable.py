@@ -1,17 +1,42 @@
-"""Gradients through episodes, held against differences of episodes of the plain batch."""
+"""Gradients through episodes, held against differences of episodes of the plain batch.
 
+Those of kernels, compiled for the host, are held against those of the processor.
+"""
+
+from typing import Any
+
+import numpy as np
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
+from dynamics.backends.cuda.compiler import Kernels
+from dynamics.backends.cuda.kernel_text import PUSH_FORWARD
 from flexarm_env import TorchVecEnv
-from flexarm_env.interfaces.tensors.differentiable import DifferentiableBatch
+from flexarm_env.interfaces.tensors import vec_env
+from flexarm_env.interfaces.tensors.device import DeviceDerivatives, Program
+from flexarm_env.interfaces.tensors.differentiable import (
+    DifferentiableBatch,
+    differentiable_on_device,
+)
+from flexarm_env.interfaces.tensors.host import HostDerivatives
+from tests.flexarm_env.interfaces.tensors import test_device as device
+from tests.host_kernels import COMPILER, HostKernels
 
 ENV_ID, N, STEPS = "FlexArm/OneLink-Reach-v0", 6, 150
 EXACT = 2.0**-10  # a step of actions that float32 adds without rounding
+CPU = torch.device("cpu")
+CASES = device.CASES | {"two links": ("TwoLink-Reach", {}), "six links": ("SixLink-Reach", {})}
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+both = pytest.mark.parametrize("kernels", [False, pytest.param(True, marks=needs_compiler)])
 
 
-def batch(**keywords: object) -> TorchVecEnv:
-    return TorchVecEnv(ENV_ID, N, differentiable=True, **keywords)
+def batch(kernels: bool = False, **keywords: Any) -> TorchVecEnv:
+    """A batch of the processor, or of kernels that are compiled for it."""
+    envs = TorchVecEnv(ENV_ID, N, differentiable=True, **keywords)
+    if kernels:
+        envs._batch = differentiable_on_device(envs.core, CPU, HostKernels)
+    return envs
 
 
 def drawn(seed: int, *shape: int) -> torch.Tensor:
@@ -44,9 +69,10 @@ def test_the_gradient_of_a_whole_episode_is_that_of_the_plain_batch() -> None:
     torch.testing.assert_close(found, exact, rtol=1e-5, atol=1e-5 * float(exact.abs().max()))
 
 
-def test_gradients_stop_where_an_episode_starts() -> None:
+@both
+def test_gradients_stop_where_an_episode_starts(kernels: bool) -> None:
     """A first observation depends on no earlier action; `final_obs` does."""
-    envs = batch(max_episode_steps=3)
+    envs = batch(kernels, max_episode_steps=3)
     envs.reset(seed=0)
     action = drawn(2, N, 1).requires_grad_()
     for _ in range(3):
@@ -58,9 +84,10 @@ def test_gradients_stop_where_an_episode_starts() -> None:
     assert reward.requires_grad
 
 
-def test_detach_gives_the_state_by_which_later_steps_are_differentiated() -> None:
+@both
+def test_detach_gives_the_state_by_which_later_steps_are_differentiated(kernels: bool) -> None:
     """Nothing flows to what was before; `privileged` and the next step flow to the leaf."""
-    envs = batch()
+    envs = batch(kernels)
     envs.reset(seed=0)
     early = drawn(3, N, 1).requires_grad_()
     envs.step(early)
@@ -76,9 +103,10 @@ def test_detach_gives_the_state_by_which_later_steps_are_differentiated() -> Non
     assert early.grad is None
 
 
-def test_where_a_simulation_diverges_gradients_are_zero() -> None:
+@both
+def test_where_a_simulation_diverges_gradients_are_zero(kernels: bool) -> None:
     """And finite everywhere else."""
-    envs = batch()
+    envs = batch(kernels)
     envs.reset(seed=0)
     rows = envs.core.signals.state.slices
     state = envs.detach()
@@ -105,3 +133,107 @@ def test_what_has_no_gradients_is_refused_with_the_remedy() -> None:
     envs.reset()
     with pytest.raises(ValueError, match="finite"):
         envs.step(torch.full((N, 1), torch.nan))
+
+
+def moving(name: str, dtype: str) -> tuple[Any, torch.Tensor, torch.Tensor]:
+    """Core of a case in motion, its state with unused columns, and actions beyond their limits."""
+    env_id, keywords = CASES[name]
+    envs = device.made(f"FlexArm/{env_id}-v0", dtype=dtype, **keywords)
+    envs.reset(seed=3)
+    core, rng = envs.core, np.random.default_rng(0)
+    for size in (0.6, 0.6, 1.2):
+        actions = rng.uniform(-size, size, envs.action_space.shape).astype(np.float32)
+        if size < 1.0:
+            core.step(actions)
+    return core, torch.from_numpy(core.state.copy()), torch.from_numpy(actions)
+
+
+def used(array: Any) -> torch.Tensor:
+    """Columns of the environments of a padded array."""
+    return torch.as_tensor(array)[:, : device.N].contiguous()
+
+
+def gap(found: torch.Tensor, expected: Any) -> float:
+    """Largest difference, relative to numbers above 1."""
+    exact = torch.as_tensor(expected)
+    exact = exact if found.shape == exact.shape else used(exact)
+    return device.largest_gap(found.double(), exact.double())
+
+
+@needs_compiler
+@pytest.mark.parametrize("dtype", device.TOLERANCES)
+@pytest.mark.parametrize("name", CASES)
+def test_kernels_have_the_derivatives_of_the_processor(name: str, dtype: str) -> None:
+    """Recorded step and stack; cotangents, and derivatives along a direction, of random ones."""
+    core, state, actions = moving(name, dtype)
+    host, kernels = HostDerivatives(core), DeviceDerivatives(core, CPU, HostKernels)
+    expected = host.record(state, actions)
+    found = kernels.record(used(state), actions)
+    gaps = [gap(a, b) for a, b in zip(found, expected, strict=True)]
+
+    torch.manual_seed(0)
+    along, obs, info, by = (torch.randn_like(x) for x in (*expected[:3], actions))
+    back = host.pull_back(state, actions, expected[4], along, obs, info)
+    backward = kernels.pull_back(used(state), actions, found[4], used(along), obs, used(info))
+    gaps += [gap(a, b) for a, b in zip(backward, back, strict=True)]
+
+    program = Program(core, CPU, (PUSH_FORWARD,), HostKernels)
+    new, moved = program.outputs(), {f"{k}_mirror": x for k, x in program.outputs().items()}
+    moved |= {"state_mirror": used(along), "actions_mirror": by}
+    program.run(PUSH_FORWARD, state=used(state), actions=actions, **new, **moved)
+    forward = moved["state_mirror"], moved["obs_mirror"].T, moved["info_mirror"]
+    given = (x.numpy() for x in (state, actions, along, by))
+    exact = host._derivatives.push_forward(*given)
+    gaps += [gap(a, b) for a, b in zip(forward, exact, strict=True)]
+    assert max(gaps) <= device.TOLERANCES[dtype], gaps
+
+
+@needs_compiler
+def test_gradients_of_episodes_are_equal_on_both() -> None:
+    """Across restarts within steps, by the actions and by the state at the start."""
+    found = []
+    for kernels in (False, True):
+        envs, actions = batch(kernels, max_episode_steps=4), drawn(6, 10, N, 1).requires_grad_()
+        envs.reset(seed=0)
+        start, total = envs.detach(), torch.zeros(())
+        for action in actions:
+            obs, reward, _, _, info = envs.step(action)
+            total = total + (reward.sum() + (obs + info["final_obs"]).sum()) + info["time"].sum()
+        total = total + envs.privileged().sum()
+        by = torch.autograd.grad(total, (start, actions))
+        found.append([total, obs, envs.state, by[0][:, :N], by[1]])
+    for a, b in zip(*found, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-6, atol=1e-6)  # of float32 observations
+
+
+@needs_compiler
+def test_nothing_waits_for_the_device() -> None:
+    """No operation of a step or of the way back reads a number on the host."""
+
+    class Seen(TorchDispatchMode):
+        def __torch_dispatch__(
+            self, func: Any, types: Any, args: Any = (), kwargs: Any = None
+        ) -> Any:
+            names.add(func.overloadpacket.__name__)
+            return func(*args, **(kwargs or {}))
+
+    names: set[str] = set()
+    envs = batch(True, max_episode_steps=2)
+    envs.reset(seed=0)
+    actions = drawn(7, N, 1).requires_grad_()
+    with Seen():
+        for _ in range(3):
+            _, reward, _, _, info = envs.step(actions)
+        (reward.sum() + info["final_obs"].sum() + envs.privileged().sum()).backward()
+    assert actions.grad is not None
+    assert "where" in names
+    assert not names & {"_local_scalar_dense", "nonzero", "equal"}
+
+
+def test_a_differentiable_batch_of_a_gpu_has_its_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vec_env, "differentiable_on_device", lambda *given: given)
+    envs = TorchVecEnv(ENV_ID, 1).envs
+    core, on, compiled = vec_env._batch(envs, torch.device("cuda", 3), True)  # type: ignore[misc]
+    assert (core, on.index) == (envs.core, 3)
+    assert compiled.func is Kernels
+    assert compiled.keywords == {"device": 3}
