@@ -3,6 +3,7 @@
 import ctypes
 import sys
 from pathlib import Path
+from threading import Thread, get_ident
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -22,17 +23,17 @@ def test_a_missing_library_is_answered_with_the_line_that_installs_it(
 
 
 class _Code:
-    """Object code that remembers where it came from; its kernels are numbered."""
+    """Object code that remembers where it came from; a kernel's handle is its name's length."""
 
     def __init__(self, code: bytes) -> None:
         self.code = code
 
     def get_kernel(self, name: str) -> Any:
-        return SimpleNamespace(handle=compiler.KERNELS.index(name) + 100)
+        return SimpleNamespace(handle=len(name))
 
 
-def library(compiled: list[str]) -> ModuleType:
-    """A stand-in for `cuda.core`, with what is used of it."""
+def library(compiled: list[str], threads: list[int]) -> ModuleType:
+    """A stand-in for `cuda.core`; `threads` are those in which a device was made current."""
 
     def program(source: str, code_type: str, options: Any) -> Any:
         compiled.append(source)
@@ -40,7 +41,9 @@ def library(compiled: list[str]) -> ModuleType:
 
     core: Any = ModuleType("cuda.core")
     core.__version__ = "1.0.0"
-    core.Device = lambda number: SimpleNamespace(arch="90", set_current=lambda: None)
+    core.Device = lambda number: SimpleNamespace(
+        arch="90", set_current=lambda: threads.append(get_ident())
+    )
     core.ObjectCode = SimpleNamespace(from_cubin=_Code)
     core.ProgramOptions = SimpleNamespace
     core.Program = program
@@ -68,7 +71,8 @@ def test_kernels_are_compiled_once_and_launched_on_the_stream_given(
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path / "cache"))
     compiled: list[str] = []
     launched: list[Any] = []
-    monkeypatch.setattr(compiler, "_cuda_core", lambda: library(compiled))
+    threads: list[int] = []
+    monkeypatch.setattr(compiler, "_cuda_core", lambda: library(compiled, threads))
     monkeypatch.setitem(sys.modules, "cuda", ModuleType("cuda"))
     monkeypatch.setitem(sys.modules, "cuda.bindings", driver(launched, 0))
     compiler.Kernels("source", 0)
@@ -76,8 +80,10 @@ def test_kernels_are_compiled_once_and_launched_on_the_stream_given(
     assert compiled == ["source"]
     assert [path.suffix for path in cache.cache_folder().iterdir()] == [".cubin"]
     given = [np.uint64(2**40), np.array([0.5, 2.0], np.float32), np.int32(7)]
-    kernels.launch("control_step", 9, 300, given)
-    configuration = (100, 3, 1, 1, 128, 1, 1, 0, 9)
+    thread = Thread(target=kernels.launch, args=("control_step", 9, 300, given))
+    thread.start(), thread.join()
+    assert threads[-1] != get_ident()
+    configuration = (12, 3, 1, 1, 128, 1, 1, 0, 9)
     assert launched == [(configuration, 2**40, [0.5, 2.0], 7)]
 
     refused = driver(launched, SimpleNamespace(name="CUDA_ERROR_INVALID_VALUE"))
@@ -94,11 +100,11 @@ ptxas info    : Function properties for first_report
 ptxas         .     0 bytes stack frame, 0 bytes spill stores, 0 bytes spill loads
 ptxas info    : Used 56 registers, used 0 barriers
 ptxas info    : Compiling entry function 'control_step' for 'sm_90'
-ptxas info    : Function properties for restart
-ptxas         .     8 bytes stack frame, 4 bytes spill stores, 4 bytes spill loads
 ptxas info    : Function properties for control_step
 ptxas         .     2160 bytes stack frame, 5096 bytes spill stores, 8696 bytes spill loads
-ptxas info    : Used 255 registers, used 0 barriers, 2160 bytes cumulative stack size
+ptxas info    : Used 255 registers, used 0 barriers, 2168 bytes cumulative stack size
+ptxas info    : Function properties for restart
+ptxas         .     8 bytes stack frame, 4 bytes spill stores, 6 bytes spill loads
 """
 
     def program(source: str, code_type: str, options: Any) -> Any:
@@ -108,5 +114,4 @@ ptxas info    : Used 255 registers, used 0 barriers, 2160 bytes cumulative stack
     core = SimpleNamespace(ProgramOptions=SimpleNamespace, Program=program)
     monkeypatch.setattr(compiler, "_cuda_core", lambda: core)
     found = compiler.usage("source", "sm_90")
-    assert found["control_step"] == (2160, 5096, 8696, 255)
-    assert found["first_report"].registers == 56
+    assert found == {"first_report": (0, 0, 0, 56), "control_step": (2168, 5100, 8702, 255)}

@@ -5,8 +5,9 @@ import ctypes
 import pytest
 
 from dynamics.backends.cuda.function_text import function_text
-from dynamics.backends.cuda.kernel_text import STEP, kernel_text
+from dynamics.backends.cuda.kernel_text import PULL_BACK, RECORD, STEP, kernel_text
 from dynamics.backends.cuda.program import generate
+from dynamics.backends.cuda.statement_text import lines_of
 from dynamics.backends.numba_llvm.program import stepping
 from dynamics.load import load_arm
 from dynamics.tracing.assembly import Addition, assembled
@@ -15,7 +16,10 @@ from dynamics.tracing.ssa import Code
 from dynamics.tracing.statements import (
     Call,
     ControlStep,
+    Derivatives,
     Load,
+    Pop,
+    Push,
     Rows,
     Store,
     Substeps,
@@ -64,6 +68,36 @@ def test_a_program_prints_its_kernels() -> None:
     assert "uniform(streams + i)" in restart
     assert "uniform(" not in step
     assert text.isascii()
+
+
+def test_derivatives_are_kernels_with_a_stack() -> None:
+    """Pulling back begins on top of what recording has pushed; both print only what they call."""
+    arm = TracedArm(load_arm("slim"))
+    source = generate(arm, "float32", "rk4", swinging(), (RECORD, PULL_BACK))
+    entry = source.program.entry
+    assert isinstance(entry, Derivatives)
+    assert f"STACK_FIXED = {entry.fixed}," in source.text
+    record, back = source.text.partition("void record(")[2].split("void pull_back(")
+    assert "int top = 0;" in record
+    assert "int top = STACK_FIXED + STACK_PER_SUBSTEP * substeps;" in back
+    assert "accelerations(w);" in record
+    assert "accelerations_adjoint(w);" in back
+    assert "_tangent" not in source.text
+
+
+def test_rows_of_actions_and_a_stack_of_columns() -> None:
+    """A thread's top of the stack moves after a push and before a pop."""
+    actions = Rows("GIVEN", "actions_mirror", 0, 2)
+    statements = (Push("Q", 1, 3), Pop("Q", 0, 2), Store("TAU", actions))
+    lines = [line for line in lines_of(statements, {}) if not line.startswith("#")]
+    assert lines == [
+        "for (int k = 0; k < 3; ++k) stack[(long long)(top + k) * count + i] = w[Q + 1 + k];",
+        "top += 3;",
+        "top -= 2;",
+        "for (int k = 0; k < 2; ++k) w[Q + 0 + k] = stack[(long long)(top + k) * count + i];",
+        "for (int k = 0; k < N_GIVEN; ++k) "
+        "actions_mirror[(long long)i * N_GIVEN + k] = w[TAU + k];",
+    ]
 
 
 def test_numbers_hold_the_step_and_the_factors_of_the_method() -> None:
