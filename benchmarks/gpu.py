@@ -1,11 +1,12 @@
-"""Control steps on a GPU: their rates, beside its bandwidth and multiply-add peak, and agreement.
+"""Control steps on a GPU and their derivatives: rates, bandwidth, multiply-add peak, agreement.
 
     python -m benchmarks.gpu
 
 Needs an NVIDIA GPU with the extras `gpu` and `tensors`; sized for less than four minutes. Batches
 of Reach take random actions, and ended episodes restart. Agreement is the largest difference from
-the processor over 40 steps, relative to numbers above 1. Writes docs/results/gpu_NAME.json and .md,
-where NAME is that of the GPU.
+the processor over 40 steps, relative to numbers above 1; that of the gradient of their rewards is
+relative to its largest number. Writes docs/results/gpu_NAME.json and .md, where NAME is that of the
+GPU.
 """
 
 import re
@@ -17,18 +18,29 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.kernels import DTYPES, FORMS, HEADER, SCENES, Row, cells, measured
+from benchmarks import kernels
+from benchmarks.kernels import DTYPES, SCENES, Row
 from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
 from dynamics.backends.cuda.function_text import prelude
-from dynamics.backends.cuda.kernel_text import KERNELS
 from flexarm_env import TorchVecEnv
 from flexarm_env.compiled.termination import FLAGS
-from flexarm_env.interfaces.tensors.device import DeviceBatch, kernel_source
+from flexarm_env.interfaces.tensors.device import DeviceBatch
 
 BATCHES = tuple(2**k for k in (12, 14, 16, 18, 20))
 FOLLOWED, STEPS, EPISODE = 20, 40, 15  # environments, steps and steps of an episode, for agreement
 RUNS, SECONDS = 5, 0.1  # of one measurement, and the least time of a run
-FORMS_SCENE, FORMS_BATCH = "SixLink", 2**16  # the scene that spills
+BATCH = 2**16  # environments, for derivatives and forms
+FORMS_SCENE = "SixLink"  # the scene that spills
+FORMS = {
+    form: kernels.FORMS[form]
+    for form in (
+        "as printed",
+        "all functions called",
+        "for at least 4 blocks",
+        "spills in shared memory",
+    )
+}
+SPARED = (("SixLink", "float64"),)  # whose derivatives take minutes to compile
 CHAINS, ROUNDS = 16, 4096  # of multiply-adds in a thread
 THREADS = 2**18
 TRAINING = {
@@ -109,14 +121,45 @@ def rate(
     return {"steps_per_second": found, "bytes": moved(envs)}
 
 
-def kernels_of(text: str, *names: str) -> Any:
+def kernels_of(text: str) -> Any:
     """Kernels of a text on the present GPU."""
     from dynamics.backends.cuda.compiler import Kernels
 
-    return Kernels(text, torch.cuda.current_device(), names or KERNELS)
+    return Kernels(text, torch.cuda.current_device())
 
 
-def forms(device: str, n: int = FORMS_BATCH) -> dict[str, float]:
+def gradient_agreement(scene: str, dtype: str, device: str) -> float:
+    """Largest difference of the gradient of rewards by actions, relative to its largest number."""
+    found = []
+    for on in ("cpu", device):
+        torch.manual_seed(0)
+        envs = TorchVecEnv(
+            env_id(scene), FOLLOWED, on, True, dtype=dtype, max_episode_steps=EPISODE
+        )
+        size = (STEPS, FOLLOWED, envs.single_action_space.shape[0])
+        actions = (2.0 * torch.rand(size) - 1.0).to(on).requires_grad_()
+        envs.reset(seed=0)
+        total = torch.stack([envs.step(action)[1].sum() for action in actions]).sum()
+        found.append(torch.autograd.grad(total, actions)[0].cpu())
+    return float((found[1] - found[0]).abs().max() / found[0].abs().max())
+
+
+def derivatives(scene: str, dtype: str, device: str, n: int) -> dict[str, float]:
+    """Recorded steps and steps taken back per second of a batch of n, and agreement."""
+    envs: Any = TorchVecEnv(env_id(scene), n, device, True, dtype=dtype)
+    envs.reset(seed=0)
+    made, state = envs._batch._derivatives, envs.detach().detach()
+    actions = 2.0 * torch.rand(n, envs.single_action_space.shape[0], device=device) - 1.0
+    after, obs, info, _, stack = made.record(state, actions)
+    given = (state, actions, stack, *(torch.ones_like(x) for x in (after, obs, info)))
+    return {
+        "record": n / seconds(lambda: made.record(state, actions), device),
+        "pull_back": n / seconds(lambda: made.pull_back(*given), device),
+        "agreement": gradient_agreement(scene, dtype, device),
+    }
+
+
+def forms(device: str, n: int = BATCH) -> dict[str, float]:
     """Control steps per second of the scene of FORMS_SCENE by form of the text, in float32."""
     found = {form: rate(FORMS_SCENE, "float32", device, n, f) for form, f in FORMS.items()}
     return {form: row["steps_per_second"] for form, row in found.items()}
@@ -156,12 +199,12 @@ def peak_text(dtype: str) -> str:
 
 def multiply_adds(dtype: str) -> float:
     """Operations per second of the GPU's multiply-adds, two each."""
-    kernels = kernels_of(peak_text(dtype), "chains")
+    compiled = kernels_of(peak_text(dtype))
     out = torch.zeros(THREADS, dtype=getattr(torch, dtype), device="cuda")
     factors = np.array([0.999, 0.001], dtype)
     given = [np.uint64(out.data_ptr()), *factors, np.int32(ROUNDS)]
     stream = int(torch.cuda.current_stream().cuda_stream)
-    taken = seconds(lambda: kernels.launch("chains", stream, THREADS, given), "cuda")
+    taken = seconds(lambda: compiled.launch("chains", stream, THREADS, given), "cuda")
     return 2.0 * THREADS * CHAINS * ROUNDS / taken
 
 
@@ -187,12 +230,7 @@ def trained(config: dict[str, Any]) -> Row:
     }
 
 
-def compiled(scene: str, dtype: str) -> Row:
-    """Registers, spills and compile time of a scene's kernels."""
-    return measured(kernel_source(TorchVecEnv(env_id(scene), 1, dtype=dtype).core).text)
-
-
-def measure(device: str, batches: Sequence[int] = BATCHES) -> dict[str, Any]:
+def measure(device: str, batches: Sequence[int] = BATCHES, batch: int = BATCH) -> dict[str, Any]:
     """Everything but the multiply-add peak and the training, on a device."""
     return {
         "bandwidth": bandwidth(device),
@@ -201,13 +239,29 @@ def measure(device: str, batches: Sequence[int] = BATCHES) -> dict[str, Any]:
                 dtype: {
                     "agreement": agreement(scene, dtype, device),
                     "rates": {str(n): rate(scene, dtype, device, n) for n in batches},
-                    "kernel": compiled(scene, dtype),
                 }
                 for dtype in DTYPES
             }
             for scene in SCENES
         },
+        "derivatives": [
+            {
+                "scene": scene,
+                "dtype": dtype,
+                "step": rate(scene, dtype, device, batch)["steps_per_second"],
+                **derivatives(scene, dtype, device, batch),
+            }
+            for scene in SCENES
+            for dtype in DTYPES
+            if (scene, dtype) not in SPARED
+        ],
     }
+
+
+def derivative_cells(row: dict[str, Any]) -> list[str]:
+    """Scene, number type, rates and agreement."""
+    rates = [f"{row[name]:.2g}" for name in ("step", "record", "pull_back")]
+    return [SCENES[row["scene"]], row["dtype"], *rates, f"{row['agreement']:.1g}"]
 
 
 def page(results: dict[str, Any]) -> str:
@@ -235,9 +289,13 @@ def page(results: dict[str, Any]) -> str:
         ),
         "The share is that of the largest batch. Agreement is the largest difference from the "
         f"processor over {STEPS} steps, relative to numbers above 1.",
-        table(["", "", *HEADER], [[SCENES[s], d, *cells(f["kernel"])] for s, d, f in each], "llr"),
         table(
-            [f"{SCENES[FORMS_SCENE]}, float32, {FORMS_BATCH} environments", "steps/s"],
+            [f"steps/s, {BATCH} environments", "", "step", "record", "pull_back", "agreement"],
+            [derivative_cells(row) for row in results["derivatives"]],
+            "llr",
+        ),
+        table(
+            [f"{SCENES[FORMS_SCENE]}, float32, {BATCH} environments", "steps/s"],
             [[form, f"{x:.2g}"] for form, x in results["forms"].items()],
             "lr",
         ),

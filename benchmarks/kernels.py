@@ -2,13 +2,14 @@
 
     python -m benchmarks.kernels [--variants] [--out docs/results/kernels.json]
 
-NVRTC (extra `gpu`) compiles the control steps of Reach for an H100; its assembler reports what
-they take. `--variants` also compiles other forms of the text. Fills the tables of docs/gpu.md.
+NVRTC (extra `gpu`) compiles the control steps of Reach and their derivatives for an H100; its
+assembler reports what they take. `--variants` also compiles other forms of the text. Fills the
+tables of docs/gpu.md. Takes six minutes of CPU time, with `--variants` twelve.
 """
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from benchmarks.output import (
     table,
 )
 from dynamics.backends.cuda.compiler import usage
-from dynamics.backends.cuda.kernel_text import STEP
+from dynamics.backends.cuda.kernel_text import PULL_BACK, PUSH_FORWARD, RECORD, START, STEP
 from flexarm_env import FlexArmVectorEnv
 from flexarm_env.interfaces.tensors.device import kernel_source
 
@@ -35,11 +36,11 @@ DTYPES = ("float32", "float64")
 Row = dict[str, float]
 
 
-def text_of(scene: str, dtype: str) -> str:
+def text_of(scene: str, dtype: str, names: Collection[str] = (STEP, START)) -> str:
     """Kernels of a scene's Reach."""
     envs = gym.make_vec(f"FlexArm/{scene}-Reach-v0", num_envs=1, dtype=dtype)
     assert isinstance(envs, FlexArmVectorEnv)
-    return kernel_source(envs.core).text
+    return kernel_source(envs.core, names).text
 
 
 def called(*names: str) -> Callable[[str], str]:
@@ -77,6 +78,7 @@ def spilled_to_shared_memory(text: str) -> str:
     return before + head + arguments + brace + pragma + body
 
 
+DERIVATIVES = (RECORD, PULL_BACK, PUSH_FORWARD)
 FORMS: dict[str, Callable[[str], str]] = {
     "as printed": lambda text: text,
     "restart inlined": inlined_restart,
@@ -89,10 +91,17 @@ FORMS: dict[str, Callable[[str], str]] = {
 }
 
 
-def measured(text: str) -> Row:
-    """Registers and spilled bytes of the control step, and CPU time of the compilation [s]."""
+BACK_FORMS: dict[str, Callable[[str], str]] = {
+    "as printed": lambda text: text,
+    "adjoint of the accelerations called": called("accelerations_adjoint"),
+    "all functions called": called(r"\w+"),
+}
+
+
+def measured(text: str, kernel: str = STEP) -> Row:
+    """Registers and spilled bytes of a kernel, and CPU time of the compilation [s]."""
     begin = time.process_time()
-    found = usage(text, ARCH)[STEP]
+    found = usage(text, ARCH)[kernel]
     seconds = time.process_time() - begin
     return {**found._asdict(), "seconds": round(seconds, 1)}
 
@@ -101,6 +110,17 @@ def cells(row: Row) -> list[str]:
     """A row's registers, stack, stored and loaded bytes, and seconds."""
     names = ("registers", "stack", "stores", "loads")
     return [*(f"{row[name]:,.0f}" for name in names), f"{row['seconds']:.1f}"]
+
+
+def derivatives_table(rows: dict[str, dict[str, dict[str, Row]]]) -> str:
+    """Table of scenes, kernels of derivatives and number types."""
+    listed = [
+        [SCENES[scene], kernel, dtype, *cells(row)]
+        for scene, kernels in rows.items()
+        for kernel, of in kernels.items()
+        for dtype, row in of.items()
+    ]
+    return table(["", "", "", *HEADER], listed, "lllr")
 
 
 HEADER = ("registers", "stack [B]", "spill stores [B]", "spill loads [B]", "compile [s of CPU]")
@@ -114,15 +134,26 @@ def kernels_table(rows: dict[str, dict[str, Row]]) -> str:
     return table(["", "", *HEADER], listed, "llr")
 
 
-def forms_table(rows: dict[str, dict[str, Row]]) -> str:
-    """Table of forms: registers, and bytes of spill stores where there are any, per scene."""
+def forms_table(title: str, rows: dict[str, dict[str, Row]]) -> str:
+    """Table of forms: registers, and bytes of spills where there is a stack, per scene."""
 
     def cell(row: Row) -> str:
         spills = f"; {row['stores']:,.0f} + {row['loads']:,.0f} B" if row["stack"] else ""
         return f"{row['registers']}{spills}"
 
     listed = [[form, *(cell(rows[form][scene]) for scene in SCENES)] for form in rows]
-    return table(["float32", *SCENES.values()], listed, "lr")
+    return table([title, *SCENES.values()], listed, "lr")
+
+
+def forms(
+    changes: dict[str, Callable[[str], str]], kernel: str, names: Collection[str]
+) -> dict[str, dict[str, Row]]:
+    """A kernel by form and scene, in float32."""
+    texts = {scene: text_of(scene, "float32", names) for scene in SCENES}
+    return {
+        form: {scene: measured(change(text), kernel) for scene, text in texts.items()}
+        for form, change in changes.items()
+    }
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -131,18 +162,26 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--variants", action="store_true", help="compile other forms too")
     parser.add_argument("--out", type=Path, default=RESULTS / "kernels.json")
     options = parser.parse_args(arguments)
-    texts = {scene: {dtype: text_of(scene, dtype) for dtype in DTYPES} for scene in SCENES}
     results: dict[str, Any] = provenance("cuda-core", "nvidia-cuda-nvrtc") | {"arch": ARCH}
     results["kernels"] = {
-        scene: {dtype: measured(text) for dtype, text in of.items()} for scene, of in texts.items()
+        scene: {dtype: measured(text_of(scene, dtype)) for dtype in DTYPES} for scene in SCENES
     }
-    blocks = {"kernels": kernels_table(results["kernels"])}
-    if options.variants:
-        results["forms"] = {
-            form: {scene: measured(changed(of["float32"])) for scene, of in texts.items()}
-            for form, changed in FORMS.items()
+    results["derivatives"] = {
+        scene: {
+            kernel: {d: measured(text_of(scene, d, (kernel,)), kernel) for d in DTYPES}
+            for kernel in DERIVATIVES
         }
-        blocks["forms"] = forms_table(results["forms"])
+        for scene in SCENES
+    }
+    blocks = {
+        "kernels": kernels_table(results["kernels"]),
+        "derivatives": derivatives_table(results["derivatives"]),
+    }
+    if options.variants:
+        results["forms"] = forms(FORMS, STEP, (STEP, START))
+        results["back_forms"] = forms(BACK_FORMS, PULL_BACK, (PULL_BACK,))
+        blocks["forms"] = forms_table("control step, float32", results["forms"])
+        blocks["back_forms"] = forms_table("`pull_back`, float32", results["back_forms"])
     page = "\n\n".join(["# Kernels", *(blocks.values())]) + "\n"
     save_results(results, page, options.out)
     if options.out == RESULTS / "kernels.json":

@@ -13,8 +13,6 @@ from flexarm_env.interfaces.tensors.device import DeviceBatch, kernel_source
 from tests.agents.tiny import KWARGS
 from tests.host_kernels import COMPILER, HostKernels
 
-ROW = {"stack": 0, "stores": 0, "loads": 0, "registers": 79, "seconds": 0.5}
-
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_without_a_gpu_nothing_is_written(
@@ -34,11 +32,14 @@ def test_a_device_is_measured_and_its_page_shows_it(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(gpu, "DTYPES", ("float64",))
     monkeypatch.setattr(gpu, "SECONDS", 1e-3)
     monkeypatch.setattr(gpu, "bandwidth", lambda device: 1e12)
-    monkeypatch.setattr(gpu, "compiled", lambda scene, dtype: ROW)
-    results: dict[str, Any] = gpu.measure("cpu", batches=(4, 8))
+    results: dict[str, Any] = gpu.measure("cpu", batches=(4, 8), batch=4)
     found = results["scenes"]["OneLink"]["float64"]
     assert found["agreement"] == 0.0  # the processor beside itself
     assert all(row["steps_per_second"] > 0.0 for row in found["rates"].values())
+    (row,) = results["derivatives"]
+    assert row["agreement"] == 0.0
+    assert min(row[name] for name in ("step", "record", "pull_back")) > 0.0
+    row |= {"step": 3e9, "record": 2e9, "pull_back": 1e9, "agreement": 2e-7}
     found["rates"]["8"] = {"steps_per_second": 2e9, "bytes": 250}
     results |= {"gpu": "Name", "command": "python -m benchmarks.gpu", "multiply_adds": {"x": 1.0}}
     results["forms"] = {"as printed": 1.5e8}
@@ -48,7 +49,7 @@ def test_a_device_is_measured_and_its_page_shows_it(monkeypatch: pytest.MonkeyPa
     text = gpu.page(results)
     assert "| 2e+09 | 50 % | 0 |" in text
     assert "| as printed | 1.5e+08 |" in text
-    assert "| one link | float64 | 79 | 0 | 0 | 0 | 0.5 |" in text
+    assert "| one link | float64 | 3e+09 | 2e+09 | 1e+09 | 2e-07 |" in text
 
 
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
