@@ -8,7 +8,7 @@ from dynamics.integrators.table import INTEGRATORS, usable
 from dynamics.tracing import graphs
 from dynamics.tracing.function import Function, traced
 from dynamics.tracing.method import Method, traced_method
-from dynamics.tracing.statements import Call, ControlStep, Derivatives, Statements
+from dynamics.tracing.statements import Call, ControlStep, Derivatives, Motion, Statements
 from dynamics.tracing.traced_arm import TracedArm
 
 
@@ -19,7 +19,7 @@ class Addition:
     key: str  # tells it from other additions to the same arm
     sizes: Mapping[str, int]  # further slots of the workspace: name -> how many
     functions: Callable[[Mapping[str, int]], list[Function]]  # of the workspace, from all slots
-    entry: ControlStep | str  # what Python calls: a control step, or loops that the backend names
+    entry: ControlStep | Motion | str  # what Python calls; a text names loops of the backend
     shared: Sequence[str] = ()  # names of its slots that are equal in all environments
 
 
@@ -36,7 +36,7 @@ class Program:
     renewal: Sequence[Function]  # of a free base, after every step
     method: Method
     routines: Mapping[str, Statements]
-    entry: ControlStep | Derivatives | str
+    entry: ControlStep | Motion | Derivatives | str
     shared: Sequence[str]  # names of slots that are equal in all environments
 
     @property

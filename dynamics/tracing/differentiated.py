@@ -1,5 +1,7 @@
 """Derivatives of a program: a control step in, a recording step and its derivatives out.
 
+Of a motion, the motion that takes derivatives along a direction with it.
+
 Every slot of the workspace gets a mirror (`tracing.adjoint`), and so has every array of the caller.
 Going back needs the numbers that functions read. So the recording step saves on a stack what a
 function is about to overwrite, where the adjoint of an earlier one needs it; `pull_back` undoes the
@@ -27,6 +29,7 @@ from dynamics.tracing.statements import (
     Copy,
     Derivatives,
     Load,
+    Motion,
     Noise,
     Pop,
     Push,
@@ -44,23 +47,34 @@ EQUATIONS = "IMBALANCE"  # slots of F, which has a place in the step's order, bu
 
 
 def differentiated(program: Program, arm: TracedArm | None = None) -> Program:
-    """The program with mirrored slots, whose entry is `Derivatives` of its control step.
+    """The program with mirrored slots: `Derivatives` of its control step, or a `Motion`.
 
     With the arm, the adjoint of the accelerations is made from the equations that they solve.
     """
-    if not isinstance(program.entry, ControlStep):
-        raise TypeError(f"Only a control step has derivatives, not {program.entry!r}.")
-    taken = program.entry.step
+    if isinstance(program.entry, ControlStep):
+        return _of_step(program, program.entry.step, arm)
+    if isinstance(program.entry, Motion):
+        return _of_motion(program, program.entry)
+    raise TypeError(f"Only control steps and motions have derivatives, not {program.entry!r}.")
+
+
+def _of_motion(program: Program, motion: Motion) -> Program:
+    made = _Derivation(program, (*motion.begin, *motion.step))
+    begin = (made.cleared, *made.pushed_forward(motion.begin))
+    step = tuple(made.pushed_forward(made.flattened(motion.step)))
+    return _mirrored_program(program, made, Motion(begin=begin, step=step))
+
+
+def _of_step(program: Program, statements: Statements, arm: TracedArm | None) -> Program:
     if arm is not None and arm.formed.recursion is None:
         arm = None
     if arm is not None:
         sizes, at = {**program.sizes, EQUATIONS: arm.n}, {**program.at, EQUATIONS: program.slots}
         program = replace(program, sizes=sizes, at=at, slots=program.slots + arm.n)
-    made = _Derivation(program, arm)
-    step = tuple(made.flattened(taken))
+    made = _Derivation(program, statements, arm)
+    step = tuple(made.flattened(statements))
     record = made.recorded(step)
     end = made.kept_to_the_end()
-    mirrored = {name + MIRROR: size for name, size in program.sizes.items()}
     entry = Derivatives(
         record=tuple(_running([*record, *end])),
         pull_back=tuple(made.pulled_back(step, record, end)),
@@ -72,6 +86,13 @@ def differentiated(program: Program, arm: TracedArm | None = None) -> Program:
             for y in x.body if isinstance(y, Push)
         ),
     )  # fmt: skip
+    return _mirrored_program(program, made, entry)
+
+
+def _mirrored_program(
+    program: Program, made: "_Derivation", entry: Derivatives | Motion
+) -> Program:
+    mirrored = {name + MIRROR: size for name, size in program.sizes.items()}
     return replace(
         program,
         title=f"{program.title}, derivatives",
@@ -104,15 +125,13 @@ class _Derivation:
     functions : adjoints, tangents and copies that statements call.
     """
 
-    def __init__(self, program: Program, arm: TracedArm | None) -> None:
+    def __init__(self, program: Program, step: Statements, arm: TracedArm | None = None) -> None:
         self._program, self._arm = program, arm
         self.functions: list[Function] = []
-        entry = program.entry
-        assert isinstance(entry, ControlStep)
         self._primal = {function.name: function for function in program.functions}
         self._changed = {slot for function in program.functions for slot in stores(function)}
         loaded: set[int] = set()
-        for x in entry.step:
+        for x in step:
             if isinstance(x, Load):
                 loaded.update(self._slots(x.slots, x.rows.count))
             elif isinstance(x, Noise):

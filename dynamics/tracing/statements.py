@@ -165,6 +165,14 @@ class ControlStep:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Program of a motion under torques that change at samples."""
+
+    begin: Statements  # loads rows of the array `state`
+    step: Statements  # to the next sample: loads rows of `torque`, stores rows of `place`
+
+
+@dataclass(frozen=True, kw_only=True)
 class Derivatives:
     """Programs of a control step and its derivatives; see `tracing.differentiated`."""
 
