@@ -248,7 +248,7 @@ class Model:
         """Generated module for a number of lanes and an integrator, from the cache if possible.
 
         `addition` replaces the measurements and entry points of the stepper; with `derivatives`,
-        those of its control step take the place of the step.
+        those of its control step, or its motion with derivatives, take the place of that.
         """
         kind = lanes, integrator, addition.key if addition else "", derivatives
         if kind not in self._programs:

@@ -18,16 +18,27 @@ from dynamics.backends.numba_llvm.derivative_text import derivative_text
 from dynamics.backends.numba_llvm.fingerprint import fingerprint
 from dynamics.backends.numba_llvm.integrator_text import setting
 from dynamics.backends.numba_llvm.module_text import module_text, straight_line_text
+from dynamics.backends.numba_llvm.motion_text import motion_text
 from dynamics.backends.numba_llvm.stepper_entries import FORCES, step_length, stepper_text
 from dynamics.runtime.numba_internals import DIGEST
 from dynamics.tracing import graphs
 from dynamics.tracing.assembly import Addition, assembled
 from dynamics.tracing.differentiated import differentiated
 from dynamics.tracing.function import Function, finite_check, traced
-from dynamics.tracing.statements import Call, ControlStep, Derivatives
+from dynamics.tracing.statements import (
+    Call,
+    ControlStep,
+    Derivatives,
+    Load,
+    Motion,
+    Rows,
+    Store,
+    Substeps,
+)
 from dynamics.tracing.traced_arm import TracedArm
 
 STEPPER, INVERSE_DYNAMICS = "stepper", "inverse dynamics"  # loops of `stepper_entries`
+SAMPLED = "sampled motion"
 
 _importing = threading.RLock()
 
@@ -43,7 +54,7 @@ def program(
     """The generated module of an arm for a number of lanes and a method.
 
     `addition` replaces the stepper's measurements and entry points by others; with `derivatives`,
-    derivatives of its control step take the place of the step.
+    derivatives of its control step, or its motion with derivatives, take the place of that.
     """
     added = addition or stepping(arm)
     described = json.dumps(arm.arm.to_dict(), sort_keys=True)
@@ -70,6 +81,8 @@ def generate(
         entries = control_step_text(program.entry, program.routines, steps)
     elif isinstance(program.entry, Derivatives):
         entries = derivative_text(program.entry, steps)
+    elif isinstance(program.entry, Motion):
+        entries = motion_text(program.entry, program.routines, steps)
     elif program.entry == STEPPER:
         columns = [f"N_TORQUE = {arm.n_torque}", f"N_MEASURED = {arm.n_measure}"]
         loops = stepper_text(program.routines, steps, arm.arm.base.spatial)
@@ -115,6 +128,23 @@ def inverse_dynamics(arm: TracedArm) -> Addition:
 
     sizes = {"FORCES": arm.n}
     return Addition(key=INVERSE_DYNAMICS, sizes=sizes, functions=functions, entry=INVERSE_DYNAMICS)
+
+
+def sampled(arm: TracedArm) -> Addition:
+    """Motions from sample to sample, in place of a stepper."""
+    n, free = arm.n, len(arm.free_parameters)
+    begin = (
+        Load("Q", Rows("COORDINATES", "state", 0, 2 * n)),
+        Load("PARAMETERS", Rows("FREE", "state", 2 * n, free)),
+    )
+    step = (
+        Load("TAU", Rows("TORQUE", "torque", 0, arm.n_torque)),
+        Call("start"),
+        Substeps((Call("step"),)),
+        Store("Q", Rows("PLACE", "place", 0, 2 * n)),
+    )
+    entry = Motion(begin=begin, step=step)
+    return Addition(key=SAMPLED, sizes={}, functions=lambda at: [], entry=entry)
 
 
 def cached_module(key: str, build: Callable[[], str]) -> ModuleType:
