@@ -1,6 +1,8 @@
 """Weighted least squares between measured signals and those of an arm: search, then solution.
 
 Constant offsets of the signals, and in the search the start too, are eliminated as linear unknowns.
+Solutions use exact derivatives of the motion. The search takes differences by the start, which cost
+less and need not be exact.
 A long log has many valleys, each a cycle of the oscillation wide. The search follows the lowest
 from the log's first samples to all of them, twice as many at a time. A motion that starts again and
 again has few, and the search tries few points.
@@ -21,7 +23,7 @@ FEW = 40  # points of the search where the motion starts again and again
 MOST_ON_GRID = 5  # parameters; more are searched at random
 SEED = 0  # of the random points
 MOST_MOTIONS = 2000  # of the search
-DIFFERENCE = 1e-5  # [of an unknown's size] half width of the differences
+DIFFERENCE = 1e-5  # [of an unknown's size] width of the differences by the start in the search
 SOME, MOST = 0.1, 0.5  # [of the squared signals] in the part that chooses steps, tries the grid
 FEWEST = 4  # values of the signals per unknown in the first part of a log
 MOST_STEPS = 60  # of a solution
@@ -64,7 +66,6 @@ def solve(
     `samples` limits the log to its first ones, and the accuracy to a rough one.
     """
     table = motion.unknowns
-    half = DIFFERENCE * table.size
     known = table.precision(weights)
     measured, present = motion.measured[:samples], motion.present[:samples]
 
@@ -72,13 +73,8 @@ def solve(
         return _without_offset(motion.signals(x[None], samples)[0] - measured, present)
 
     def jacobian(x: Array) -> Array:
-        """Central differences; a point may stand half a width outside the bounds, but above 0."""
-        middle = np.where(table.asked, np.maximum(x, half), x)
-        points = np.vstack([middle + np.diag(half), middle - np.diag(half)])
-        above, below = np.split(motion.signals(points, samples), 2)
-        slopes = (above - below) / (2.0 * half[:, None, None])
-        result: Array = (_without_offset(slopes, present) * weights).reshape(x.size, -1).T
-        return result
+        slopes = _without_offset(motion.slopes(x, samples), present) * weights
+        return slopes.reshape(x.size, -1).T
 
     exact = samples is None
     found = least_squares(

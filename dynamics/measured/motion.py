@@ -16,8 +16,8 @@ from dynamics.measured.readings import Readings, delayed, low_passed
 from dynamics.measured.sensors import Sensor
 from dynamics.measured.unknowns import LOCKED, Bounds, Unknowns
 from dynamics.model import Model, compile_arm
-from dynamics.simulation.stepper import Stepper
-from dynamics.types import Array
+from dynamics.simulation.sampled_motion import sampled_motion
+from dynamics.types import AnyArray, Array
 
 STARTS = ("estimated", "rest", "measured")  # what is known of the state at the first sample
 CONVERGED = 1e-3  # [of a signal's deviation] most change of a signal when the steps are halved
@@ -25,6 +25,7 @@ FINEST = 1e-7  # [of a signal's deviation] change that is small enough for every
 MOST_SUBSTEPS = 4096  # per sample
 TOGETHER = (16, 512)  # fewest and most motions that are stepped together
 MOST_NUMBERS = 20_000_000  # of motions that are stepped together
+TINY = 1e-30  # imaginary part of a complex number that carries a derivative
 POLES = 2  # of the low pass of a signal, with one time constant: it is critically damped
 FORGOTTEN = 8.0  # [of a time constant] after which the filter's state at the start counts as gone
 STRAIGHT = 1e-9  # [of the largest force] modal force at rest that counts as none
@@ -143,7 +144,7 @@ class LoggedMotion:
         span = WINDOW * 2.0 * np.pi / float(omegas[0]) if len(omegas) else 0.0
         self._readings = Readings(self.log.time, self.measured, span)
 
-    def scales(self, values: Array) -> tuple[Array, Array, Array, Array]:
+    def scales(self, values: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
         """Factors of torques (..., n_torque), gains, delays and lags [s] of signals (..., c).
 
         Any may be (1,).
@@ -151,9 +152,9 @@ class LoggedMotion:
         above = values - self.unknowns.nominal
         torque, gain = (1.0 + self.unknowns.changes(into, above) for into in ("torque", "gain"))
         delay, lag = (self.unknowns.changes(into, values) for into in ("delay", "lag"))
-        return torque, gain, delay, np.maximum(lag, 0.0)
+        return torque, gain, delay, lag
 
-    def state(self, values: Array, sample: int = 0) -> tuple[Array, Array]:
+    def state(self, values: AnyArray, sample: int = 0) -> tuple[AnyArray, AnyArray]:
         """q and v, (n,) or (P, n), at the first sample, or where the motion starts again."""
         if self._lift is None:
             v = self.unknowns.changes("v", values)
@@ -164,52 +165,72 @@ class LoggedMotion:
         true = (read - self.unknowns.changes("zero", values)) / gain
         return self._unread + true @ self._lift.T, rates / gain @ self._lift.T
 
-    def signals(self, values: Array, samples: int | None = None) -> Array:
-        """(P, N, c) signals for values (P, k) of the unknowns; NaN after a motion has diverged."""
+    def signals(self, values: AnyArray, samples: int | None = None) -> AnyArray:
+        """(P, N, c) signals for values (P, k) of the unknowns; NaN of a motion that diverges.
+
+        Imaginary parts of the values are a direction, those of the signals the derivatives by it.
+        """
         count = len(self.log.time) if samples is None else samples
         size = self.together(count)
         return np.concatenate([
             self._signals(values[k : k + size], count) for k in range(0, len(values), size)
         ])  # fmt: skip
 
+    def slopes(self, values: Array, samples: int | None = None) -> Array:
+        """(k, N, c) derivatives of the signals by the unknowns at values (k,), to round-off."""
+        return self.signals(values + TINY * 1j * np.eye(values.size), samples).imag / TINY
+
     def together(self, samples: int) -> int:
         """Number of motions that are stepped together."""
         least, most = TOGETHER
-        numbers = samples * self.model.n * (4 if self._has_delays else 1)
+        numbers = samples * self.model.n * (4 if self._has_delays else 2)
         return max(least, min(most, MOST_NUMBERS // numbers))
 
-    def _signals(self, values: Array, samples: int) -> Array:
+    def _signals(self, values: AnyArray, samples: int) -> AnyArray:
         """Signals (P, N, c): before each new start, and of the state when each was late."""
-        stepper = Stepper(self.model, len(values), dt=1.0, substeps=self.substeps)
-        stepper.q[:], stepper.v[:] = self.state(values)
-        stepper.parameters[:] = self.unknowns.changes("parameters", values)
         torque, gain, delay, lag = self.scales(values)
-        size = len(self.names)
-        before = np.empty((1 + self._has_delays, samples, len(values), size))  # and rates
-        after = before.copy() if self._has_delays else before
-        before[0, 0] = stepper.q @ self.rows.T
-        steps = np.diff(self.log.time[:samples]) / self.substeps
-        failed = np.zeros(len(values), dtype=bool)
-        for k, dt in enumerate(steps.tolist()):
-            if k in self.restarts:
-                stepper.q[:], stepper.v[:] = self.state(values, k)
-            if self._has_delays:
-                after[:, k] = stepper.q @ self.rows.T, stepper.v @ self.rows.T
-            stepper.dt = dt
-            stepper.torque[:] = self.command[k] * torque
-            stepper.advance()
-            before[0, k + 1] = stepper.q @ self.rows.T
-            if self._has_delays:
-                before[1, k + 1] = stepper.v @ self.rows.T
-            failed |= stepper.status > 0
+        before, after = self._paths(values, torque, samples)
         read = before[0]
         if self._has_delays:
-            time, none = self.log.time[:samples], np.zeros((len(values), size))
+            time, none = self.log.time[:samples], np.zeros((len(values), len(self.names)))
             for _ in range(POLES if lag.any() else 0):
                 after, before = low_passed(time, after, before, lag + none)
             read = delayed(time, after, before, delay + none)
-        read[:, failed] = np.nan
         return np.swapaxes(read * gain, 0, 1)
+
+    def _paths(self, values: AnyArray, torque: AnyArray, samples: int) -> tuple[AnyArray, AnyArray]:
+        """Readings (1, N, P, c) without gains and lateness, before and after each new start.
+
+        Where a signal may be late, their rates too: (2, N, P, c).
+        """
+        n, count = self.model.n, len(values)
+        parameters = self.unknowns.changes("parameters", values)
+        parameters = parameters + np.zeros((count, len(self.model.free_parameters)))
+        torque = torque + np.zeros((count, self.model.n_torque))
+        steps = np.diff(self.log.time[:samples]) / self.substeps
+        first = [0, *sorted(k for k in self.restarts if k < len(steps))]
+        starts = [
+            np.hstack([np.broadcast_to(x, (count, n)) for x in self.state(values, k)])
+            for k in first
+        ]
+        path = np.empty((samples, 2 * n, count), values.dtype)
+        path[0] = starts[0].T
+        for start, k, last in zip(starts, first, [*first[1:], len(steps)], strict=True):
+            path[k + 1 : last + 1] = sampled_motion(
+                self.model, steps[k:last], self.substeps,
+                self.command[k:last, :, None] * torque.T, np.hstack([start, parameters]).T,
+            )  # fmt: skip
+        path[..., ~np.isfinite(path).all(axis=(0, 1))] = np.nan
+        if not self._has_delays:
+            return self._read(path[None, :, :n]), self._read(path[None, :, :n])
+        later = path.copy()
+        later[first] = np.swapaxes(starts, 1, 2)
+        before, after = (np.stack([x[:, :n], x[:, n:]]) for x in (path, later))
+        return self._read(before), self._read(after)
+
+    def _read(self, path: AnyArray) -> AnyArray:
+        """Readings (..., P, c) of coordinates or rates (..., n, P)."""
+        return np.swapaxes(self.rows @ path, -1, -2)
 
     def refine(
         self, values: Array, samples: int | None = None, error: Array | float = np.inf
