@@ -3,9 +3,9 @@
 For one episode, with its own payload and stiffness, this looks for the smallest step K such that
 some admissible actions keep the tip in the settled band from K to the end of the episode, and no
 link bends beyond its limit; where the target moves, for the smallest RMS tip error. The actions are
-improved successively: the effect of every single action on every later tip error comes from a batch
-of environments that differ in that action alone, and the excess over the band after K is minimised
-within a trust region by L-BFGS-B. A solution counts only if the environment itself, stepped with
+improved successively: the effect of every single action on every later tip error comes from exact
+derivatives of the control steps, and the excess over the band after K is minimised within a trust
+region by L-BFGS-B. A solution counts only if the environment itself, stepped with
 it, stays in the band. K falls until no program helps. Every episode starts from two controllers;
 the better result is kept, and both are stored. The result is the best known, not a proof.
 
@@ -33,7 +33,7 @@ from scipy.optimize import minimize
 
 from agents.controllers import controller
 from agents.files import atomic_write, check_folder
-from agents.leaderboard.motions import Episode, Motion, effects, plant
+from agents.leaderboard.motions import Episode, Motion, plant
 from agents.leaderboard.tracks import RANKED
 from agents.metrics import Best
 from agents.sentences import one_line
@@ -77,7 +77,7 @@ def improved(episode: Episode, motion: Motion, aim: Aim) -> Motion:
     """Motion that comes as near to an aim as the programs bring it."""
     trust, rounds = TRUST[0], 0
     while rounds < ROUNDS and trust > TRUST[1] and not aim.met(motion):
-        change = program(motion, *effects(episode, motion), aim, trust)
+        change = program(motion, *episode.effects(motion), aim, trust)
         trial = episode.follow((motion.actions + change)[None])[0]
         better, rounds = aim.loss(trial) < aim.loss(motion), rounds + 1
         if better and not aim.band and aim.loss(trial) > GAIN * aim.loss(motion):

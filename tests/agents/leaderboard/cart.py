@@ -26,6 +26,9 @@ class Cart:
     def follow(self, actions: Array) -> list[Motion]:
         return [self.motion(force) for force in actions]
 
+    def effects(self, motion: Motion) -> tuple[Array, Array]:
+        return RESPONSE[:, None] / BAND, self.bend * np.eye(STEPS)
+
     def motion(self, force: Array) -> Motion:
         errors = (RESPONSE @ force[:, 0] - self.target)[:, None] / BAND
         outside = np.flatnonzero(np.abs(errors[:, 0]) >= 1.0)

@@ -150,13 +150,15 @@ def test_a_search_without_a_band_ends_at_a_gain_below_a_hundredth(
         def follow(self, actions: Array) -> list[Motion]:
             return [replace(motion([[float(actions[0, 0, 0])]]), actions=actions[0])]
 
+        def effects(self, motion: Motion) -> Any:
+            return None, None
+
     def program(motion: Motion, *given: Any) -> Array:
         asked.append(given[-1])
         gain = gains[len(asked) - 1] if len(asked) <= len(gains) else 1.0
         return np.asarray((gain - 1.0) * motion.actions)
 
     monkeypatch.setattr(bound, "program", program)
-    monkeypatch.setattr(bound, "effects", lambda episode, motion: (None, None))
     found = bound.improved(Halving(), motion([[8.0]], [[8.0]]), Aim())  # type: ignore[arg-type]
     assert len(asked) == programs
     assert found.rms == pytest.approx(8.0 * np.prod(gains[:programs]))

@@ -1,6 +1,6 @@
 """Motions of an episode under given actions, and their slopes, on systems known by hand."""
 
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import FrozenInstanceError
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,46 +8,32 @@ import numpy as np
 import pytest
 
 from agents.leaderboard import motions
-from agents.leaderboard.motions import Episode, Motion, effects, plant
+from agents.leaderboard.motions import Episode, Motion, plant
 from agents.leaderboard.tracks import TRACKS
 from dynamics.types import Array
-from tests.agents.leaderboard.cart import BAND, RESPONSE, STEPS, Cart
 
 ONE, TWO = "FlexArm/OneLink-Reach-v0", "FlexArm/TwoLink-Reach-v0"
 
 
-def test_effects_are_the_response_to_every_action() -> None:
-    """Exact for a linear system, also where an action is at its limit."""
-    cart = Cart()
-    forces = np.linspace(-1.0, 1.0, STEPS)[:, None]
-    slopes, bends = effects(cart, cart.motion(forces))  # type: ignore[arg-type]
-    np.testing.assert_allclose(slopes[:, 0], RESPONSE / BAND, atol=1e-9)
-    np.testing.assert_allclose(bends, 0.5 * np.eye(STEPS), atol=1e-9)
+def test_effects_are_the_derivatives_of_all_steps_chained() -> None:
+    """Of steps that are random matrices: by differences of the linear system that they make."""
+    steps, size, seen, m = 4, 3, 2, 2
+    each = np.random.default_rng(0).normal(size=(steps, size + seen + 1, size + m))
 
+    def moved(actions: Array) -> Array:
+        memory, rows = np.zeros(size), []
+        for own, action in zip(each, actions, strict=True):
+            reached = own @ np.concatenate([memory, action])
+            memory = reached[:size]
+            rows.append(reached[size:])
+        return np.array(rows)
 
-def test_rows_of_effects_are_times_and_columns_actions() -> None:
-    class Lasting(Cart):
-        def motion(self, force: Array) -> Motion:
-            return replace(super().motion(force), deflection=np.cumsum(force[:, 0]))
-
-    _, bends = effects(Lasting(), Lasting().resting())  # type: ignore[arg-type]
-    np.testing.assert_allclose(bends, np.tril(np.ones((STEPS, STEPS))), atol=1e-9)
-
-
-def test_effects_are_small_steps_inwards() -> None:
-    seen = []
-
-    class Watched(Cart):
-        def follow(self, actions: Array) -> list[Motion]:
-            seen.append(actions)
-            return super().follow(actions)
-
-    forces = np.array([1.0, -1.0, 0.0, *np.full(STEPS - 3, 0.5)])[:, None]
-    effects(Watched(), Cart().motion(forces))  # type: ignore[arg-type]
-    change = seen[0] - forces
-    assert change.shape == (STEPS + 1, STEPS, 1)
-    np.testing.assert_allclose(np.diag(change[:-1, :, 0])[:4], [-1e-3, 1e-3, 1e-3, -1e-3])
-    assert np.count_nonzero(change) == STEPS
+    known: Any = SimpleNamespace(_steps=lambda motion: each)
+    slopes, bends = Episode.effects(known, SimpleNamespace(actions=np.zeros((steps, m))))  # type: ignore[arg-type]
+    units = np.eye(steps * m).reshape(-1, steps, m)
+    expected = np.stack([moved(unit) for unit in units], axis=-1)
+    np.testing.assert_allclose(slopes, expected[:, :-1], atol=1e-12)
+    np.testing.assert_allclose(bends, expected[:, -1], atol=1e-12)
 
 
 def test_rms_is_that_of_all_steps() -> None:
