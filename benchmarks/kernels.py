@@ -93,7 +93,7 @@ FORMS: dict[str, Callable[[str], str]] = {
 
 BACK_FORMS: dict[str, Callable[[str], str]] = {
     "as printed": lambda text: text,
-    "adjoint of the accelerations called": called("accelerations_adjoint"),
+    "adjoint of the equations called": called("IMBALANCE_adjoint"),
     "all functions called": called(r"\w+"),
 }
 
