@@ -32,7 +32,9 @@ from flexarm_env.derivatives import Derivatives
 SCENES = ("OneLink", "TwoLink", "SixLink")
 ENVIRONMENTS = 1024
 FIRST, EPISODES = 20_000, 200  # test episodes, other than those of the training and of tuning
-COSTS = ("batch", "step [us]", "recorded", "pulled back", "pushed forward", "stack [kB]")
+COSTS = (
+    "batch", "step [us]", "recorded", "pulled back", "pushed forward", "stack [kB]", "state [kB]",
+)  # fmt: skip
 LEARNERS = ("environment", "learner", "steps", "seconds", "score", "settling [s]", "success [%]")
 
 
@@ -56,7 +58,9 @@ def cost(scene: str) -> dict[str, Any]:
     }
     times = {name: timing.median for name, timing in timed_in_turn(calls).items()}
     envs.close()
-    return {"scene": scene, "seconds": times, "stack": step.stack.nbytes // step.stack.shape[1]}
+    memory = {name: array.nbytes // state.shape[1]
+              for name, array in (("stack", step.stack), ("state", state))}  # fmt: skip
+    return {"scene": scene, "seconds": times, **memory}
 
 
 def pairs() -> list[tuple[Config, Config]]:
@@ -101,7 +105,7 @@ def page(results: dict[str, Any]) -> str:
                 f"{x['seconds'][name] / x['seconds']['step']:.2f}"
                 for name in ("record", "pull_back", "push_forward")
             ),
-            f"{1e-3 * x['stack']:.2g}",
+            *(f"{1e-3 * x[name]:.2g}" for name in ("stack", "state")),
         ]
         for x in results["costs"]
     ]
@@ -122,7 +126,7 @@ def page(results: dict[str, Any]) -> str:
 Made by `{results["provenance"]["command"]}` on {machine["processor"]}, {machine["cores"]} cores.
 
 Median times in one thread. Recorded, pulled back and pushed forward are in units of the step; the
-stack is what a recorded step keeps for each environment.
+stack is what a recorded step keeps for each environment beside its state.
 
 {table(COSTS, costs, "l")}
 

@@ -18,13 +18,14 @@ class DifferentiableBatch:
     """Steps that torch can differentiate by the actions and by the state.
 
     Gradients stop where an episode starts and where a simulation diverges. The state of every step
-    and a stack (`Derivatives.record`) live as long as the graph.
+    and a stack (`Derivatives.record`) live as long as the graph; if `recomputed`, the state alone.
 
     Parameters
     ----------
     core : the batch of the processor.
     batch : starts and restarts episodes.
     derivatives : steps, on the memory of `batch`.
+    recomputed : whether the way back steps again, in place of keeping the stacks.
 
     Attributes
     ----------
@@ -36,8 +37,9 @@ class DifferentiableBatch:
         core: Core,
         batch: HostBatch | DeviceBatch,
         derivatives: HostDerivatives | DeviceDerivatives,
+        recomputed: bool,
     ) -> None:
-        self._batch, self._derivatives = batch, derivatives
+        self._batch, self._derivatives, self._recomputed = batch, derivatives, recomputed
         self._n, self._names = core.n_env, core.signals.info
         self._padded = batch.padded()
         self.detach()
@@ -58,7 +60,9 @@ class DifferentiableBatch:
     def step(self, actions: torch.Tensor) -> Results:
         """Advance all by one control step; ended episodes restart."""
         n = self._n
-        after, obs, info, flags = _Step.apply(self._derivatives, self._padded, actions)
+        after, obs, info, flags = _Step.apply(
+            self._derivatives, self._recomputed, self._padded, actions
+        )
         last, begun = obs, self._batch.restarted(after.detach(), flags)
         if begun is not None:
             ended = flags[0] | flags[1]
@@ -69,17 +73,17 @@ class DifferentiableBatch:
         return Results(obs, last, info[0, :n], flags[0, :n], flags[1, :n], named)
 
 
-def differentiable_on_host(envs: FlexArmVectorEnv) -> DifferentiableBatch:
+def differentiable_on_host(envs: FlexArmVectorEnv, recomputed: bool) -> DifferentiableBatch:
     """Batch of the processor."""
-    return DifferentiableBatch(envs.core, HostBatch(envs), HostDerivatives(envs.core))
+    return DifferentiableBatch(envs.core, HostBatch(envs), HostDerivatives(envs.core), recomputed)
 
 
 def differentiable_on_device(
-    core: Core, device: torch.device, compiled: Callable[[str], Launcher]
+    core: Core, device: torch.device, compiled: Callable[[str], Launcher], recomputed: bool
 ) -> DifferentiableBatch:
-    """Batch of a device; arguments as those of `DeviceBatch`."""
+    """Batch of a device; the first arguments are those of `DeviceBatch`."""
     batch = DeviceBatch(core, device, compiled, (START, RESTART))
-    return DifferentiableBatch(core, batch, DeviceDerivatives(core, device, compiled))
+    return DifferentiableBatch(core, batch, DeviceDerivatives(core, device, compiled), recomputed)
 
 
 class _Step(torch.autograd.Function):
@@ -89,6 +93,7 @@ class _Step(torch.autograd.Function):
     def forward(
         ctx: Any,
         derivatives: HostDerivatives | DeviceDerivatives,
+        recomputed: bool,
         state: torch.Tensor,
         actions: torch.Tensor,
     ) -> tuple[torch.Tensor, ...]:
@@ -96,16 +101,19 @@ class _Step(torch.autograd.Function):
         state, actions = state.detach(), actions.detach()
         after, obs, info, flags, stack = derivatives.record(state, actions)
         ctx.derivatives = derivatives
-        ctx.save_for_backward(state, actions, stack, flags)
+        ctx.save_for_backward(state, actions, flags, *(() if recomputed else (stack,)))
         ctx.mark_non_differentiable(flags)
         return after, obs, info, flags
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *bars: torch.Tensor) -> tuple[None, torch.Tensor, torch.Tensor]:
+    def backward(ctx: Any, *bars: torch.Tensor) -> tuple[Any, ...]:
         """Cotangents of the state and of the actions; zero where the simulation diverged."""
-        *kept, flags = ctx.saved_tensors
-        before, actions = ctx.derivatives.pull_back(*kept, *bars[:3])
+        state, actions, flags, *stack = ctx.saved_tensors
+        if not stack:
+            *_, recorded = ctx.derivatives.record(state, actions)
+            stack = [recorded]
+        before, by = ctx.derivatives.pull_back(state, actions, *stack, *bars[:3])
         lost = flags[DIVERGED]
-        actions.masked_fill_(lost[: len(actions), None], 0.0)
-        return None, before.masked_fill_(lost, 0.0), actions
+        by.masked_fill_(lost[: len(actions), None], 0.0)
+        return None, None, before.masked_fill_(lost, 0.0), by

@@ -22,6 +22,7 @@ from flexarm_env.interfaces.tensors.results import Info
 from flexarm_env.interfaces.vector import FlexArmVectorEnv
 
 Observation = Any  # a tensor, or with obs="goal" a dict of tensors
+RECOMPUTED = "recomputed"
 REFUSED = {
     "autoreset_mode": "an environment whose episode ends restarts in the same step",
     "render_mode": "pictures come from gymnasium.make_vec(id, render_mode=...)",
@@ -47,6 +48,7 @@ class TorchVecEnv(Changeable):
     device : "cpu", or "cuda" for one NVIDIA GPU (extra `gpu`).
     differentiable : whether observation, reward and info carry gradients by the actions and by the
         state, back to the last `detach` or the start of the episode; see docs/gradients.md.
+        "recomputed" keeps states alone until then, and the way back steps again.
     keywords : those of `gymnasium.make_vec` for this id: `hardware`, `obs`, `threads` and so on;
         `dtype` is "float32" on a GPU unless given.
 
@@ -66,11 +68,11 @@ class TorchVecEnv(Changeable):
         id: str,
         num_envs: int,
         device: str | torch.device = "cpu",
-        differentiable: bool = False,
+        differentiable: bool | str = False,
         **keywords: Any,
     ) -> None:
         self.device = _known_device(device)
-        self.differentiable = differentiable
+        self.differentiable = _known_gradients(differentiable)
         for name in REFUSED.keys() & keywords.keys():
             raise ValueError(
                 f"{name} is not a keyword of TorchVecEnv, got {validate.shown(keywords[name])}; "
@@ -192,6 +194,14 @@ class TorchVecEnv(Changeable):
         return self.core.layout.observed(elements)
 
 
+def _known_gradients(given: Any) -> bool | str:
+    if not isinstance(given, bool) and given != RECOMPUTED:
+        raise ValueError(
+            f"differentiable must be True, False or {RECOMPUTED!r}, got {validate.shown(given)}."
+        )
+    return given
+
+
 def _known_device(device: Any) -> torch.device:
     try:
         found = torch.device(device)
@@ -208,7 +218,7 @@ def _known_device(device: Any) -> torch.device:
 
 
 def _batch(
-    envs: FlexArmVectorEnv, device: torch.device, differentiable: bool
+    envs: FlexArmVectorEnv, device: torch.device, differentiable: bool | str
 ) -> HostBatch | DeviceBatch | DifferentiableBatch:
     """The batch of a device."""
     if differentiable and envs.core.layout.goal:
@@ -216,10 +226,13 @@ def _batch(
             "obs must be 'state' or 'sensors' with differentiable=True, got 'goal': rewards of "
             "goals are not part of the compiled step; give the target with obs='state'."
         )
+    recomputed = differentiable == RECOMPUTED
     if device.type == "cpu":
-        return differentiable_on_host(envs) if differentiable else HostBatch(envs)
+        return differentiable_on_host(envs, recomputed) if differentiable else HostBatch(envs)
     from dynamics.backends.cuda.compiler import Kernels
 
     index = torch.cuda.current_device() if device.index is None else device.index
-    made = differentiable_on_device if differentiable else DeviceBatch
-    return made(envs.core, device, partial(Kernels, device=index))
+    compiled = partial(Kernels, device=index)
+    if differentiable:
+        return differentiable_on_device(envs.core, device, compiled, recomputed)
+    return DeviceBatch(envs.core, device, compiled)

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch.autograd.graph import saved_tensors_hooks
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from dynamics.backends.cuda.compiler import Kernels
 from dynamics.backends.cuda.kernel_text import PUSH_FORWARD
 from flexarm_env import TorchVecEnv
+from flexarm_env.derivatives import Derivatives
 from flexarm_env.interfaces.tensors import vec_env
 from flexarm_env.interfaces.tensors.device import DeviceDerivatives, Program
 from flexarm_env.interfaces.tensors.differentiable import (
@@ -31,11 +33,12 @@ needs_compiler = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compil
 both = pytest.mark.parametrize("kernels", [False, pytest.param(True, marks=needs_compiler)])
 
 
-def batch(kernels: bool = False, **keywords: Any) -> TorchVecEnv:
+def batch(kernels: bool = False, differentiable: bool | str = True, **keywords: Any) -> TorchVecEnv:
     """A batch of the processor, or of kernels that are compiled for it."""
-    envs = TorchVecEnv(ENV_ID, N, differentiable=True, **keywords)
+    envs = TorchVecEnv(ENV_ID, N, differentiable=differentiable, **keywords)
     if kernels:
-        envs._batch = differentiable_on_device(envs.core, CPU, HostKernels)
+        recomputed = differentiable == "recomputed"
+        envs._batch = differentiable_on_device(envs.core, CPU, HostKernels, recomputed)
     return envs
 
 
@@ -122,8 +125,28 @@ def test_where_a_simulation_diverges_gradients_are_zero(kernels: bool) -> None:
     assert (action.grad[1:] != 0.0).all()
 
 
+@both
+def test_recomputed_gradients_are_the_same_and_keep_no_stack(kernels: bool) -> None:
+    """Across a restart; torch keeps fewer numbers of a step than the stack has."""
+    found, kept = [], []
+    for kind in (True, "recomputed"):
+        envs, actions = batch(kernels, kind, max_episode_steps=4), drawn(7, 6, N, 1)
+        envs.reset(seed=0)
+        sizes: list[int] = []
+        actions.requires_grad_()
+        with saved_tensors_hooks(lambda x, sizes=sizes: sizes.append(x.numel()) or x, lambda x: x):
+            total = sum(envs.step(action)[1].sum() for action in actions)
+        found.append(torch.autograd.grad(total, actions)[0])
+        kept.append(sum(sizes))
+    assert torch.equal(*found)
+    fixed, per_substep = Derivatives(envs.core)._program.STACK
+    assert kept[0] - kept[1] >= len(actions) * N * (fixed + per_substep)
+
+
 def test_what_has_no_gradients_is_refused_with_the_remedy() -> None:
     """Goals, and `detach` of a batch without gradients."""
+    with pytest.raises(ValueError, match="differentiable must be True, False or 'recomputed'"):
+        batch(differentiable="stack")
     with pytest.raises(ValueError, match="obs must be 'state' or 'sensors' with differentiable"):
         batch(obs="goal")
     with pytest.raises(ValueError, match="differentiable=True"):
