@@ -62,7 +62,12 @@ class _Scene:
 
     def modal(self, q: Array, v: Array) -> Array:
         """(N, L, 2r) modal coordinates about the target, and their rates."""
-        return np.concatenate([(q - self.rest) @ self.modes, v @ self.modes], axis=2)
+        return np.concatenate([(q - self.rest) @ self.modes, v @ self.modes], axis=-1)
+
+    def start(self) -> Array:
+        """(N, 1, 2n) coordinates and rates."""
+        place, rate = np.split(self.x, 2, axis=2)
+        return np.concatenate([self.rest + place @ self.shapes, rate @ self.shapes], axis=2)
 
 
 @dataclass
@@ -99,9 +104,8 @@ class Nonlinear:
 
     def _torques(self, estimates: list[Estimate]) -> Array:
         scene = self._scene(estimates)
-        none = np.zeros((self.steps, len(estimates), 1, self.limit.size))
-        first = self._moved(scene, none, none, np.zeros(1), scene.gain)
-        tried = self._moved(scene, first.action, self._changes(scene, first), SHARES)
+        first = self._closed_loop(scene)
+        tried = self._open_loop(scene, first.action, self._changes(scene, first), SHARES)
         costs = np.hstack([self._costs(scene, motions) for motions in (first, tried)])
         actions = np.concatenate([first.action[0], tried.action[0]], axis=1)
         return self.limit * actions[np.arange(len(costs)), costs.argmin(axis=1)]
@@ -127,37 +131,39 @@ class Nonlinear:
         bend = model.bend[np.any(model.bend, axis=1)].T / self.deflection_limit
         return _Terms(Q, P, -(gain(model, P, R) / self.limit[:, None]).T, bend)
 
-    def _moved(
-        self, scene: _Scene, feed: Array, change: Array, shares: Array, gain: Array | None = None
-    ) -> _Motions:
-        """Motions under feed + share change + x gain, limited, for every share."""
-        steps, (count, _, n), tries = self.steps, scene.rest.shape, len(shares)
-        rows, m = count * tries, self.limit.size
-        stepper = self.steppers(rows)
-        stepper.parameters[:rows] = np.repeat(self.steppers.parameters[scene.plants], tries, axis=0)
-        r = scene.modes.shape[2]
+    def _closed_loop(self, scene: _Scene) -> _Motions:
+        """Motions to which LQR leads under the limits of torque."""
+        (count, _, n), r = scene.rest.shape, scene.modes.shape[2]
+        stepper, m = self.steppers(count), self.limit.size
+        stepper.parameters[:count] = self.steppers.parameters[scene.plants]
         moved = _Motions(
-            q=np.empty((steps, count, tries, n)), v=np.empty((steps, count, tries, n)),
-            x=np.empty((steps + 1, count, tries, 2 * r)),
-            action=np.empty((steps, count, tries, m)), whole=np.ones((count, tries), dtype=bool),
+            q=np.empty((self.steps, count, 1, n)), v=np.empty((self.steps, count, 1, n)),
+            x=np.empty((self.steps + 1, count, 1, 2 * r)),
+            action=np.empty((self.steps, count, 1, m)), whole=np.ones((count, 1), dtype=bool),
         )  # fmt: skip
         moved.x[0] = scene.x
-        moved.q[0] = scene.rest + scene.x[:, :, :r] @ scene.shapes
-        moved.v[0] = scene.x[:, :, r:] @ scene.shapes
-        stepper.q[:rows], stepper.v[:rows] = (y[0].reshape(rows, n) for y in (moved.q, moved.v))
-        for k in range(steps):
-            wanted = feed[k] + shares[:, None] * change[k]
-            if gain is not None:
-                wanted = wanted + moved.x[k] @ gain
-            moved.action[k] = np.clip(wanted, -1.0, 1.0)
-            stepper.torque[:rows] = (self.limit * moved.action[k]).reshape(rows, m)
+        stepper.q[:count], stepper.v[:count] = np.split(scene.start()[:, 0], 2, axis=1)
+        for k in range(self.steps):
+            moved.q[k, :, 0], moved.v[k, :, 0] = stepper.q[:count], stepper.v[:count]
+            moved.action[k] = np.clip(moved.x[k] @ scene.gain, -1.0, 1.0)
+            stepper.torque[:count] = self.limit * moved.action[k, :, 0]
             stepper.advance()
-            moved.whole &= (stepper.status[:rows] == 0).reshape(count, tries)
-            q, v = (y[:rows].reshape(count, tries, n) for y in (stepper.q, stepper.v))
-            moved.x[k + 1] = scene.modal(q, v)
-            if k + 1 < steps:
-                moved.q[k + 1], moved.v[k + 1] = q, v
+            moved.whole[:, 0] &= stepper.status[:count] == 0
+            moved.x[k + 1] = scene.modal(stepper.q[:count, None], stepper.v[:count, None])
         return moved
+
+    def _open_loop(self, scene: _Scene, feed: Array, change: Array, shares: Array) -> _Motions:
+        """Motions under feed + share change, limited, for every share."""
+        action = np.clip(feed + shares[:, None] * change, -1.0, 1.0)
+        steps, count, tries, m = action.shape
+        rows = np.arange(count).repeat(tries)
+        torques = (self.limit * action).reshape(steps, -1, m).swapaxes(1, 2)
+        start = scene.start()[rows, 0].T
+        path = self.steppers.motions(scene.plants[rows], start, torques)
+        path = np.concatenate([start[None], path])
+        q, v = np.split(path.swapaxes(1, 2).reshape(steps + 1, count, tries, -1), 2, axis=3)
+        whole = np.isfinite(path).all(axis=(0, 1)).reshape(count, tries)
+        return _Motions(q=q[:-1], v=v[:-1], x=scene.modal(q, v), action=action, whole=whole)
 
     def _costs(self, scene: _Scene, moved: _Motions) -> Array:
         """(N, L) costs of motions; infinite where one has diverged."""

@@ -16,7 +16,7 @@ from dynamics.measured.readings import Readings, delayed, low_passed
 from dynamics.measured.sensors import Sensor
 from dynamics.measured.unknowns import LOCKED, Bounds, Unknowns
 from dynamics.model import Model, compile_arm
-from dynamics.simulation.sampled_motion import sampled_motion
+from dynamics.simulation.sampled_motion import SampledMotion
 from dynamics.types import AnyArray, Array
 
 STARTS = ("estimated", "rest", "measured")  # what is known of the state at the first sample
@@ -85,6 +85,7 @@ class LoggedMotion:
         arm = _with_held(unknowns.without_friction(described, bounds), held)
         scaled = [name for name in FREE_PARAMETERS if name in bounds]
         self.model = compile_arm(arm, free_parameters=scaled)
+        self._follow = SampledMotion(self.model)
         _check_scaled(self.model, scaled, free)
         rotors = sensors.rotors(self.model)
         bends = [sensor.row(self.model) for sensor in gauges]
@@ -216,9 +217,9 @@ class LoggedMotion:
         path = np.empty((samples, 2 * n, count), values.dtype)
         path[0] = starts[0].T
         for start, k, last in zip(starts, first, [*first[1:], len(steps)], strict=True):
-            path[k + 1 : last + 1] = sampled_motion(
-                self.model, steps[k:last], self.substeps,
-                self.command[k:last, :, None] * torque.T, np.hstack([start, parameters]).T,
+            path[k + 1 : last + 1] = self._follow(
+                steps[k:last], self.substeps, self.command[k:last, :, None] * torque.T,
+                np.hstack([start, parameters]).T,
             )  # fmt: skip
         path[..., ~np.isfinite(path).all(axis=(0, 1))] = np.nan
         if not self._has_delays:

@@ -43,7 +43,7 @@ def test_a_resting_motion_is_linearized_as_the_linear_model_has_it(plant: int) -
     model = models.at(np.array([0.0, 0.7]), range(len(models.plants))[plant])
     scene = law._scene([Estimate(model, np.zeros(len(model.A)), np.zeros(m), np.empty((0, m)))])
     none = np.zeros((law.steps, 1, 1, m))
-    A, B = law._linearized(scene, law._moved(scene, none, none, np.zeros(1)), 0)
+    A, B = law._linearized(scene, law._open_loop(scene, none, none, np.zeros(1)), 0)
     scaled = model.B * law.limit
     for k in (0, law.steps - 1):
         np.testing.assert_allclose(A[k].T, model.A, atol=1e-5 * np.abs(model.A).max())
@@ -97,8 +97,8 @@ def test_near_the_target_one_step_leads_from_no_torques_to_those_of_lqr(effort: 
     law.blocks = np.arange(law.steps)
     estimates = about(law, [0.0, 0.7], 1e-5, 4)
     scene, none = law._scene(estimates), np.zeros((law.steps, 4, 1, law.limit.size))
-    found = law._changes(scene, law._moved(scene, none, none, np.zeros(1)))
-    best = law._moved(scene, none, none, np.zeros(1), scene.gain)
+    found = law._changes(scene, law._open_loop(scene, none, none, np.zeros(1)))
+    best = law._closed_loop(scene)
     most = np.abs(best.action).max()
     assert most < 0.1
     np.testing.assert_allclose(found, best.action, atol=0.002 * most)
@@ -113,12 +113,14 @@ def test_a_motion_costs_less_than_that_of_lqr_where_torques_are_limited() -> Non
     """Six links far from the target, whose twelve integration steps are linearized as one."""
     law = law_of(make_batch(DAMP, 1, {"obs": "state"}))
     estimates = about(law, [0.0, 0.4, -0.3, 0.2, 0.1, 0.3], 1.5, 4)
-    scene, none = law._scene(estimates), np.zeros((law.steps, 4, 1, law.limit.size))
-    first = law._moved(scene, none, none, np.zeros(1), scene.gain)
+    scene = law._scene(estimates)
+    first = law._closed_loop(scene)
+    again = law._open_loop(scene, first.action, first.action, np.zeros(1))
+    np.testing.assert_allclose(again.x, first.x, rtol=1e-9, atol=1e-12)
     changes = law._changes(scene, first)
     assert np.abs(first.action + changes).max() <= 1.0 + 1e-9
     assert (law.steppers(1).substeps, law.coarse(1).substeps) == (12, 1)
-    tried = law._moved(scene, first.action, changes, nmpc.SHARES)
+    tried = law._open_loop(scene, first.action, changes, nmpc.SHARES)
     costs = law._costs(scene, tried)
     assert np.all(costs.min(axis=1) < law._costs(scene, first)[:, 0])
     best = costs.argmin(axis=1)
@@ -148,8 +150,8 @@ def test_estimates_are_served_alike_side_by_side_and_alone() -> None:
 def test_where_every_motion_diverges_the_torque_is_that_of_lqr() -> None:
     law = law_of(make_batch(DAMP, 1, {"obs": "state"}))
     estimates = about(law, np.zeros(6), 1e150, 2)
-    scene, none = law._scene(estimates), np.zeros((law.steps, 2, 1, law.limit.size))
-    first = law._moved(scene, none, none, np.zeros(1), scene.gain)
+    scene = law._scene(estimates)
+    first = law._closed_loop(scene)
     assert not first.whole.any()
     assert np.all(law._costs(scene, first) == np.inf)
     expected = np.clip(Gain(law.cost)(estimates), -law.limit, law.limit)

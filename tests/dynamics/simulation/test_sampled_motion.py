@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from dynamics import Stepper, compile_arm
 from dynamics.model import Model
-from dynamics.simulation.sampled_motion import sampled_motion
+from dynamics.simulation.sampled_motion import SampledMotion
 from dynamics.types import AnyArray, Array
 
 COUNT, SAMPLES, SUBSTEPS = 3, 12, 4
@@ -29,7 +29,7 @@ def given(model: Model, seed: int, size: float = 1.0) -> tuple[Array, Array]:
 
 
 def path(model: Model, torques: AnyArray, state: AnyArray) -> AnyArray:
-    return sampled_motion(model, STEPS, SUBSTEPS, torques, state)
+    return SampledMotion(model)(STEPS, SUBSTEPS, torques, state)
 
 
 def test_a_sampled_motion_is_that_of_the_stepper(model: Model) -> None:
