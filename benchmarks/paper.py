@@ -133,7 +133,7 @@ def validation(stored: dict[str, Any]) -> str:
 
 
 def control(stored: dict[str, Any]) -> str:
-    """Best classical and best learned controller of every task of two tracks."""
+    """Best controller of every kind, of every task of two tracks."""
     return rivals(
         {
             env_id: {track: tracks[track] for track in ("state", "laboratory") if track in tracks}

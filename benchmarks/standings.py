@@ -3,8 +3,8 @@
     python -m benchmarks.standings
 
 They have the best controller of every kind in each task and track, the tasks in which one kind
-leads, and the experiments whose keywords were searched. The command fills the blocks
-`<!-- NAME --> ... <!-- /NAME -->` of the page.
+leads, what policies gain on their bases, and the experiments whose keywords were searched. The
+command fills the blocks `<!-- NAME --> ... <!-- /NAME -->` of the page.
 """
 
 import json
@@ -12,29 +12,27 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from agents.config import load_config
-from agents.controllers import CONTROLLERS
 from agents.experiments import shipped_experiments
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.charts import UNRANKED
-from agents.leaderboard.output import best_of_either, leader, order
-from agents.leaderboard.shipped import LINKS
+from agents.leaderboard.kinds import CLASSICAL, KINDS, LEARNED, ON_MODEL
+from agents.leaderboard.output import VERDICTS, best_of_each, leader, order, verdict
 from agents.leaderboard.statistics import Figures
 from agents.leaderboard.tracks import TRACKS
-from agents.learners.algorithms import DISTILLED
 from agents.tune.learners import place_of
 from agents.tuned import tuned
 from benchmarks.output import RESULTS, ROOT, argument_parser, filled, table
 
 PAGE = ROOT / "docs" / "leaderboard.md"
-KINDS = ("joint control", "linear-quadratic", "predictive", "learned", "learned, on a model")
+FAMILIES = ("joint control", "linear-quadratic", "predictive")  # of classical control
+COLUMNS = (*FAMILIES, LEARNED, ON_MODEL)
 Tables = Mapping[str, Mapping[str, Mapping[str, Figures]]]  # by task, track and controller
 
 
-def kind(name: str) -> str:
-    """Kind of a controller of the package."""
-    if name not in CONTROLLERS:
-        based = any(f"-{link}-" in name for key, link in LINKS.items() if key != DISTILLED)
-        return "learned, on a model" if based else "learned"
+def column(name: str, x: Figures) -> str:
+    """Column of a controller: its kind, of a classical one its family."""
+    if x["kind"] != CLASSICAL:
+        return str(x["kind"])
     if "mpc" in name:
         return "predictive"
     return "linear-quadratic" if name.startswith(("lqr", "lqg")) else "joint control"
@@ -44,7 +42,8 @@ def blocks() -> dict[str, str]:
     """Text of every block by its name."""
     stored = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
     tables = {track: standings(stored, track) for track in TRACKS}
-    return tables | {"leaders": leaders(stored), "searched": searched(tuned())}
+    texts = {"leaders": leaders(stored), "gains": gains(stored), "searched": searched(tuned())}
+    return tables | texts
 
 
 def standings(stored: Tables, track: str) -> str:
@@ -54,12 +53,12 @@ def standings(stored: Tables, track: str) -> str:
         found = ranked(tracks[track])
         best: dict[str, str] = {}
         for name in found:
-            best.setdefault(kind(name), name)
-        cells = [cell(best[x], found[best[x]], env_id) if x in best else "" for x in KINDS]
-        first = KINDS.index(kind(next(iter(found))))
+            best.setdefault(column(name, found[name]), name)
+        cells = [cell(best[x], found[best[x]], env_id) if x in best else "" for x in COLUMNS]
+        first = COLUMNS.index(next(iter(best)))
         cells[first] = f"**{cells[first]}**"
         rows.append([short(env_id), *cells])
-    return table(["task", *KINDS], rows)
+    return table(["task", *COLUMNS], rows)
 
 
 def cell(name: str, x: Figures, env_id: str) -> str:
@@ -85,31 +84,45 @@ def missed(success: float) -> str:
 
 
 def leaders(stored: Tables) -> str:
-    """Tasks in which one kind leads, and in which it gains on the other, track by track."""
+    """Tasks in which each kind leads, and what learned control gains on classical, by track."""
     lines = []
     for track in TRACKS:
-        leads: dict[str, list[str]] = {"classical": [], "learned": [], "neither": []}
-        gains: dict[str, list[str]] = {"classical": [], "learned": [], "neither": []}
-        for env_id, tracks in stored.items():
-            here = ranked(tracks[track])
-            if (pair := best_of_either(here)) is not None:
-                classical, learned = (here[name] for name in pair)
-                leads[leader(classical, learned)].append(short(env_id))
-                gains[gaining(learned, pair[0])].append(short(env_id))
-        count = sum(map(len, leads.values()))
-        lines.append(
-            f"- `{track}`, {count} tasks: classical control leads in {listed(leads['classical'])}, "
-            f"learned control in {listed(leads['learned'])}. In the same episodes classical "
-            f"control is ahead in {listed(gains['classical'])}, learned control in "
-            f"{listed(gains['learned'])}."
-        )
+        found = {short(env_id): ranked(tracks[track]) for env_id, tracks in stored.items()}
+        best = {task: best_of_each(controllers) for task, controllers in found.items()}
+        leads = {
+            task: leader({kind: found[task][name] for kind, name in names.items()})
+            for task, names in best.items()
+        }
+        lines.append(f"- `{track}`, kinds that lead: {sorted_by(leads, KINDS)}.")
+        for kind in (ON_MODEL, LEARNED):
+            gained = {
+                task: verdict(found[task][names[kind]], names.get(CLASSICAL))
+                for task, names in best.items()
+                if kind in names
+            }
+            lines.append(f"  - best {kind} over best classical: {sorted_by(gained, VERDICTS)}.")
     return "\n".join(lines)
 
 
-def gaining(learned: Figures, classical: str) -> str:
-    """Kind whose score is above the other's in the same episodes, by the interval, or neither."""
-    low, high = learned["improvement"][classical]["gain_ci"]
-    return "learned" if low > 0.0 else "classical" if high < 0.0 else "neither"
+def gains(stored: Tables) -> str:
+    """Policies on a base by what they gain on it."""
+    found = {
+        f"`{name}` in {short(env_id)}, {track}": verdict(x, x["base"])
+        for env_id, tracks in stored.items()
+        for track, controllers in tracks.items()
+        for name, x in controllers.items()
+    }
+    places = {text: [place for place, x in found.items() if x == text] for text in VERDICTS}
+    return "\n".join(
+        f"- {text.capitalize()}, {len(x)}: {'; '.join(x) or 'none'}." for text, x in places.items()
+    )
+
+
+def sorted_by(found: Mapping[str, str | None], words: Sequence[str]) -> str:
+    """Tasks by the word that was found for them."""
+    return ", ".join(
+        f"{word} in {listed([task for task, x in found.items() if x == word])}" for word in words
+    )
 
 
 def listed(tasks: Sequence[str]) -> str:

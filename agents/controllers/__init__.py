@@ -34,6 +34,7 @@ class Kind:
     ranges: Mapping[str, Range] = field(default_factory=dict)
     obs: tuple[str, ...] = ("state", "sensors")  # kinds of observation that it can use
     tasks: tuple[str, ...] = tuple(TASKS)  # in which it takes part
+    model: bool = False  # True if it computes with a model of the arm while it acts
 
     @property
     def middle(self) -> dict[str, float]:
@@ -74,6 +75,7 @@ CONTROLLERS: dict[str, Kind] = {
             build=partial(ShapedPD, shaper=shaper),
             ranges=_SHAPED,
             tasks=_RESTING,
+            model=True,
         )
         for shaper in (zv, zvd, ei)
     },
@@ -82,37 +84,42 @@ CONTROLLERS: dict[str, Kind] = {
             build=partial(ShapedPD, shaper=shaper, modes=2),
             ranges=_SHAPED,
             tasks=_RESTING,
+            model=True,
         )
         for shaper in (zv, zvd)
     },
-    "inverse": Kind(build=InverseDynamics, ranges=_PD | _PLAN),
-    "lqr": Kind(build=LQR, ranges=_LQR, obs=("state",)),
+    "inverse": Kind(build=InverseDynamics, ranges=_PD | _PLAN, model=True),
+    "lqr": Kind(build=LQR, ranges=_LQR, obs=("state",), model=True),
     "lqg": Kind(
-        build=LQG, obs=("sensors",),
+        build=LQG, obs=("sensors",), model=True,
         ranges=_LQR | _FILTER,
     ),
-    "lqr-planned": Kind(build=PlannedLQR, ranges=_PLANNED, obs=("state",), tasks=("Reach",)),
+    "lqr-planned": Kind(
+        build=PlannedLQR, ranges=_PLANNED, obs=("state",), tasks=("Reach",), model=True
+    ),
     "lqg-planned": Kind(
-        build=PlannedLQG, obs=("sensors",), tasks=("Reach",),
+        build=PlannedLQG, obs=("sensors",), tasks=("Reach",), model=True,
         ranges=_PLANNED | _FILTER,
     ),
-    "mpc": Kind(build=MPC, ranges=_MPC, obs=("state",)),
-    "mpc-kalman": Kind(build=KalmanMPC, ranges=_MPC | _FILTER, obs=("sensors",)),
+    "mpc": Kind(build=MPC, ranges=_MPC, obs=("state",), model=True),
+    "mpc-kalman": Kind(
+        build=KalmanMPC, ranges=_MPC | _FILTER, obs=("sensors",), model=True
+    ),
     "lqg-extended": Kind(
         build=partial(LQG, filters=ExtendedFilters, name="lqg-extended"), obs=("sensors",),
-        ranges=_LQR | _FILTER,
+        ranges=_LQR | _FILTER, model=True,
     ),
     "lqg-extended-planned": Kind(
         build=partial(PlannedLQG, filters=ExtendedFilters, name="lqg-extended-planned"),
-        obs=("sensors",), tasks=("Reach",), ranges=_PLANNED | _FILTER,
+        obs=("sensors",), tasks=("Reach",), ranges=_PLANNED | _FILTER, model=True,
     ),
     "mpc-extended": Kind(
         build=partial(KalmanMPC, filters=ExtendedFilters, name="mpc-extended"), obs=("sensors",),
-        ranges=_MPC | _FILTER,
+        ranges=_MPC | _FILTER, model=True,
     ),
-    "nmpc": Kind(build=NMPC, ranges=_MPC, obs=("state",), tasks=_RESTING),
+    "nmpc": Kind(build=NMPC, ranges=_MPC, obs=("state",), tasks=_RESTING, model=True),
     "nmpc-extended": Kind(
-        build=ExtendedNMPC, ranges=_MPC | _FILTER, obs=("sensors",), tasks=_RESTING
+        build=ExtendedNMPC, ranges=_MPC | _FILTER, obs=("sensors",), tasks=_RESTING, model=True
     ),
     "zero": Kind(build=lambda env: Zero(n_joint=env.unwrapped.n_joint)),
     "random": Kind(build=lambda env: Random(env.unwrapped.n_joint)),

@@ -17,8 +17,9 @@ from matplotlib.ticker import LogLocator
 
 from agents.figures import COLOURS, MARKERS, look, new_figure, tidy
 from agents.leaderboard.bound import is_moving
+from agents.leaderboard.kinds import KINDS
 from agents.leaderboard.replay import YARDSTICK
-from agents.leaderboard.statistics import Entry, profile
+from agents.leaderboard.statistics import Entry, Figures, profile
 from dynamics.types import AnyArray
 from flexarm_env import IDS, TASKS
 
@@ -29,6 +30,9 @@ TRACK_LOOKS = {  # colour, marker and place
     "laboratory": (COLOURS[1], "s", 0.0),
     "transfer": (COLOURS[3], "^", -0.22),
 }
+KIND_COLOURS = dict(
+    zip((*KINDS, None), (COLOURS[2], COLOURS[1], COLOURS[0], COLOURS[7]), strict=True)
+)
 COLUMNS = 4
 LINE = 0.21  # [in] of a controller in a panel
 UNRANKED = ("zero", "random", YARDSTICK)  # not drawn
@@ -52,6 +56,7 @@ def pictures(results: Results) -> dict[str, Callable[[], Figure]]:
         found["leaderboard_regret.png"] = partial(regrets, results)
     if resting(results):
         found["leaderboard_settling.png"] = partial(settling, results)
+    found["leaderboard_decisions.png"] = partial(decisions, results)
     for track in tracks:
         found[f"leaderboard_spectra_{track}.png"] = partial(spectra, results, track)
     return found
@@ -208,6 +213,42 @@ def spectra(results: Results, track: str) -> Figure:
     figure.supxlabel(f"frequency [Hz], {track}; from where the tip first reached the target")
     figure.supylabel("curvature [1/m/√Hz]")
     return figure
+
+
+def decisions(results: Results) -> Figure:
+    """Score against the time of a decision, from the median to the 99 % time, by kind and track.
+
+    A dotted line is the control step; a controller whose 99 % time is beyond it is hollow.
+    """
+    figure, axes = panels([title(env_id) for env_id in results])
+    for axis, tracks in zip(axes, results.values(), strict=True):
+        for track, found in tracks.items():
+            for name in [name for name in found if name not in UNRANKED]:
+                _decision(axis, found[name].figures, TRACK_LOOKS[track][1])
+        axis.set(xscale="log", ylim=(-0.03, 1.03))
+    black = partial(Line2D, [], [], color="black")
+    handles = {kind: Line2D([], [], color=KIND_COLOURS[kind], linewidth=3.0) for kind in KINDS}
+    for track in track_handles(results):
+        handles[track] = black(linestyle="", marker=TRACK_LOOKS[track][1])
+    handles["99 % time beyond the control step"] = black(
+        linestyle="", marker="o", markerfacecolor="white"
+    )
+    handles["control step"] = black(linewidth=1.0, linestyle=":")
+    legend(figure, handles)
+    figure.supxlabel("decision [ms], from the median to the 99 % time")
+    figure.supylabel("score: mean of the middle half of the test episodes")
+    return figure
+
+
+def _decision(axis: Any, x: Figures, marker: str) -> None:
+    median, slow = x["ms_per_action"], x["ms_per_action_p99"]
+    colour, step = KIND_COLOURS[x["kind"]], x["ms_control_step"]
+    axis.axvline(step, color="black", linewidth=1.0, linestyle=":")
+    axis.plot([median, slow], 2 * [x["score_iqm"]], color=colour, linewidth=1.0, alpha=0.4)
+    axis.plot(
+        median, x["score_iqm"], color=colour, marker=marker, markersize=5,
+        markerfacecolor=colour if slow <= step else "white",
+    )  # fmt: skip
 
 
 def settles(entry: Entry) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from agents.files import atomic_write
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.charts import UNRANKED, Results, pictures
+from agents.leaderboard.kinds import CLASSICAL, KINDS, LEARNED, ON_MODEL
 from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.statistics import Entry, Figures, Spectrum
 from agents.leaderboard.tracks import TRACKS
@@ -21,6 +22,8 @@ from agents.sentences import plain
 
 EPISODES = "leaderboard.csv.bz2"
 SPECTRA = "leaderboard_spectra.json.bz2"
+GAIN, NO_GAIN, LOSS = VERDICTS = ("gain", "no gain", "loss")  # to another, by the interval
+REDRAWN = "Made from the stored episodes by `python -m agents.leaderboard --redraw --out FOLDER`."
 Tables = Mapping[str, Mapping[str, Mapping[str, Figures]]]  # by task, track and controller
 
 
@@ -89,25 +92,34 @@ def page(tables: Tables, files: Sequence[str], seeds: Sequence[int]) -> str:
     """Markdown page of the results, with the pictures of these files."""
     about = (
         f"Test episodes {seeds[0]} to {seeds[-1]}. Score: 0 to 1, the share of the episode that is "
-        "left after settling; for Track 1 / (1 + RMS / band). IQM: mean of the middle half, "
-        "with a 95 % bootstrap interval over episodes. Regret: settling time over the best known, "
-        "less 1. Excess: RMS tip error less the smallest known; infinite where an episode failed. "
-        f"Decisions: one environment at a time. {YARDSTICK} plays the torques of the best known "
-        "in the episodes that have one; it is told which they are, and is not ranked."
+        "left after settling; for Track 1 / (1 + RMS / band). IQM: mean of the middle half. "
+        "Intervals are 95 % bootstrap intervals over training seeds and episodes; where a "
+        "controller has no training seeds, or one, they cover the choice of the episodes alone. "
+        "Regret: settling time over the best known, less 1. Excess: RMS tip error less the "
+        "smallest known; infinite where an episode failed. Kind: learned-on-model needs a model of "
+        "the arm while it acts. Gain on its base: IQM less that of the controller on which a "
+        "policy acts, in the same episodes; no gain where the interval includes zero. Decisions: "
+        "one environment at a time. Late: share of decisions that take longer than the control "
+        "step; at most, or at least, 1 % as the 99 % time tells where no share is stored. A dash: "
+        f"not known. {YARDSTICK} plays the torques of the best known in the episodes that have "
+        "one; it is told which they are, and is not ranked."
     )
-    parts = ["# Leaderboard", about, *(f"![{name.split('.')[0]}]({name})" for name in files)]
+    parts = ["# Leaderboard", REDRAWN, about]
+    parts += [f"![{name.split('.')[0]}]({name})" for name in files]
     parts += ["## Best and runner-up", leaders(tables)]
-    parts += ["## Classical and learned", rivals(tables)]
+    parts += ["## Kinds", rivals(tables)]
     for env_id, tracks in tables.items():
         parts.append(f"## {env_id}")
         for track, found in tracks.items():
+            best = "excess [mm]" if is_moving(env_id) else "regret"
+            (step,) = {x["ms_control_step"] for x in found.values()}
             lines = [
-                f"**{track}**: {TRACKS[track].text}",
+                f"**{track}**: {TRACKS[track].text}; control step {step:g} ms",
                 "",
-                "| controller | success | score, IQM [95 %] | "
-                f"{'excess [mm]' if is_moving(env_id) else 'regret'}, IQM [95 %] | settling [s] | "
-                "RMS [mm] | decision, median and 99 % [ms] | of [ms] |",
-                "|---|---:|---:|---:|---:|---:|---:|---:|",
+                "| controller | kind | training seeds | success | score, mean | "
+                f"score, IQM [95 %] | {best}, IQM [95 %] | gain on its base [95 %] | "
+                "settling [s] | RMS [mm] | decision: first, median, 99 % [ms] | late |",
+                "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
             ]
             lines += [row(name, found[name]) for name in order(found)]
             parts.append("\n".join(lines))
@@ -130,46 +142,48 @@ def leaders(tables: Tables) -> str:
 
 
 def rivals(tables: Tables) -> str:
-    """Table of the best classical and the best learned controller of every task and track.
-
-    One leads where the intervals of both scores are apart.
-    """
+    """Table of the best controller of every kind, in every task and track."""
     lines = [
-        "Scores of the best of either kind, IQM [95 %]; one leads where the intervals are apart. "
-        "Above: the probability that the learned one scores higher in an episode; ties count half. "
-        "Gain: its score less the classical one's in the same episodes.",
+        "Scores of the best of every kind, IQM [95 %]; one leads where its interval is above those "
+        "of the others. Gain: the score less that of the best classical one in the same episodes.",
         "",
-        "| task | track | best classical | best learned | training seeds | leads | above | gain |",
-        "|---|---|---|---|---:|---|---:|---:|",
+        f"| task | track | {' | '.join(KINDS)} | leads | gain, {ON_MODEL} | gain, {LEARNED} |",
+        "|---|---|---|---|---|---|---:|---:|",
     ]
     for place, found in places(tables):
-        if (pair := best_of_either(found)) is None:
-            continue
-        one, other = (found[name] for name in pair)
-        lines.append(
-            f"{place} | {pair[0]} {score(one)} | {pair[1]} {score(other)} | "
-            f"{other['training_seeds']} | {leader(one, other)} | {above(other, pair[0])} | "
-            f"{gain(other, pair[0])} |"
-        )
+        best = best_of_each(found)
+        cells = [
+            f"{best[kind]} {score(found[best[kind]])}" if kind in best else "-" for kind in KINDS
+        ]
+        cells.append(leader({kind: found[name] for kind, name in best.items()}))
+        for kind in (ON_MODEL, LEARNED):
+            pair = CLASSICAL in best and kind in best
+            cells.append(gain(found[best[kind]], best[CLASSICAL]) if pair else "-")
+        lines.append(f"{place} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def best_of_either(found: Mapping[str, Figures]) -> tuple[str, str] | None:
-    """Best classical and best learned controller; None unless both kinds take part.
+def best_of_each(found: Mapping[str, Figures]) -> dict[str, str]:
+    """Best controller of every kind, of controllers that are given best first.
 
-    Controllers are given best first. Those of users, whose names hold a colon, are neither.
+    Those of users are of no kind.
     """
-    ours = {name: x for name, x in found.items() if ":" not in name}
-    learned = next((name for name, x in ours.items() if x["training_seeds"]), None)
-    classical = next((name for name, x in ours.items() if not x["training_seeds"]), None)
-    return None if learned is None or classical is None else (classical, learned)
+    best: dict[str, str] = {}
+    for name, x in found.items():
+        if x["kind"] is not None:
+            best.setdefault(x["kind"], name)
+    return best
 
 
-def leader(classical: Figures, learned: Figures) -> str:
-    """Kind that leads, as the intervals of its score are apart from the other's, or neither."""
-    if classical["score_ci"][0] > learned["score_ci"][1]:
-        return "classical"
-    return "learned" if learned["score_ci"][0] > classical["score_ci"][1] else "neither"
+def leader(best: Mapping[str, Figures]) -> str:
+    """Kind whose interval of the score is above those of all others, or none; a dash if alone."""
+    if len(best) < 2:
+        return "-"
+    for kind, x in best.items():
+        others = [y for other, y in best.items() if other != kind]
+        if all(x["score_ci"][0] > y["score_ci"][1] for y in others):
+            return kind
+    return "none"
 
 
 def places(tables: Tables) -> Iterator[tuple[str, dict[str, Figures]]]:
@@ -190,13 +204,43 @@ def order(found: Mapping[str, Figures]) -> list[str]:
 
 def row(name: str, x: Figures) -> str:
     """Row of a controller in the table of a task and track."""
-    settling = x["settling_median"]
-    return (
-        f"| {name} | {100.0 * x['success_rate']:.0f} % | {score(x)} | {over_best(x)} | "
-        f"{_number(settling, '.2f', 'never')} | "
-        f"{_number(1e3 * x['tip_error_rms_median'], '.3g', 'failed')} | "
-        f"{x['ms_per_action']:.2g}, {x['ms_per_action_p99']:.2g} | {x['ms_control_step']:g} |"
+    times = (x["ms_first_action"], x["ms_per_action"], x["ms_per_action_p99"])
+    cells = (
+        name,
+        x["kind"] or "-",
+        str(x["training_seeds"] or "-"),
+        f"{100.0 * x['success_rate']:.0f} %",
+        f"{x['score_mean']:.3f}",
+        score(x),
+        over_best(x),
+        on_base(x),
+        _number(x["settling_median"], ".2f", "never"),
+        _number(1e3 * x["tip_error_rms_median"], ".3g", "failed"),
+        ", ".join("-" if time is None else f"{time:.2g}" for time in times),
+        late(x),
     )
+    return f"| {' | '.join(cells)} |"
+
+
+def on_base(x: Figures) -> str:
+    """Gain of a policy on the controller on which it acts, where both are ranked."""
+    found = verdict(x, x["base"])
+    return "-" if found is None else gain(x, x["base"]) + ", no gain" * (found == NO_GAIN)
+
+
+def verdict(x: Figures, other: str | None) -> str | None:
+    """GAIN, NO_GAIN or LOSS to another in the same episodes, by the interval; None without it."""
+    if other not in x.get("improvement", ()):  # which come when all are ranked
+        return None
+    low, high = x["improvement"][other]["gain_ci"]
+    return GAIN if low > 0.0 else LOSS if high < 0.0 else NO_GAIN
+
+
+def late(x: Figures) -> str:
+    """Share of decisions later than the control step, or on which side of 1 % it is."""
+    if x["late_share"] is not None:
+        return f"{100.0 * x['late_share']:.1f} %"
+    return "≥ 1 %" if x["ms_per_action_p99"] > x["ms_control_step"] else "≤ 1 %"
 
 
 def score(x: Figures) -> str:

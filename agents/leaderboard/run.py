@@ -26,6 +26,7 @@ from agents.hybrid.controller import acting
 from agents.leaderboard import stored
 from agents.leaderboard.bound import PLANTS, best_of, compute
 from agents.leaderboard.charts import Results, pictures
+from agents.leaderboard.kinds import needs
 from agents.leaderboard.output import row, write
 from agents.leaderboard.replay import YARDSTICK, optimal, replayed
 from agents.leaderboard.shipped import shipped
@@ -51,7 +52,7 @@ TIMED = 200  # single decisions that are timed
 
 
 def decision_times(subject: Controller, env: Any, seed: int) -> AnyArray:
-    """(n,) [ms] of single decisions, without the first, in episodes of one environment."""
+    """(TIMED,) [ms] of single decisions in episodes of one environment."""
     observation, _ = env.reset(seed=[seed])
     state, start, times = None, np.ones(1, dtype=bool), []
     for _ in range(TIMED):
@@ -60,7 +61,7 @@ def decision_times(subject: Controller, env: Any, seed: int) -> AnyArray:
         times.append(1e3 * (time.perf_counter() - begin))
         observation, _, terminated, truncated, _ = env.step(np.asarray(action, np.float32))
         start = terminated | truncated
-    return np.array(times[1:])
+    return np.array(times)
 
 
 def built(name: str, env: Any, env_id: str, track: str) -> Iterator[Controller]:
@@ -98,7 +99,8 @@ def ranked(
             subjects = built(name, design, env_id, track)
         first = next(subjects)
         recordings = [record(first, envs, seeds)]
-        milliseconds = decision_times(first, single, seeds[0])
+        new = seeds[-1] + 1  # an episode for which nothing is remembered
+        milliseconds = decision_times(first, single, new)
         del first
         recordings += [record(subject, envs, seeds) for subject in subjects]
         each = [episode_metrics(recording) for recording in recordings]
@@ -108,7 +110,9 @@ def ranked(
             metrics, best,
             privileged=name == YARDSTICK,
             learned=name in shipped(env_id, TRACKS[track].design),
-        ) | decisions(milliseconds, envs.unwrapped.control_dt)  # fmt: skip
+        )  # fmt: skip
+        found |= needs(name, env_id, track)
+        found |= decisions(milliseconds, envs.unwrapped.control_dt)
         return Entry(found, metrics, spectrum(recordings), seeds)
     finally:
         for env in (design, envs, single):
@@ -136,6 +140,8 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     seeds = list(range(options.seed, options.seed + options.episodes))
     bounds = options.out / "bounds" if options.bound else None
     failures = Failures(prog)
+    if options.redraw:
+        return redraw(options.out, failures)
     try:
         places = _check(options)
         check_folder(options.out)
@@ -146,10 +152,37 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     if not [place for place in places if _works(*place, failures)]:
         return 2
     if results := _rank(options, seeds, bounds, before, failures):
-        for file, draw in pictures(results).items():
-            save_figure(draw(), options.out / file)
-        print(f"Everything is in {options.out}/")
+        _draw(results, options.out)
     return 1 if failures.told else 0
+
+
+def redraw(folder: Path, failures: "Failures") -> int:
+    """Write figures, page and pictures of a stored ranking again; the exit status."""
+    try:
+        check_folder(folder)
+        results = _compared(stored.read(folder, None, folder / "bounds"))
+    except ValueError as error:
+        failures.tell(error)
+        return 2
+    entries = (
+        x for tracks in results.values() for found in tracks.values() for x in found.values()
+    )
+    write(folder, results, max((entry.seeds for entry in entries), key=len))
+    _draw(results, folder)
+    return 0
+
+
+def _draw(results: Results, folder: Path) -> None:
+    for file, draw in pictures(results).items():
+        save_figure(draw(), folder / file)
+    print(f"Everything is in {folder}/")
+
+
+def _compared(entries: stored.Entries) -> dict[str, dict[str, dict[str, Entry]]]:
+    return {
+        env_id: {track: compared(found) for track, found in tracks.items()}
+        for env_id, tracks in entries.items()
+    }
 
 
 class Failures:
@@ -175,10 +208,7 @@ def _rank(
     failures: Failures,
 ) -> Results:
     """Results of all tasks, beside former entries, which are written after every task."""
-    results = {
-        env_id: {track: compared(found) for track, found in tracks.items()}
-        for env_id, tracks in before.items()
-    }
+    results = _compared(before)
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
         run = map if options.jobs == 1 else pool.map
         for env_id in options.tasks:
@@ -218,6 +248,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--bound", action="store_true",
         help="search the bounds of episodes that have none, and keep them in OUT/bounds",
+    )  # fmt: skip
+    parser.add_argument(
+        "--redraw", action="store_true",
+        help="rank nothing: figures, page and pictures of the ranking in OUT from its episodes",
     )  # fmt: skip
     parser.add_argument(
         "--jobs", type=int, default=1, help="processes; decisions are timed in them"

@@ -4,12 +4,14 @@ The first three are those of Agarwal et al. 2021, "Deep Reinforcement Learning a
 Statistical Precipice". Values are (runs, episodes): a row per training seed of a policy, one row
 for any other controller. The test episodes are the same in every row and for every controller.
 
-Intervals are 95 % percentile bootstrap intervals. A resample draws whole episodes, the same in all
-rows: every training seed keeps its share, and comparisons stay within an episode.
+Intervals are 95 % percentile bootstrap intervals. A resample draws runs, those of every controller
+by themselves, and whole episodes, the same in all rows: comparisons stay within an episode. With
+one run the interval covers the choice of the episodes alone.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -21,6 +23,8 @@ from dynamics.types import AnyArray
 from flexarm_env.task.tasks import SETTLED_BAND
 
 RESAMPLES = 2000  # of the bootstrap
+ENDS = (2.5, 97.5)  # [%] of resamples that lie below an interval's ends
+EPISODES = 0  # stream of the drawn episodes; those of runs are above it
 SEGMENT = 1 / 3  # of an episode: length of a segment of a spectrum
 PADDING = 4  # transform over segment
 DIGITS = 6  # significant ones of the metrics of an episode
@@ -77,6 +81,7 @@ def figures(
         "training_seeds": score.shape[0] if learned else 0,
         "episodes": score.shape[-1],
         "success_rate": float(metrics["success"].mean()),
+        "score_mean": float(score.mean()),
         "score_iqm": interquartile_mean(score),
         "score_ci": interval(score),
         "regret_iqm": None if regret is None else interquartile_mean(regret),
@@ -93,11 +98,17 @@ def figures(
 
 
 def decisions(milliseconds: AnyArray, control_dt: float) -> Figures:
-    """Figures of the times of single decisions, beside the control step [s]."""
+    """Figures of the times of single decisions, of which the first starts the controller.
+
+    All are beside the control step [s]; the first is in none of the others.
+    """
+    first, later = milliseconds[0], milliseconds[1:]
     return {
-        "ms_per_action": float(np.median(milliseconds)),
-        "ms_per_action_p99": float(np.percentile(milliseconds, 99.0)),
+        "ms_first_action": float(first),
+        "ms_per_action": float(np.median(later)),
+        "ms_per_action_p99": float(np.percentile(later, 99.0)),
         "ms_control_step": 1e3 * control_dt,
+        "late_share": float(np.mean(later > 1e3 * control_dt)),
     }
 
 
@@ -108,18 +119,27 @@ def interquartile_mean(values: AnyArray) -> float:
 
 def interval(values: AnyArray) -> list[float]:
     """[low, high] of the interquartile mean of values (runs, episodes), some perhaps infinite."""
-
     with np.errstate(invalid="ignore"):  # between infinite resamples
-        low, high = _bootstrap(values, _trimmed).confidence_interval
+        low, high = np.percentile(resampled_means(values), ENDS)
     return [float(np.nan_to_num(x, nan=np.inf, posinf=np.inf)) for x in (low, high)]
 
 
-def wins(values: AnyArray, others: AnyArray) -> AnyArray:
-    """(episodes,) share of pairs of runs in which values exceed the others; ties count half.
+def resampled_means(values: AnyArray, stream: int = 1) -> AnyArray:
+    """(RESAMPLES,) interquartile means of resampled runs and episodes of values (runs, episodes).
 
-    `values` are (runs, episodes), `others` (other runs, episodes).
+    Controllers whose runs are independent have streams of their own, and all share the episodes.
     """
-    return (0.5 + 0.5 * np.sign(values[:, None] - others)).mean(axis=(0, 1))
+    runs, episodes = _drawn(len(values), stream), _drawn(values.shape[1], EPISODES)
+    drawn = values[runs[:, :, None], episodes[:, None, :]]
+    return np.asarray(stats.trim_mean(drawn.reshape(RESAMPLES, -1), 0.25, axis=1))
+
+
+def wins(values: AnyArray, others: AnyArray) -> AnyArray:
+    """1 where values exceed the others in an episode, a half where they tie, else 0.
+
+    `values` are (runs, episodes), `others` (other runs, episodes); (runs, other runs, episodes).
+    """
+    return 0.5 + 0.5 * np.sign(values[:, None] - others)
 
 
 def improvements(scores: Mapping[str, AnyArray]) -> dict[str, dict[str, Any]]:
@@ -131,12 +151,13 @@ def improvements(scores: Mapping[str, AnyArray]) -> dict[str, dict[str, Any]]:
     the gain is without what makes episodes easy or hard for both.
     """
     found: dict[str, dict[str, Any]] = {name: {} for name in scores}
-    resamples = {name: _bootstrap(x, _trimmed).bootstrap_distribution for name, x in scores.items()}
+    streams = {name: stream for stream, name in enumerate(scores, EPISODES + 1)}
+    resamples = {name: resampled_means(x, streams[name]) for name, x in scores.items()}
     means = {name: interquartile_mean(x) for name, x in scores.items()}
     for one, other in combinations(scores, 2):
         share = wins(scores[one], scores[other])
-        low, high = _bootstrap(share[None], np.mean).confidence_interval
-        least, most = np.percentile(resamples[one] - resamples[other], (2.5, 97.5))
+        low, high = np.percentile(_mean_shares(share, streams[one], streams[other]), ENDS)
+        least, most = np.percentile(resamples[one] - resamples[other], ENDS)
         p, gain = share.mean(), means[one] - means[other]
         found[one][other] = _over(p, (low, high), gain, (least, most))
         found[other][one] = _over(1.0 - p, (1.0 - high, 1.0 - low), -gain, (-most, -least))
@@ -164,9 +185,10 @@ def profile(scores: AnyArray, levels: AnyArray) -> tuple[AnyArray, AnyArray, Any
 
     From scores (runs, episodes) and levels (k,): three arrays (k,).
     """
-    above = (scores > levels[:, None, None]).mean(axis=1)  # (k, episodes)
-    low, high = _bootstrap(above[None], np.mean).confidence_interval
-    return above.mean(axis=1), low, high
+    above = 1.0 * (scores > levels[:, None, None])
+    means = np.array([_mean_shares(level[:, None], 1, 1) for level in above])
+    low, high = np.percentile(means, ENDS, axis=1)
+    return above.mean(axis=(1, 2)), low, high
 
 
 def quartiles(values: AnyArray) -> list[float]:
@@ -197,17 +219,21 @@ def spectrum(recordings: Sequence[Recording]) -> Spectrum:
     return Spectrum(frequency, density, len(found) / sum(r.failed.size for r in recordings))
 
 
-def _trimmed(*rows: AnyArray, axis: int) -> Any:
-    """Interquartile mean along the axis of rows that are put behind each other."""
-    return stats.trim_mean(np.concatenate(rows, axis=axis), 0.25, axis=axis)
+def _mean_shares(shares: AnyArray, stream: int, other: int) -> AnyArray:
+    """(RESAMPLES,) means of shares (runs, other runs, episodes) over what is drawn of each."""
+    streams = (stream, other, EPISODES)
+    weights = (_weights(n, stream) for n, stream in zip(shares.shape, streams, strict=True))
+    return np.asarray(np.einsum("abe,ra,rb,re->r", shares, *weights, optimize=True))
 
 
-def _bootstrap(values: AnyArray, statistic: Callable[..., Any]) -> Any:
-    """SciPy's result for a statistic of rows (..., episodes), which it is given one by one.
+@cache
+def _drawn(count: int, stream: int) -> AnyArray:
+    """(RESAMPLES, count) numbers of the runs or episodes in every resample."""
+    return np.random.default_rng(stream).integers(count, size=(RESAMPLES, count))
 
-    Resamples of equally many episodes are the same, whatever the values.
-    """
-    return stats.bootstrap(
-        tuple(values), statistic, n_resamples=RESAMPLES, paired=True, vectorized=True, axis=-1,
-        method="percentile", rng=0,
-    )  # fmt: skip
+
+@cache
+def _weights(count: int, stream: int) -> AnyArray:
+    """(RESAMPLES, count) share that a run or an episode has in every resample."""
+    places = _drawn(count, stream) + count * np.arange(RESAMPLES)[:, None]
+    return np.bincount(places.ravel(), minlength=places.size).reshape(places.shape) / count

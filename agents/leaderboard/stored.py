@@ -11,6 +11,7 @@ import numpy as np
 
 from agents.controllers import CONTROLLERS
 from agents.leaderboard.bound import best_of
+from agents.leaderboard.kinds import needs
 from agents.leaderboard.output import EPISODES, SPECTRA
 from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.shipped import shipped
@@ -19,12 +20,14 @@ from agents.leaderboard.tracks import TRACKS, takes_part
 from agents.metrics import METRICS
 from dynamics.types import AnyArray
 
-DECISIONS = ("ms_per_action", "ms_per_action_p99", "ms_control_step")
+DECISIONS = (  # a figure that an older ranking does not have is null
+    "ms_first_action", "ms_per_action", "ms_per_action_p99", "ms_control_step", "late_share",
+)  # fmt: skip
 Entries = dict[str, dict[str, dict[str, Entry]]]  # by task, track and controller
 
 
-def read(folder: Path, seeds: Sequence[int], bounds: Path | None = None) -> Entries:
-    """Entries of the episodes with these seeds; a ValueError if the folder has none.
+def read(folder: Path, seeds: Sequence[int] | None, bounds: Path | None = None) -> Entries:
+    """Entries of the episodes with these seeds, or of all; a ValueError if the folder has none.
 
     Metrics and times of decisions are those that are stored. Statistics are computed again, over
     the bounds that are known now, in the package or in the folder `bounds`.
@@ -33,22 +36,25 @@ def read(folder: Path, seeds: Sequence[int], bounds: Path | None = None) -> Entr
     try:
         tables = json.loads((folder / "leaderboard.json").read_text(encoding="utf-8"))
         spectra = json.loads(bz2.decompress((folder / SPECTRA).read_bytes()))
-        for (env_id, track, name), (met, metrics) in episodes(folder).items():
-            if not (met == [*seeds] or (name == YARDSTICK and set(met) <= {*seeds})):
+        table = episodes(folder)
+        wanted = seeds or max((met for met, _ in table.values()), key=len)
+        for (env_id, track, name), (met, metrics) in table.items():
+            if not (met == [*wanted] or (name == YARDSTICK and set(met) <= {*wanted})):
                 raise ValueError(f"{name} met the episodes {met[0]} to {met[-1]}")
             before = tables[env_id][track][name]
             now = figures(
                 metrics, best_of(env_id, track, met, bounds),
                 privileged=before["privileged"], learned=before["training_seeds"] > 0,
             )  # fmt: skip
-            now |= {key: before[key] for key in DECISIONS}
+            now |= needs(name, env_id, track)
+            now |= {key: before.get(key) for key in DECISIONS}
             own = Entry(now, metrics, _spectrum(spectra[env_id][track][name]), met)
             found.setdefault(env_id, {}).setdefault(track, {})[name] = own
     except (OSError, EOFError, KeyError, TypeError, ValueError) as error:
+        of = f" of the episodes {seeds[0]} to {seeds[-1]}" if seeds else ""
         raise ValueError(
-            f"--beside {folder}: there is no whole ranking of the episodes {seeds[0]} to "
-            f"{seeds[-1]} ({type(error).__name__}: {error}); name the --out of one with the same "
-            "--seed and --episodes."
+            f"{folder}: there is no whole ranking{of} ({type(error).__name__}: {error}); name the "
+            "--out of one, beside which --seed and --episodes must be the same."
         ) from None
     return found
 

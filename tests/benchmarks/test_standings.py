@@ -7,17 +7,28 @@ import pytest
 
 from agents.experiments import shipped_experiments
 from benchmarks.output import filled
-from benchmarks.standings import KINDS, PAGE, blocks, cell, kind, leaders, searched, standings
+from benchmarks.standings import (
+    COLUMNS,
+    PAGE,
+    blocks,
+    cell,
+    column,
+    gains,
+    leaders,
+    searched,
+    standings,
+)
 
 REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
 
 
 def figures(score: float, seeds: int = 0, width: float = 0.01, **others: Any) -> dict[str, Any]:
-    """Figures of a controller that settles all episodes at a regret of a half."""
+    """Figures of a classical controller that settles all episodes at a regret of a half."""
     return {
         "score_iqm": score, "score_ci": [score - width, score + width], "training_seeds": seeds,
         "privileged": False, "success_rate": 1.0, "regret_iqm": 0.5, "settling_median": 2.0,
-        "tip_error_rms_median": 0.0042, **others,
+        "tip_error_rms_median": 0.0042, "kind": "classical", "base": None, "improvement": {},
+        **others,
     }  # fmt: skip
 
 
@@ -38,14 +49,11 @@ def test_the_tables_of_the_page_are_those_of_the_results() -> None:
         ("lqg-extended-planned", "linear-quadratic"),
         ("mpc-kalman", "predictive"),
         ("nmpc", "predictive"),
-        ("recurrent-ppo", "learned"),
-        ("ppo-stacked", "learned"),
-        ("ppo-on-lqg", "learned, on a model"),
-        ("ppo-ahead-of-pd", "learned, on a model"),
     ],
 )
-def test_kinds_follow_the_names(name: str, wanted: str) -> None:
-    assert kind(name) == wanted
+def test_classical_columns_follow_the_names(name: str, wanted: str) -> None:
+    assert column(name, figures(0.5)) == wanted
+    assert column(name, figures(0.5, kind="learned")) == "learned"
 
 
 @pytest.mark.parametrize(
@@ -70,21 +78,20 @@ def test_rows_have_the_best_of_every_kind_and_mark_the_best_of_all() -> None:
     """The yardstick and idle control are none of them."""
     found = {
         "pd": figures(0.3), "pid": figures(0.4, regret_iqm=0.6), "lqr": figures(0.9),
-        "ppo": figures(0.8, 5), "zero": figures(0.95), "optimal": figures(1.0, privileged=True),
+        "ppo": figures(0.8, 5, kind="learned"), "zero": figures(0.95),
+        "optimal": figures(1.0, privileged=True),
     }  # fmt: skip
     *_, row = standings({REACH: {"state": found}}, "state").splitlines()
     cells = [text.strip() for text in row.strip("|").split("|")]
     assert cells == ["OneLink-Reach", "pid: 60 %", "**lqr: 50 %**", "", "ppo: 50 %", ""]
-    assert len(cells) == 1 + len(KINDS)
+    assert len(cells) == 1 + len(COLUMNS)
 
 
-def test_a_kind_leads_where_intervals_are_apart_and_is_ahead_where_gains_have_one_sign() -> None:
+def test_a_kind_leads_where_intervals_are_apart_and_gains_where_one_excludes_zero() -> None:
     def rivals(lqr: float, ppo: float, low: float, high: float, width: float = 0.01) -> Any:
         better = {"lqr": {"gain_ci": [low, high]}}
-        return {
-            "lqr": figures(lqr, width=width),
-            "ppo": figures(ppo, 5, width, improvement=better),
-        }
+        learned = figures(ppo, 5, width, improvement=better, kind="learned")
+        return {"lqr": figures(lqr, width=width), "ppo": learned}
 
     above, below = rivals(0.8, 0.9, 0.05, 0.15), rivals(0.9, 0.8, -0.15, -0.05)
     close, equal = rivals(0.8, 0.9, 0.05, 0.15, 0.2), rivals(0.9, 0.8, -0.25, 0.05, 0.2)
@@ -92,15 +99,26 @@ def test_a_kind_leads_where_intervals_are_apart_and_is_ahead_where_gains_have_on
         REACH: {"state": below, "laboratory": above, "transfer": {"lqr": figures(0.9)}},
         TRACK: {"state": equal, "laboratory": above, "transfer": close},
     }
-    both = "2 (OneLink-Reach, OneLink-Track)"
+    one, other, both = "(OneLink-Reach)", "(OneLink-Track)", "(OneLink-Reach, OneLink-Track)"
+    none = "  - best learned-on-model over best classical: gain in 0, no gain in 0, loss in 0."
+    leads = "kinds that lead: classical in {}, learned-on-model in 0, learned in {}."
+    over = "  - best learned over best classical: gain in {}, no gain in {}, loss in {}."
     assert leaders(stored).splitlines() == [
-        "- `state`, 2 tasks: classical control leads in 1 (OneLink-Reach), learned control in 0. "
-        "In the same episodes classical control is ahead in 1 (OneLink-Reach), learned control in "
-        "0.",
-        "- `laboratory`, 2 tasks: classical control leads in 0, learned control in "
-        f"{both}. In the same episodes classical control is ahead in 0, learned control in {both}.",
-        "- `transfer`, 1 tasks: classical control leads in 0, learned control in 0. In the same "
-        "episodes classical control is ahead in 0, learned control in 1 (OneLink-Track).",
+        "- `state`, " + leads.format(f"1 {one}", 0), none, over.format(0, f"1 {other}", f"1 {one}"),
+        "- `laboratory`, " + leads.format(0, f"2 {both}"), none, over.format(f"2 {both}", 0, 0),
+        "- `transfer`, " + leads.format(0, 0), none, over.format(f"1 {other}", 0, 0),
+    ]  # fmt: skip
+
+
+def test_policies_are_listed_by_their_gain_on_a_ranked_base() -> None:
+    def policy(low: float, high: float) -> Any:
+        return figures(0.5, 5, base="pd", improvement={"pd": {"gain_ci": [low, high]}})
+
+    found = {"a": policy(0.1, 0.2), "b": policy(-0.1, 0.2), "c": figures(0.5, 5, base="lqr")}
+    assert gains({REACH: {"state": found, "transfer": {"d": policy(-0.2, 0.0)}}}).splitlines() == [
+        "- Gain, 1: `a` in OneLink-Reach, state.",
+        "- No gain, 2: `b` in OneLink-Reach, state; `d` in OneLink-Reach, transfer.",
+        "- Loss, 0: none.",
     ]
 
 

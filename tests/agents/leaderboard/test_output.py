@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 
 from agents.leaderboard import charts
-from agents.leaderboard.output import EPISODES, leaders, over_best, rivals, score, write
+from agents.leaderboard.output import (
+    EPISODES,
+    late,
+    leaders,
+    on_base,
+    over_best,
+    rivals,
+    verdict,
+    write,
+)
 from agents.leaderboard.statistics import Entry, Spectrum, compared, decisions, figures
 from agents.leaderboard.tracks import RANKED
 from agents.metrics import METRICS, Best
@@ -24,13 +33,17 @@ KNOWN = Best("settling_time", np.full(4, 0.3))
 PATH = Best("tip_error_rms", np.full(4, 0.1))
 
 
-def entry(score: Any, share: float = 1.0, best: Best | None = None) -> Entry:
+def entry(
+    score: Any, share: float = 1.0, best: Best | None = None, kind: str | None = "classical",
+    base: str | None = None,
+) -> Entry:  # fmt: skip
     """A controller with scores (runs, episodes) in episodes of 3 s; 0 stands for a failure."""
     score = np.array(score, float)
     metrics = {name: np.where(score > 0.0, 0.1 + score, np.inf) for name in METRICS}
     metrics |= {"score": score, "success": np.sign(score)}
     metrics["settling_time"] = np.where(score > 0.0, 3.0 * (1.0 - score), np.inf)
-    found = figures(metrics, best) | decisions(np.array([0.5, 1.5]), 0.02)
+    found = figures(metrics, best) | decisions(np.array([9.0, 0.5, 1.5]), 0.02)
+    found |= {"kind": kind, "base": base}
     spectrum = Spectrum(FREQUENCY, np.ones_like(FREQUENCY), share)
     return Entry(found, metrics, spectrum, SEEDS[-score.shape[1] :])
 
@@ -42,7 +55,9 @@ def results() -> charts.Results:
             "state": compared(
                 {
                     "pd": entry([[0.2, 0.4, 0.3, 0.9]], best=KNOWN),
-                    "ppo": entry([[0.8, 0.4, 0.6, 0.1], [0.8, 0.5, 0.6, 0.7]], best=KNOWN),
+                    "ppo": entry(
+                        [[0.8, 0.4, 0.6, 0.1], [0.8, 0.5, 0.6, 0.7]], best=KNOWN, kind="learned"
+                    ),
                     "zero": entry([[0.0, 0.0, 0.0, 0.0]], share=0.0, best=KNOWN),
                 }
             ),
@@ -81,10 +96,12 @@ def test_the_page_shows_the_best_first_and_how_sure_that_is(results: Any, tmp_pa
     assert text.index("| ppo |") < text.index("| pd |") < text.index("| zero |")
     assert "| OneLink-Reach-v0 | state | ppo | pd | 69 % [" in text
     assert "| OneLink-Reach-v0 | laboratory | lqg | pd | 100 % [100, 100] |" in text
-    assert "| OneLink-Track-v0 | state |" not in text  # nobody to compare with
+    assert "| OneLink-Track-v0 | state |" not in text.partition("## Kinds")[0]  # no runner-up
     for file in charts.pictures(results):
         assert f"]({file})" in text
-    assert "| 1, 1.5 | 20 |" in text  # decisions beside the control step
+    assert "control step 20 ms" in text
+    assert "| 9, 1, 1.5 | 0.0 % |" in text  # decisions: the first, median and 99 %, and late ones
+    assert "| ppo | learned | - | 100 % | 0.562 | 0.600 [" in text  # mean and interquartile mean
 
 
 def test_idle_controllers_are_no_runners_up(results: Any) -> None:
@@ -93,28 +110,64 @@ def test_idle_controllers_are_no_runners_up(results: Any) -> None:
     assert "zero" not in leaders(tables)
 
 
-def test_one_kind_leads_where_the_intervals_are_apart() -> None:
+def test_one_kind_leads_where_its_interval_is_above_all_others() -> None:
     """Scores that are alike in all episodes have an interval of no width; users' are no kind."""
-    high, middle, low = (entry([[x] * 4]).figures for x in (0.8, 0.7, 0.6))
-    wide = entry([[0.5, 0.8, 0.9, 0.7]]).figures
-    assert rivals({REACH: {"state": {"lqr": middle, "my:Own": high}}}).count("\n") == 3  # no rival
 
-    def leader(trained: Any, classical: Any) -> str:
-        found = {"pd": low, "lqr": classical, "my:Own": high}
-        better = {"p": 0.25, "ci": [0.2, 0.31], "gain": -0.0312, "gain_ci": [-0.05, 0.0126]}
-        found["ppo"] = trained | {"training_seeds": 5, "improvement": {"lqr": better}}
-        (line,) = rivals({REACH: {"state": found}}).splitlines()[4:]
-        cells = line.strip("| ").split(" | ")
-        assert cells[:2] == ["OneLink-Reach-v0", "state"]
-        assert cells[2] == f"lqr {score(classical)}"
-        assert cells[3:5] == [f"ppo {score(trained)}", "5"]
-        assert cells[6:] == ["25 % [20, 31]", "-0.0312 [-0.0500, +0.0126]"]
-        return str(cells[5])
+    def leads(trained: Any, classical: Any) -> list[str]:
+        found = {
+            "pd": entry([[0.5] * 4]), "lqr": entry([classical]),
+            "ppo": entry([trained], kind="learned"),
+            "ppo-on-pd": entry([[0.6] * 4], kind="learned-on-model"),
+            "my:Own": entry([[0.9] * 4], kind=None),
+        }  # fmt: skip
+        table = rivals({REACH: {"state": {k: x.figures for k, x in compared(found).items()}}})
+        (line,) = table.splitlines()[4:]
+        return line.strip("| ").split(" | ")
 
-    assert leader(high, middle) == "learned"
-    assert leader(low, middle) == "classical"
-    assert leader(wide, middle) == "neither"
-    assert leader(middle, wide) == "neither"
+    cells = leads([0.8] * 4, [0.7] * 4)
+    assert cells[:2] == ["OneLink-Reach-v0", "state"]
+    assert cells[2] == "lqr 0.700 [0.700, 0.700]"
+    assert cells[3:6] == ["ppo-on-pd 0.600 [0.600, 0.600]", "ppo 0.800 [0.800, 0.800]", "learned"]
+    assert cells[6:] == ["-0.1000 [-0.1000, -0.1000]", "+0.1000 [+0.1000, +0.1000]"]
+    assert leads([0.7] * 4, [0.8] * 4)[5] == "classical"
+    assert leads([0.5, 0.8, 0.9, 0.7], [0.7] * 4)[5] == "none"
+    alone = {"lqr": entry([[0.7] * 4]).figures}
+    assert rivals({REACH: {"state": alone}}).endswith("[0.700, 0.700] | - | - | - | - | - |")
+
+
+def test_a_gain_on_the_base_counts_where_its_interval_excludes_zero() -> None:
+    """Half of the episodes better and half worse are none; without a ranked base there is none."""
+
+    def gain(score: Any, base: str = "pd") -> tuple[str | None, str]:
+        policy = entry([score], kind="learned-on-model", base=base)
+        x = compared({"pd": entry([[0.5] * 8]), "policy": policy})["policy"].figures
+        return verdict(x, base), on_base(x)
+
+    assert gain([0.6] * 8) == ("gain", "+0.1000 [+0.1000, +0.1000]")
+    assert gain([0.4] * 8) == ("loss", "-0.1000 [-0.1000, -0.1000]")
+    found, text = gain([0.4, 0.6] * 4)
+    assert found == "no gain"
+    assert text.endswith("], no gain")
+    assert gain([0.6] * 8, base="lqr") == (None, "-")
+
+
+@pytest.mark.parametrize(
+    ("share", "slow", "text"),
+    [(0.125, 1.0, "12.5 %"), (None, 20.1, "≥ 1 %"), (None, 19.9, "≤ 1 %"), (0.0, 20.1, "0.0 %")],
+)
+def test_late_decisions_are_known_or_on_a_side_of_a_hundredth(
+    share: float | None, slow: float, text: str
+) -> None:
+    assert late({"late_share": share, "ms_per_action_p99": slow, "ms_control_step": 20.0}) == text
+
+
+def test_slow_controllers_are_hollow_in_the_picture_of_decisions() -> None:
+    found = {name: entry([[0.5] * 4]) for name in ("quick", "slow", "zero")}
+    found["slow"].figures["ms_per_action_p99"] = 21.0
+    (axis,) = charts.decisions({REACH: {"state": found}}).axes
+    points = [line for line in axis.lines if line.get_marker() == "o"]
+    assert [line.get_xydata().tolist() for line in points] == 2 * [[[1.0, 0.5]]]
+    assert [line.get_markerfacecolor() == "white" for line in points] == [False, True]
 
 
 def test_pictures_show_what_there_is(results: Any) -> None:
@@ -140,6 +193,7 @@ def test_pictures_show_what_there_is(results: Any) -> None:
     )  # pd failed in the laboratory
     assert set(drawn) == {
         "leaderboard.png",
+        "leaderboard_decisions.png",
         "leaderboard_regret.png",
         "leaderboard_settling.png",
         *(f"leaderboard_{kind}_{track}.png" for kind in ("profiles", "spectra")
@@ -232,7 +286,8 @@ def test_a_path_has_its_excess_in_the_table_and_in_the_picture(told: Any, tmp_pa
 def test_pictures_without_bounds_and_resting_targets_are_left_out(results: Any) -> None:
     names = set(charts.pictures({TRACK: results[TRACK]}))
     assert names == {
-        "leaderboard.png", "leaderboard_profiles_state.png", "leaderboard_spectra_state.png"
+        "leaderboard.png", "leaderboard_decisions.png", "leaderboard_profiles_state.png",
+        "leaderboard_spectra_state.png",
     }  # fmt: skip
 
 

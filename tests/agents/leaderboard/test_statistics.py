@@ -1,5 +1,6 @@
 """Statistics of episodes whose values are known by hand, or by a second path."""
 
+import itertools
 import math
 from dataclasses import FrozenInstanceError, replace
 from typing import Any
@@ -66,24 +67,29 @@ def test_runs_on_equal_episodes_are_drawn_together() -> None:
     assert interval(np.repeat(run, 2, axis=0)) == pytest.approx(interval(run))
 
 
-def test_every_run_keeps_its_share_of_a_resample() -> None:
-    """Runs that differ between themselves, but not between episodes, leave nothing open."""
-    values = np.repeat([[0.0], [0.2], [0.7], [0.9]], 10, axis=1)
-    assert interval(values) == pytest.approx([0.45, 0.45])
+def test_runs_that_differ_widen_the_interval_as_all_their_draws_do() -> None:
+    """Of four runs that are the same in all episodes there are 256 draws, all equally likely."""
+    runs = (0.0, 0.2, 0.7, 0.9)
+    found = interval(np.repeat(np.array(runs)[:, None], 10, axis=1))
+    exact = [sum(sorted(drawn)[1:3]) / 2.0 for drawn in itertools.product(runs, repeat=4)]
+    assert found == pytest.approx(np.percentile(exact, [2.5, 97.5]))
 
 
 def test_intervals_are_repeatable() -> None:
-    """By a second path: 2000 draws of whole episodes from the stream of seed 0."""
+    """By a second path: 2000 draws of runs and of whole episodes from the streams of two seeds."""
     values = np.random.default_rng(5).normal(size=(2, 12))
-    drawn = values[:, np.random.default_rng(0).integers(0, 12, (2000, 12))]
-    middle = [interquartile_mean(drawn[:, k]) for k in range(2000)]
+    episodes = np.random.default_rng(0).integers(0, 12, (2000, 12))
+    runs = np.random.default_rng(1).integers(0, 2, (2000, 2))
+    drawn = [values[np.ix_(i, k)] for i, k in zip(runs, episodes, strict=True)]
+    middle = [interquartile_mean(x) for x in drawn]
     assert interval(values) == pytest.approx(np.percentile(middle, [2.5, 97.5]), rel=1e-12)
 
 
 def test_wins_are_counted_within_episodes_and_over_all_pairs_of_runs() -> None:
     values = np.array([[1.0, 2.0, 9.0], [3.0, 2.0, 0.0]])
     others = np.array([[2.0, 2.0, 1.0], [0.0, 1.0, 1.0]])
-    assert wins(values, others).tolist() == [3 / 4, (0.5 + 0.5 + 1 + 1) / 4, 2 / 4]
+    pairs = [[(a > b) + 0.5 * (a == b) for b in others] for a in values]
+    assert wins(values, others).tolist() == np.array(pairs).tolist()
 
 
 def test_improvement_is_the_share_of_wins_with_a_binomial_interval() -> None:
@@ -109,13 +115,12 @@ def test_gain_is_of_the_same_episodes() -> None:
 
 
 def test_interval_of_the_gain_is_that_of_resampled_differences() -> None:
-    """A statistic of all rows at once, of two runs and of one, in one bootstrap."""
+    """With one run each, by SciPy."""
     rng = np.random.default_rng(4)
-    own, other = rng.uniform(0.2, 0.9, (2, 30)), rng.uniform(0.1, 0.9, (1, 30))
+    own, other = rng.uniform(0.2, 0.9, (1, 30)), rng.uniform(0.1, 0.9, (1, 30))
 
-    def difference(one: Any, two: Any, three: Any, axis: int) -> Any:
-        both = np.concatenate([one, two], axis=axis)
-        return stats.trim_mean(both, 0.25, axis=axis) - stats.trim_mean(three, 0.25, axis=axis)
+    def difference(one: Any, two: Any, axis: int) -> Any:
+        return stats.trim_mean(one, 0.25, axis=axis) - stats.trim_mean(two, 0.25, axis=axis)
 
     direct = stats.bootstrap(
         (*own, *other), difference, n_resamples=2000, paired=True, vectorized=True, axis=-1,
@@ -127,6 +132,16 @@ def test_interval_of_the_gain_is_that_of_resampled_differences() -> None:
     assert found["gain_ci"][0] < found["gain"] < found["gain_ci"][1]
     back = improvements({"b": other, "a": own})["b"]["a"]["gain_ci"]
     assert back == [-x for x in reversed(found["gain_ci"])]
+
+
+def test_training_seeds_widen_the_gain_and_the_probability() -> None:
+    """A policy whose two runs are 0.1 above and below its base in every episode; three draws."""
+    base = np.random.default_rng(6).uniform(0.3, 0.7, (1, 24))
+    found = improvements({"base": base, "policy": base + np.array([[-0.1], [0.1]])})["policy"][
+        "base"
+    ]
+    assert found["gain_ci"] == pytest.approx([-0.1, 0.1], abs=1e-6)
+    assert (found["p"], found["ci"]) == (0.5, [0.0, 1.0])
 
 
 def test_profile_is_the_share_of_episodes_above_each_level() -> None:
@@ -228,6 +243,7 @@ def test_figures_of_known_metrics() -> None:
         "excess_iqm": None,
         "excess_ci": None,
         "success_rate": 7 / 8,
+        "score_mean": pytest.approx(0.35),
         "score_iqm": pytest.approx(0.35),
         "regret_iqm": pytest.approx(sum(middle) / 4),
         "regret_episodes": 4,
@@ -240,10 +256,13 @@ def test_figures_of_known_metrics() -> None:
 
 
 def test_decisions_have_their_median_and_tail_beside_the_control_step() -> None:
-    assert decisions(np.array([1.0, 3.0, 2.0]), 0.02) == {
+    """The first one starts the controller, and counts by itself."""
+    assert decisions(np.array([90.0, 1.0, 30.0, 2.0]), 0.02) == {
+        "ms_first_action": 90.0,
         "ms_per_action": 2.0,
-        "ms_per_action_p99": pytest.approx(2.98),
+        "ms_per_action_p99": pytest.approx(2.0 + 0.98 * 28.0),
         "ms_control_step": pytest.approx(20.0),
+        "late_share": pytest.approx(1 / 3),
     }
 
 

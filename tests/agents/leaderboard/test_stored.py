@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from agents.leaderboard import stored
+from agents.leaderboard import run, stored
 from agents.leaderboard.output import EPISODES, SPECTRA
 from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.run import built, main
@@ -57,12 +58,55 @@ def test_entries_are_read_as_they_were_written(former: Path, tmp_path: Path) -> 
     again = rank(tmp_path, "--tasks", REACH, "--tracks", "state", "--controllers", "zero",
                  "--beside", str(former))  # fmt: skip
     before = json.loads((former / "leaderboard.json").read_text())
-    for key in MEASURED:  # of the one that was ranked again
+    for key in (*MEASURED, "ms_first_action", "late_share"):  # of the one that was ranked again
         again[REACH]["state"]["zero"][key] = before[REACH]["state"]["zero"][key]
     assert again == before
     for file in (EPISODES, SPECTRA):
         rows = [sorted(unpacked(folder / file).splitlines()) for folder in (former, tmp_path)]
         assert rows[0] == rows[1]
+
+
+def test_a_ranking_is_redrawn_from_its_episodes_and_times(
+    former: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An older one too, which lacks figures; what only a measurement gives is then null."""
+    monkeypatch.setattr(run, "pictures", lambda results: {"leaderboard.png": Figure})
+    shutil.copytree(former, tmp_path, dirs_exist_ok=True)
+    before = json.loads((tmp_path / "leaderboard.json").read_text())
+    pages = [(tmp_path / "leaderboard.md").read_text()]
+    older = {
+        env_id: {
+            track: {
+                name: {key: x[key] for key in ("privileged", "training_seeds", *MEASURED)}
+                | {"ms_control_step": x["ms_control_step"]}
+                for name, x in found.items()
+            }
+            for track, found in tracks.items()
+        }
+        for env_id, tracks in before.items()
+    }
+    (tmp_path / "leaderboard.json").write_text(json.dumps(older))
+    (tmp_path / "leaderboard.png").unlink()
+
+    assert main(["--redraw", "--out", str(tmp_path)]) == 0
+
+    for tracks in before.values():
+        for found in tracks.values():
+            for x in found.values():
+                x |= {"ms_first_action": None, "late_share": None}
+    assert json.loads((tmp_path / "leaderboard.json").read_text()) == before
+    assert (tmp_path / "leaderboard.png").exists()
+    pages.append((tmp_path / "leaderboard.md").read_text())
+    assert [page.splitlines()[:5] for page in pages] == 2 * [pages[0].splitlines()[:5]]
+
+
+def test_nothing_is_redrawn_without_a_ranking(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--redraw", "--out", str(tmp_path / "none")]) == 2
+    error = capsys.readouterr().err
+    assert f"{tmp_path / 'none'}: there is no whole ranking (FileNotFoundError" in error
+    assert not (tmp_path / "none").exists()
 
 
 def test_runs_and_failures_keep_their_places(former: Path) -> None:
