@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from statistics import median
+from statistics import median, stdev
 from typing import Any
 
 import numpy as np
@@ -180,18 +180,20 @@ def overview(experiments: Sequence[Mapping[str, Any]]) -> str:
     for data in experiments:
         seeds = [run["summary"] for run in data["runs"]]
         own = f"{len(seeds)} seeds" if len(seeds) > 1 else "1 seed"
-        summaries = {own: median_of(seeds), **data["references"]}
+        texts = {own: cells_of_seeds(seeds)}
+        texts |= {name: cells(summary) for name, summary in data["references"].items()}
         steps, seconds = data["runs"][0]["steps"], data["runs"][0]["seconds"]
         first = f"[{data['name']}]({data['name']}.md), {steps / 1e6:.2g} M steps, {seconds:.0f} s"
-        for name, summary in summaries.items():
-            rows.append([first, name, *cells(summary)])
+        for name, shown in texts.items():
+            rows.append([first, name, *shown])
             first = ""
     header = ["experiment", "controller", *(h for h, _, _ in COLUMNS.values())]
     return f"""# Experiments
 
-Medians over 100 episodes (and over seeds), made by `python -m benchmarks.training`; details behind
-each name. Joint PD has the best gains of a grid and acts at the policy's control rate. On a light
-hub that rate limits it, not the control law, so it is also shown at {FASTER} times the rate.
+Medians over 100 episodes, made by `python -m benchmarks.training`; details behind each name. Of
+several training seeds: the median of theirs ± the standard deviation over them. Joint PD has the
+best gains of a grid and acts at the policy's control rate. On a light hub that rate limits it, not
+the control law, so it is also shown at {FASTER} times the rate.
 
 {table(header, rows, "llr")}
 
@@ -199,9 +201,16 @@ hub that rate limits it, not the control law, so it is also shown at {FASTER} ti
 """
 
 
-def median_of(summaries: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
-    """Median over seeds of every metric, with null as infinity."""
-    return {name: median(number(s[name]) for s in summaries) for name in summaries[0]}
+def cells_of_seeds(summaries: Sequence[Mapping[str, float | None]]) -> list[str]:
+    """Texts of the COLUMNS of several training seeds: median ± standard deviation, where finite."""
+    texts = []
+    for name in COLUMNS:
+        values = [number(summary[name]) for summary in summaries]
+        known = len(values) > 1 and all(map(math.isfinite, values))
+        texts.append(
+            cell(name, median(values)) + (f" ± {cell(name, stdev(values))}" if known else "")
+        )
+    return texts
 
 
 def expected(data: Mapping[str, Any]) -> str:
