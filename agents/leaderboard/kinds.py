@@ -1,4 +1,4 @@
-"""What a ranked controller needs while it acts: its kind, and the controller it is based on."""
+"""Kind of a ranked controller, by what it needs while it acts, and its base."""
 
 from collections.abc import Mapping
 from typing import Any

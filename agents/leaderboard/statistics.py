@@ -28,6 +28,7 @@ EPISODES = 0  # stream of the drawn episodes; those of runs are above it
 SEGMENT = 1 / 3  # of an episode: length of a segment of a spectrum
 PADDING = 4  # transform over segment
 DIGITS = 6  # significant ones of the metrics of an episode
+DECIMALS = 4  # of improvements, as pages show them
 Figures = dict[str, Any]
 
 
@@ -165,7 +166,8 @@ def improvements(scores: Mapping[str, AnyArray]) -> dict[str, dict[str, Any]]:
 
 
 def _over(p: float, ci: tuple[Any, Any], gain: float, gain_ci: tuple[Any, Any]) -> Figures:
-    p, low, high, gain, least, most = rounded(np.array([p, *ci, gain, *gain_ci])).tolist()
+    values = np.round([p, *ci, gain, *gain_ci], DECIMALS) + 0.0  # no negative zero
+    p, low, high, gain, least, most = values.tolist()
     return {"p": p, "ci": [low, high], "gain": gain, "gain_ci": [least, most]}
 
 

@@ -1,4 +1,4 @@
-"""What controllers need while they act, by what they hold and by what their networks take."""
+"""Kinds of controllers, by what they hold and by what their networks take."""
 
 from typing import Any
 
