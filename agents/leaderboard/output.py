@@ -68,7 +68,7 @@ def a_line_each(tables: Tables) -> str:
     texts = {
         env_id: table(
             {
-                track: table({name: json.dumps(x) for name, x in found.items()}, 3)
+                track: table({name: _compact(x) for name, x in found.items()}, 3)
                 for track, found in tracks.items()
             },
             2,
@@ -285,6 +285,10 @@ def _spectrum(found: Spectrum) -> Figures:
 
 def _json(tables: Tables) -> str:
     return a_line_each(without_infinities(tables)) + "\n"
+
+
+def _compact(x: Any) -> str:
+    return json.dumps(x, separators=(",", ":"))
 
 
 def _number(x: float, style: str, otherwise: str) -> str:
