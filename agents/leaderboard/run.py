@@ -49,6 +49,16 @@ from dynamics.types import AnyArray
 
 SEED, EPISODES = 10_000, 100
 TIMED = 200  # single decisions that are timed
+RANKING = (
+    "tasks",
+    "tracks",
+    "controllers",
+    "seed",
+    "episodes",
+    "beside",
+    "bound",
+    "jobs",
+)  # options
 
 
 def decision_times(subject: Controller, env: Any, seed: int) -> AnyArray:
@@ -136,12 +146,14 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
 
     A user's controller that fails is named in one sentence and left out, and the status is 1.
     """
-    options = _parser(prog).parse_args(arguments)
+    parser = _parser(prog)
+    options = parser.parse_args(arguments)
     seeds = list(range(options.seed, options.seed + options.episodes))
     bounds = options.out / "bounds" if options.bound else None
     failures = Failures(prog)
     if options.redraw:
-        return redraw(options.out, failures)
+        given = [name for name in RANKING if getattr(options, name) != parser.get_default(name)]
+        return redraw(options.out, given, failures)
     try:
         places = _check(options)
         check_folder(options.out)
@@ -156,9 +168,17 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     return 1 if failures.told else 0
 
 
-def redraw(folder: Path, failures: "Failures") -> int:
-    """Write figures, page and pictures of a stored ranking again; the exit status."""
+def redraw(folder: Path, given: Sequence[str], failures: "Failures") -> int:
+    """Write figures, page and pictures of a stored ranking again; the exit status.
+
+    No option of a ranking may be given beside it.
+    """
     try:
+        if given:
+            raise ValueError(
+                f"--redraw takes the ranking in --out as it is, and ranks nothing: leave out "
+                f"{' '.join(f'--{name}' for name in given)}."
+            )
         check_folder(folder)
         results = _compared(stored.read(folder, None, folder / "bounds"))
     except ValueError as error:

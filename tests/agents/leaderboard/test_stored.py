@@ -109,6 +109,14 @@ def test_nothing_is_redrawn_without_a_ranking(
     assert not (tmp_path / "none").exists()
 
 
+def test_options_of_a_ranking_are_refused_beside_a_redraw(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--redraw", "--seed", "7", "--controllers", "pd", "--out", str(tmp_path)]) == 2
+    assert "leave out --controllers --seed." in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_runs_and_failures_keep_their_places(former: Path) -> None:
     found = stored.read(former, SEEDS)
     assert found[REACH]["state"]["ppo"].metrics["score"].shape == (10, 4)
