@@ -115,7 +115,7 @@ class SHAC(OnPolicyAlgorithm):
 
     def _returned(self) -> torch.Tensor:
         """(N,) returns of the rollout, each episode's from its own start."""
-        total, weight = torch.zeros(self.n_envs), torch.ones(self.n_envs)
+        total, weight = torch.zeros_like(self._rewards[0]), torch.ones_like(self._rewards[0])
         for reward, ended, value in zip(self._rewards, self._ended, self._next, strict=True):
             total = total + weight * (reward + torch.where(ended, self.gamma * value, 0.0))
             weight = torch.where(ended, 1.0, self.gamma * weight)
