@@ -4,7 +4,7 @@
 
 NVRTC (extra `gpu`) compiles the control steps of Reach and their derivatives for an H100; its
 assembler reports what they take. `--variants` also compiles other forms of the text. Fills the
-tables of docs/gpu.md. Takes six minutes of CPU time, with `--variants` twelve.
+tables of docs/gpu.md. Takes eight minutes of CPU time, with `--variants` fourteen.
 """
 
 import re
@@ -78,13 +78,22 @@ def spilled_to_shared_memory(text: str) -> str:
     return before + head + arguments + brace + pragma + body
 
 
+def workspace_in_shared_memory(text: str) -> str:
+    """Form whose functions are called, and whose workspace is a part of shared memory."""
+    part = "real* w = all + threadIdx.x * (SLOTS | 1);"
+    text = called(r"\w+")(text).replace("real w[SLOTS];", part)
+    return text.replace("struct Numbers {", "extern __shared__ real all[];\nstruct Numbers {")
+
+
 DERIVATIVES = (RECORD, PULL_BACK, PUSH_FORWARD)
 FORMS: dict[str, Callable[[str], str]] = {
     "as printed": lambda text: text,
     "restart inlined": inlined_restart,
     "shared numbers in global memory": shared_in_global_memory,
     "report called": called("report"),
+    "accelerations called": called("accelerations"),
     "all functions called": called(r"\w+"),
+    "all called, workspace in shared memory": workspace_in_shared_memory,
     "for at least 4 blocks": bounded(4),
     "for at least 8 blocks": bounded(8),
     "spills in shared memory": spilled_to_shared_memory,
