@@ -80,9 +80,9 @@ def spilled_to_shared_memory(text: str) -> str:
 
 def workspace_in_shared_memory(text: str) -> str:
     """Form whose functions are called, and whose workspace is a part of shared memory."""
-    part = "real* w = all + threadIdx.x * (SLOTS | 1);"
+    part = "real* w = shared + threadIdx.x * (SLOTS | 1);"
     text = called(r"\w+")(text).replace("real w[SLOTS];", part)
-    return text.replace("struct Numbers {", "extern __shared__ real all[];\nstruct Numbers {")
+    return text.replace("struct Numbers {", "extern __shared__ real shared[];\nstruct Numbers {")
 
 
 DERIVATIVES = (RECORD, PULL_BACK, PUSH_FORWARD)
