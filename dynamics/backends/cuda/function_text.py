@@ -4,6 +4,7 @@ from dynamics.tracing.function import Function
 from dynamics.tracing.ssa import Code
 
 SUFFIX = {"float64": "", "float32": "f"}  # of literals and library functions, by number type
+LONG = 20_000  # statements of a function that is called, since it spills most values either way
 _TEXT = {
     "+": "{0} + {1}", "-": "{0} - {1}", "*": "{0} * {1}", "/": "{0} / {1}", "neg": "-{0}",
     "min": "least({0}, {1})", "max": "greatest({0}, {1})", "less": "less({0}, {1})",
@@ -33,7 +34,8 @@ def prelude(dtype: str) -> str:
 def function_text(function: Function, dtype: str) -> str:
     """Definition of a function `name(w)`.
 
-    Slots are constants, so the workspace lies in registers where the function is inlined.
+    Slots are constants, so the workspace lies in registers where the function is inlined. One that
+    is called is compiled once (docs/gpu.md).
     """
     suffix, code, lines = SUFFIX[dtype], function.code, []
     for v, (op, args) in enumerate(code.statements):
@@ -45,7 +47,8 @@ def function_text(function: Function, dtype: str) -> str:
         for slot, value in function.stores.get(v, ()):
             lines.append(f"w[{slot}] = {_operand(code, value, suffix)};")
     body = "\n".join(f"    {line}" for line in lines)
-    head = f"static __device__ __forceinline__ void {function.name}(real* w)"
+    how = "__noinline__" if len(code.statements) > LONG else "__forceinline__"
+    head = f"static __device__ {how} void {function.name}(real* w)"
     return f"{head}\n{{\n{body}\n}}\n"
 
 

@@ -56,6 +56,12 @@ def test_statements_become_constants_with_literals_of_the_type() -> None:
     assert "w[1] = x5;" in double
 
 
+def test_long_functions_are_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "__forceinline__ void f(real* w)" in function_text(polynomial(), "float32")
+    monkeypatch.setattr("dynamics.backends.cuda.function_text.LONG", 3)
+    assert "__noinline__ void f(real* w)" in function_text(polynomial(), "float32")
+
+
 def test_a_program_prints_its_kernels() -> None:
     source = generate(TracedArm(load_arm("slim")), "float32", "rk4", swinging())
     text = source.text
