@@ -74,7 +74,7 @@ _WORKSPACE = """\
 
 
 def kernel_text(program: Program, dtype: str, names: Collection[str]) -> str:
-    """Those kernels of a program that `names` lists.
+    """Kernels of a program that `names` lists.
 
     Raises
     ------
