@@ -261,7 +261,8 @@ def test_nothing_waits_for_the_device() -> None:
 def test_a_differentiable_batch_of_a_gpu_has_its_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vec_env, "differentiable_on_device", lambda *given: given)
     envs = TorchVecEnv(ENV_ID, 1).envs
-    core, on, compiled = vec_env._batch(envs, torch.device("cuda", 3), True)  # type: ignore[misc]
-    assert (core, on.index) == (envs.core, 3)
+    given: Any = vec_env._batch(envs, torch.device("cuda", 3), "recomputed")
+    core, on, compiled, recomputed = given
+    assert (core, on.index, recomputed) == (envs.core, 3, True)
     assert compiled.func is Kernels
     assert compiled.keywords == {"device": 3}
