@@ -77,7 +77,7 @@ def differences(motion: LoggedMotion, x: Array, samples: int | None = None) -> A
 def two_links() -> Log:
     """Log of a rig of two links: both joints under square waves, link angles that are late."""
     model = compile_arm(without_friction(load_arm(TWO_LINKS), RIG), free_parameters=tuple(RIG))
-    t: Array = 0.005 * np.arange(600.0)
+    t: Array = 0.005 * np.arange(400.0)
     torque = np.sign(np.sin(np.outer(t, [5.0, 7.0]))) * [8.0, 0.8]
     state = np.concatenate([np.zeros(2 * model.n), [value for value, _ in RIG.values()]])
     path = SampledMotion(model)(np.diff(t) / 20.0, 20, torque[:-1, :, None], state[:, None])[

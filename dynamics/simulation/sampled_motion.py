@@ -20,7 +20,7 @@ class SampledMotion:
 
     def __init__(self, model: Model, integrator: str = "rk4") -> None:
         self._model, self._integrator = model, integrator
-        self._programs: dict[bool, tuple[ModuleType, Array]] = {}
+        self._programs: dict[tuple[int, bool], tuple[ModuleType, Array]] = {}
 
     def __call__(self, steps: Array, substeps: int, torques: AnyArray, state: AnyArray) -> AnyArray:
         """Coordinates and rates (N, 2n, P) of P motions at the samples after the first.
@@ -35,21 +35,22 @@ class SampledMotion:
         state : (2n + n_parameter, P) coordinates, rates and free parameters at the first sample.
         """
         along, count = np.iscomplexobj(torques) or np.iscomplexobj(state), state.shape[-1]
-        program, workspace = self._program(along)
-        width = -(-count // int(program.LANES)) * int(program.LANES)
+        lanes = LANES_ALONG if along else 1 if count == 1 else self._model.lanes
+        program, workspace = self._program(lanes, along)
+        width = -(-count // lanes) * lanes
         given = (*_parts(state, width, along), *_parts(torques, width, along))
         found = [np.empty((len(steps), 2 * self._model.n, width)) for _ in range(1 + along)]
         program.follow(steps, substeps, workspace, *given, *found)
         path, *direction = (part[..., :count] for part in found)
         return path + 1j * direction[0] if along else path
 
-    def _program(self, along: bool) -> tuple[ModuleType, Array]:
+    def _program(self, lanes: int, along: bool) -> tuple[ModuleType, Array]:
         """Compiled motions, without or with derivatives, and their workspace."""
-        if along not in self._programs:
-            model, lanes = self._model, LANES_ALONG if along else self._model.lanes
+        if (lanes, along) not in self._programs:
+            model = self._model
             program = model.program(lanes, self._integrator, sampled(model.traced), along)
-            self._programs[along] = program, model.workspace(program)
-        return self._programs[along]
+            self._programs[lanes, along] = program, model.workspace(program)
+        return self._programs[lanes, along]
 
 
 def _parts(values: AnyArray, width: int, along: bool) -> list[Array]:
