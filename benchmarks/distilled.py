@@ -1,11 +1,12 @@
 """Policies distilled from classical controllers, beside their experts in the same episodes.
 
-    python -m benchmarks.distilled [--seeds 0 1 2] [--keep FOLDER]
+    python -m benchmarks.distilled [--seeds 0 1 2] [--only NAME ...] [--keep FOLDER]
 
-Takes every shipped experiment with `learned: distilled`. Writes docs/results/distilled.json and
-distilled.md.
+Takes every shipped experiment with `learned: distilled`, or those that are named; the others stay
+as they are stored. Writes docs/results/distilled.json and distilled.md.
 """
 
+import json
 import shutil
 import subprocess
 import tempfile
@@ -26,8 +27,10 @@ from agents.leaderboard.run import decision_times
 from agents.learners.algorithms import DISTILLED
 from agents.metrics import episode_metrics, make_batch, record
 from agents.policy import Policy, load_policy
+from agents.sentences import one_line
 from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
 from benchmarks.training import run_seed
+from dynamics.description import validate
 from dynamics.types import AnyArray
 
 FIRST, EPISODES = 20_000, 200  # test episodes, other than those of the training and of tuning
@@ -78,6 +81,20 @@ def gain(policy: AnyArray, expert: AnyArray) -> tuple[float, float, float]:
     ]
     low, high = np.percentile(means, (2.5, 97.5))
     return float(gains.mean()), float(low), float(high)
+
+
+def stored_rows(path: Path, only: Sequence[str] | None) -> dict[str, dict[str, Any]]:
+    """Rows of a file by experiment, without those to measure; a ValueError if one is missing."""
+    if only is None:
+        return {}
+    names = [config.name for config in distilled()]
+    for name in only:
+        validate.known(name, "experiment of --only", names)
+    rows = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.exists() else []
+    kept = {row["name"]: row for row in rows if row["name"] not in only}
+    if missing := sorted(set(names) - set(only) - set(kept)):
+        raise ValueError(f"--only: {path} has no row of {missing}; name them too.")
+    return kept
 
 
 def row(config: Config, seeds: Sequence[int], work: Path) -> dict[str, Any]:
@@ -167,11 +184,17 @@ def main() -> None:
     """Command line."""
     parser = argument_parser("distilled", __doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="experiments to measure")
     parser.add_argument("--out", type=Path, default=RESULTS / "distilled.json", help="file")
     parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
     a = parser.parse_args()
+    try:
+        kept = stored_rows(a.out, a.only)
+    except ValueError as error:
+        parser.error(one_line(error))
     with tempfile.TemporaryDirectory() as temporary:
-        rows = [row(config, a.seeds, a.keep or Path(temporary)) for config in distilled()]
+        work = a.keep or Path(temporary)
+        rows = [kept.get(c.name) or row(c, a.seeds, work) for c in distilled()]
     results = {"rows": rows, "provenance": provenance("flexarm", "torch", "stable_baselines3")}
     save_results(results, page(results), a.out)
     print(page(results))

@@ -1,10 +1,12 @@
 """Distilled policies beside their experts: the stored page, and the gain in the same episodes."""
 
 import json
+from pathlib import Path
 
 import numpy as np
+import pytest
 
-from benchmarks.distilled import distilled, gain, page
+from benchmarks.distilled import distilled, gain, page, stored_rows
 from benchmarks.output import RESULTS
 
 
@@ -25,3 +27,14 @@ def test_a_gain_in_the_same_episodes_is_without_what_makes_them_hard() -> None:
     assert abs(mean + 0.01) < 0.005
     expected = 2 * 1.96 * 0.05 / np.sqrt(3 * 400)  # of independent differences
     assert expected < high - low < 2.0 * expected  # whole seeds and whole episodes are drawn
+
+
+def test_rows_that_are_not_measured_stay_as_they_are_stored(tmp_path: Path) -> None:
+    path, (first, *others) = tmp_path / "distilled.json", [config.name for config in distilled()]
+    path.write_text(json.dumps({"rows": [{"name": name, "seconds": [1]} for name in others]}))
+    assert stored_rows(path, None) == {}
+    assert list(stored_rows(path, [first])) == others
+    with pytest.raises(ValueError, match=f"no row of .*{first}.*; name them too"):
+        stored_rows(path, others)
+    with pytest.raises(ValueError, match="two_links"):
+        stored_rows(path, ["two_links"])
