@@ -114,7 +114,7 @@ def test_policies_are_listed_by_their_gain_on_a_ranked_base() -> None:
     def policy(low: float, high: float) -> Any:
         return figures(0.5, 5, base="pd", improvement={"pd": {"gain_ci": [low, high]}})
 
-    found = {"a": policy(0.1, 0.2), "b": policy(-0.1, 0.2), "c": figures(0.5, 5, base="lqr")}
+    found = {"a": policy(0.1, 0.2), "b": policy(-0.1, 0.2), "c": policy(0.1, 0.2) | {"base": "lqr"}}
     assert gains({REACH: {"state": found, "transfer": {"d": policy(-0.2, 0.0)}}}).splitlines() == [
         "- Gain, 1: `a` in OneLink-Reach, state.",
         "- No gain, 2: `b` in OneLink-Reach, state; `d` in OneLink-Reach, transfer.",
