@@ -150,8 +150,8 @@ def derivatives(scene: str, dtype: str, device: str, n: int) -> dict[str, float]
     envs.reset(seed=0)
     made, state = envs._batch._derivatives, envs.detach().detach()
     actions = 2.0 * torch.rand(n, envs.single_action_space.shape[0], device=device) - 1.0
-    after, obs, info, _, stack = made.record(state, actions)
-    given = (state, actions, stack, *(torch.ones_like(x) for x in (after, obs, info)))
+    after, obs, info, flags, stack = made.record(state, actions)
+    given = (flags[0], state, actions, stack, *(torch.ones_like(x) for x in (after, obs, info)))
     return {
         "record": n / seconds(lambda: made.record(state, actions), device),
         "pull_back": n / seconds(lambda: made.pull_back(*given), device),

@@ -36,7 +36,7 @@ class Launcher(Protocol):
         """Run a kernel on a stream."""
 
 
-class Program:
+class DeviceProgram:
     """Some kernels of a batch, launched on tensors of a device.
 
     Parameters
@@ -132,7 +132,7 @@ class DeviceBatch:
         names: Collection[str] = (STEP, START),
     ) -> None:
         self._core = core
-        self._program = Program(core, device, names, compiled)
+        self._program = DeviceProgram(core, device, names, compiled)
         self.state = self._program.columns(core.signals.state.total, self._program.dtype).zero_()
         self._streams = torch.zeros(core.n_env, dtype=torch.int64, device=device)
         self._seeds = core.streams.copy()
@@ -188,7 +188,7 @@ class DeviceDerivatives:
     def __init__(
         self, core: Core, device: torch.device, compiled: Callable[[str], Launcher]
     ) -> None:
-        self._program = Program(core, device, (RECORD, PULL_BACK), compiled)
+        self._program = DeviceProgram(core, device, (RECORD, PULL_BACK), compiled)
 
     def record(self, state: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """State after a control step, observations, info, flags, and the stack."""
@@ -199,6 +199,7 @@ class DeviceDerivatives:
 
     def pull_back(
         self,
+        lost: torch.Tensor,
         state: torch.Tensor,
         actions: torch.Tensor,
         stack: torch.Tensor,
@@ -206,7 +207,7 @@ class DeviceDerivatives:
         obs: torch.Tensor,
         info: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Cotangents of the state before a recorded step and of its actions.
+        """Cotangents of the state before a recorded step and of its actions; zero where `lost`.
 
         `after`, `obs` and `info` are cotangents of what `record` gave.
         """
@@ -214,7 +215,7 @@ class DeviceDerivatives:
         mirrors = {"obs_mirror": obs.T.contiguous(), "info_mirror": info.contiguous()}
         mirrors |= {"state_mirror": before, "actions_mirror": by}
         self._program.run(PULL_BACK, state=state, actions=actions, stack=stack, **mirrors)
-        return before, by
+        return before.masked_fill_(lost, 0.0), by.masked_fill_(lost[:, None], 0.0)
 
 
 def kernel_source(core: Core, names: Collection[str] = (STEP, START)) -> KernelSource:

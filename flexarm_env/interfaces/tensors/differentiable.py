@@ -113,7 +113,5 @@ class _Step(torch.autograd.Function):
         if not stack:
             *_, recorded = ctx.derivatives.record(state, actions)
             stack = [recorded]
-        before, by = ctx.derivatives.pull_back(state, actions, *stack, *bars[:3])
-        lost = flags[DIVERGED]
-        by.masked_fill_(lost[: len(actions), None], 0.0)
-        return None, None, before.masked_fill_(lost, 0.0), by
+        given = (state, actions, *stack, *bars[:3])
+        return None, None, *ctx.derivatives.pull_back(flags[DIVERGED], *given)

@@ -84,9 +84,15 @@ class HostDerivatives:
         found = (step.after, step.obs, step.info, step.flags, step.stack)
         return tuple(map(torch.from_numpy, found))
 
-    def pull_back(self, *given: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Cotangents of the state before a recorded step and of its actions."""
+    def pull_back(
+        self, lost: torch.Tensor, *given: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Cotangents of the state before a recorded step and of its actions; zero where `lost`."""
         before, by = self._derivatives.pull_back(*(x.contiguous().numpy() for x in given))
+        rows = lost.numpy()
+        if rows.any():
+            before[:, rows] = 0.0
+            by[rows[: len(by)]] = 0.0
         return torch.from_numpy(before), torch.from_numpy(by)
 
 

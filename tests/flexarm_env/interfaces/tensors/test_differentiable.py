@@ -16,7 +16,7 @@ from dynamics.backends.cuda.kernel_text import PUSH_FORWARD
 from flexarm_env import TorchVecEnv
 from flexarm_env.derivatives import Derivatives
 from flexarm_env.interfaces.tensors import vec_env
-from flexarm_env.interfaces.tensors.device import DeviceDerivatives, Program
+from flexarm_env.interfaces.tensors.device import DeviceDerivatives, DeviceProgram
 from flexarm_env.interfaces.tensors.differentiable import (
     DifferentiableBatch,
     differentiable_on_device,
@@ -201,11 +201,13 @@ def test_kernels_have_the_derivatives_of_the_processor(name: str, dtype: str) ->
 
     torch.manual_seed(0)
     along, obs, info, by = (torch.randn_like(x) for x in (*expected[:3], actions))
-    back = host.pull_back(state, actions, expected[4], along, obs, info)
-    backward = kernels.pull_back(used(state), actions, found[4], used(along), obs, used(info))
+    lost = torch.zeros(state.shape[1], dtype=torch.bool)
+    back = host.pull_back(lost, state, actions, expected[4], along, obs, info)
+    bars = used(along), obs, used(info)
+    backward = kernels.pull_back(lost[: device.N], used(state), actions, found[4], *bars)
     gaps += [gap(a, b) for a, b in zip(backward, back, strict=True)]
 
-    program = Program(core, CPU, (PUSH_FORWARD,), HostKernels)
+    program = DeviceProgram(core, CPU, (PUSH_FORWARD,), HostKernels)
     new, moved = program.outputs(), {f"{k}_mirror": x for k, x in program.outputs().items()}
     moved |= {"state_mirror": used(along), "actions_mirror": by}
     program.run(PUSH_FORWARD, state=used(state), actions=actions, **new, **moved)
