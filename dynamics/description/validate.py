@@ -261,6 +261,8 @@ def shown(value: object) -> str:
     """Format a value for an error message: one line of at most 80 characters."""
     plain = value.tolist() if isinstance(value, np.ndarray) and value.size < 20 else value
     try:
+        if isinstance(plain, int):
+            str(plain)  # too long for Python to print: an error, of which _REPR makes an address
         text = " ".join(_REPR.repr(plain).split())
     except Exception:  # an object whose repr fails
         text = f"a {type(value).__name__}"
