@@ -18,7 +18,7 @@ from dynamics.formulations import (
     lagrange_book,
     orthogonal_complement,
 )
-from dynamics.formulations.algebra import Scalar, Vector, dot, minus, plus
+from dynamics.formulations.algebra import Scalar, Vector, dot, plus
 from dynamics.formulations.articulated_body import Implicit
 from dynamics.formulations.dense_solve import Equations
 from dynamics.formulations.kinematics import Chain, outward, poses
@@ -55,6 +55,7 @@ class Formulation:
 
     equations: Equations
     recursion: Recursion | None = None  # None: factor the whole mass matrix
+    inverse: Callable[[Chain, State, State, State], list[Scalar]] | None = None  # None: of M and h
     energies: Callable[[Chain, State, State], tuple[Scalar, Scalar, Scalar]] = kinematics.energies
     tip_velocity: Callable[[Chain, State, State], Vector] = _tip_velocity  # [m/s]
     supported: Mapping[str, frozenset[str]] | None = None  # class -> fields; None: all
@@ -69,10 +70,8 @@ class Formulation:
 
     def inverse_dynamics(self, chain: Chain, q: State, v: State, v_dot: State) -> list[Scalar]:
         """(n,) generalized forces M v_dot + h."""
-        if self.recursion:
-            no_torques = [0.0] * len(chain.links)
-            excess = self.recursion.imbalance(chain, q, v, no_torques, v_dot, None)
-            return [minus(0.0, force) for force in excess]
+        if self.inverse:
+            return self.inverse(chain, q, v, v_dot)
         M, h = self.equations.mass_matrix(chain, q), self.equations.bias(chain, q, v)
         return [plus(dot(row, v_dot), force) for row, force in zip(M, h, strict=True)]
 
@@ -96,7 +95,7 @@ FIXED_BASE_AND_REVOLUTE = {
 
 FORMULATIONS = {
     "gibbs_appell": Formulation(
-        equations=gibbs_appell, recursion=articulated_body
+        equations=gibbs_appell, recursion=articulated_body, inverse=gibbs_appell.inverse_dynamics
     ),
     "book": Formulation(
         equations=lagrange_book, energies=lagrange_book.energies,
