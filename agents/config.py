@@ -59,7 +59,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "lstm_hidden_size": (1, LARGEST_LAYER),
     "n_lstm_layers": (1, MOST_LAYERS - 2),
     **dict.fromkeys(COUNTS.split(), (1, 10_000)),
-    "desired_kl": (1e-6, 10.0),
+    **dict.fromkeys(("desired_kl", "std_floor"), (1e-6, 10.0)),
 }
 NUMBERS_BETWEEN = (-1e6, 1e6)
 TEXTS = {  # texts of agent keywords that are no schedules, and their description

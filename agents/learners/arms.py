@@ -47,6 +47,14 @@ class Arms:
         self._seed = None
         return self._observed(obs, torch.ones_like(self._latest[:, 0], dtype=torch.bool))
 
+    def spread(self) -> None:
+        """Let the present episodes end at times spread over the length of an episode."""
+        rows = self.envs.core.signals.state.slices["elapsed"]
+        most = self.envs.max_episode_steps
+        if most > 0:
+            elapsed = self.envs.state[rows]
+            elapsed.copy_(torch.randint_like(elapsed, most))
+
     def step(self, actions: Any) -> tuple[Any, ...]:
         """Observation, reward, ended, out of time, and info."""
         given = torch.as_tensor(actions, device=self.envs.device)

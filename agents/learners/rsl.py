@@ -15,6 +15,10 @@ from dynamics.description import validate
 from dynamics.extras import missing
 
 Schedule = Callable[[float], float]  # of the remaining share of the run
+FLOOR_HELD, FLOOR_END = (
+    0.7,
+    0.2,
+)  # share of a run with the whole floor; the share of it that is left
 
 
 def networks(
@@ -43,9 +47,15 @@ class RslPPO(OnPolicyAlgorithm):
     """PPO of rsl_rl, whose critic also sees the true state and drawn parameters.
 
     Keywords have the names of stable-baselines3's PPO. Without a `batch_size` an update takes the
-    whole rollout. The learning rate adapts to a divergence `desired_kl`, if one is given.
+    whole rollout. The learning rate adapts to a divergence `desired_kl`, if one is given. The
+    standard deviation of actions stays above `std_floor`, which falls at the end of the run. The
+    first episodes begin at elapsed times drawn over the length of an episode, so that later ones
+    do not end together, and returns go on with the critic's value where time ends an episode.
     """
 
+    critic_groups: ClassVar[tuple[str, ...]] = ("observation", "privileged")
+    spreads_starts: ClassVar[bool] = True
+    bootstraps: ClassVar[bool] = True
     policy_aliases: ClassVar[dict[str, Any]] = {"MlpPolicy": networks}
 
     def __init__(
@@ -63,6 +73,7 @@ class RslPPO(OnPolicyAlgorithm):
         vf_coef: float = 1.0,
         max_grad_norm: float = 1.0,
         desired_kl: float | None = None,
+        std_floor: float | None = None,
         policy_kwargs: dict[str, Any] | None = None,
         seed: int | None = None,
         device: str = "cpu",
@@ -75,7 +86,7 @@ class RslPPO(OnPolicyAlgorithm):
         self.env, self.n_envs = env, env.num_envs
         self.observation_space, self.action_space = env.observation_space, env.action_space
         self.batch_size, self.n_epochs, self.clip_range = batch_size, n_epochs, clip_range
-        self.desired_kl, self.rollout_buffer = desired_kl, None
+        self.desired_kl, self.std_floor, self.rollout_buffer = desired_kl, std_floor, None
         self._setup_model()
 
     def _setup_model(self) -> None:
@@ -90,7 +101,7 @@ class RslPPO(OnPolicyAlgorithm):
         self.set_random_seed(self.seed)
         self._last_obs = obs = grouped(self.env.reset())
         size, rollout = self.action_space.shape[0], self.n_steps * self.n_envs
-        groups = {"actor": ["observation"], "critic": ["observation", "privileged"]}
+        groups = {"actor": ["observation"], "critic": list(self.critic_groups)}
         actor, critic = networks(**self.policy_kwargs)
         self.policy = torch.nn.ModuleDict({
             "actor": MLPModel(obs, groups, "actor", size, **actor),
@@ -114,6 +125,13 @@ class RslPPO(OnPolicyAlgorithm):
             device=self.device,
         )
 
+    def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
+        """Begin a session of training."""
+        begun = super()._setup_learn(*args, **kwargs)
+        if self.spreads_starts:
+            self.env.spread()
+        return begun
+
     @torch.inference_mode()
     def collect_rollouts(
         self, env: Arms, callback: Any, rollout_buffer: None, n_rollout_steps: int
@@ -124,7 +142,8 @@ class RslPPO(OnPolicyAlgorithm):
             actions = self.ppo.act(self._last_obs)
             obs, reward, ended, late, info = env.step(actions)
             self._last_obs = grouped(obs)
-            self.ppo.process_env_step(self._last_obs, reward, ended, {"time_outs": late.float()})
+            time_outs = {"time_outs": late.float()} if self.bootstraps else {}
+            self.ppo.process_env_step(self._last_obs, reward, ended, time_outs)
             self.num_timesteps += env.num_envs
             rewards, dones, infos = on_host(reward, ended, late, info)
             callback.update_locals({"rewards": rewards, "dones": dones, "infos": infos})
@@ -141,12 +160,26 @@ class RslPPO(OnPolicyAlgorithm):
         self.ppo.learning_rate = self.ppo.optimizer.param_groups[0]["lr"]  # also after a restore
         losses = self.ppo.update()
         self._n_updates += self.n_epochs
+        log_std = self.policy["actor"].distribution.log_std_param.data
+        if self.std_floor is not None:
+            least = self.std_floor * floor_share(1.0 - self._current_progress_remaining)
+            log_std.clamp_(min=float(np.log(least)))
+        losses["std"] = float(log_std.exp().mean())
         for name, value in (losses | {"learning_rate": self.ppo.learning_rate}).items():
             self.logger.record(f"train/{name}", value)
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
         """Names of what a checkpoint holds."""
         return ["policy", "ppo.optimizer"], []
+
+
+def floor_share(done: float) -> float:
+    """Share of the floor of the standard deviation, by the share of the run that is done.
+
+    The last update may come after the last step asked for.
+    """
+    late = np.clip((done - FLOOR_HELD) / (1.0 - FLOOR_HELD), 0.0, 1.0)
+    return float(FLOOR_END**late)
 
 
 def grouped(observations: dict[str, torch.Tensor]) -> Any:

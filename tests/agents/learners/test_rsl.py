@@ -10,7 +10,7 @@ import yaml
 
 from agents.config import ConfigError, config_from_dict
 from agents.learners.export import export_policy
-from agents.learners.rsl import grouped
+from agents.learners.rsl import floor_share, grouped
 from agents.training import build_model
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, KWARGS, one_sentence, write_config
@@ -59,6 +59,27 @@ def test_the_rate_adapts_only_to_a_wanted_divergence() -> None:
         rates.append(learner.ppo.optimizer.param_groups[0]["lr"])
     assert rates[0] == pytest.approx(1e-3)
     assert rates[1] < 1e-3
+
+
+def test_the_standard_deviation_stays_above_a_floor_that_falls_at_the_end() -> None:
+    assert [floor_share(x) for x in (0.0, 0.7, 1.0)] == pytest.approx([1.0, 1.0, 0.2])
+    learner = model(std_floor=0.5, policy_kwargs={"log_std_init": -4.0})
+    learner.learn(64, log_interval=None)
+    log_std = learner.policy["actor"].distribution.log_std_param.detach()
+    assert float(log_std.exp()) == pytest.approx(0.1)  # the run is at its end
+
+
+def test_first_episodes_are_spread_over_their_length() -> None:
+    arms = model().env
+    ends = []
+    for spread in (False, True):
+        arms.reset()
+        if spread:
+            arms.spread()
+        ends.append([int(arms.step(torch.zeros(8, 1))[2].sum()) for _ in range(12)])
+    assert ends[0] == [*[0] * 11, 8]
+    assert sum(ends[1]) == 8
+    assert max(ends[1]) < 8
 
 
 @pytest.mark.parametrize(
