@@ -44,18 +44,21 @@ def networks(
 
 
 class RslPPO(OnPolicyAlgorithm):
-    """PPO of rsl_rl, whose critic also sees the true state and drawn parameters.
+    """PPO of rsl_rl on tensors.
 
-    Keywords have the names of stable-baselines3's PPO. Without a `batch_size` an update takes the
-    whole rollout. The learning rate adapts to a divergence `desired_kl`, if one is given. The
-    standard deviation of actions stays above `std_floor`, which falls at the end of the run. The
-    first episodes begin at elapsed times drawn over the length of an episode, so that later ones
-    do not end together, and returns go on with the critic's value where time ends an episode.
+    Keywords have the names of stable-baselines3's PPO, except these.
+
+    Parameters
+    ----------
+    batch_size : None: the whole rollout.
+    desired_kl : divergence of an update to which the learning rate adapts; None: it does not.
+    std_floor : least standard deviation of actions, which falls at the end of the run; None: none.
+    privileged_critic : whether the critic also sees the true state and drawn parameters.
+    bootstrap_timeouts : whether returns go on with the critic's value where time ends an episode.
+    spread_starts : whether first episodes begin at elapsed times drawn over the length of an
+        episode, so that later ones do not end together.
     """
 
-    critic_groups: ClassVar[tuple[str, ...]] = ("observation", "privileged")
-    spreads_starts: ClassVar[bool] = True
-    bootstraps: ClassVar[bool] = True
     policy_aliases: ClassVar[dict[str, Any]] = {"MlpPolicy": networks}
 
     def __init__(
@@ -74,6 +77,9 @@ class RslPPO(OnPolicyAlgorithm):
         max_grad_norm: float = 1.0,
         desired_kl: float | None = None,
         std_floor: float | None = None,
+        privileged_critic: bool = True,
+        bootstrap_timeouts: bool = True,
+        spread_starts: bool = True,
         policy_kwargs: dict[str, Any] | None = None,
         seed: int | None = None,
         device: str = "cpu",
@@ -87,6 +93,8 @@ class RslPPO(OnPolicyAlgorithm):
         self.observation_space, self.action_space = env.observation_space, env.action_space
         self.batch_size, self.n_epochs, self.clip_range = batch_size, n_epochs, clip_range
         self.desired_kl, self.std_floor, self.rollout_buffer = desired_kl, std_floor, None
+        self.privileged_critic, self.bootstrap_timeouts = privileged_critic, bootstrap_timeouts
+        self.spread_starts = spread_starts
         self._setup_model()
 
     def _setup_model(self) -> None:
@@ -101,7 +109,8 @@ class RslPPO(OnPolicyAlgorithm):
         self.set_random_seed(self.seed)
         self._last_obs = obs = grouped(self.env.reset())
         size, rollout = self.action_space.shape[0], self.n_steps * self.n_envs
-        groups = {"actor": ["observation"], "critic": list(self.critic_groups)}
+        true_state = ["privileged"] if self.privileged_critic else []
+        groups = {"actor": ["observation"], "critic": ["observation", *true_state]}
         actor, critic = networks(**self.policy_kwargs)
         self.policy = torch.nn.ModuleDict({
             "actor": MLPModel(obs, groups, "actor", size, **actor),
@@ -128,7 +137,7 @@ class RslPPO(OnPolicyAlgorithm):
     def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
         """Begin a session of training."""
         begun = super()._setup_learn(*args, **kwargs)
-        if self.spreads_starts:
+        if self.spread_starts:
             self.env.spread()
         return begun
 
@@ -142,7 +151,7 @@ class RslPPO(OnPolicyAlgorithm):
             actions = self.ppo.act(self._last_obs)
             obs, reward, ended, late, info = env.step(actions)
             self._last_obs = grouped(obs)
-            time_outs = {"time_outs": late.float()} if self.bootstraps else {}
+            time_outs = {"time_outs": late.float()} if self.bootstrap_timeouts else {}
             self.ppo.process_env_step(self._last_obs, reward, ended, time_outs)
             self.num_timesteps += env.num_envs
             rewards, dones, infos = on_host(reward, ended, late, info)

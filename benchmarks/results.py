@@ -1,0 +1,143 @@
+"""Everything that is learned, ranked, filmed and charted, made again in its order.
+
+    python -m benchmarks.results --list
+    python -m benchmarks.results [--only PART ...] [--jobs 2] [--keep runs/results]
+
+A step is a command of its own. Those that have ended are not begun again, and a stopped one goes on
+where its command can: trainings, searches and bounds keep what they have. `--list` shows what
+remains, how long trainings took when their results were stored, and how long each step took now.
+Another --keep, or none of that name, begins anew.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from agents.config import load_config
+from agents.experiments import shipped_experiments
+from agents.learners.algorithms import ON_TENSORS
+from agents.metrics import write_json
+from benchmarks.output import RESULTS, ROOT, argument_parser, table
+from benchmarks.studies import STUDIES
+from dynamics.description import validate
+
+KEEP = Path("runs") / "results"
+FILMS = Path("docs") / "envs" / "films"
+DONE = "done.json"  # in --keep: seconds of the steps that have ended
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command, `python -m` and its words."""
+
+    part: str
+    words: tuple[str, ...]  # name the step
+    options: tuple[str, ...] = ()  # of this run: processes and folders
+    minutes: float | None = None  # expected from stored results
+    on_gpu: bool = False  # whether `device: cuda` in its experiment file shortens it
+
+    @property
+    def text(self) -> str:
+        """The words in one line."""
+        return " ".join(self.words)
+
+
+def steps(jobs: int, keep: Path) -> Iterator[Step]:
+    """All steps, each after those whose results it reads."""
+    side = ("--jobs", str(jobs))
+    for track in ("state", "laboratory"):
+        yield Step("bounds", ("agents.leaderboard.bound", "--track", track), side)
+    yield Step("parameters", ("agents.tune",), ("--keep", str(keep / "tune")))
+    for name, path in shipped_experiments().items():
+        seeds, minutes = stored_runs(name)
+        given = ("--config", f"configs/{path.name}", "--ship", "--seeds", *map(str, seeds))
+        kept = (*side, "--keep", str(keep / name))
+        on_tensors = load_config(path).agent.name in ON_TENSORS
+        yield Step(
+            "trainings",
+            ("benchmarks.training", *given),
+            kept,
+            minutes and minutes / jobs,
+            on_tensors,
+        )
+    yield Step("trainings", ("benchmarks.distilled",), ("--keep", str(keep)))
+    for name, study in STUDIES.items():
+        on_tensors = load_config(study.learner).agent.name in ON_TENSORS
+        yield Step("studies", ("benchmarks.studies", name), side, on_gpu=on_tensors)
+    yield Step("ranking", ("agents.leaderboard",), (*side, "--out", "docs/results"))
+    for name in ("on_reference", "knowledge"):
+        yield Step("ranking", (f"benchmarks.{name}",), side)
+    yield Step("films", ("agents.films",), ("--out", str(FILMS)))
+    for name in ("experiments", "standings"):
+        yield Step("tables", (f"benchmarks.{name}",))
+
+
+def stored_runs(name: str) -> tuple[list[int], float | None]:
+    """Seeds of an experiment's stored results and minutes of their trainings; else three seeds."""
+    stored = RESULTS / f"{name}.json"
+    if not stored.exists():
+        return [0, 1, 2], None
+    runs = json.loads(stored.read_text(encoding="utf-8"))["runs"]
+    return [run["seed"] for run in runs], sum(run["seconds"] for run in runs) / 60.0
+
+
+def done(keep: Path) -> dict[str, float]:
+    """Seconds of the steps that have ended, by their text."""
+    file = keep / DONE
+    found: dict[str, float] = json.loads(file.read_text("utf-8")) if file.exists() else {}
+    return found
+
+
+def listed(chosen: list[Step], ended: dict[str, float]) -> str:
+    """Table of the steps."""
+    rows = []
+    for x in chosen:
+        took = f"{ended[x.text] / 60.0:.1f}" if x.text in ended else "to do"
+        expected = "" if x.minutes is None else f"{x.minutes:.1f}"
+        rows.append([x.part, x.text, expected, took, "yes" if x.on_gpu else ""])
+    header = ["part", "python -m", "expected [min]", "took [min]", "shortened by a GPU"]
+    return table(header, rows, "llrrl")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; the exit status is that of the first step that fails."""
+    parser = argument_parser("results", __doc__)
+    parser.add_argument("--only", nargs="+", metavar="PART")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--keep", type=Path, default=KEEP)
+    parser.add_argument("--list", action="store_true", help="show the steps, run none")
+    options = parser.parse_args(arguments)
+    chosen = list(steps(options.jobs, options.keep))
+    parts = list(dict.fromkeys(x.part for x in chosen))
+    for part in options.only or ():
+        try:
+            validate.known(part, "part of --only", parts)
+        except ValueError as error:
+            parser.error(str(error))
+    chosen = [x for x in chosen if options.only is None or x.part in options.only]
+    if options.list:
+        print(listed(chosen, done(options.keep)))
+        return 0
+    for k, step in enumerate(chosen, 1):
+        ended = done(options.keep)
+        if step.text in ended:
+            continue
+        print(f"{k} of {len(chosen)}: python -m {step.text}", flush=True)
+        begin = time.monotonic()
+        status = subprocess.run(
+            [sys.executable, "-m", *step.words, *step.options], cwd=ROOT, check=False
+        )
+        if status.returncode:
+            print(f"Step {k} failed; the same command begins again with it.", file=sys.stderr)
+            return status.returncode
+        write_json(options.keep / DONE, ended | {step.text: time.monotonic() - begin})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
