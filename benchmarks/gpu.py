@@ -36,6 +36,8 @@ FORMS = {
     for form in (
         "as printed",
         "all functions called",
+        "accelerations in 4 pieces",
+        "quick reciprocals",
         "for at least 4 blocks",
         "spills in shared memory",
     )

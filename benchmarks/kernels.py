@@ -1,15 +1,17 @@
 """Registers, spills and compile times of the GPU's kernels, which needs no GPU.
 
-    python -m benchmarks.kernels [--variants] [--out docs/results/kernels.json]
+    python -m benchmarks.kernels [--variants | --forms NAME ...] [--out docs/results/kernels.json]
 
 NVRTC (extra `gpu`) compiles the control steps of Reach and their derivatives for an H100; its
-assembler reports what they take. `--variants` also compiles other forms of the text. Fills the
+assembler reports what they take. `--variants` also compiles other forms of the text; `--forms`
+compiles only forms of the control step that it names, and keeps the other stored results. Fills the
 tables of docs/gpu.md. Compiles on all processors.
 """
 
+import json
 import re
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -52,11 +54,6 @@ def called(*names: str) -> Callable[[str], str]:
     )
 
 
-def all_inlined(text: str) -> str:
-    """Form without calls of functions of the workspace."""
-    return re.sub(r"__noinline__ void (\w+)\(real\* w\)", r"__forceinline__ void \1(real* w)", text)
-
-
 def bounded(blocks: int) -> Callable[[str], str]:
     """Form with registers for this many blocks of 128 threads on a multiprocessor."""
     head = f"__global__ void __launch_bounds__(128, {blocks}) {STEP}("
@@ -92,6 +89,68 @@ def workspace_in_shared_memory(text: str) -> str:
     return text.replace("struct Numbers {", "extern __shared__ real shared[];\nstruct Numbers {")
 
 
+def quick_reciprocals(text: str) -> str:
+    """Form whose reciprocals err by two units in the last place, without a branch."""
+    return re.sub(r"= 1\.0f / (x\d+);", r"= __fdividef(1.0f, \1);", text)
+
+
+def fenced(every: int) -> Callable[[str], str]:
+    """Form whose accelerations have a fence after so many lines, across which none moves."""
+
+    def change(text: str) -> str:
+        before, lines, after = accelerations(text)
+        rows = range(0, len(lines), every)
+        parts = ["\n".join(lines[k : k + every]) for k in rows]
+        return before + "\n    __syncwarp();\n".join(parts) + after
+
+    return change
+
+
+def in_pieces(count: int) -> Callable[[str], str]:
+    """Form whose accelerations call pieces, which pass values on in the workspace."""
+
+    def change(text: str) -> str:
+        before, lines, after = accelerations(text)
+        size = -(-len(lines) // count)
+        pieces = [lines[k : k + size] for k in range(0, len(lines), size)]
+        slots, bodies = passed_on(pieces)
+        before, _, head = before.rpartition("static __device__")
+        functions = [
+            f"static __device__ __noinline__ void piece_{k}(real* w)\n{{\n{body}\n}}\n\n"
+            for k, body in enumerate(bodies)
+        ]
+        before = re.sub(r"SLOTS = (\d+)", lambda m: f"SLOTS = {int(m[1]) + slots}", before)
+        calls = "\n".join(f"    piece_{k}(w);" for k in range(len(pieces)))
+        return f"{before}{''.join(functions)}static __device__{head}{calls}{after}"
+
+    return change
+
+
+def passed_on(pieces: list[list[str]]) -> tuple[int, list[str]]:
+    """Slots for values that a later piece uses, after those of the workspace; the pieces' text."""
+    home = {
+        x: k for k, lines in enumerate(pieces) for x in re.findall(r" (x\d+) =", "\n".join(lines))
+    }
+    used = [
+        sorted({x for x in re.findall(r"x\d+", "\n".join(lines)) if home[x] < k})
+        for k, lines in enumerate(pieces)
+    ]
+    slots = {x: k for k, x in enumerate(dict.fromkeys(x for of in used for x in of))}
+    bodies = []
+    for k, lines in enumerate(pieces):
+        loads = [f"    const real {x} = w[SLOTS - 1 - {slots[x]}];" for x in used[k]]
+        stores = [f"    w[SLOTS - 1 - {slots[x]}] = {x};" for x in slots if home[x] == k]
+        bodies.append("\n".join([*loads, *lines, *stores]))
+    return len(slots), bodies
+
+
+def accelerations(text: str) -> tuple[str, list[str], str]:
+    """Text before the lines of the accelerations, those lines, and the text after them."""
+    found = re.search(r"(?<=void accelerations\(real\* w\)\n\{\n).*?(?=\n\})", text, re.S)
+    assert found is not None
+    return text[: found.start()], found[0].splitlines(), text[found.end() :]
+
+
 DERIVATIVES = (RECORD, PULL_BACK, PUSH_FORWARD)
 FORMS: dict[str, Callable[[str], str]] = {
     "as printed": lambda text: text,
@@ -99,6 +158,9 @@ FORMS: dict[str, Callable[[str], str]] = {
     "shared numbers in global memory": shared_in_global_memory,
     "report called": called("report"),
     "accelerations called": called("accelerations"),
+    "accelerations in 4 pieces": in_pieces(4),
+    "fence after 200 lines of accelerations": fenced(200),
+    "quick reciprocals": quick_reciprocals,
     "all functions called": called(r"\w+"),
     "all called, workspace in shared memory": workspace_in_shared_memory,
     "for at least 4 blocks": bounded(4),
@@ -109,7 +171,6 @@ FORMS: dict[str, Callable[[str], str]] = {
 
 BACK_FORMS: dict[str, Callable[[str], str]] = {
     "as printed": lambda text: text,
-    "all functions inlined": all_inlined,
     "all functions called": called(r"\w+"),
 }
 
@@ -157,14 +218,14 @@ def kernels_table(rows: dict[str, dict[str, Row]]) -> str:
     return table(["", "", *HEADER], listed, "llr")
 
 
-def forms_table(title: str, rows: dict[str, dict[str, Row]]) -> str:
+def forms_table(title: str, rows: dict[str, dict[str, Row]], order: Iterable[str]) -> str:
     """Table of forms: registers, and bytes of spills where there is a stack, per scene."""
 
     def cell(row: Row) -> str:
         spills = f"; {row['stores']:,.0f} + {row['loads']:,.0f} B" if row["stack"] else ""
         return f"{row['registers']}{spills}"
 
-    listed = [[form, *(cell(rows[form][scene]) for scene in SCENES)] for form in rows]
+    listed = [[form, *(cell(rows[form][scene]) for scene in SCENES)] for form in order]
     return table([title, *SCENES.values()], listed, "lr")
 
 
@@ -182,41 +243,70 @@ def forms(
     }
 
 
+def all_jobs(pool: Executor, variants: bool) -> dict[str, Any]:
+    """Results to come: of all kernels, with the forms of their text where asked for."""
+    jobs: dict[str, Any] = {
+        "kernels": {
+            scene: {d: pool.submit(measured, text_of(scene, d)) for d in DTYPES} for scene in SCENES
+        },
+        "derivatives": {
+            scene: {
+                kernel: {
+                    d: pool.submit(measured, text_of(scene, d, (kernel,)), kernel) for d in DTYPES
+                }
+                for kernel in DERIVATIVES
+            }
+            for scene in SCENES
+        },
+    }
+    if variants:
+        jobs["forms"] = forms(pool, FORMS, STEP, (STEP, START))
+        jobs["back_forms"] = forms(pool, BACK_FORMS, PULL_BACK, (PULL_BACK,))
+    return jobs
+
+
+def stored(path: Path, versions: dict[str, str]) -> dict[str, Any]:
+    """Results of an earlier run with all forms.
+
+    Raises
+    ------
+    ValueError : they do not exist, or are of other versions.
+    """
+    found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    if "forms" not in found or found["versions"] != versions:
+        raise ValueError(f"{path} has no forms of {versions}; run with --variants instead.")
+    return dict(found)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Compile, write the results and fill the page."""
     parser = argument_parser("kernels", __doc__)
-    parser.add_argument("--variants", action="store_true", help="compile other forms too")
+    chosen = parser.add_mutually_exclusive_group()
+    chosen.add_argument("--variants", action="store_true", help="compile other forms too")
+    chosen.add_argument("--forms", nargs="+", choices=FORMS, help="only these; keep other results")
     parser.add_argument("--out", type=Path, default=RESULTS / "kernels.json")
     options = parser.parse_args(arguments)
     results: dict[str, Any] = provenance("cuda-core", "nvidia-cuda-nvrtc") | {"arch": ARCH}
+    try:
+        kept = stored(options.out, results["versions"]) if options.forms else {}
+    except ValueError as error:
+        parser.exit(2, f"benchmarks.kernels: {error}\n")
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        jobs: dict[str, Any] = {
-            "kernels": {
-                scene: {d: pool.submit(measured, text_of(scene, d)) for d in DTYPES}
-                for scene in SCENES
-            },
-            "derivatives": {
-                scene: {
-                    kernel: {
-                        d: pool.submit(measured, text_of(scene, d, (kernel,)), kernel)
-                        for d in DTYPES
-                    }
-                    for kernel in DERIVATIVES
-                }
-                for scene in SCENES
-            },
-        }
-        if options.variants:
-            jobs["forms"] = forms(pool, FORMS, STEP, (STEP, START))
-            jobs["back_forms"] = forms(pool, BACK_FORMS, PULL_BACK, (PULL_BACK,))
-        results |= resolved(jobs)
+        if options.forms:
+            asked = {form: FORMS[form] for form in options.forms}
+            rows = kept["forms"] | resolved(forms(pool, asked, STEP, (STEP, START)))
+            results = kept | {"forms": rows, "forms_by": results["command"]}
+        else:
+            results |= resolved(all_jobs(pool, options.variants))
     blocks = {
         "kernels": kernels_table(results["kernels"]),
         "derivatives": derivatives_table(results["derivatives"]),
     }
-    if options.variants:
-        blocks["forms"] = forms_table("control step, float32", results["forms"])
-        blocks["back_forms"] = forms_table("`pull_back`, float32", results["back_forms"])
+    if "forms" in results:
+        blocks["forms"] = forms_table("control step, float32", results["forms"], FORMS)
+        blocks["back_forms"] = forms_table(
+            "`pull_back`, float32", results["back_forms"], BACK_FORMS
+        )
     page = "\n\n".join(["# Kernels", *(blocks.values())]) + "\n"
     save_results(results, page, options.out)
     if options.out == RESULTS / "kernels.json":

@@ -95,8 +95,23 @@ def test_the_training_of_the_benchmark_runs() -> None:
 
 
 def test_every_form_changes_the_text_of_a_kernel() -> None:
-    envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", 1)
+    envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", 1, dtype="float32")
     text = kernel_source(envs.core).text
     forms = {form: changed(text) for form, changed in kernels.FORMS.items()}
     assert forms.pop("as printed") == text
     assert len({text, *forms.values()}) == len(kernels.FORMS)
+
+
+@pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+def test_accelerations_in_pieces_make_the_same_step() -> None:
+    envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", 4, dtype="float32")
+    in_pieces = kernels.FORMS["accelerations in 4 pieces"]
+    found = []
+    for form in (str, in_pieces):
+        batch = DeviceBatch(
+            envs.core, torch.device("cpu"), lambda text, form=form: HostKernels(form(text))
+        )
+        results = batch._run(STEP, torch.full((4, 1), 0.5))
+        found.append([batch.state.clone(), *(x.clone() for x in results)])
+    assert all(torch.equal(*pair) for pair in zip(*found, strict=True))
+    assert found[0][0].abs().max() > 1e-3  # the arm moves
