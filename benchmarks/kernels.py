@@ -225,7 +225,9 @@ def forms_table(title: str, rows: dict[str, dict[str, Row]], order: Iterable[str
         spills = f"; {row['stores']:,.0f} + {row['loads']:,.0f} B" if row["stack"] else ""
         return f"{row['registers']}{spills}"
 
-    listed = [[form, *(cell(rows[form][scene]) for scene in SCENES)] for form in order]
+    listed = [
+        [form, *(cell(rows[form][scene]) for scene in SCENES)] for form in order if form in rows
+    ]
     return table([title, *SCENES.values()], listed, "lr")
 
 

@@ -190,6 +190,14 @@ def shared_out(needs: Needs, threads: int, length: int) -> dict[str, float]:
     }
 
 
+def fused(function: Function) -> int:
+    """Sums that take along a product which nothing else needs: one multiply-add each."""
+    needs, statements = needs_of(function), function.code.statements
+    users = users_of(needs)
+    alone = {v for v in needs if statements[v][0] == "*" and len(users[v]) == 1}
+    return sum(statements[v][0] in "+-" and bool(alone & set(needs[v])) for v in needs)
+
+
 def planes(function: Function, program: Program, arm: Arm) -> dict[str, int]:
     """Statements that depend on the modes of no plane of bending, of one alone, or of both."""
     each = [plane for link in arm.links for plane in ("", *(m.direction for m in link.modes))]
@@ -216,6 +224,7 @@ def measure(env: str = SCENE) -> dict[str, Any]:
     gaps, again = computed_again(needs)
     return {
         "statements": len(needs),
+        "fused": fused(function),
         "path": longest_path(needs),
         "alive": {
             "as traced": alive(needs),
@@ -231,7 +240,7 @@ def measure(env: str = SCENE) -> dict[str, Any]:
 
 
 def page(results: dict[str, Any]) -> str:
-    """Values alive at once, and shares of threads, as two tables."""
+    """Values alive at once, shares of threads, and planes."""
     found, of = results["alive"], results["planes"]
     return "\n\n".join([
         table(
@@ -253,6 +262,7 @@ def page(results: dict[str, Any]) -> str:
             ],
             "rlr",
         ),
+        f"{results['fused']:,} sums can take a product along in a multiply-add. "
         f"{of['y']} statements depend on the modes of the plane y alone, {of['z']} on those of z, "
         f"{of['yz']:,} on both.",
     ])  # fmt: skip
