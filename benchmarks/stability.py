@@ -333,7 +333,8 @@ def main() -> None:
     if not options.charts:
         options.out.parent.mkdir(parents=True, exist_ok=True)
         results = measure(16 if options.quick else 48)
-        options.out.write_text(json.dumps(results).replace("NaN", "null") + "\n")
+        text = json.dumps(results, separators=(",", ":")).replace("NaN", "null")
+        options.out.write_text(text + "\n")
     draw(json.loads(options.out.read_text(encoding="utf-8")), options.images)
 
 

@@ -347,7 +347,7 @@ def main() -> None:
         results["scenes"] = stored_results(options.out)["scenes"] | results["scenes"]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.images.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(plain(results)) + "\n")
+    options.out.write_text(json.dumps(plain(results), separators=(",", ":")) + "\n")
     text = precision_charts.page(results)
     options.out.with_suffix(".md").write_text(text)
     print(text)
