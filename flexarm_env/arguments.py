@@ -102,6 +102,18 @@ def within(name: str, value: object, least: float, most: float, unit: str) -> fl
     return result
 
 
+def curvature_limit(given: object, gauges: tuple[int, ...]) -> float | None:
+    """Return a limit of the curvature that strain gauges `gauges` read, or None."""
+    if given is None:
+        return None
+    if not gauges:
+        raise ValueError(
+            f"curvature_limit ({validate.shown(given)}) needs a link that bends, but all links "
+            "are rigid; leave it out."
+        )
+    return validate.positive(given, "curvature_limit", "-")
+
+
 def episode_steps(given: Any, own: int = 0) -> int:
     """Control steps per episode, 0 for no limit, from Gymnasium's `max_episode_steps`.
 

@@ -20,7 +20,8 @@ from dynamics.runtime.work_queue import shares
 from dynamics.simulation.stepper import MOST_ENVIRONMENTS, MOST_THREADS
 from dynamics.types import Array
 from flexarm_env import arguments
-from flexarm_env.compiled import episode
+from flexarm_env.compiled import episode, starts
+from flexarm_env.compiled.happening import Happening
 from flexarm_env.compiled.outputs import SPARE, BatchOutputs, Outputs, SingleOutputs
 from flexarm_env.compiled.sensing import Sensing
 from flexarm_env.compiled.settings import Settings, settings
@@ -28,6 +29,7 @@ from flexarm_env.compiled.signals import Signals
 from flexarm_env.compiled.termination import FLAGS, LOST
 from flexarm_env.hardware.sensors import load_hardware, refuse_exact_state
 from flexarm_env.plant import plan, warn_of_gravity
+from flexarm_env.task.events import check_event, spread
 from flexarm_env.task.observations import (
     acceleration_scale,
     curvature_columns,
@@ -35,8 +37,8 @@ from flexarm_env.task.observations import (
     observation_layout,
     sensed_axes,
 )
-from flexarm_env.task.scales import DEFLECTION_LIMIT, MOVE
-from flexarm_env.task.tasks import base_poses, find_task, refuse_floating
+from flexarm_env.task.scales import DEFLECTION_LIMIT
+from flexarm_env.task.tasks import find_task, refuse_floating
 
 DIVERGED = FLAGS.index("diverged")
 
@@ -67,6 +69,9 @@ class Core:
     threads : largest number of worker threads; a batch with little work uses fewer.
     dtype : number type of the compiled code, the state, rewards and info: "float64" or "float32".
     randomize : (low, high) by free parameter (`FREE_PARAMETERS`), drawn at every reset.
+    event : "drop", "jump" or "push", what happens once in an episode, see `task.events`.
+    curvature_limit : [-] root curvature over that of a tip force at 10 % deflection, above which
+        `info["cost"]` grows; None: no cost.
     hardware : sensors and spread of the plant: a name in `hardware.PRESETS`, or a dict of fields of
         `hardware.Hardware`. None: "ideal". Its ranges yield to those of `randomize`.
     fidelity : "auto", the arm as described; "rigid", without modes; or "reference", links cut into
@@ -114,13 +119,16 @@ class Core:
         actuator: Any = None,
         hardware: Any = None,
         base_torque: float | None = None,
+        event: str | None = None,
+        curvature_limit: float | None = None,
     ) -> None:
         given = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
         self.n_env = validate.integer(n_env, "num_envs", 1, MOST_ENVIRONMENTS)
         self.threads = validate.integer(threads, "threads", 1, MOST_THREADS)
         described, fitted = load_arm(arm), load_hardware(hardware)
-        self._spread = fitted.spread(described) if fitted else {}
+        check_event(event, described)
+        self._spread = spread(event, described) | (fitted.spread(described) if fitted else {})
         self._outputs = SingleOutputs if single else BatchOutputs
         self.settings = settings(self.task, self._spread, given)
         plant = plan(
@@ -133,6 +141,7 @@ class Core:
             tolerance=tolerance,
             actuator=actuator,
             ranges=self.randomize,
+            event=event,
             deflection_limit=deflection_limit,
             base_torque=base_torque,
         )
@@ -144,7 +153,7 @@ class Core:
         self.torque_limit, self.conditions = plant.torque_limit, plant.conditions
         self.certificate, self.uncertified = plant.certificate, plant.uncertified
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
-        self._rate_limit = plant.rate_limit
+        self._rate_limit, self._impulse = plant.rate_limit, plant.impulse
         torques = tuple(self.actuation.torque_limit.tolist()) if self.actuation else ()
         obs = ("sensors" if fitted else "state") if obs is None else obs
         refuse_exact_state(obs, fitted)
@@ -154,13 +163,16 @@ class Core:
         )  # fmt: skip
         gauges, axes = curvature_columns(self.arm), sensed_axes(self.arm)
         self.sensing = Sensing(fitted, self.arm.n_joint, gauges, axes) if fitted else None
+        self.happening = Happening(event, axes[1:], self.arm.n_joint) if event else None
         self.gauge_scale = np.array(curvature_scale(self.arm, gauges))
+        self.curvature_limit = arguments.curvature_limit(curvature_limit, gauges)
         self.model: Model = compile_arm(
             self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
         )
         self.signals = Signals(
-            self.model, self.task.moving, self.layout, self.actuation, self.sensing
-        )
+            self.model, self.task.moving, self.layout, self.actuation, self.sensing,
+            self.happening, self.curvature_limit is not None,
+        )  # fmt: skip
         self.constants = self._fixed_numbers(self.settings)
         self.starts = self._episode_ranges()
         self._allocate()
@@ -205,31 +217,21 @@ class Core:
         if self.sensing:
             acceleration = acceleration_scale(self.arm, self.scales, self.rate_scale)
             values |= self.sensing.numbers(self.gauge_scale, acceleration)
+        if self.curvature_limit is not None:
+            values["curvature_limit"] = self.curvature_limit * self.gauge_scale
         return self.signals.constants.packed(values, self.model.dtype)
 
     def _episode_ranges(self) -> tuple[Any, ...]:
         """Arguments of `episode.begin`: ranges to draw from, and the rows to write."""
-        first = {name: rows.start for name, rows in self.signals.state.slices.items()}
-        names = ("q", "v", "centre", "amplitude", "frequency", "phase", "free")  # as in episode.py
-        return (
-            self.task.ranges(self.move_time),
-            np.array(self.scales.home),
-            np.array(self.arm.joint_index, dtype=np.uint64),
-            base_poses(self.arm.base),
-            self._vibration(self.scales.vibration),
-            self._vibration(self.scales.vibration_rate),
-            np.array([MOVE, self.rate_scale**2 / MOVE]),
-            np.concatenate(
-                [
-                    np.array(list(self.randomize.values()), dtype=np.float64).reshape(-1, 2),
-                    self.sensing.ranges(self.gauge_scale) if self.sensing else np.zeros((0, 2)),
-                ]
-            ),
-            np.array([first[name] for name in names], dtype=np.uint64),
-        )
-
-    def _vibration(self, shapes: tuple[tuple[float, ...], ...]) -> Array:
-        return np.array(shapes).reshape(len(shapes), len(self.scales.modal_scale))
+        drawn = [np.array(list(self.randomize.values()), dtype=np.float64).reshape(-1, 2)]
+        if self.sensing:
+            drawn.append(self.sensing.ranges(self.gauge_scale))
+        if self.happening:
+            drawn.append(self.happening.ranges(self.move_time / self.control_dt, self._impulse))
+        return starts.arguments(
+            self.task.ranges(self.move_time), self.arm, self.scales, self.rate_scale,
+            np.concatenate(drawn), self.signals.state,
+        )  # fmt: skip
 
     def _allocate(self) -> None:
         """Create the state of all environments, and a workspace per thread."""

@@ -27,6 +27,7 @@ from flexarm_env.accuracy.certificates import (
 from flexarm_env.accuracy.conditions import Conditions
 from flexarm_env.compiled.actuation import Actuation
 from flexarm_env.hardware.actuators import load_actuators, mounted, refuse_beside_actuators
+from flexarm_env.task.events import EVENTS, met
 from flexarm_env.task.scales import (
     DEFLECTION_LIMIT,
     EXTENT,
@@ -52,6 +53,7 @@ class Plant:
     actuation: Actuation | None  # None: ideal torque sources
     torque_limit: Array  # (n_torque,) [N m] torque at action 1
     full_acceleration: float  # [rad/s^2] smallest of the joints' at full torque
+    impulse: float  # [N s] at the tip, of a rigid arm that turns by the rate scale about joint 1
     control_dt: float  # [s]
     integrator: str
     substeps: int  # integration steps per control step
@@ -95,6 +97,7 @@ def plan(
     ranges: Mapping[str, tuple[float, float]],
     deflection_limit: float,
     base_torque: float | None = None,
+    event: str | None = None,
 ) -> Plant:
     """Check the keywords of `core.Core` that concern the plant, and choose what they leave open.
 
@@ -127,11 +130,14 @@ def plan(
         full = limit = arguments.torque_limits(torque_limit, own.torque_limit)
     _refuse_weak("actuator" if actuators else "torque_limit", limit, holding)
     limits = limit if base_torque is None else np.append(limit, base_torque)
+    acceleration = float(np.min((full - holding) / inertia))
+    impulse = float(inertia[0]) * math.sqrt(acceleration * MOVE) / described.reach
     conditions = Conditions(
         torque_limit=tuple(limits.tolist()),
         deflection_limit=deflection_limit,
-        ranges=dict(ranges),
+        ranges=met(event, ranges),
         actuators=repr(actuators) if actuators else "",
+        push=impulse * EVENTS[event].size[1] if event == "push" else 0.0,
     )
     measured = [fitted.entry] if fitted.entry else entries(fitted.arm, control_dt)
     entry = covering(measured, conditions)
@@ -156,7 +162,8 @@ def plan(
         scales=scales(fitted.arm),
         actuation=actuation,
         torque_limit=limits,
-        full_acceleration=float(np.min((full - holding) / inertia)),
+        full_acceleration=acceleration,
+        impulse=impulse,
         control_dt=control_dt,
         integrator=name,
         substeps=count,

@@ -10,12 +10,13 @@ ROUND_OFF = 1e-9  # [-] of a limit
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """Torques, drawn parameters, actuators and bending of the episodes of an environment."""
+    """Torques, drawn parameters, actuators, bending and pushes of an environment's episodes."""
 
     torque_limit: tuple[float, ...]  # [N m] of each action
     deflection_limit: float  # [-]
     ranges: Mapping[str, Range] = field(default_factory=dict)  # of parameters drawn at a reset
     actuators: str = ""  # their description; empty for ideal torque sources
+    push: float = 0.0  # [N s] largest impulse at the tip
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> "Conditions":
@@ -26,11 +27,13 @@ class Conditions:
             deflection_limit=stored["deflection_limit"],
             ranges=ranges,
             actuators=stored["actuators"],
+            push=stored.get("push", 0.0),
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON numbers and text."""
-        return asdict(self) | {"ranges": {name: list(pair) for name, pair in self.ranges.items()}}
+        """JSON numbers and text; a push that there is."""
+        found = asdict(self) | {"ranges": {name: list(x) for name, x in self.ranges.items()}}
+        return found if self.push else {key: x for key, x in found.items() if key != "push"}
 
     def beyond(self, measured: "Conditions") -> str | None:
         """Words for a part of these conditions that measured ones do not cover, or None."""
@@ -41,6 +44,8 @@ class Conditions:
         for own, most in zip(self.torque_limit, measured.torque_limit, strict=True):
             if own > most * (1.0 + ROUND_OFF):
                 return f"torques above {', '.join(f'{x:g}' for x in measured.torque_limit)} N m"
+        if self.push > measured.push * (1.0 + ROUND_OFF):
+            return f"pushes at the tip of up to {self.push:.3g} N s"
         for name, (low, high) in self.ranges.items():
             known = measured.ranges.get(name)
             if known is None or low < known[0] - ROUND_OFF or high > known[1] + ROUND_OFF:

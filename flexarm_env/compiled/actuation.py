@@ -1,4 +1,4 @@
-"""Actuators inside the compiled control step.
+"""Actions and actuators inside the compiled control step.
 
 Actuator and arm advance in turn, once a substep. First the arm moves under the actuator's mean
 torque over the substep, at the present angle and rate of the joint; then the actuator's states
@@ -34,6 +34,26 @@ EXPLICIT_PART = 1.0  # largest omega h of actuators if the integrator itself has
 # with actuators in place of ideal torque sources: evaluation of the accelerations, and a substep
 EVALUATION = (Call("drive"), Call("accelerations"))
 SUBSTEP = (Call("mark"), Call("start"), Call("step"), Call("follow"))
+
+
+def command(n_torque: int, at: Mapping[str, int], torque_limit: int) -> Function:
+    """`command(w)`: clip the given actions, set the torques, count the step.
+
+    `torque_limit` is the first slot of the limits.
+    """
+    import casadi as ca
+
+    given, before, limit = (ca.SX.sym(x, n_torque) for x in ("given", "before", "torque_limit"))
+    elapsed = ca.SX.sym("elapsed")
+    action = ca.fmin(ca.fmax(given, -1.0), 1.0)
+    outputs = {
+        "BEFORE": before, "ACTION": action, "TAU": action * limit,
+        "ELAPSED": elapsed + 1.0, "LOST": ca.SX(0.0),
+    }  # fmt: skip
+    graph = ca.Function("command", [given, before, limit, elapsed], [ca.vertcat(*outputs.values())])
+    inputs = [at["GIVEN"], at["ACTION"], torque_limit, at["ELAPSED"]]
+    slots = [at[name] + k for name, x in outputs.items() for k in range(x.numel())]
+    return traced("command", graph, inputs, slots)
 
 
 class Actuation:

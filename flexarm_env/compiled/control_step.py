@@ -1,9 +1,10 @@
 """The control step of an environment as a program: statements that a backend prints.
 
 Functions it calls: `command(w)`, `check(w)` and `report(w)` of `signals`, `place(w)` of an arm on a
-floating base, `settle(w)` and `bend(w)` of one that gravity bends, `mark(w)`, `drive(w)` and
-`follow(w)` of `actuation`; the routines "start" and "step" of the integrator. An environment that
-`check` finds lost returns to its state before the step and is reported there.
+floating base, `settle(w)` and `bend(w)` of one that gravity bends, `event(w)` of an event that
+changes the arm, `mark(w)`, `drive(w)` and `follow(w)` of `actuation`; the routines "start" and
+"step" of the integrator. An environment that `check` finds lost returns to its state before the
+step and is reported there.
 """
 
 from collections.abc import Iterable
@@ -30,7 +31,13 @@ from flexarm_env.compiled.termination import FLAGS
 
 
 def control_step(
-    state: named.Rows, n_info: int, n_observation: int, noise: int, driven: bool, bent: int
+    state: named.Rows,
+    n_info: int,
+    n_observation: int,
+    noise: int,
+    driven: bool,
+    bent: int,
+    event: bool,
 ) -> ControlStep:
     """Statements of an environment.
 
@@ -41,6 +48,7 @@ def control_step(
     noise : random numbers per step.
     driven : whether actuators drive the joints, in place of ideal torque sources.
     bent : coordinates that gravity sets at the start of an episode.
+    event : whether an event changes the arm.
     """
     first = {name: rows.start for name, rows in state.slices.items()}
     behind = {name: rows.stop for name, rows in state.slices.items()}
@@ -66,14 +74,16 @@ def control_step(
 
     random = Noise("NOISE", noise, "DRAWN", "ELAPSED")
     state_loads = (Load("Q", motion), Load("ACTION", memory))
-    parameters = Load("PARAMETERS", free)
+    parameters, happening = Load("PARAMETERS", free), (Call("event"),) if event else ()
+    placed = anchor.count or bent  # the parameters place the arm at its start
     bend = (Clear("REST", bent), *SETTLING * (Call("settle"),), Call("bend"),
             Store("Q", motion), Store("ELAPSED", elapsed))  # fmt: skip
     results = (Store("FLAGS", flags), Store("INFO", info), Store("OBSERVATION", observation))
     start = (
         *state_loads,
-        *((parameters,) if anchor.count or bent else ()),
+        *((parameters,) if placed else ()),
         Load("DRAWN", drawn),
+        *(happening if placed else ()),
         *(bend if bent else ()),
         Copy("ACTION", "BEFORE", actions),
         Clear("LOST"),
@@ -96,6 +106,7 @@ def control_step(
         Load("GIVEN", actions),
         Call("command"),
         random,
+        *happening,
         *substeps,
         Call("report"),
         Prefetch(moving, next=True),

@@ -17,12 +17,13 @@ from dynamics.tracing.assembly import Addition
 from dynamics.tracing.equilibrium import SETTLED, bent_coordinates, settling
 from dynamics.tracing.function import Function, traced
 from dynamics.types import Symbols
-from flexarm_env.compiled.actuation import Actuation
+from flexarm_env.compiled.actuation import Actuation, command
 from flexarm_env.compiled.control_step import control_step
 from flexarm_env.compiled.episode import WAVES
+from flexarm_env.compiled.happening import Happening
 from flexarm_env.compiled.rows import Rows
 from flexarm_env.compiled.sensing import Sensing
-from flexarm_env.compiled.termination import FLAGS, flags, lost
+from flexarm_env.compiled.termination import FLAGS, cost, flags, lost
 from flexarm_env.task.observations import Layout, curvature_columns
 from flexarm_env.task.rewards import TERMS, Measured
 from flexarm_env.task.tasks import SETTLED_BAND
@@ -55,10 +56,12 @@ class Signals:
         layout: Layout,
         actuation: Actuation | None = None,
         sensing: Sensing | None = None,
+        happening: Happening | None = None,
+        limited: bool = False,
     ) -> None:
         n, m, u = model.n, model.n_joint, model.n_torque
         self.model, self.moving, self.layout, self.actuation = model, moving, layout, actuation
-        self.sensing = sensing
+        self.sensing, self.happening, self.limited = sensing, happening, limited
         self.gauges = curvature_columns(model.arm)
         held = any(model.arm.gravity) and not model.arm.base.n
         self.bent = bent_coordinates(model.arm) if held else []
@@ -70,10 +73,11 @@ class Signals:
             "centre": m, "amplitude": waves, "frequency": waves, "phase": waves,
             "anchor": model.arm.base.n,
         }  # fmt: skip
-        self.drawn = sensing.drawn if sensing else {}
+        self.drawn = {k: size for x in (sensing, happening) if x for k, size in x.drawn.items()}
         free = len(model.free_parameters)
         self.state = Rows({"q": n, "v": n, **self.memory, "free": free, **self.drawn})
-        numbers = (*NUMBERS, "angular_momentum") if model.arm.base.n else NUMBERS
+        given = {"angular_momentum": model.arm.base.n, "event": happening, "cost": limited}
+        numbers = (*NUMBERS, *(name for name, present in given.items() if present))
         self.info = Rows({
             "reward": 1, **dict.fromkeys(numbers, 1), "reward_terms": len(TERMS),
             "root_curvature": len(self.gauges), "torque": u,
@@ -86,6 +90,7 @@ class Signals:
             "weights": len(TERMS), "factors": layout.size,
             **({"command_limit": m, "actuators": actuation.n_constant} if actuation else {}),
             **(sensing.constants if sensing else {}),
+            **({"curvature_limit": len(self.gauges)} if limited else {}),
         })  # fmt: skip
 
     @property
@@ -110,12 +115,13 @@ class Signals:
             numbers = [at["INFO"] + row for row in rows]
             check = lost(state, numbers, at["LOST"], self.model.dtype)
             report = traced("report", self.graph, inputs, at["TARGET_NOW"])
-            return [self._command(at), check, report, *self._driving(at), *self._placing(at),
-                    *self._bending(at)]  # fmt: skip
+            limit = at["CONSTANTS"] + self.constants.slices["torque_limit"].start
+            return [command(self.model.n_torque, at, limit), check, report, *self._driving(at),
+                    *self._placing(at), *self._bending(at), *self._happening(at)]  # fmt: skip
 
-        actuation, sensing = (x and x.key for x in (self.actuation, self.sensing))
+        keys = [x and x.key for x in (self.actuation, self.sensing, self.happening)]
         return Addition(
-            key=f"environment {_SOURCES} {self.moving} {parts} {actuation} {sensing}",
+            key=f"environment {_SOURCES} {self.moving} {parts} {keys} {self.limited}",
             sizes=sizes,
             functions=functions,
             shared=("CONSTANTS",),
@@ -126,6 +132,7 @@ class Signals:
                 self.noise,
                 driven=self.actuation is not None,
                 bent=len(self.bent),
+                event=bool(self.happening and self.happening.changing),
             ),
         )
 
@@ -146,6 +153,13 @@ class Signals:
         return self.actuation.functions(
             at, at["CONSTANTS"] + self.constants.slices["actuators"].start
         )
+
+    def _happening(self, at: Mapping[str, int]) -> list[Function]:
+        """Functions of the event."""
+        if self.happening is None:
+            return []
+        first = at["DRAWN"] + Rows(self.drawn).slices["event_time"].start
+        return self.happening.functions(self.model, at, first)
 
     def _placing(self, at: Mapping[str, int]) -> list[Function]:
         """`place(w)` of an arm on a floating base: the base's pose with the tip on the target."""
@@ -173,25 +187,6 @@ class Signals:
         inputs = [at[name] for name in sizes]
         slots = [*(at["Q"] + i for i in self.bent), at["ELAPSED"]]
         return [settle, traced("bend", graph, inputs, slots)]
-
-    def _command(self, at: Mapping[str, int]) -> Function:
-        """`command(w)`: clip the given actions, set the torques, count the step."""
-        import casadi as ca
-
-        u, limit = self.model.n_torque, self.constants.slices["torque_limit"].start
-        given, before, torque_limit = (ca.SX.sym(x, u) for x in ("given", "before", "torque_limit"))
-        elapsed = ca.SX.sym("elapsed")
-        action = ca.fmin(ca.fmax(given, -1.0), 1.0)
-        outputs = {
-            "BEFORE": before, "ACTION": action, "TAU": action * torque_limit,
-            "ELAPSED": elapsed + 1.0, "LOST": ca.SX(0.0),
-        }  # fmt: skip
-        graph = ca.Function(
-            "command", [given, before, torque_limit, elapsed], [ca.vertcat(*outputs.values())]
-        )
-        inputs = [at["GIVEN"], at["ACTION"], at["CONSTANTS"] + limit, at["ELAPSED"]]
-        slots = [at[name] + k for name, x in outputs.items() for k in range(x.numel())]
-        return traced("command", graph, inputs, slots)
 
     @property
     def graph(self) -> Any:
@@ -228,8 +223,9 @@ class Signals:
         """
         import casadi as ca
 
+        centre = self.happening.centre(s) if self.happening else s["centre"]
         if not self.moving:
-            return s["centre"], ca.SX(self.model.n_joint, 1)
+            return centre, ca.SX(self.model.n_joint, 1)
         angle = s["frequency"] * t + s["phase"]
         shape = (self.model.n_joint, WAVES)
         value = ca.sum2(ca.reshape(s["amplitude"] * ca.sin(angle), *shape))
@@ -237,7 +233,7 @@ class Signals:
         x = ca.fmin(t / s["move_time"], 1.0)
         ramp = x * x * x * (10.0 + x * (6.0 * x - 15.0))
         slope = 30.0 * x * x * (1.0 - x) * (1.0 - x) / s["move_time"]
-        return s["centre"] + ramp * value, ramp * rate + slope * value
+        return centre + ramp * value, ramp * rate + slope * value
 
     def _measured(self, q: Any, v: Any) -> dict[str, Any]:
         values = graphs.measure(self.model.traced)(q, v)
@@ -285,8 +281,9 @@ class Signals:
             "tip_error": error, "tip_speed": speed, "deflection": deflection,
             "tip_deflection": bent,
             "reward_terms": terms, "root_curvature": here["curvature"][list(self.gauges)],
-            **self._torques(s), **self._momentum(s), "gap": gap, "curvature": here["curvature"],
-            "tip": here["tip"], "tip_velocity": here["tip_velocity"], "goal": goal["tip"],
+            **self._torques(s), **self._momentum(s), **self._marks(s, here["curvature"]),
+            "gap": gap, "curvature": here["curvature"], "goal": goal["tip"],
+            "tip": here["tip"], "tip_velocity": here["tip_velocity"],
         }  # fmt: skip
 
     def _torques(self, s: Symbols) -> dict[str, Any]:
@@ -306,6 +303,11 @@ class Signals:
             return {}
         p = graphs.planar_momentum(self.model.traced, s["q"], s["v"], s["parameters"])
         return {"linear_momentum": p[:2], "angular_momentum": p[2]}
+
+    def _marks(self, s: Symbols, curvature: Any) -> dict[str, Any]:
+        """Whether the event has happened, and the cost of curvature."""
+        marks = {"event": self.happening.happened(s)} if self.happening else {}
+        return marks | ({"cost": cost(s, curvature[list(self.gauges)])} if self.limited else {})
 
     def _sensed(self, s: Symbols, values: Symbols) -> tuple[Symbols, Any]:
         """Angles, rates, curvatures, acceleration as sensors give them, and readings to keep."""

@@ -1,4 +1,4 @@
-"""Ends of episodes: termination, truncation and the flags beside them."""
+"""Ends of episodes: termination, truncation and the flags beside them; the cost of curvature."""
 
 from collections.abc import Iterable
 from functools import reduce
@@ -39,6 +39,14 @@ def flags(
         "invalid": invalid,
         "overspeed": s["rate_limit"] ** 2 < reduce(ca.fmax, ca.vertsplit(joint_rates**2)),
     }
+
+
+def cost(s: Symbols, curvature: Any) -> Any:
+    """Excess [-] of the gauges' curvatures [1/m] over their limits: the largest, 0 within."""
+    import casadi as ca
+
+    excess = ca.fabs(curvature) / s["curvature_limit"] - 1.0
+    return (s["elapsed"] > 0.0) * reduce(ca.fmax, ca.vertsplit(excess), ca.SX(0.0))
 
 
 def lost(state: Iterable[int], numbers: Iterable[int], result: int, dtype: str) -> Function:

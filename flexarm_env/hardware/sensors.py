@@ -16,6 +16,7 @@ from typing import Any
 
 from dynamics.description import validate
 from dynamics.description.arm import Arm
+from flexarm_env.task.events import payload
 
 MOST_DELAY = 8  # [control steps]
 MOST_COUNTS = 2**24  # per turn, and per scale of a gauge
@@ -84,9 +85,7 @@ class Hardware:
         """Ranges of drawn parameters of an arm, as the keyword `randomize` takes them."""
         result: dict[str, Any] = {}
         if self.payload is not None:
-            last = arm.links[-1]
-            mass = last.beam.line_mass.mass + last.tip_mass
-            result["payload_mass"] = tuple(mass * share for share in self.payload)
+            result["payload_mass"] = payload(arm, self.payload)
         if self.stiffness is not None:
             result["stiffness"] = self.stiffness
         return result
