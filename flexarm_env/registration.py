@@ -20,6 +20,13 @@ AGILE: dict[str, tuple[float, ...]] = {  # [N m] torque limits of Reach, about t
     "OneLink": (3.0,),
     "TwoLink": (0.39, 0.126),
 }
+# scene, task and end of an id, and its further keywords: what happens in mid-episode, or costs
+HARDER: dict[tuple[str, str, str], dict[str, Any]] = {
+    ("OneLink", "Track", "Drop"): {"event": "drop"},
+    ("TwoLink", "Reach", "Jump"): {"event": "jump"},
+    ("OneLink", "Reach", "Push"): {"event": "push"},
+    ("OneLink", "Reach", "Strain"): {"curvature_limit": 0.4},
+}
 # Return of a solved episode: a little below the mean of tuned LQR on exact states.
 THRESHOLDS: dict[str, float] = {
     "OneLink-Reach": 110.0, "OneLink-Track": 145.0, "OneLink-Damp": 95.0,
@@ -49,6 +56,10 @@ IDS: dict[str, dict[str, Any]] = (
         for scene in FIXED
     }
     | {f"FlexArm/{scene}-Reach-v0": _spec(scene, "Reach") for scene in FLOATING}
+    | {
+        f"FlexArm/{scene}-{task}{end}-v0": _spec(scene, task, end, **keywords)
+        for (scene, task, end), keywords in HARDER.items()
+    }
 )
 
 
@@ -62,6 +73,16 @@ def register() -> None:
                 vector_entry_point="flexarm_env.interfaces.vector:FlexArmVectorEnv",
                 **spec,
             )
+
+
+def is_harder(env_id: str) -> bool:
+    """True if something happens in mid-episode, or costs."""
+    return not {"event", "curvature_limit"}.isdisjoint(IDS[env_id]["kwargs"])
+
+
+def without_variant(env_id: str) -> str:
+    """The id of the same scene and task, without what follows the task."""
+    return f"{env_id.partition('-')[0]}-{IDS[env_id]['kwargs']['task']}-v0"
 
 
 def registered(env_id: str) -> str:

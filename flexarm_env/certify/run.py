@@ -43,7 +43,8 @@ ROUND = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # [s] its control step
 OWN_STEPS = 150  # control steps of its episodes
 STEP = ("integrator", "substeps")
 KEYWORDS = (
-    "torque_limit", "base_torque", "actuator", "hardware", "randomize", "deflection_limit", *STEP,
+    "torque_limit", "base_torque", "actuator", "hardware", "randomize", "deflection_limit", "event",
+    *STEP,
 )  # fmt: skip
 
 

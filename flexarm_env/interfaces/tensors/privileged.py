@@ -12,7 +12,8 @@ from flexarm_env.task.scales import EXTENT, MOVE
 
 NAMES = (
     "joint_angle", "joint_rate", "modal_amplitude", "modal_rate", "base_position", "base_velocity",
-    "base_turn", "joint_error", "elapsed", "parameters", "delay", "gauge_bias",
+    "base_turn", "joint_error", "elapsed", "parameters", "event", "delay",
+    "gauge_bias",
 )  # fmt: skip
 
 
@@ -88,9 +89,21 @@ class Privileged:
             "joint_error": (state[self._rows["target"]] - angles) / MOVE,
             "elapsed": state[self._rows["elapsed"]] * (core.max_steps > 0) / steps,
             "parameters": drawn(state[self._rows["free"]], self._parameters),
+            "event": self._happened(state) if core.happening else none,
             "delay": self._delay(state) if sensors else none,
             "gauge_bias": drawn(state[self._rows["bias"]], self._bias) if sensors else none,
         }
+
+    def _happened(self, state: torch.Tensor) -> torch.Tensor:
+        """Whether the event has happened, its time, and its signed sizes over the largest."""
+        rows = self._core.happening.drawn if self._core.happening else {}
+        time, size, sign = (state[self._rows[name]] for name in rows)
+        first, *others = torch.from_numpy(self._core.starts[7][-sum(rows.values()) :]).to(state)
+        ahead = (time - first.mean()) / (0.5 * (first[1] - first[0]))
+        happened = (time < state[self._rows["elapsed"]]).to(state)
+        most = [x[1] for x in others[: len(size)]]
+        signed = [x * torch.sign(y) / z for x, y, z in zip(size, sign, most, strict=True)]
+        return torch.stack([happened[0], ahead[0], *signed])
 
     def _delay(self, state: torch.Tensor) -> torch.Tensor:
         """Delay of the readings over the longest one that is drawn."""
