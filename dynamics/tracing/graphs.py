@@ -239,7 +239,7 @@ def pushed(traced: TracedArm) -> Any:
     velocity = ca.vertcat(*traced.formed.tip_velocity(chain, x, ca.vertsplit(v)))
     J = ca.jacobian(velocity, v)  # velocities are linear in the rates
     forces = ca.mtimes(J.T, ca.mtimes(tip_axes(traced)(q, v), impulse))
-    jump = ca.vertcat(*_recursion(traced).response(chain, x, ca.vertsplit(forces)))
+    jump = ca.vertcat(*_recursion(traced).response(chain, x, ca.vertsplit(forces), None))
     return ca.Function("pushed", [q, parameters, impulse], [ca.cse(jump)])
 
 

@@ -1,0 +1,171 @@
+"""Events in mid-episode against computations of their own: SciPy, finite differences, balances."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dynamics.arms import ARMS
+from dynamics.model import Model
+from dynamics.simulation.statics import loaded
+from flexarm_env.core import Core
+from flexarm_env.task.events import EVENTS, TIME
+from flexarm_env.task.scales import EXTENT
+
+STEPS, AT = 20, 7  # steps of a test, of which the eighth has the event
+NEVER = 1e6
+
+
+def placed(core: Core, name: str, values: Any) -> None:
+    """Set rows of the state."""
+    core.state[core.signals.state.slices[name], : core.n_env] = values
+
+
+def started(event: str, n_env: int = 2, **keywords: Any) -> Core:
+    """Environments that begin alike; the first has its event in step AT, the others never."""
+    core = Core(task="Reach", arm="slim", n_env=n_env, event=event, **keywords)
+    core.seed(0, np.random.default_rng(1))
+    core.reset(np.arange(1))
+    core.state[:] = core.state[:, :1]
+    placed(core, "event_time", NEVER)
+    core.state[core.signals.state.slices["event_time"], 0] = AT + 0.3
+    return core
+
+
+def turned(core: Core, k: int, size: float = 0.5) -> Any:
+    """Outputs of step k under the same torque for all."""
+    action = np.full((core.n_env, core.arm.n_torque), size * np.sin(0.9 * k), np.float32)
+    return core.step(action)[0]
+
+
+def jacobian(model: Model, q: Any, h: float = 1e-5) -> Any:
+    """(2, n) of the tip in the plane, by differences of fourth order."""
+
+    def difference(x: float) -> Any:
+        moves = x * np.eye(q.size)
+        return np.array([model.tip(q + e) - model.tip(q - e) for e in moves]).T[:2] / (2.0 * x)
+
+    return (4.0 * difference(h) - difference(2.0 * h)) / 3.0
+
+
+def test_a_push_is_an_impulse_across_the_bent_tip() -> None:
+    """From then on the arm moves as one whose rates are changed by M^-1 J' p, by hand."""
+    core, model = started("push"), Model(ARMS["slim"])
+    for k in range(AT):
+        turned(core, k)
+    np.testing.assert_array_equal(core.state[:-3, 0], core.state[:-3, 1])  # nothing ahead
+    q, rows = core.q[0].copy(), core.signals.state.slices
+    size, sign = (core.state[rows[name], 0].item() for name in ("event_size", "event_sign"))
+    scale = core.scales.inertia[0] * core.rate_scale / core.arm.reach
+    assert EVENTS["push"].size[0] <= size / scale <= EVENTS["push"].size[1]
+    slope = model._measure(q, 0.0 * q)[model.measurements["slope"]].item()
+    angle = q[0] + np.sign(model.tip(q)[1] * np.cos(q[0]) - model.tip(q)[0] * np.sin(q[0])) * slope
+    p = np.sign(sign) * size * np.array([-np.sin(angle), np.cos(angle)])
+    core.v[1] += np.linalg.solve(model.mass_matrix(q), jacobian(model, q).T @ p)
+    for k in range(AT, STEPS):
+        turned(core, k)
+        np.testing.assert_allclose(core.q[0], core.q[1], rtol=1e-7, atol=1e-9)
+    assert np.abs(core.q[0] - core.q[1]).max() < 1e-3 * core.arm.reach
+
+
+def test_a_dropped_payload_is_gone_and_moves_nothing() -> None:
+    """By SciPy: the arm with the payload until the event, without it from there on."""
+    core = started("drop", n_env=1, substeps=40)
+    mass, q, v = core.parameters[0, 0], core.q[0].copy(), core.v[0].copy()
+    assert mass > 0.0
+    heavy, light = Model(loaded(ARMS["slim"], mass)), Model(ARMS["slim"])
+    for k in range(STEPS):
+        torque = core.torque_limit * np.float32(0.5 * np.sin(0.9 * k))
+        model = heavy if k < AT else light
+
+        def rates(_: float, x: Any, model: Model = model, torque: Any = torque) -> Any:
+            return np.concatenate([x[3:], model.accelerations(x[:3], x[3:], torque)])
+
+        end = solve_ivp(rates, (0.0, 0.02), np.concatenate([q, v]), rtol=1e-9, atol=1e-11).y[:, -1]
+        q, v = end[:3], end[3:]
+        info = turned(core, k).described()
+        assert info["event"][0] == (k >= AT)
+        np.testing.assert_allclose(core.q[0], q, rtol=1e-5, atol=1e-7)
+
+
+def test_targets_jump_within_the_range_of_the_tasks() -> None:
+    core = Core(task="Reach", arm="two-link", n_env=500, control_dt=0.05, event="jump")
+    for row in range(500):
+        core.seed(row, np.random.default_rng(row))
+    core.reset(np.arange(500))
+    before, rows = core.joint_target(), core.signals.state.slices
+    time = core.state[rows["event_time"], :500][0]
+    low, high = np.array(TIME) * core.move_time / core.control_dt
+    assert low <= time.min() < 1.1 * low
+    assert 0.95 * high < time.max() < high
+    for k in range(int(high) + 1):
+        out = core.step(np.zeros((500, 2), np.float32))[0]
+        jumped = (core.joint_target() != before).all(axis=1)
+        np.testing.assert_array_equal(jumped, np.floor(time) <= k)
+        np.testing.assert_array_equal(out.described()["event"], jumped)
+    jump = core.joint_target() - before
+    assert (np.abs(core.joint_target() - core.scales.home) <= EXTENT).all()
+    assert 0.3 <= np.abs(jump).min() < 0.31
+    assert 0.79 < np.abs(jump).max() <= 0.8
+    assert (np.abs((jump > 0.0).mean(axis=0) - 0.5) < 0.1).all()
+
+
+@pytest.mark.parametrize("event", EVENTS)
+def test_no_observation_shows_an_event_ahead(event: str) -> None:
+    """Nor, of a drop, anything but its effect on the motion."""
+    core = started(event)
+    for k in range(STEPS):
+        out = turned(core, k)
+        assert np.array_equal(out.obs[0], out.obs[1]) == (k < AT), k
+    assert out.described()["event"].tolist() == [1.0, 0.0]
+
+
+def test_a_push_changes_the_momentum_of_a_floating_arm_by_itself() -> None:
+    """Linear momentum by p, angular momentum by r x p."""
+    envs: Any = gym.make_vec("FlexArm/FreeFlyer-Reach-v0", num_envs=8, event="push", substeps=100)
+    envs.reset(seed=0)
+    core = envs.unwrapped.core
+    placed(core, "event_time", 2.5)
+    action = np.full((8, 2), 0.3, np.float32)
+    envs.step(action)
+    before = envs.step(action)[-1]
+    tip = np.array([core.model.tip(q) for q in core.q])
+    after = envs.step(action)[-1]
+    p = after["linear_momentum"] - before["linear_momentum"]
+    size = core.state[core.signals.state.slices["event_size"], :8][0]
+    np.testing.assert_allclose(np.linalg.norm(p, axis=1), size, rtol=1e-5)
+    turn = after["angular_momentum"] - before["angular_momentum"]
+    np.testing.assert_allclose(turn, tip[:, 0] * p[:, 1] - tip[:, 1] * p[:, 0], rtol=1e-4)
+
+
+def test_the_cost_is_the_excess_of_curvature() -> None:
+    """Zero below the limit and at a start; full torque exceeds that of ReachStrain."""
+    envs: Any = gym.make_vec("FlexArm/OneLink-ReachStrain-v0", num_envs=2)
+    assert envs.reset(seed=0)[1]["cost"].tolist() == [0.0, 0.0]
+    core = envs.unwrapped.core
+    link = core.arm.links[0]
+    limit = 0.4 * 0.1 * link.root_curvature("y") / link.length
+    costs = []
+    for k in range(20):
+        info = envs.step(np.array([[0.3], [1.0]]) * (1.0 if k < 10 else -1.0))[-1]
+        excess = np.abs(info["root_curvature"][:, 0]) / limit - 1.0
+        np.testing.assert_allclose(info["cost"], np.maximum(excess, 0.0), atol=1e-12)
+        costs.append(info["cost"].copy())
+    assert np.max(costs, axis=0)[0] == 0.0 < 0.1 < np.max(costs, axis=0)[1]
+
+
+@pytest.mark.parametrize(
+    ("keywords", "sentence"),
+    [
+        ({"event": "dorp"}, r"Unknown event 'dorp'"),
+        ({"event": "jump", "arm": "free-flyer"}, r"event must be .* 'planar', got 'jump'"),
+        ({"curvature_limit": 0.0}, r"curvature_limit must be positive, got 0\.0"),
+        ({"curvature_limit": 0.4, "fidelity": "rigid"}, r"curvature_limit \(0\.4\) needs a link"),
+        ({"event": "drop", "tolerance": 1e-3}, r"payload_mass"),
+    ],
+)
+def test_bad_events_and_limits_get_a_sentence(keywords: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        Core(**({"task": "Reach", "arm": "slim", "control_dt": 0.02} | keywords))
