@@ -2,7 +2,7 @@
 
 One GIF per id, of one episode on exact states. The controller is the best of the track `state` in
 docs/results/leaderboard.json, and joint PD with the best gains of its grid where none is ranked.
-Ids with goals have the film of the id without.
+Ids with goals, events or a cost have the film of the id without.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 from agents.policy import Controller
 from flexarm_env import IDS
-from flexarm_env.pages.environments import film_name
+from flexarm_env.pages.environments import film_name, filmed
 
 RANKING = Path(__file__).resolve().parents[1] / "docs" / "results" / "leaderboard.json"
 TRACK = "state"
@@ -31,7 +31,7 @@ SEED = 10_000  # first test episode of the leaderboard
 MOST_FRAMES = 120
 HEIGHT = 270  # [px]
 COLOURS = 64  # few, so that a film is small
-FILMED = tuple(env_id for env_id in IDS if "Goal" not in env_id)
+FILMED = tuple(env_id for env_id in IDS if filmed(env_id) == env_id)
 
 
 def best(ranking: dict[str, Any], env_id: str) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dynamics.description import validate
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
-from dynamics.model import Model, compile_arm
+from dynamics.model import compile_arm
 from dynamics.runtime.jit import aligned_zeros
 from dynamics.runtime.numba_internals import compiled_for
 from dynamics.runtime.thread_pool import ThreadPool, in_use, useful_threads
@@ -163,12 +163,11 @@ class Core:
         )  # fmt: skip
         gauges, axes = curvature_columns(self.arm), sensed_axes(self.arm)
         self.sensing = Sensing(fitted, self.arm.n_joint, gauges, axes) if fitted else None
-        self.happening = Happening(event, axes[1:], self.arm.n_joint) if event else None
+        move = self.move_time / self.control_dt
+        self.happening = Happening(event, axes[1:], self.arm.n_joint, move) if event else None
         self.gauge_scale = np.array(curvature_scale(self.arm, gauges))
         self.curvature_limit = arguments.curvature_limit(curvature_limit, gauges)
-        self.model: Model = compile_arm(
-            self.arm, dtype=dtype, free_parameters=tuple(self.randomize)
-        )
+        self.model = compile_arm(self.arm, dtype=dtype, free_parameters=tuple(self.randomize))
         self.signals = Signals(
             self.model, self.task.moving, self.layout, self.actuation, self.sensing,
             self.happening, self.curvature_limit is not None,
@@ -227,7 +226,7 @@ class Core:
         if self.sensing:
             drawn.append(self.sensing.ranges(self.gauge_scale))
         if self.happening:
-            drawn.append(self.happening.ranges(self.move_time / self.control_dt, self._impulse))
+            drawn.append(self.happening.ranges(self._impulse / self.control_dt))
         return starts.arguments(
             self.task.ranges(self.move_time), self.arm, self.scales, self.rate_scale,
             np.concatenate(drawn), self.signals.state,

@@ -25,7 +25,7 @@ from flexarm_env.accuracy.certificates import (
     fit,
 )
 from flexarm_env.accuracy.conditions import Conditions
-from flexarm_env.compiled.actuation import Actuation
+from flexarm_env.compiled.actuation import Actuation, refuse_slopes
 from flexarm_env.hardware.actuators import load_actuators, mounted, refuse_beside_actuators
 from flexarm_env.task.events import EVENTS, met
 from flexarm_env.task.scales import (
@@ -141,6 +141,8 @@ def plan(
     )
     measured = [fitted.entry] if fitted.entry else entries(fitted.arm, control_dt)
     entry = covering(measured, conditions)
+    if event == "push":
+        refuse_slopes(integrator, "a push does")
     name, count = _step(
         fitted.arm,
         control_dt,

@@ -226,21 +226,19 @@ def response(traced: TracedArm, implicit: bool = False) -> Any:
     return ca.Function("response", [*s.inputs, forces], [ca.cse(ca.vertcat(*x))])
 
 
-def pushed(traced: TracedArm) -> Any:
-    """CasADi Function (q, parameters, impulse) -> (n,) jump of the rates, M^-1 J' p.
+def pushed(traced: TracedArm, implicit: bool = False) -> Any:
+    """CasADi Function (inputs of `accelerations`, force) -> (n,) accelerations by the force alone.
 
-    The impulse p (3,) [N s] hits the tip, along the axes of the last link at its bent tip.
+    The force (3,) [N] acts at the tip, along the axes of the last link at its bent tip.
     """
     import casadi as ca
 
-    sizes = {"q": traced.n, "v": traced.n, "p": len(traced.free_parameters), "impulse": 3}
-    q, v, parameters, impulse = (ca.SX.sym(*x) for x in sizes.items())
-    chain, x = with_parameters(traced, parameters), ca.vertsplit(q)
-    velocity = ca.vertcat(*traced.formed.tip_velocity(chain, x, ca.vertsplit(v)))
-    J = ca.jacobian(velocity, v)  # velocities are linear in the rates
-    forces = ca.mtimes(J.T, ca.mtimes(tip_axes(traced)(q, v), impulse))
-    jump = ca.vertcat(*_recursion(traced).response(chain, x, ca.vertsplit(forces), None))
-    return ca.Function("pushed", [q, parameters, impulse], [ca.cse(jump)])
+    s, force = _Motion.of(traced, implicit), ca.SX.sym("force", 3)
+    q, v = s.inputs[:2]
+    J = ca.jacobian(ca.vertcat(*traced.formed.tip_velocity(s.chain, s.q, s.v)), v)
+    forces = ca.mtimes(J.T, ca.mtimes(tip_axes(traced)(q, v), force))
+    x = _recursion(traced).response(s.chain, s.q, ca.vertsplit(forces), s.implicit)
+    return ca.Function("pushed", [*s.inputs, force], [ca.cse(ca.vertcat(*x))])
 
 
 def _recursion(traced: TracedArm) -> Recursion:

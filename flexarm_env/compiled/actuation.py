@@ -28,11 +28,11 @@ from flexarm_env.hardware.actuators import Actuator, Law
 from flexarm_env.task.scales import SAFE, scales
 
 UNLIMITED = 1e30  # [N m]
-REFUSED = "rosenbrock"  # its Jacobian would need the slopes of the actuator
+REFUSED = "rosenbrock"  # its Jacobian would need the slopes of actuators and pushes
 EXPLICIT_PART = 1.0  # largest omega h of actuators if the integrator itself has no stability limit
 
-# with actuators in place of ideal torque sources: evaluation of the accelerations, and a substep
-EVALUATION = (Call("drive"), Call("accelerations"))
+# with actuators in place of ideal torque sources: before the accelerations, and a substep
+DRIVE = (Call("drive"),)
 SUBSTEP = (Call("mark"), Call("start"), Call("step"), Call("follow"))
 
 
@@ -54,6 +54,15 @@ def command(n_torque: int, at: Mapping[str, int], torque_limit: int) -> Function
     inputs = [at["GIVEN"], at["ACTION"], torque_limit, at["ELAPSED"]]
     slots = [at[name] + k for name, x in outputs.items() for k in range(x.numel())]
     return traced("command", graph, inputs, slots)
+
+
+def refuse_slopes(integrator: str | None, givers: str) -> None:
+    """Refuse a method that needs slopes of forces beside what does not give them."""
+    if integrator == REFUSED:
+        raise ValueError(
+            f"integrator {integrator!r} needs the slopes of the forces, which {givers} not give; "
+            'leave it out or take "rk4".'
+        )
 
 
 class Actuation:
@@ -115,11 +124,7 @@ class Actuation:
         of the joints on the actuators' springs alone. Every method treats actuator forces
         explicitly.
         """
-        if integrator == REFUSED:
-            raise ValueError(
-                f"integrator {integrator!r} needs the slopes of the torque, which actuators do not "
-                'give; leave it out or take "rk4".'
-            )
+        refuse_slopes(integrator, "actuators do")
         limit = INTEGRATORS[integrator].limit
         frequency, decay = self._fastest
         if math.isfinite(limit):

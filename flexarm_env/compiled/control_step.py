@@ -1,10 +1,10 @@
 """The control step of an environment as a program: statements that a backend prints.
 
 Functions it calls: `command(w)`, `check(w)` and `report(w)` of `signals`, `place(w)` of an arm on a
-floating base, `settle(w)` and `bend(w)` of one that gravity bends, `event(w)` of an event that
-changes the arm, `mark(w)`, `drive(w)` and `follow(w)` of `actuation`; the routines "start" and
-"step" of the integrator. An environment that `check` finds lost returns to its state before the
-step and is reported there.
+floating base, `settle(w)` and `bend(w)` of one that gravity bends, `drop(w)` and `push(w)` of
+`happening`, `mark(w)`, `drive(w)` and `follow(w)` of `actuation`; the routines "start" and "step"
+of the integrator. An environment that `check` finds lost returns to its state before the step and
+is reported there.
 """
 
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ from dynamics.tracing.statements import (
     WhereLost,
 )
 from flexarm_env.compiled import rows as named
-from flexarm_env.compiled.actuation import EVALUATION, SUBSTEP
+from flexarm_env.compiled.actuation import DRIVE, SUBSTEP
 from flexarm_env.compiled.termination import FLAGS
 
 
@@ -37,7 +37,7 @@ def control_step(
     noise: int,
     driven: bool,
     bent: int,
-    event: bool,
+    event: str | None,
 ) -> ControlStep:
     """Statements of an environment.
 
@@ -48,7 +48,7 @@ def control_step(
     noise : random numbers per step.
     driven : whether actuators drive the joints, in place of ideal torque sources.
     bent : coordinates that gravity sets at the start of an episode.
-    event : whether an event changes the arm.
+    event : name of an event.
     """
     first = {name: rows.start for name, rows in state.slices.items()}
     behind = {name: rows.stop for name, rows in state.slices.items()}
@@ -74,7 +74,7 @@ def control_step(
 
     random = Noise("NOISE", noise, "DRAWN", "ELAPSED")
     state_loads = (Load("Q", motion), Load("ACTION", memory))
-    parameters, happening = Load("PARAMETERS", free), (Call("event"),) if event else ()
+    parameters, drop = Load("PARAMETERS", free), (event == "drop") * (Call("drop"),)
     placed = anchor.count or bent  # the parameters place the arm at its start
     bend = (Clear("REST", bent), *SETTLING * (Call("settle"),), Call("bend"),
             Store("Q", motion), Store("ELAPSED", elapsed))  # fmt: skip
@@ -83,7 +83,7 @@ def control_step(
         *state_loads,
         *((parameters,) if placed else ()),
         Load("DRAWN", drawn),
-        *(happening if placed else ()),
+        *(drop if placed else ()),
         *(bend if bent else ()),
         Copy("ACTION", "BEFORE", actions),
         Clear("LOST"),
@@ -106,7 +106,7 @@ def control_step(
         Load("GIVEN", actions),
         Call("command"),
         random,
-        *happening,
+        *drop,
         *substeps,
         Call("report"),
         Prefetch(moving, next=True),
@@ -123,7 +123,8 @@ def control_step(
         Store("ACTION", kept),
         *results,
     )
-    routines: dict[str, Statements] = {"evaluate": EVALUATION} if driven else {}
+    evaluation = (*driven * DRIVE, Call("accelerations"), *(event == "push") * (Call("push"),))
+    routines: dict[str, Statements] = {"evaluate": evaluation} if len(evaluation) > 1 else {}
     return ControlStep(step=tuple(_present(step)), start=tuple(_present(start)), routines=routines)
 
 

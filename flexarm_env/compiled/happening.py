@@ -13,7 +13,7 @@ from dynamics.model import Model
 from dynamics.tracing import graphs
 from dynamics.tracing.function import Function, traced
 from dynamics.types import Array, Symbols
-from flexarm_env.task.events import EVENTS, PAYLOAD, TIME
+from flexarm_env.task.events import EVENTS, PAYLOAD, PUSHED, TIME
 from flexarm_env.task.scales import EXTENT, home_posture
 
 
@@ -25,32 +25,32 @@ class Happening:
     name : of an event in `task.events.EVENTS`.
     axes : axes of the tip along which a push acts.
     n_joint : joints whose targets jump.
+    move : [control steps] move time.
 
     Attributes
     ----------
     drawn : rows of the state that are drawn at a reset, with their sizes.
-    changing : whether `event(w)` changes a rate or a parameter of the arm.
     """
 
-    def __init__(self, name: str, axes: tuple[int, ...], n_joint: int) -> None:
-        self.name, self._axes = name, axes
+    def __init__(self, name: str, axes: tuple[int, ...], n_joint: int, move: float) -> None:
+        self.name, self._axes, self._move = name, axes, move
+        self._pulse = max(1, round(PUSHED * move))  # [control steps]
         self._n = {"drop": 0, "jump": n_joint, "push": len(axes)}[name]
         self.drawn = {"event_time": 1, "event_size": self._n, "event_sign": self._n}
-        self.changing = name != "jump"
 
     @property
     def key(self) -> str:
         """Cache key: the properties on which the compiled functions depend."""
-        return f"event {self.name} {self._axes}"
+        return f"event {self.name} {self._axes} {self._pulse}"
 
-    def ranges(self, move: float, impulse: float) -> Array:
-        """(n_drawn, 2) ranges of the drawn rows.
+    def ranges(self, force: float) -> Array:
+        """(n_drawn, 2) ranges of the drawn rows: [control steps], [rad] or [N], [-].
 
-        `move` [control steps] is the move time, `impulse` [N s] the scale of a push.
+        `force` [N] has the scale of a push as its impulse within a control step.
         """
-        unit = impulse if self.name == "push" else 1.0
+        unit = force / self._pulse if self.name == "push" else 1.0
         size = np.array(EVENTS[self.name].size) * unit
-        return np.array([np.array(TIME) * move, *self._n * [size], *self._n * [(-1.0, 1.0)]])
+        return np.array([np.array(TIME) * self._move, *self._n * [size], *self._n * [(-1.0, 1.0)]])
 
     def happened(self, s: Symbols) -> Any:
         """Whether the event has happened."""
@@ -68,13 +68,14 @@ class Happening:
         return s["centre"] + self.happened(s) * inside * jump
 
     def functions(self, model: Model, at: Mapping[str, int], first: int) -> list[Function]:
-        """`event(w)` of an event that changes the arm; `first` is the slot of its drawn rows."""
+        """`drop(w)` or `push(w)`; `first` is the slot of the drawn rows."""
         if self.name == "drop":
             slot = at["PARAMETERS"] + model.free_parameters.index(PAYLOAD)
-            return [traced("event", self._drop(), [first, at["ELAPSED"], slot], slot)]
+            return [traced("drop", self._drop(), [first, at["ELAPSED"], slot], slot)]
         if self.name == "push":
-            inputs = [first, *(at[name] for name in ("ELAPSED", "Q", "V", "PARAMETERS"))]
-            return [traced("event", self._push(model), inputs, at["V"])]
+            names = ("ELAPSED", "Q", "V", "TAU", "PARAMETERS", "IMPLICIT", "ACC")
+            graph = self._push(model, implicit=at["ACC"] > at["IMPLICIT"])
+            return [traced("push", graph, [first, *(at[name] for name in names)], at["ACC"])]
         return []
 
     def _drop(self) -> Any:
@@ -84,19 +85,20 @@ class Happening:
         time, elapsed, carried = map(ca.SX.sym, ("event_time", "elapsed", "payload"))
         return ca.Function("drop", [time, elapsed, carried], [carried * (elapsed <= time)])
 
-    def _push(self, model: Model) -> Any:
-        """CasADi Function (drawn, elapsed, q, v, parameters) -> rates after a push."""
+    def _push(self, model: Model, implicit: bool) -> Any:
+        """CasADi Function (drawn, elapsed, inputs of `accelerations`, a) -> a with the push."""
         import casadi as ca
 
-        sizes = {"drawn": 1 + 2 * self._n, "elapsed": 1, "q": model.n, "v": model.n,
-                 "parameters": len(model.free_parameters)}  # fmt: skip
-        symbols = drawn, elapsed, q, v, parameters = [ca.SX.sym(*x) for x in sizes.items()]
+        pushed = graphs.pushed(model.traced, implicit)
+        *inputs, _ = pushed.sx_in()
+        drawn, elapsed = ca.SX.sym("drawn", 1 + 2 * self._n), ca.SX.sym("elapsed")
+        a = ca.SX.sym("a", model.n)
         time, size, sign = ca.vertsplit(drawn, [0, 1, 1 + self._n, 1 + 2 * self._n])
-        impulse = ca.SX(3, 1)
-        impulse[list(self._axes)] = _signed(size, sign)
-        change = graphs.pushed(model.traced)(q, parameters, impulse)
-        now = (time < elapsed) * (elapsed - 1.0 <= time)
-        return ca.Function("push", symbols, [ca.cse(v + now * change)])
+        force = ca.SX(3, 1)
+        force[list(self._axes)] = _signed(size, sign)
+        now = (time < elapsed) * (elapsed - self._pulse <= time)
+        result = a + now * pushed(*inputs, force)
+        return ca.Function("push", [drawn, elapsed, *inputs, a], [ca.cse(result)])
 
 
 def _signed(size: Any, sign: Any) -> Any:

@@ -132,7 +132,7 @@ class Signals:
                 self.noise,
                 driven=self.actuation is not None,
                 bent=len(self.bent),
-                event=bool(self.happening and self.happening.changing),
+                event=self.happening.name if self.happening else None,
             ),
         )
 

@@ -25,7 +25,8 @@ from flexarm_env.core import Core
 from flexarm_env.hardware.sensors import PRESETS
 from flexarm_env.interfaces.env import FlexArmEnv
 from flexarm_env.pages.text import COMMON, HARDWARE, INFO, KEYWORDS, PRESENT, TERMINOLOGY
-from flexarm_env.registration import IDS
+from flexarm_env.registration import IDS, is_harder, without_variant
+from flexarm_env.task.events import EVENTS, TIME
 from flexarm_env.task.observations import BOUND, GOALS, MODES, Part, observation_layout
 from flexarm_env.task.rewards import REWARDS, TERMS
 from flexarm_env.task.scales import DEFLECTION_LIMIT, SLOPE_PER_DEFLECTION, scales
@@ -45,6 +46,9 @@ def common_page() -> str:
         lost=LOST,
         info=_table(("key", "unit", "meaning"), _code_first(INFO)),
         keywords=_table(("keyword", "default", "meaning"), _code_first(KEYWORDS)),
+        events=_table(("event", "meaning"), _code_first((k, x.text) for k, x in EVENTS.items())),
+        earliest=TIME[0],
+        latest=TIME[1],
         hardware=_table(("field", "laboratory", "meaning"), _hardware()),
         certificate=_table(("error", "of"), _code_first(CERTIFICATE)),
         tip_error=TIP_ERROR,
@@ -75,6 +79,7 @@ def page(env_id: str) -> str:
         "[Environments](README.md) defines the terms, actions, info, episode ends and keywords.",
         _facts(core, IDS[env_id]),
         f"**Start.** {core.task.start_text}{_floating(core)}",
+        *_event(core),
         f"**Reward.** {reward}",
         *(
             f'## Observations with `obs="{kind}"`\n\n' + _elements(env_id, kind)
@@ -135,8 +140,8 @@ def _reward_terms() -> list[Sequence[str]]:
 
 
 def _film(env_id: str) -> str:
-    """Film of a good controller; ids with goals have the arm and the task of the id without."""
-    plain = env_id.replace("Goal", "")
+    """Film of a good controller; see `filmed`."""
+    plain = filmed(env_id)
     return (
         f"![One episode of {plain}](films/{film_name(plain)})\n\n"
         "One episode under the best controller of the [ranking](../leaderboard.md) on exact "
@@ -207,6 +212,18 @@ def _floating(core: Core) -> str:
     )
 
 
+def _event(core: Core) -> list[str]:
+    """What happens in mid-episode, and what costs."""
+    found = []
+    if core.happening:
+        text, (first, last) = EVENTS[core.happening.name].text, core.move_time * np.array(TIME)
+        found.append(f"**Event.** {text}. Time: {first:.2f} to {last:.2f} s after the start.")
+    if core.curvature_limit is not None:
+        limits = _numbers(core.curvature_limit * core.gauge_scale)
+        found.append(f'**Cost.** `info["cost"]`, with a limit of {limits} 1/m.')
+    return found
+
+
 def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
@@ -245,6 +262,11 @@ def file_name(env_id: str) -> str:
     """File name of an id's page, such as one-link-reach-v0.md."""
     scene, rest = env_id.split("/")[1].split("-", 1)
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", scene).lower() + f"-{rest.lower()}.md"
+
+
+def filmed(env_id: str) -> str:
+    """Id whose film is shown: of goals, events and costs that of the arm and the task alone."""
+    return without_variant(env_id) if "Goal" in env_id or is_harder(env_id) else env_id
 
 
 def film_name(env_id: str) -> str:

@@ -81,6 +81,24 @@ restarts in the next step (`"NextStep"`, the default), in the same step (`"SameS
 All random numbers come from streams of the environments' own. `reset(seed=...)` seeds them, and so
 does a generator that is assigned, `env.np_random = generator`, at once.
 
+## Events and cost
+
+With `event` something happens once in an episode, at the start of a control step. Its time is drawn
+uniformly from {earliest:g} to {latest:g} move times after the start of the episode, its sizes and
+signs with it, all from the environment's own stream. No observation shows it ahead, and none shows
+the payload: a policy sees what the motion shows, and where the target is now. `info["event"]` is 1
+from the step of the event on. `event` goes with every task, arm and hardware, but a jump needs a
+fixed base. Derivatives take an event as it was drawn.
+
+{events}
+
+`curvature_limit` c gives `info["cost"]`, for learners with constraints: per control step, at its
+end, max(0, max_g |kappa_g| / (c kappa_g,10 %) - 1). Here kappa_g is the true curvature at strain
+gauge g, and kappa_g,10 % that under a tip force that deflects the link by 10 % of its length. The
+strain of a section is its curvature times the distance from the neutral axis. The reward does not
+hold the cost. On OneLink-ReachStrain `lqr` exceeds the limit of 0.4 and `pd-zvd` does not:
+[harder tasks](../results/harder.md).
+
 ## Floating base
 
 The base of an arm with `base: {{"type": "planar"}}` floats in the plane of the motion and turns.
@@ -295,6 +313,8 @@ INFO = (
         "N m s",
         "of all bodies about the world's origin along z, on a floating base only",
     ),
+    ("event", "-", "1 once the event has happened, else 0; with `event` only"),
+    ("cost", "-", "excess of curvature, see above; with `curvature_limit` only"),
     ("reward_terms", "-", "dict of all reward terms"),
     ("settled", "-", "whether the tip error is in the settled band"),
     ("invalid", "-", "whether a link bends beyond its limit, see above"),
@@ -327,6 +347,8 @@ KEYWORDS = (
     ("hardware", '"ideal"',
      'sensors and spread of the plant: "ideal", "laboratory" or a dict, which may add an '
      "accelerometer"),
+    ("event", "the id's", '"drop", "jump" or "push", see above; None: nothing happens'),
+    ("curvature_limit", "the id's", "[-] limit of `info[\"cost\"]`, see above; None: no cost"),
     ("deflection_limit", str(DEFLECTION_LIMIT), "[-] deflection over length that ends an episode"),
     ("max_episode_steps", "the id's",
      "control steps after which an episode is truncated; None: the id's; -1: no limit"),

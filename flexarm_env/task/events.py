@@ -13,6 +13,7 @@ from dynamics.description.arm import Arm
 Range = tuple[float, float]
 PAYLOAD = "payload_mass"
 TIME: Range = (0.5, 2.5)  # [move times] since the start of the episode
+PUSHED = 0.1  # [move times] duration of a push
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +43,10 @@ EVENTS = {
     ),
     "push": Event(
         text=(
-            "An impulse hits the tip across the last link, either way: rates jump by M^-1 J' p. "
-            f"Size: {_PUSH[0]:g} to {_PUSH[1]:g} of the impulse that gives the arm, as a rigid "
-            "body about its first joint, the rate scale"
+            "A constant force pushes the tip across the bent last link, either way, for "
+            f"{PUSHED:g} move times, in whole control steps. Impulse: {_PUSH[0]:g} to "
+            f"{_PUSH[1]:g} of that which gives the arm, as a rigid body about its first joint, "
+            "the rate scale"
         ),
         size=_PUSH,
     ),

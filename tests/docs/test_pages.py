@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from agents.films import FILMED
 from dynamics import Body, Joint, Link, Mode, Payload, Section
 from dynamics.description.arm import Base
 from dynamics.description.arm_file import ARM_KEYS, CASE_KEYS
 from dynamics.description.denavit_hartenberg import Row
-from flexarm_env import IDS
 from flexarm_env.pages.environments import film_name
 from tests.paths import ROOT
 
@@ -97,7 +97,7 @@ def test_ignored_keys_are_named() -> None:
     assert [key for key in CASE_KEYS if f"`{key}`" not in text] == []
 
 
-@pytest.mark.parametrize("env_id", [env_id for env_id in IDS if "Goal" not in env_id])
+@pytest.mark.parametrize("env_id", FILMED)
 def test_a_film_of_every_id_moves_and_is_small(env_id: str) -> None:
     """If not: python -m agents.films"""
     path = DOCS / "envs" / "films" / film_name(env_id)

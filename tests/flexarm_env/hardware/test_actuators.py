@@ -317,7 +317,7 @@ def test_every_joint_may_have_its_own_actuator() -> None:
         ({"actuator": [5]}, "An actuator must be a name or a dict, got 5"),
         ({"actuator": SERVO, "torque_limit": 1.0}, r"torque_limit \(1.0\) is for ideal torque"),
         ({"actuator": SERVO, "tolerance": 1e-3}, r"tolerance \(0.001\) is for ideal torque"),
-        ({"actuator": SERVO, "integrator": "rosenbrock"}, "needs the slopes of the torque"),
+        ({"actuator": SERVO, "integrator": "rosenbrock"}, "needs the slopes of the forces"),
     ],
 )
 def test_bad_actuators_get_a_sentence(keywords: dict[str, Any], sentence: str) -> None:
