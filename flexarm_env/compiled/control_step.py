@@ -27,6 +27,7 @@ from dynamics.tracing.statements import (
 )
 from flexarm_env.compiled import rows as named
 from flexarm_env.compiled.actuation import DRIVE, SUBSTEP
+from flexarm_env.compiled.happening import CARRIED
 from flexarm_env.compiled.termination import FLAGS
 
 
@@ -74,7 +75,8 @@ def control_step(
 
     random = Noise("NOISE", noise, "DRAWN", "ELAPSED")
     state_loads = (Load("Q", motion), Load("ACTION", memory))
-    parameters, drop = Load("PARAMETERS", free), (event == "drop") * (Call("drop"),)
+    parameters = Load(CARRIED if event == "drop" else "PARAMETERS", free)
+    drop = (event == "drop") * (Call("drop"),)
     placed = anchor.count or bent  # the parameters place the arm at its start
     bend = (Clear("REST", bent), *SETTLING * (Call("settle"),), Call("bend"),
             Store("Q", motion), Store("ELAPSED", elapsed))  # fmt: skip

@@ -16,6 +16,8 @@ from dynamics.types import Array, Symbols
 from flexarm_env.task.events import EVENTS, PAYLOAD, PUSHED, TIME
 from flexarm_env.task.scales import EXTENT, home_posture
 
+CARRIED = "CARRIED"  # slots of the drawn parameters, where a payload is dropped
+
 
 class Happening:
     """The event of an environment.
@@ -70,20 +72,23 @@ class Happening:
     def functions(self, model: Model, at: Mapping[str, int], first: int) -> list[Function]:
         """`drop(w)` or `push(w)`; `first` is the slot of the drawn rows."""
         if self.name == "drop":
-            slot = at["PARAMETERS"] + model.free_parameters.index(PAYLOAD)
-            return [traced("drop", self._drop(), [first, at["ELAPSED"], slot], slot)]
+            inputs = [first, at["ELAPSED"], at[CARRIED]]
+            return [traced("drop", self._drop(model), inputs, at["PARAMETERS"])]
         if self.name == "push":
             names = ("ELAPSED", "Q", "V", "TAU", "PARAMETERS", "IMPLICIT", "ACC")
             graph = self._push(model, implicit=at["ACC"] > at["IMPLICIT"])
             return [traced("push", graph, [first, *(at[name] for name in names)], at["ACC"])]
         return []
 
-    def _drop(self) -> Any:
-        """CasADi Function (time, elapsed, payload) -> payload."""
+    def _drop(self, model: Model) -> Any:
+        """CasADi Function (time, elapsed, drawn parameters) -> parameters."""
         import casadi as ca
 
-        time, elapsed, carried = map(ca.SX.sym, ("event_time", "elapsed", "payload"))
-        return ca.Function("drop", [time, elapsed, carried], [carried * (elapsed <= time)])
+        time, elapsed = ca.SX.sym("event_time"), ca.SX.sym("elapsed")
+        drawn = ca.SX.sym("drawn", len(model.free_parameters))
+        present = ca.SX(drawn)
+        present[model.free_parameters.index(PAYLOAD)] *= elapsed <= time
+        return ca.Function("drop", [time, elapsed, drawn], [present])
 
     def _push(self, model: Model, implicit: bool) -> Any:
         """CasADi Function (drawn, elapsed, inputs of `accelerations`, a) -> a with the push."""

@@ -26,8 +26,6 @@ from flexarm_env.compiled.actuation import Actuation
 from flexarm_env.compiled.episode import MOVES, SHAKE, SHARE, START, STRAIGHT, TEMPO, WAVES
 from flexarm_env.compiled.signals import Signals
 
-_STATE = {"Q": "STATE", "ACTION": "MEMORY", "PARAMETERS": "FREE", "DRAWN": "DRAWN"}  # slots: rows
-
 
 def restarting(signals: Signals, start: tuple[Any, ...]) -> Addition:
     """The addition of an environment whose step starts new episodes where one has ended.
@@ -63,9 +61,7 @@ def restarting(signals: Signals, start: tuple[Any, ...]) -> Addition:
 def _restart(entry: ControlStep) -> Iterator[Statement]:
     """Begin, store the whole state, then report it as at a start; flags and info stay."""
     yield Call("begin")
-    for slots, name in _STATE.items():
-        if name in entry.rows:
-            yield Store(slots, entry.rows[name])
+    yield from (Store(load.slots, load.rows) for load in _loads(entry))
     for statement in entry.start:
         shown = isinstance(statement, Store) and statement.rows.array in ("flags", "info")
         if not isinstance(statement, Load) and not shown:
@@ -74,8 +70,12 @@ def _restart(entry: ControlStep) -> Iterator[Statement]:
 
 def _slots(at: Mapping[str, int], entry: ControlStep) -> list[int]:
     """Slot of every row of the state."""
-    rows = [(at[slots], entry.rows[name]) for slots, name in _STATE.items() if name in entry.rows]
-    return [first + k for first, group in rows for k in range(group.count)]
+    return [at[load.slots] + k for load in _loads(entry) for k in range(load.rows.count)]
+
+
+def _loads(entry: ControlStep) -> list[Load]:
+    """Loads of the step, which reads the whole state in the order of its rows."""
+    return [x for x in entry.step if isinstance(x, Load) and x.rows.array == "state"]
 
 
 def first_state(signals: Signals, start: tuple[Any, ...]) -> tuple[Any, int]:

@@ -24,7 +24,7 @@ class Event:
     size: Range  # drawn uniformly
 
 
-_SHARE, _JUMP, _PUSH = (0.25, 0.5), (0.3, 0.8), (0.2, 0.4)
+_SHARE, _JUMP, _PUSH = (0.25, 0.5), (0.3, 0.8), (0.3, 0.6)
 EVENTS = {
     "drop": Event(
         text=(

@@ -20,6 +20,9 @@ CASES: dict[str, dict[str, Any]] = {
     **{f"slim-{task}": {"arm": "slim", "task": task} for task in TASKS},
     "slim-randomized": {"arm": "slim", "task": "Reach", "randomize": {"stiffness": (0.8, 1.2)}},
     "slim-sensors": {"arm": "slim", "task": "Damp", "hardware": FINE},
+    "slim-push": {"arm": "slim", "task": "Reach", "event": "push"},
+    "slim-drop": {"arm": "slim", "task": "Track", "event": "drop", "curvature_limit": 0.01},
+    "two-link-jump": {"arm": "two-link", "task": "Reach", "event": "jump"},
     "two-link-Reach": {"arm": "two-link", "task": "Reach"},
     "two-link-Damp": {"arm": "two-link", "task": "Damp"},
     "two-link-hydraulic": {"arm": "two-link", "task": "Reach", "actuator": "ralf-1"},
@@ -45,6 +48,8 @@ def moving(request: pytest.FixtureRequest) -> Core:
     for row in range(N):
         core.seed(row, np.random.default_rng(row))
     core.reset(np.arange(N))
+    if core.happening:
+        core.state[core.signals.state.slices["event_time"], :N] = 6.0
     rng = np.random.default_rng(0)
     for _ in range(6):
         core.step(rng.uniform(-0.6, 0.6, (N, core.arm.n_torque)).astype(np.float32))

@@ -13,7 +13,8 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "plain": ("OneLink-Reach", {}),
     "laboratory": ("OneLink-Reach", {"hardware": "laboratory"}),
     "actuators": ("OneLink-Track", {"actuator": "quanser-servo"}),
-    "free base": ("FreeFlyer-Reach", {"randomize": {"payload_mass": (0.0, 0.1)}}),
+    "push": ("OneLink-ReachPush", {}),
+    "free base": ("FreeFlyer-Reach", {"randomize": {"payload_mass": (0.0, 0.1)}, "event": "drop"}),
 }
 
 

@@ -27,6 +27,10 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "actuator": ("OneLink-Track", {"actuator": "quanser-servo"}),
     "vibration": ("TwoLink-Damp", {"randomize": {"payload_mass": (0.0, 0.1)}}),
     "gravity": ("OneLink-Reach", {"arm": SAGGING, "randomize": {"stiffness": (0.8, 1.2)}}),
+    # a longer control step brings events into short episodes
+    "push": ("OneLink-ReachPush", {"hardware": "laboratory", "control_dt": 0.05}),
+    "drop": ("FreeFlyer-Reach", {"event": "drop", "control_dt": 0.2}),
+    "jump": ("TwoLink-ReachJump", {"control_dt": 0.2, "curvature_limit": 0.1}),
     "goal": ("TwoLink-ReachGoal", {}),
     "free base": ("FreeFlyer-Reach", {"hardware": "laboratory"}),
 }

@@ -15,6 +15,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "plain": ("OneLink-Reach", {}),
     "laboratory": ("OneLink-Reach", {"hardware": "laboratory", "dtype": "float32"}),
     "goals": ("TwoLink-Reach", {"obs": "goal"}),
+    "drop": ("OneLink-TrackDrop", {"control_dt": 0.05}),
     "free base": ("FreeFlyer-Reach", {"randomize": {"payload_mass": (0.0, 0.1)}}),
 }
 
