@@ -11,7 +11,7 @@ from typing import Any
 
 from agents.controllers import CONTROLLERS
 from agents.files import atomic_write
-from agents.leaderboard.tracks import TRACKS
+from agents.leaderboard.tracks import TRACKS, designed_for
 
 STORE = Path(__file__).with_name("tuned.json")
 
@@ -24,20 +24,26 @@ def tuned() -> dict[str, Any]:
 
 def is_tuned(name: str, env_id: str, track: str) -> bool:
     """True if a controller has nothing to tune, or its parameters are stored."""
-    stored = tuned().get(env_id, {}).get(TRACKS[track].design, {})
+    stored = _stored(env_id, track)
     return not CONTROLLERS[name].ranges or name in stored
 
 
 def parameters_of(name: str, env_id: str, track: str) -> dict[str, float]:
     """Stored parameters of a controller; a ValueError if it was not tuned there."""
-    found = tuned().get(env_id, {}).get(TRACKS[track].design, {}).get(name)
+    found = _stored(env_id, track).get(name)
     if found is None:
         raise ValueError(
             f"{name} was not tuned for {env_id} on the track {track!r}; run python -m agents.tune "
-            f"--tasks {env_id} --controllers {name}."
+            f"--tasks {designed_for(env_id)} --controllers {name}."
         )
     result: dict[str, float] = found["parameters"]
     return result
+
+
+def _stored(env_id: str, track: str) -> Mapping[str, Any]:
+    """Results of the conditions for which controllers are designed, by name."""
+    found: Mapping[str, Any] = tuned().get(designed_for(env_id), {})
+    return found.get(TRACKS[track].design, {})
 
 
 def read(path: Path) -> dict[str, Any]:

@@ -41,9 +41,14 @@ def column(name: str, x: Figures) -> str:
 def blocks() -> dict[str, str]:
     """Text of every block by its name."""
     stored = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
-    tables = {track: standings(stored, track) for track in TRACKS}
+    tables = {track: standings(stored, track) for track in entered(stored)}
     texts = {"leaders": leaders(stored), "gains": gains(stored), "searched": searched(tuned())}
     return tables | texts
+
+
+def entered(stored: Tables) -> list[str]:
+    """Tracks that were ranked."""
+    return [track for track in TRACKS if all(track in tracks for tracks in stored.values())]
 
 
 def standings(stored: Tables, track: str) -> str:
@@ -86,7 +91,7 @@ def missed(success: float) -> str:
 def leaders(stored: Tables) -> str:
     """Tasks in which each kind leads, and what learned control gains on classical, by track."""
     lines = []
-    for track in TRACKS:
+    for track in entered(stored):
         found = {short(env_id): ranked(tracks[track]) for env_id, tracks in stored.items()}
         best = {task: best_of_each(controllers) for task, controllers in found.items()}
         leads = {

@@ -38,7 +38,7 @@ from agents.leaderboard.statistics import (
     rounded,
     spectrum,
 )
-from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
+from agents.leaderboard.tracks import HARDER, RANKED, TRACKS, keywords, takes_part
 from agents.leaderboard.users import UsersControllerError, users_controller
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
@@ -132,12 +132,14 @@ def ranked(
 def names(wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool) -> list[str]:
     """Controllers that act on a task and track, all or those that are wanted.
 
-    The yardstick is among them where bounds are known.
+    The yardstick is among them where bounds are known. Where no controller was tuned, only those
+    that are wanted act.
     """
     classical = [name for name in CONTROLLERS if takes_part(name, env_id, track)]
     others = [*shipped(env_id, TRACKS[track].design), *[YARDSTICK] * bounded]
     if wanted is None:
-        return [*(name for name in classical if is_tuned(name, env_id, track)), *others]
+        ready = [name for name in classical if is_tuned(name, env_id, track)]
+        return [*ready, *others] if any(CONTROLLERS[name].ranges for name in ready) else others
     return [name for name in wanted if ":" in name or name in (*classical, *others)]
 
 
@@ -253,7 +255,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog, description="Rank controllers on tasks and tracks, on the same test episodes."
     )
-    parser.add_argument("--tasks", nargs="+", default=list(RANKED), metavar="ID")
+    parser.add_argument("--tasks", nargs="+", default=list(RANKED), metavar="ID",
+                        help=f"default: all but {', '.join(HARDER)}")  # fmt: skip
     parser.add_argument("--tracks", nargs="+", default=list(TRACKS), metavar="TRACK")
     parser.add_argument(
         "--controllers", nargs="+", metavar="NAME",
@@ -324,7 +327,7 @@ def _works(name: str, env_id: str, track: str, failures: Failures) -> bool:
 def _check(options: argparse.Namespace) -> list[tuple[str, str, str]]:
     """Controllers, tasks and tracks of a ranking; a ValueError if one of them cannot be."""
     for env_id in options.tasks:
-        validate.known(env_id, "task", RANKED)
+        validate.known(env_id, "task", (*RANKED, *HARDER))
     for track in options.tracks:
         validate.known(track, "track", TRACKS)
     shipped_names = {

@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from agents.leaderboard.tracks import designed_for
 from agents.policy import Policy, load_policy, save_policy
 
 FOLDER = Path(__file__).parents[1] / "policies"
@@ -44,6 +45,6 @@ def ship(policy: Policy, env_id: str, track: str) -> None:
 def shipped(env_id: str, track: str) -> dict[str, list[Policy]]:
     """Policies of a task and track: one per training seed, by name."""
     found: dict[str, list[Policy]] = {}
-    for folder in sorted(place(env_id, track).glob("*/seed*")):
+    for folder in sorted(place(designed_for(env_id), track).glob("*/seed*")):
         found.setdefault(folder.parent.name, []).append(load_policy(folder))
     return found

@@ -6,10 +6,16 @@ from typing import Any
 
 from agents.controllers import CONTROLLERS
 from flexarm_env import IDS
+from flexarm_env.registration import is_harder, without_variant
 
 # a floating arm holds its tip on the target in many postures, of which the classical controllers
 # know one
-RANKED = tuple(env_id for env_id in IDS if "Goal" not in env_id and "FreeFlyer" not in env_id)
+RANKED = tuple(
+    env_id
+    for env_id in IDS
+    if "Goal" not in env_id and "FreeFlyer" not in env_id and not is_harder(env_id)
+)
+HARDER = tuple(filter(is_harder, IDS))  # with events or a cost: ranked apart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +48,22 @@ TRACKS = {
         },
         obs=("sensors",), design="laboratory",
     ),
+    "wide": Track(
+        text=(
+            "sensors of `laboratory`, and plants so different that one fixed controller fits none: "
+            "payload 0 to 200 % of the last link with its tip, stiffness 60 to 140 %"
+        ),
+        kwargs={
+            "hardware": {"preset": "laboratory", "payload": (0.0, 2.0), "stiffness": (0.6, 1.4)}
+        },
+        obs=("sensors",), design="wide",
+    ),
 }  # fmt: skip
+
+
+def designed_for(env_id: str) -> str:
+    """Id for which controllers are tuned and trained: of an event or a cost the id without it."""
+    return without_variant(env_id) if is_harder(env_id) else env_id
 
 
 def keywords(name: str, track: str) -> dict[str, Any]:
