@@ -117,6 +117,25 @@ def test_numbers_of_a_critic_are_those_of_the_state() -> None:
     assert 0.0 <= drawn.min() <= drawn.max() <= 1.0
 
 
+def test_a_critic_knows_the_event() -> None:
+    """Whether it has happened, its time over its range, and its signed sizes over the largest."""
+    envs = TorchVecEnv("FlexArm/TwoLink-ReachJump-v0", 32, control_dt=0.2, max_episode_steps=30)
+    envs.reset(seed=0)
+    before = envs.core.joint_target()
+    for _ in range(15):
+        info = envs.step(torch.zeros(32, 2))[-1]
+    found = envs.privileged()[:, envs.privileged_slices["event"]].numpy()
+    jump = envs.core.joint_target() - before
+    happened = (jump != 0.0).all(axis=1)
+    assert 0 < happened.sum() < 32
+    np.testing.assert_array_equal(found[:, 0], happened)
+    np.testing.assert_array_equal(found[:, 0], info["event"])
+    now = 15.0 * 0.2 / envs.core.move_time - 1.5  # of the range, 0.5 to 2.5 move times
+    np.testing.assert_array_equal(found[:, 1] < now, happened)
+    assert np.abs(found[:, 1:]).max() <= 1.0
+    np.testing.assert_allclose(np.abs(found[happened, 2:]), np.abs(jump[happened]) / 0.8, rtol=1e-6)
+
+
 def test_a_critic_follows_changed_ranges() -> None:
     envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", 8, randomize={"payload_mass": (0.0, 0.1)})
     envs.reset(seed=1)
