@@ -35,7 +35,7 @@ from flexarm_env.certify.search import (
     sufficient_steps,
     timed,
 )
-from flexarm_env.registration import AGILE, IDS, SCENES, registered
+from flexarm_env.registration import AGILE, HARDER, IDS, SCENES, registered
 from flexarm_env.task.scales import scales
 
 PERIOD_SHARE = 0.15  # [-] control step over the first joint-free period of an own arm
@@ -62,7 +62,9 @@ def default_control_dt(arm: Arm) -> float:
 def conditions(scene: str) -> list[dict[str, Any]]:
     """Keywords under which a registered scene is measured."""
     agile = [{"torque_limit": list(AGILE[scene])}] if scene in AGILE else []
-    return [{}, *agile, {"hardware": "laboratory"}]
+    pushed = {"event": "push"}
+    met = [pushed] if any(x[0] == scene and HARDER[x] == pushed for x in HARDER) else []
+    return [{}, *agile, {"hardware": "laboratory"}, *met]
 
 
 def entry(

@@ -55,7 +55,7 @@ class Happening:
         return np.array([np.array(TIME) * self._move, *self._n * [size], *self._n * [(-1.0, 1.0)]])
 
     def happened(self, s: Symbols) -> Any:
-        """Whether the event has happened."""
+        """1 once the event has happened, else 0."""
         return s["event_time"] < s["elapsed"]
 
     def centre(self, s: Symbols) -> Any:

@@ -310,7 +310,7 @@ class Signals:
         return {"linear_momentum": p[:2], "angular_momentum": p[2]}
 
     def _marks(self, s: Symbols, curvature: Any) -> dict[str, Any]:
-        """Whether the event has happened, and the cost of curvature."""
+        """Marks in info: the event has happened, and the cost of curvature."""
         marks = {"event": self.happening.happened(s)} if self.happening else {}
         return marks | ({"cost": cost(s, curvature[list(self.gauges)])} if self.limited else {})
 

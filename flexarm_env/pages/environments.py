@@ -213,7 +213,7 @@ def _floating(core: Core) -> str:
 
 
 def _event(core: Core) -> list[str]:
-    """What happens in mid-episode, and what costs."""
+    """Sentences on the event and the cost."""
     found = []
     if core.happening:
         text, (first, last) = EVENTS[core.happening.name].text, core.move_time * np.array(TIME)

@@ -95,7 +95,7 @@ class Privileged:
         }
 
     def _happened(self, state: torch.Tensor) -> torch.Tensor:
-        """Whether the event has happened, its time, and its signed sizes over the largest."""
+        """Rows of the event: if it has happened, its time, its signed sizes over the largest."""
         rows = self._core.happening.drawn if self._core.happening else {}
         time, size, sign = (state[self._rows[name]] for name in rows)
         first, *others = torch.from_numpy(self._core.starts[7][-sum(rows.values()) :]).to(state)

@@ -118,7 +118,7 @@ def test_numbers_of_a_critic_are_those_of_the_state() -> None:
 
 
 def test_a_critic_knows_the_event() -> None:
-    """Whether it has happened, its time over its range, and its signed sizes over the largest."""
+    """If it has happened, its time over its range, and its signed sizes over the largest."""
     envs = TorchVecEnv("FlexArm/TwoLink-ReachJump-v0", 32, control_dt=0.2, max_episode_steps=30)
     envs.reset(seed=0)
     before = envs.core.joint_target()
