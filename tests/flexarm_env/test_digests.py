@@ -40,6 +40,7 @@ TAKEN = {  # steps per control step, which measuring on another machine must not
     },
     "OneLink-ReachAgile": {"default": ("exponential-4", 1), "laboratory": ("exponential-4", 2)},
     "TwoLink-ReachAgile": {"default": ("numerov", 3), "laboratory": ("numerov", 2)},
+    "OneLink-TrackDrop": dict.fromkeys(("default", "laboratory"), ("exponential-4", 2)),
     "FreeFlyer": {"default": ("numerov", 6), "laboratory": ("extrapolated-midpoint", 7)},
 }
 STARTS = {"settled": 0.0, "broken": 0.25}  # deflection of the first link over its length
