@@ -1,5 +1,6 @@
 """Events in mid-episode against computations of their own: SciPy, finite differences, balances."""
 
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -184,3 +185,16 @@ def test_the_cost_is_the_excess_of_curvature() -> None:
 def test_bad_events_and_limits_get_a_sentence(keywords: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         Core(**({"task": "Reach", "arm": "slim", "control_dt": 0.02} | keywords))
+
+
+def test_a_payload_bends_the_arm_under_gravity_until_it_is_dropped() -> None:
+    """At the start by the equilibrium of the arm with the payload."""
+    arm = replace(ARMS["slim"], gravity=(0.0, -9.81, 0.0), foreshortening=False)
+    soft = replace(arm, links=(replace(arm.links[0], EIz=40.0),))
+    core = Core(task="Reach", arm=soft, event="drop", torque_limit=20.0)
+    core.seed(0, np.random.default_rng(0))
+    core.reset(np.arange(1))
+    mass, q = core.parameters[0, 0], core.q[0]
+    expected = Model(loaded(soft, mass)).equilibrium(q[:1]).q
+    np.testing.assert_allclose(q, expected, rtol=1e-6)
+    assert np.abs(q[1] / Model(soft).equilibrium(q[:1]).q[1]) > 1.1
