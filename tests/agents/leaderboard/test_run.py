@@ -17,9 +17,17 @@ from agents.leaderboard import bound
 from agents.leaderboard.motions import Episode, plant
 from agents.leaderboard.output import EPISODES
 from agents.leaderboard.replay import YARDSTICK, optimal
-from agents.leaderboard.run import main, ranked
+from agents.leaderboard.run import main, names, ranked
 from agents.leaderboard.shipped import FOLDER, name_of, shipped
-from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part, track_of
+from agents.leaderboard.tracks import (
+    HARDER,
+    RANKED,
+    TRACKS,
+    designed_for,
+    keywords,
+    takes_part,
+    track_of,
+)
 from agents.metrics import episode_metrics, make_batch, record
 from agents.tune.__main__ import main as tune_main
 from agents.tune.controllers import tune
@@ -161,6 +169,21 @@ def test_every_ranked_controller_was_tuned_where_it_acts() -> None:
                 assert parameters_of(name, env_id, track) == entry["parameters"]
     with pytest.raises(ValueError, match=r"python -m agents\.tune"):
         parameters_of("lqr", ONE, "laboratory")
+
+
+def test_harder_tasks_are_met_with_what_the_plain_task_found() -> None:
+    assert len(HARDER) == 4
+    assert not {*HARDER} & {*RANKED}
+    for env_id in HARDER:
+        plain = designed_for(env_id)
+        assert plain in RANKED
+        assert parameters_of("inverse", env_id, "state") == parameters_of("inverse", plain, "state")
+        assert list(shipped(env_id, "laboratory")) == list(shipped(plain, "laboratory")) != []
+
+
+def test_nobody_acts_where_nobody_was_tuned() -> None:
+    assert "lqg" in names(None, ONE, "wide", bounded=False)
+    assert names(None, "FlexArm/SixLink-Reach-v0", "wide", bounded=False) == []
 
 
 def test_tuning_is_repeatable_and_no_worse_than_its_start(tmp_path: Path) -> None:
