@@ -1,9 +1,10 @@
-"""Controllers of the plain tasks where something happens in mid-episode, or costs.
+"""Controllers of the plain tasks where something happens in mid-episode, or costs; track `wide`.
 
     python -m benchmarks.harder
 
 Each meets the same test episodes with and without the event or the cost; none was tuned or trained
-for it. Writes docs/results/harder.json and .md.
+for it. On `wide` those meet the tracks `wide` and `laboratory` that were tuned for both. Writes
+docs/results/harder.json and .md.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.controllers import CONTROLLERS
 from agents.leaderboard.run import built, names
 from agents.leaderboard.tracks import HARDER, designed_for, keywords
 from agents.metrics import Recording, episode_metrics, make_batch, record
@@ -20,9 +22,9 @@ from flexarm_env.task.events import TIME
 
 TRACKS = ("state", "laboratory")
 CLASSICAL = ("pd", "pd-zvd", "inverse", "lqr", "lqg", "mpc", "mpc-kalman")
+REACH = "FlexArm/OneLink-Reach-v0"
 SEED = 10_000  # of the first test episode
-COLUMNS = ("controller", "score", "without", "failed")
-OF_COST = ("cost", "excess")
+COLUMNS = ("controller", "score", "without", "failed", "cost", "excess")
 
 
 def acting(env_id: str, track: str) -> list[str]:
@@ -77,22 +79,36 @@ def study(env_id: str, track: str, seeds: Sequence[int]) -> dict[str, dict[str, 
     return found
 
 
+def widely(seeds: Sequence[int]) -> dict[str, dict[str, float]]:
+    """Figures of the controllers tuned for `wide`, with the score in the laboratory."""
+    found = {}
+    for name in (x for x in names(None, REACH, "wide", bounded=False) if CONTROLLERS[x].ranges):
+        narrow = met(name, REACH, "laboratory", seeds)
+        found[name] = met(name, REACH, "wide", seeds) | {"without": narrow["score"]}
+        print(REACH, "wide", row(name, found[name]), flush=True)
+    return found
+
+
 def row(name: str, x: Mapping[str, float]) -> list[str]:
     """Cells of a controller."""
     cells = [name, f"{x['score']:.3f}", f"{x['without']:.3f}", f"{100.0 * x['failed']:.0f} %"]
     return [*cells, f"{x['cost']:.2f}", f"{100.0 * x['excess']:.0f} %"] if "cost" in x else cells
 
 
+def ordered(found: Mapping[str, Mapping[str, float]], *header: str) -> str:
+    """Markdown table of controllers, best first."""
+    best = sorted(found, key=lambda name: -found[name]["score"])
+    rows = [row(name, found[name]) for name in best]
+    return table(header[: len(rows[0])], rows, "lr")
+
+
 def page(data: Mapping[str, Any]) -> str:
     """Markdown page of the tables."""
-    parts = []
-    for env_id, tracks in data["tasks"].items():
-        for track, found in tracks.items():
-            best = sorted(found, key=lambda name: -found[name]["score"])
-            rows = [row(name, found[name]) for name in best]
-            header = [*COLUMNS, *OF_COST][: len(rows[0])]
-            title = f"## {env_id.removeprefix('FlexArm/')}, {track}"
-            parts.append(f"{title}\n\n{table(header, rows, 'lr')}\n")
+    parts = [
+        f"## {env_id.removeprefix('FlexArm/')}, {track}\n\n{ordered(found, *COLUMNS)}\n"
+        for env_id, tracks in data["tasks"].items()
+        for track, found in tracks.items()
+    ]
     shares = ((x.removeprefix("FlexArm/"), share) for x, share in data["wait"].items())
     lost = " and ".join(f"{share:.2f} in {x}" for x, share in shares if share)
     return f"""# Harder tasks
@@ -108,6 +124,13 @@ the largest curvature beyond the limit, over the limit.
 [Environments](../envs/README.md#events-and-cost) has the formula.
 
 {chr(10).join(parts)}
+## OneLink-Reach-v0, wide
+
+Payloads of 0 to 200 % and stiffnesses of 60 to 140 %, drawn per episode, with the sensors of the
+laboratory. Controllers were tuned for it, and for the laboratory beside it.
+
+{ordered(data["wide"], "controller", "score", "laboratory", "failed")}
+
 ## What memory could gain
 
 After a drop no time is lost and the plant is an ordinary one, so that the difference of `without`
@@ -120,6 +143,10 @@ A target that has to be reached again costs whoever acts the time until the even
 is a share of the episode of {lost}. `score` is to be compared with `without` less this share. The
 gap that is left is largest for controllers with a filter or a plan of the whole move: these know of
 no event.
+
+On `wide` the best controller keeps a filter for each of several plants, which is a memory of what
+the plant did so far. What it loses to the laboratory, whose sensors are the same, bounds what a
+better memory could gain.
 """
 
 
@@ -131,6 +158,7 @@ def main() -> None:
     seeds = range(SEED, SEED + options.episodes)
     tasks = {x: {track: study(x, track, seeds) for track in TRACKS} for x in HARDER}
     data = provenance("numpy", "numba") | {"episodes": options.episodes, "tasks": tasks}
+    data["wide"] = widely(seeds)
     data["wait"] = {env_id: wait(env_id) for env_id in HARDER}
     save_results(data, page(data), RESULTS / "harder.json")
 
