@@ -69,6 +69,10 @@ class Happening:
         inside = 1.0 - 2.0 * (ca.fabs(off + jump) > EXTENT)
         return s["centre"] + self.happened(s) * inside * jump
 
+    def slots(self, model: Model) -> dict[str, int]:
+        """Further slots of the workspace, with their sizes."""
+        return {CARRIED: len(model.free_parameters)} if self.name == "drop" else {}
+
     def functions(self, model: Model, at: Mapping[str, int], first: int) -> list[Function]:
         """`drop(w)` or `push(w)`; `first` is the slot of the drawn rows."""
         if self.name == "drop":

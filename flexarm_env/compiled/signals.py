@@ -20,7 +20,7 @@ from dynamics.types import Symbols
 from flexarm_env.compiled.actuation import Actuation, command
 from flexarm_env.compiled.control_step import control_step
 from flexarm_env.compiled.episode import WAVES
-from flexarm_env.compiled.happening import CARRIED, Happening
+from flexarm_env.compiled.happening import Happening
 from flexarm_env.compiled.rows import Rows
 from flexarm_env.compiled.sensing import Sensing
 from flexarm_env.compiled.termination import FLAGS, cost, flags, lost
@@ -104,11 +104,7 @@ class Signals:
         sizes |= {"TARGET_NOW": m, "READINGS_NOW": self.readings}
         sizes |= {"FLAGS": len(FLAGS), "INFO": self.info.total}
         sizes |= {"OBSERVATION": self.layout.size, "RATE_BEFORE": m if self.actuation else 0}
-        sizes |= (
-            {CARRIED: len(self.model.free_parameters)}
-            if self.happening and self.happening.name == "drop"
-            else {}
-        )
+        sizes |= self.happening.slots(self.model) if self.happening else {}
         sizes |= {"REST": len(self.bent), "UNSETTLED": 1} if self.bent else {}
         parts = [(part.name, part.entries, part.bound) for part in self.layout.parts]
 
