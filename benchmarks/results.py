@@ -22,6 +22,7 @@ from agents.config import load_config
 from agents.experiments import shipped_experiments
 from agents.learners.algorithms import ON_TENSORS
 from agents.metrics import write_json
+from benchmarks.harder import REACH as WIDE
 from benchmarks.output import RESULTS, ROOT, argument_parser, table
 from benchmarks.studies import STUDIES
 from dynamics.description import validate
@@ -53,6 +54,8 @@ def steps(jobs: int, keep: Path) -> Iterator[Step]:
     for track in ("state", "laboratory"):
         yield Step("bounds", ("agents.leaderboard.bound", "--track", track), side)
     yield Step("parameters", ("agents.tune",), ("--keep", str(keep / "tune")))
+    wide = ("--tasks", WIDE, "--tracks", "wide")
+    yield Step("parameters", ("agents.tune", *wide), ("--keep", str(keep / "tune")))
     for name, path in shipped_experiments().items():
         seeds, minutes = stored_runs(name)
         given = ("--config", f"configs/{path.name}", "--ship", "--seeds", *map(str, seeds))
@@ -72,6 +75,7 @@ def steps(jobs: int, keep: Path) -> Iterator[Step]:
     yield Step("ranking", ("agents.leaderboard",), (*side, "--out", "docs/results"))
     for name in ("on_reference", "knowledge"):
         yield Step("ranking", (f"benchmarks.{name}",), side)
+    yield Step("ranking", ("benchmarks.harder",))
     yield Step("films", ("agents.films",), ("--out", str(FILMS)))
     for name in ("experiments", "standings"):
         yield Step("tables", (f"benchmarks.{name}",))

@@ -42,9 +42,9 @@ def test_a_failed_step_ends_the_run_which_goes_on_with_it(
     failing.clear()
     assert main([*given, "--jobs", "1"]) == 0
     assert ran[1:] == ["agents.leaderboard", "benchmarks.on_reference", "benchmarks.knowledge",
-                       "agents.films"]  # fmt: skip
+                       "benchmarks.harder", "agents.films"]  # fmt: skip
     assert main(given) == 0
-    assert len(ran) == 5
+    assert len(ran) == 6
     assert "python -m agents.films" in capsys.readouterr().out
 
 
