@@ -145,8 +145,8 @@ gap that is left is largest for controllers with a filter or a plan of the whole
 no event.
 
 On `wide` the best controller keeps a filter for each of several plants, which is a memory of what
-the plant did so far. What it loses to the laboratory, whose sensors are the same, bounds what a
-better memory could gain.
+the plant did so far. What it loses against the laboratory, whose sensors are the same, is a measure
+of what a better memory could gain.
 """
 
 
