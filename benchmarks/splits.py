@@ -1,4 +1,4 @@
-"""What other orders, and several threads per environment, could gain on the six links' equations.
+"""Counts on six links: other orders of their statements, and several threads per environment.
 
     python -m benchmarks.splits [--out docs/results/splits.json]
 
@@ -83,7 +83,7 @@ def alive(needs: Needs, gaps: Mapping[int, Sequence[tuple[int, int]]] | None = N
 
 
 def sparing(needs: Needs) -> dict[int, list[int]]:
-    """The same statements, each time one that leaves fewest values alive."""
+    """Statements in another order, each time one that leaves fewest values alive."""
     users = users_of(needs)
     open_operands = {v: len(operands) for v, operands in needs.items()}
     uses = {v: len(users[v]) for v in needs}

@@ -13,12 +13,12 @@ from agents.metrics import make_batch
 from benchmarks.output import RESULTS
 from benchmarks.studies import (
     LEARNER,
-    SHOWN,
     STUDIES,
     figures,
     limits,
     memory,
     model_based,
+    recipe,
     trained,
 )
 
@@ -46,6 +46,20 @@ def test_memory_is_judged_in_the_laboratory_alone() -> None:
     assert {str(one.kwargs) for one in trainings} == {"{'hardware': 'laboratory'}"}
 
 
+def test_a_recipe_loses_one_part_at_a_time() -> None:
+    whole, *others = (
+        one.config.to_dict() for one in recipe(load_config(STUDIES["recipe"].learner))
+    )
+    kwargs = whole["agent"]["kwargs"]
+    assert whole["env"]["stack"] > 1
+    assert kwargs["std_floor"] > 0.0
+    for config in others:
+        changed = [config["env"]["stack"] != whole["env"]["stack"]]
+        theirs = config["agent"]["kwargs"]
+        changed += [theirs.get(key) != kwargs.get(key) for key in {*theirs, *kwargs}]
+        assert sum(changed) == 1
+
+
 def test_a_study_trains_once_and_continues_a_run(tmp_path: Path) -> None:
     """A second call finds the finished policy; model-based control is judged alike."""
     config = replace(CONFIG, total_steps=4096)
@@ -61,7 +75,7 @@ def test_a_study_trains_once_and_continues_a_run(tmp_path: Path) -> None:
 def test_the_stored_page_is_that_of_the_stored_figures(name: str) -> None:
     """If not: python -m benchmarks.studies NAME"""
     data: dict[str, Any] = json.loads((RESULTS / f"study_{name}.json").read_text("utf-8"))
-    page, chart = SHOWN[name]
-    assert (RESULTS / f"study_{name}.md").read_text("utf-8") == page(data)
-    assert len(data["rows"]) == len(STUDIES[name](CONFIG))
-    chart(data)
+    study = STUDIES[name]
+    assert (RESULTS / f"study_{name}.md").read_text("utf-8") == study.page(data)
+    assert len(data["rows"]) == len(study.trainings(load_config(study.learner)))
+    study.chart(data)
