@@ -173,8 +173,8 @@ A policy without a model learns from a classical controller, its expert, by DAgg
 {FIRST} on, which neither training nor tuning uses, and over {len(seeds)} training seeds. Gain: the
 policy's score less the expert's in the same episodes, with a bootstrap over seeds and episodes.
 Times are of one decision: medians of the controllers in Python, and the mean of the
-[exported C header](../export.md) with `cc -O2`. Training: wall-clock time of one process on a
-machine that other work kept busy.
+[exported C header](../export.md) with `cc -O2`. Training: wall-clock time of one process, longer
+where other work kept the machine busy.
 
 {table(HEADER, map(cells, rows), "lrr")}
 """
