@@ -331,12 +331,13 @@ class Study:
     trainings: Callable[[Config], list[Training]]
     page: Callable[[Mapping[str, Any]], str]
     chart: Callable[[Mapping[str, Any]], Any]
+    steps: int = 1_000_000  # of each training
 
 
 STUDIES = {
     "limits": Study(LEARNER, limits, limits_page, limits_chart),
     "memory": Study(LEARNER, memory, memory_page, memory_chart),
-    "recipe": Study(RECIPE, recipe, recipe_page, recipe_chart),
+    "recipe": Study(RECIPE, recipe, recipe_page, recipe_chart, steps=4_000_000),
 }
 
 
@@ -345,13 +346,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argument_parser("studies", __doc__)
     parser.add_argument("study", choices=sorted(STUDIES))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--steps", type=int, default=1_000_000, help="of each training")
+    parser.add_argument("--steps", type=int, help="of each training")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     study = STUDIES[options.study]
-    config = replace(load_config(study.learner), total_steps=options.steps)
+    config = replace(load_config(study.learner), total_steps=options.steps or study.steps)
     config = replace(config, evaluation=replace(config.evaluation, episodes=options.episodes))
     found = measured(options.study, config, options, RUNS / f"study_{options.study}")
     data = {**provenance("torch", "stable-baselines3"), **found}

@@ -15,10 +15,8 @@ from dynamics.description import validate
 from dynamics.extras import missing
 
 Schedule = Callable[[float], float]  # of the remaining share of the run
-FLOOR_HELD, FLOOR_END = (
-    0.7,
-    0.2,
-)  # share of a run with the whole floor; the share of it that is left
+FLOOR_HELD = 0.7  # share of a run with the whole floor of the standard deviation
+FLOOR_END = 0.2  # share of the floor that is left at the end
 
 
 def networks(
