@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from agents.config import Config
 from agents.figures import film, plot_recordings, write_gif
 from agents.metrics import (
     Best,
@@ -17,6 +18,13 @@ from agents.metrics import (
 from agents.policy import Controller
 from agents.replay import write_replay
 from dynamics.types import AnyArray
+
+UNTRAINED, WARM_START = "untrained policy", "warm start"  # policies of a run before its training
+
+
+def beginning(config: Config) -> str:
+    """What the network with which an experiment begins is called."""
+    return WARM_START if config.agent.warm_start else UNTRAINED
 
 
 def titled(env_id: str, kwargs: Mapping[str, Any]) -> str:

@@ -40,14 +40,11 @@ LIMITS: dict[str, tuple[float, float]] = {
     "episodes": (1, 10_000),
     "learning_rate": (0.0, 10.0),
     "batch_size": (1, 2**20),
-    "gamma": (0.0, 1.0),
     "stats_window_size": (1, 10**6),
     "n_steps": (1, 2**20),
     "n_epochs": (1, 1000),
-    "gae_lambda": (0.0, 1.0),
     "buffer_size": (1, 10**7),
     "learning_starts": (0, 10**9),
-    "tau": (0.0, 1.0),
     "train_freq": (1, 10**6),
     "gradient_steps": (-1, 10**6),
     "target_update_interval": (1, 10**9),
@@ -58,6 +55,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "n_quantiles": (1, 1000),
     "lstm_hidden_size": (1, LARGEST_LAYER),
     "n_lstm_layers": (1, MOST_LAYERS - 2),
+    **dict.fromkeys(("gamma", "gae_lambda", "tau", "critic_first"), (0.0, 1.0)),
     **dict.fromkeys(COUNTS.split(), (1, 10_000)),
     **dict.fromkeys(("desired_kl", "std_floor"), (1e-6, 10.0)),
 }
@@ -101,6 +99,7 @@ class AgentConfig:
 
     name: str
     policy: str | None = None  # by default the algorithm's first of a vector of observations
+    warm_start: str = ""  # policy with whose weights the training begins; empty: none
     kwargs: dict[str, Any] = field(default_factory=dict)
 
     @property

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.comparison import compare, titled
+from agents.comparison import beginning, compare, titled
 from agents.config import (
     LIMITS,
     BaseConfig,
@@ -27,6 +27,7 @@ from agents.figures import plot_learning_curve
 from agents.files import FolderError
 from agents.hybrid.controller import EXPERT, KEY, acting, base_of, description
 from agents.leaderboard.bound import best_of
+from agents.leaderboard.shipped import named_policy
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
 from agents.learners.algorithms import (
     DIFFERENTIATED,
@@ -35,10 +36,10 @@ from agents.learners.algorithms import (
     algorithms,
     learner_kwargs,
 )
-from agents.learners.export import export_policy
+from agents.learners.export import begin_with, export_policy
 from agents.learners.normalization import normalized
 from agents.metrics import make_batch, write_json
-from agents.policy import Controller, PolicyError, load_policy, save_policy
+from agents.policy import Controller, Policy, PolicyError, load_policy, save_policy
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
@@ -118,8 +119,8 @@ def base_description(base: BaseConfig, env: EnvConfig) -> dict[str, Any]:
     )
 
 
-def prepare(config: Config) -> None:
-    """Build the experiment, store its policy in memory and take one step.
+def prepare(config: Config, first: Policy | None = None) -> None:
+    """Build the experiment, with the weights of `first`, and take one step.
 
     A bad experiment fails here, before files are made.
     """
@@ -127,6 +128,8 @@ def prepare(config: Config) -> None:
     print(f"Preparing {config.env.id} (an arm is compiled at its first use and cached) ...")
     model = build_model(config)
     export_policy(model, {"stack": config.env.stack})
+    if first is not None:
+        begin_with(model, first)
     env = model.env
     env.reset()
     env.step(np.zeros((config.env.n_envs, *env.action_space.shape), np.float32))
@@ -143,7 +146,7 @@ def learn(run: RunFolder, config: Config) -> int:
         print(sentence)
     model = build_model(config)
     about = about_policy(config)
-    save_untrained(run, model, about)
+    begin(run, config, model, about)
     progress = restore_newest(run, config, model)
     if model.num_timesteps < config.total_steps:
         run_session(run, config, model, progress)
@@ -161,18 +164,25 @@ def about_policy(config: Config) -> dict[str, Any]:
         "seed": config.seed,
         "versions": versions()["packages"],
     }
+    if config.agent.warm_start:
+        about["warm_start"] = config.agent.warm_start
     if config.base is not None:
         key = EXPERT if config.base.learned == DISTILLED else KEY
         about[key] = base_description(config.base, config.env)
     return about
 
 
-def save_untrained(run: RunFolder, model: Any, about: dict[str, Any]) -> None:
-    """Save the untrained network, unless the run has it already."""
+def begin(run: RunFolder, config: Config, model: Any, about: dict[str, Any]) -> None:
+    """Save the network with which the run begins, or take the one that it has already."""
     try:
-        load_policy(run.untrained)
+        first = load_policy(run.untrained)
     except PolicyError:
+        if config.agent.warm_start:
+            begin_with(model, named_policy(config.agent.warm_start, config.seed))
         save_policy(export_policy(model, about | {"steps": 0}), run.untrained)
+    else:
+        if config.agent.warm_start:
+            begin_with(model, first)
 
 
 def restore_newest(run: RunFolder, config: Config, model: Any) -> dict[str, Any]:
@@ -239,7 +249,7 @@ def judge(run: RunFolder, config: Config) -> None:
     pd = joint_pd(env, tuned.frequency_ratio, tuned.damping_ratio)
     trained, untrained = (acting(load_policy(x), env) for x in (run.policy, run.untrained))
     controllers: dict[str, Controller] = {"trained policy": trained, "joint PD": pd}
-    controllers["untrained policy"] = untrained
+    controllers[beginning(config)] = untrained
     if config.base is not None and config.base.learned == DISTILLED:
         name = config.base.controller
         about = base_description(config.base, config.env)
@@ -285,7 +295,8 @@ def train(run: RunFolder, config: Config) -> None:
 def start(out: Path | None, config: Config) -> RunFolder:
     """Create the folder of a new run, after the experiment was built successfully."""
     check_out(out)
-    prepare(config)
+    warm = config.agent.warm_start
+    prepare(config, named_policy(warm, config.seed) if warm else None)
     return new_run(out, config)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from agents.comparison import titled
+from agents.comparison import UNTRAINED, WARM_START, titled
 from agents.experiments import shipped_experiments
 from agents.figures import COLOURS, new_figure, plot_learning_curve, save_figure, tidy
 from agents.leaderboard.shipped import on_base
@@ -216,11 +216,14 @@ def cells_of_seeds(summaries: Sequence[Mapping[str, float | None]]) -> list[str]
 def expected(data: Mapping[str, Any]) -> str:
     """Comment of an experiment's file: median and range of its training seeds, beside joint PD.
 
-    A policy that corrects a controller, or plans for it, stands beside itself before training too.
+    A policy that corrects a controller, or plans for it, stands beside itself before training too,
+    and one with a warm start beside that.
     """
     beside = {"joint PD": data["references"]["joint PD"]}
     if (data["config"].get("base") or {}).get("learned") in SCALED:
-        beside["untrained"] = data["references"]["untrained policy"]
+        beside["untrained"] = data["references"][UNTRAINED]
+    if WARM_START in data["references"]:
+        beside[WARM_START] = data["references"][WARM_START]
     rows = [["", "median", "least", "most", *beside]]
     seeds = [run["summary"] for run in data["runs"]]
     for name in STATED.get(data["task"], OTHERS):

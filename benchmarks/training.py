@@ -20,7 +20,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.comparison import titled
+from agents.comparison import beginning, titled
 from agents.config import Config, load_config
 from agents.controllers import joint_pd, tune_pd
 from agents.figures import film, plot_recordings, write_gif
@@ -146,7 +146,7 @@ def benchmark(
     task = envs.unwrapped.task
     tasks = range(first, first + episodes)
     untrained = next(coming)
-    recordings = {"joint PD": record(pd, envs, tasks), "untrained policy": untrained}
+    recordings = {"joint PD": record(pd, envs, tasks), beginning(config): untrained}
     summaries = {name: summarise(episode_metrics(r)) for name, r in recordings.items()}
     summaries[f"joint PD, {FASTER} x control rate"] = faster_pd(env_id, kwargs, tasks)
     runs, curves = [], {}
@@ -193,7 +193,7 @@ def benchmark(
     write_json(out / f"{config.name}.json", data)
     what = titled(env_id, kwargs)
     shown = {f"policy, seed {seeds[0]}": recordings[f"seed {seeds[0]}"]}
-    shown |= {name: recordings[name] for name in ("joint PD", "untrained policy")}
+    shown |= {name: recordings[name] for name in ("joint PD", beginning(config))}
     title = f"{what}, {episodes} episodes"
     plot_recordings(out / f"{config.name}_trajectories.png", shown, title)
     if gif:

@@ -5,8 +5,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from agents.leaderboard.tracks import designed_for
-from agents.policy import Policy, load_policy, save_policy
+from agents.config import Config, ConfigError, load_config
+from agents.experiments import shipped_experiments
+from agents.leaderboard.tracks import designed_for, track_of
+from agents.policy import Policy, PolicyError, load_policy, save_policy
 
 FOLDER = Path(__file__).parents[1] / "policies"
 LINKS = {"residual": "on", "advised": "advised-by", "alone": "watching", "reference": "ahead-of"}
@@ -14,15 +16,22 @@ LINKS |= {"distilled": "of"}
 
 
 def name_of(policy: Policy) -> str:
-    """Algorithm of a policy, with its base, and "-stacked"."""
+    """Algorithm of a policy, with its base, "-warm" and "-stacked"."""
     about = policy.about
     base = about.get("base", about.get("expert"))
-    return ranked_as(about.get("algorithm", "policy"), base, policy.stack)
+    warm = bool(about.get("warm_start"))
+    return ranked_as(about.get("algorithm", "policy"), base, policy.stack, warm)
 
 
-def ranked_as(algorithm: str, base: Mapping[str, Any] | None, stack: int) -> str:
-    """Algorithm with the base on which the policy acts, such as "-on-lqg", and "-stacked"."""
-    return algorithm + on_base(base) + "-stacked" * (stack > 1)
+def name_made_by(config: Config) -> str:
+    """Name of the policies that an experiment makes."""
+    agent, base = config.agent, config.to_dict().get("base")
+    return ranked_as(agent.name, base, config.env.stack, bool(agent.warm_start))
+
+
+def ranked_as(algorithm: str, base: Mapping[str, Any] | None, stack: int, warm: bool) -> str:
+    """Algorithm with the base on which the policy acts, such as "-on-lqg", "-warm", "-stacked"."""
+    return algorithm + on_base(base) + "-warm" * warm + "-stacked" * (stack > 1)
 
 
 def on_base(base: Mapping[str, Any] | None) -> str:
@@ -48,3 +57,29 @@ def shipped(env_id: str, track: str) -> dict[str, list[Policy]]:
     for folder in sorted(place(designed_for(env_id), track).glob("*/seed*")):
         found.setdefault(folder.parent.name, []).append(load_policy(folder))
     return found
+
+
+def named_policy(name: str, seed: int) -> Policy:
+    """The policy in a run's folder, or that of a shipped experiment, if possible of this seed.
+
+    Raises
+    ------
+    ConfigError : for a name without a policy.
+    """
+    known = shipped_experiments()
+    if name not in known:
+        try:
+            return load_policy(name)
+        except PolicyError as error:
+            raise ConfigError(
+                f"agent.warm_start: neither a run nor a shipped experiment: {error}"
+            ) from None
+    config = load_config(known[name])
+    env = config.env
+    track = track_of(config.agent.name, env.id, env.kwargs)
+    found = [] if track is None else shipped(env.id, track).get(name_made_by(config), [])
+    if not found:
+        raise ConfigError(
+            f"agent.warm_start: no policy of {name} is shipped; train it and give its run's folder."
+        )
+    return next((x for x in found if x.about.get("seed") == seed), found[0])

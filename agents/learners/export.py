@@ -32,6 +32,12 @@ ZIPPED = {
     "sb3_contrib.crossq.policies": "crossq",
     "sb3_contrib.tqc.policies": "tqc",
 }
+COLD = ("ars", "crossq", "recurrent-ppo")  # algorithms without a warm start
+LAYOUT = {  # what a policy and a model it begins share, and the remedy otherwise
+    "layer_sizes": "change agent.kwargs.policy_kwargs.net_arch, or env",
+    "activation": "change agent.kwargs.policy_kwargs.activation_fn",
+    "squashing": "take an algorithm that limits actions alike",
+}
 
 
 def export_policy(model: Any, about: dict[str, Any]) -> Policy:
@@ -95,6 +101,36 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
             f"one observation has {policy.n_observation} numbers."
         )
     return policy
+
+
+def begin_with(model: Any, policy: Policy) -> None:
+    """Give a model's actor the weights of a policy with the same layers.
+
+    Raises
+    ------
+    PolicyError : for an algorithm of COLD, other layers, or normalized observations.
+    """
+    import torch
+
+    algorithm, own = name_of(type(model)), export_policy(model, {"stack": policy.stack})
+    if algorithm in COLD or policy.recurrent or policy.normalization or own.normalization:
+        raise PolicyError(
+            f"agent.warm_start is not for {list(COLD)}, LSTM cells or env.normalize, got a policy "
+            f"of {policy.about.get('algorithm')} for {algorithm}; take others."
+        )
+    for what, remedy in LAYOUT.items():
+        theirs, ours = getattr(policy, what), getattr(own, what)
+        if theirs != ours:
+            raise PolicyError(
+                f"agent.warm_start: {what} of the policy is {validate.shown(theirs)}, that of the "
+                f"experiment {validate.shown(ours)}; {remedy}."
+            )
+    layers = [x for x in actor(model)[1] if isinstance(x, torch.nn.Linear)]
+    for layer, weight, bias in zip(layers, policy.weights, policy.biases, strict=True):
+        layer.weight.data.copy_(torch.as_tensor(weight))
+        layer.bias.data.copy_(torch.as_tensor(bias))
+    if hasattr(model, "actor_target"):
+        model.actor_target.load_state_dict(model.actor.state_dict())
 
 
 def normalization(envs: Any) -> Normalization | None:

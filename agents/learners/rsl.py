@@ -51,6 +51,8 @@ class RslPPO(OnPolicyAlgorithm):
     batch_size : None: the whole rollout.
     desired_kl : divergence of an update to which the learning rate adapts; None: it does not.
     std_floor : least standard deviation of actions, which falls at the end of the run; None: none.
+    critic_first : share of the run in which the critic learns alone, for actors that are good
+        already.
     privileged_critic : whether the critic also sees the true state and drawn parameters.
     bootstrap_timeouts : whether returns go on with the critic's value where time ends an episode.
     spread_starts : whether first episodes begin at elapsed times drawn over the length of an
@@ -75,6 +77,7 @@ class RslPPO(OnPolicyAlgorithm):
         max_grad_norm: float = 1.0,
         desired_kl: float | None = None,
         std_floor: float | None = None,
+        critic_first: float = 0.0,
         privileged_critic: bool = True,
         bootstrap_timeouts: bool = True,
         spread_starts: bool = True,
@@ -92,7 +95,7 @@ class RslPPO(OnPolicyAlgorithm):
         self.batch_size, self.n_epochs, self.clip_range = batch_size, n_epochs, clip_range
         self.desired_kl, self.std_floor, self.rollout_buffer = desired_kl, std_floor, None
         self.privileged_critic, self.bootstrap_timeouts = privileged_critic, bootstrap_timeouts
-        self.spread_starts = spread_starts
+        self.spread_starts, self.critic_first = spread_starts, critic_first
         self._setup_model()
 
     def _setup_model(self) -> None:
@@ -165,11 +168,13 @@ class RslPPO(OnPolicyAlgorithm):
         if self.desired_kl is None:
             self._update_learning_rate(self.ppo.optimizer)
         self.ppo.learning_rate = self.ppo.optimizer.param_groups[0]["lr"]  # also after a restore
+        done = 1.0 - self._current_progress_remaining
+        self.policy["actor"].requires_grad_(done >= self.critic_first)
         losses = self.ppo.update()
         self._n_updates += self.n_epochs
         log_std = self.policy["actor"].distribution.log_std_param.data
         if self.std_floor is not None:
-            least = self.std_floor * floor_share(1.0 - self._current_progress_remaining)
+            least = self.std_floor * floor_share(done)
             log_std.clamp_(min=float(np.log(least)))
         losses["std"] = float(log_std.exp().mean())
         for name, value in (losses | {"learning_rate": self.ppo.learning_rate}).items():

@@ -10,7 +10,7 @@ import numpy as np
 
 from agents.config import Config, config_from_dict
 from agents.hybrid.controller import acting
-from agents.leaderboard.shipped import ranked_as
+from agents.leaderboard.shipped import name_made_by
 from agents.leaderboard.tracks import track_of
 from agents.learners.algorithms import settings
 from agents.learners.export import export_policy
@@ -38,7 +38,7 @@ def place_of(config: Config) -> tuple[str, str, str]:
             f"{config.name} is not on a track: {env} with {kwargs}; search its keywords by "
             "python -m agents.sweep."
         )
-    return env, track, ranked_as(config.agent.name, config.to_dict().get("base"), config.env.stack)
+    return env, track, name_made_by(config)
 
 
 def tune_experiment(

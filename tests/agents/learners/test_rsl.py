@@ -69,6 +69,24 @@ def test_the_standard_deviation_stays_above_a_floor_that_falls_at_the_end() -> N
     assert float(log_std.exp()) == pytest.approx(0.1)  # the run is at its end
 
 
+def test_the_critic_first_learns_alone() -> None:
+    learner, seen = model(critic_first=0.6), []
+    update = learner.train
+
+    def watched() -> None:
+        before = [x.clone() for x in learner.policy.parameters()]
+        update()
+        moved = [
+            bool((a != b).any()) for a, b in zip(before, learner.policy.parameters(), strict=True)
+        ]
+        n_actor = len(list(learner.policy["actor"].parameters()))
+        seen.append((any(moved[:n_actor]), any(moved[n_actor:])))
+
+    learner.train = watched
+    learner.learn(256, log_interval=None)
+    assert seen == [(False, True), (True, True)]
+
+
 def test_first_episodes_are_spread_over_their_length() -> None:
     arms = model().env
     ends = []

@@ -1,0 +1,89 @@
+"""Trainings that begin with the weights of a stored policy."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from agents.config import ConfigError
+from agents.leaderboard.shipped import name_of, named_policy
+from agents.learners.export import COLD, begin_with, export_policy
+from agents.policy import PolicyError, load_policy
+from agents.run_folder.folder import RunFolder
+from agents.training import main as train
+from tests.agents.tiny import one_sentence, write_config
+from tests.agents.toys import KWARGS, NETWORK, build
+
+LEARNED = [name for name in sorted(KWARGS) if name not in COLD]
+
+
+@pytest.mark.parametrize("name", LEARNED)
+def test_a_model_acts_as_the_policy_that_it_begins_with(name: str) -> None:
+    policy, model = export_policy(build(name, seed=1), {}), build(name, seed=2)
+    observations = np.random.default_rng(0).uniform(-5.0, 5.0, (9, 3)).astype(np.float32)
+    expected = policy.predict(observations)[0]
+    assert np.abs(model.predict(observations, deterministic=True)[0] - expected).max() > 0.01
+    begin_with(model, policy)
+    actions = model.predict(observations, deterministic=True)[0]
+    np.testing.assert_allclose(actions, expected, atol=5e-6)
+    if hasattr(model, "actor_target"):
+        for ours, theirs in zip(
+            model.actor_target.parameters(), model.actor.parameters(), strict=True
+        ):
+            assert (ours == theirs).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "kwargs", "sentence"),
+    [
+        (
+            "ppo",
+            {"policy_kwargs": {"net_arch": [16]}},
+            "layer_sizes .* change agent.kwargs.policy_kwargs.net_arch",
+        ),
+        (
+            "sac",
+            {"policy_kwargs": {"net_arch": [16, 8]}},
+            "activation of .* 'tanh', .* 'relu'; change",
+        ),
+        ("td3", {"policy_kwargs": NETWORK}, "layer_sizes"),
+        ("crossq", {}, r"is not for .*crossq.* got a policy of ppo for crossq"),
+    ],
+)
+def test_another_network_is_refused(name: str, kwargs: dict, sentence: str) -> None:
+    with pytest.raises(PolicyError, match=rf"agent\.warm_start.*{sentence}"):
+        begin_with(build(name, **kwargs), export_policy(build("ppo"), {}))
+
+
+def test_a_run_keeps_its_warm_start(
+    tmp_path: Path, unjudged: list[RunFolder], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where the policy is gone when the run is resumed."""
+    config = write_config(tmp_path, "ppo", 256)
+    first, run = RunFolder(tmp_path / "first"), RunFolder(tmp_path / "run")
+    assert train(["--config", str(config), "--out", str(first.path)]) == 0
+    experiment = yaml.safe_load(config.read_text())
+    experiment["agent"]["warm_start"] = str(first.path)
+    config.write_text(yaml.safe_dump(experiment))
+    assert train(["--config", str(config), "--out", str(run.path), "--seed", "3"]) == 0
+    shutil.rmtree(first.path / "policy")
+    start, policy = load_policy(run.untrained), load_policy(run.policy)
+    assert name_of(policy) == "ppo-warm"
+    shutil.rmtree(run.checkpoints)
+    assert train(["--resume", str(run.path), "--steps", "256"]) == 0
+    assert train(["--resume", str(run.path), "--steps", "384"]) == 0
+    for kept, given in zip(load_policy(run.untrained).weights, start.weights, strict=True):
+        np.testing.assert_array_equal(kept, given)
+    capsys.readouterr()
+    assert train(["--config", str(config), "--out", str(tmp_path / "late")]) == 2
+    assert "agent.warm_start: neither a run nor a shipped experiment" in one_sentence(capsys)
+    assert not (tmp_path / "late").exists()
+
+
+def test_of_a_shipped_experiment_the_policy_of_the_same_seed_begins() -> None:
+    seeds = [named_policy("one_link_reach_ppo", seed).about["seed"] for seed in (2, 3, 99)]
+    assert seeds == [2, 3, 0]
+    with pytest.raises(ConfigError, match="no policy of one_link_reach_shac is shipped; train it"):
+        named_policy("one_link_reach_shac", 0)
