@@ -2,8 +2,9 @@
 
     python -m benchmarks.distilled [--seeds 0 1 2] [--only NAME ...] [--keep FOLDER]
 
-Takes every shipped experiment with `learned: distilled`, or those that are named; the others stay
-as they are stored. Writes docs/results/distilled.json and distilled.md.
+Takes every shipped experiment with `learned: distilled` and every one with a warm start from such
+an experiment, or those that are named; the others stay as they are stored. Writes
+docs/results/distilled.json and distilled.md.
 """
 
 import json
@@ -17,17 +18,17 @@ from typing import Any
 import numpy as np
 
 from agents.comparison import titled
-from agents.config import Config, load_config
+from agents.config import BaseConfig, Config, load_config
 from agents.controllers import controller
 from agents.experiments import shipped_experiments
 from agents.export.c_header import header
 from agents.export.signals import signals_of
-from agents.hybrid.controller import EXPERT
 from agents.leaderboard.run import decision_times
 from agents.learners.algorithms import DISTILLED
 from agents.metrics import episode_metrics, make_batch, record
-from agents.policy import Policy, load_policy
+from agents.policy import Controller, Policy, load_policy
 from agents.sentences import one_line
+from agents.training import base_description
 from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
 from benchmarks.training import run_seed
 from dynamics.description import validate
@@ -37,8 +38,8 @@ FIRST, EPISODES = 20_000, 200  # test episodes, other than those of the training
 RESAMPLES = 2_000
 CALLS = 100_000  # timed calls in C
 HEADER = (
-    "experiment", "expert", "policy", "gain [95 % interval]", "training [s]", "expert [us]",
-    "policy [us]", "in C [us]",
+    "experiment", "expert", "policy", "gain on the expert [95 %]", "gain on the warm start [95 %]",
+    "training [s]", "expert [us]", "policy [us]", "in C [us]",
 )  # fmt: skip
 MAIN = """
 #include <stdio.h>
@@ -62,18 +63,26 @@ int main(void)
 """
 
 
-def distilled() -> list[Config]:
-    """Shipped experiments whose policy imitates a controller."""
-    configs = map(load_config, shipped_experiments().values())
-    return [c for c in configs if c.base is not None and c.base.learned == DISTILLED]
+def distilled() -> list[tuple[Config, BaseConfig]]:
+    """Shipped experiments whose policy imitates a controller, or begins with one that does.
 
-
-def gain(policy: AnyArray, expert: AnyArray) -> tuple[float, float, float]:
-    """Mean gain of scores (seeds, episodes) on the expert's (episodes,), and its 95 % interval.
-
-    Training seeds and episodes are resampled, the latter in pairs with the expert's.
+    Each with the expert, and a warm start after the experiment that it begins with.
     """
-    rng, gains = np.random.default_rng(0), policy - expert
+    configs = {name: load_config(path) for name, path in shipped_experiments().items()}
+    first = {name: c.base for name, c in configs.items() if c.base and c.base.learned == DISTILLED}
+    found = [(configs[name], base) for name, base in first.items()]
+    for config in configs.values():
+        if config.agent.warm_start in first:
+            found.append((config, first[config.agent.warm_start]))
+    return sorted(found, key=lambda pair: pair[0].agent.warm_start or pair[0].name)
+
+
+def gain(policy: AnyArray, other: AnyArray) -> tuple[float, float, float]:
+    """Mean gain of scores (seeds, episodes) on others (episodes,) or (seeds, episodes), with 95 %.
+
+    Training seeds and episodes are resampled, both in pairs with the others'.
+    """
+    rng, gains = np.random.default_rng(0), policy - other
     seeds, episodes = gains.shape
     means = [
         gains[rng.integers(seeds, size=seeds)][:, rng.integers(episodes, size=episodes)].mean()
@@ -87,7 +96,7 @@ def stored_rows(path: Path, only: Sequence[str] | None) -> dict[str, dict[str, A
     """Rows of a file by experiment, without those to measure; a ValueError if one is missing."""
     if only is None:
         return {}
-    names = [config.name for config in distilled()]
+    names = [config.name for config, _ in distilled()]
     for name in only:
         validate.known(name, "experiment of --only", names)
     rows = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.exists() else []
@@ -97,28 +106,27 @@ def stored_rows(path: Path, only: Sequence[str] | None) -> dict[str, dict[str, A
     return kept
 
 
-def row(config: Config, seeds: Sequence[int], work: Path) -> dict[str, Any]:
-    """Scores, training times and times of decisions of an experiment."""
-    assert config.base is not None
+def row(config: Config, base: BaseConfig, seeds: Sequence[int], work: Path) -> dict[str, Any]:
+    """Scores, training times and times of decisions of an experiment beside its expert."""
     trained = [run_seed(config, work / config.name, seed) for seed in seeds]
     policies = [load_policy(run.policy) for run, _ in trained]
+    warm = [load_policy(run.untrained) for run, _ in trained if config.agent.warm_start]
     env_id, kwargs = config.env.id, config.env.kwargs
+    parameters = base_description(base, config.env)["parameters"]
     envs, single = (make_batch(env_id, n, kwargs) for n in (EPISODES, 1))
     try:
-        parameters = policies[0].about[EXPERT]["parameters"]
-        expert = controller(config.base.controller, envs, parameters)
-        episodes = range(FIRST, FIRST + EPISODES)
-        theirs, *ours = (
-            episode_metrics(record(x, envs, episodes))["score"] for x in (expert, *policies)
-        )
+        expert = controller(base.controller, envs, parameters)
+        theirs, *rest = (score(x, envs) for x in (expert, *policies, *warm))
+        ours, starts = np.array(rest[: len(seeds)]), np.array(rest[len(seeds) :])
         return {
             "name": config.name,
             "env": titled(env_id, kwargs),
-            "expert": config.base.controller,
+            "expert": base.controller,
             "seeds": list(seeds),
             "expert_score": float(theirs.mean()),
-            "scores": [float(x.mean()) for x in ours],
-            "gain": gain(np.array(ours), theirs),
+            "scores": ours.mean(axis=1).tolist(),
+            "gain": gain(ours, theirs),
+            "gain_on_start": gain(ours, starts) if warm else None,
             "seconds": [seconds for _, seconds in trained],
             "expert_us": 1e3 * float(np.median(decision_times(expert, single, FIRST))),
             "policy_us": 1e3 * float(np.median(decision_times(policies[0], single, FIRST))),
@@ -127,6 +135,13 @@ def row(config: Config, seeds: Sequence[int], work: Path) -> dict[str, Any]:
     finally:
         envs.close()
         single.close()
+
+
+def score(subject: Controller, envs: Any) -> AnyArray:
+    """(EPISODES,) scores of the test episodes."""
+    episodes = range(FIRST, FIRST + EPISODES)
+    found: AnyArray = episode_metrics(record(subject, envs, episodes))["score"]
+    return found
 
 
 def in_c(policy: Policy, env_id: str, core: Any) -> float | None:
@@ -145,16 +160,20 @@ def in_c(policy: Policy, env_id: str, core: Any) -> float | None:
     return float(done.stdout.split()[0])
 
 
+def interval(found: Sequence[float] | None) -> str:
+    """Text of a gain."""
+    return "-" if found is None else "{:+.4f} [{:+.4f}, {:+.4f}]".format(*found)
+
+
 def cells(found: dict[str, Any]) -> list[str]:
     """Texts of a row, in the order of HEADER."""
-    mean, low, high = found["gain"]
     least, most = min(found["seconds"]), max(found["seconds"])
     times = (found[key] for key in ("expert_us", "policy_us", "c_us"))
     return [
         f"[{found['name']}]({found['name']}.md): {found['env']}",
         f"{found['expert']} {found['expert_score']:.3f}",
         f"{np.mean(found['scores']):.3f}",
-        f"{mean:+.4f} [{low:+.4f}, {high:+.4f}]",
+        *(interval(found[key]) for key in ("gain", "gain_on_start")),
         f"{least:.0f} to {most:.0f}",
         *("" if x is None else f"{x:.3g}" for x in times),
     ]
@@ -169,9 +188,11 @@ def page(results: dict[str, Any]) -> str:
 Made by `{results["provenance"]["command"]}` on {machine["processor"]}.
 
 A policy without a model learns from a classical controller, its expert, by DAgger
-([training](../training.md#distilled-policies)). Scores are means over {EPISODES} episodes from seed
-{FIRST} on, which neither training nor tuning uses, and over {len(seeds)} training seeds. Gain: the
-policy's score less the expert's in the same episodes, with a bootstrap over seeds and episodes.
+([training](../training.md#distilled-policies)); PPO may begin with its weights
+([warm starts](../training.md#warm-starts)). Scores are means over {EPISODES} episodes from seed
+{FIRST} on, which neither training nor tuning uses, and over {len(seeds)} training seeds. Gains: the
+policy's score less that of the expert, or of the policy with which it began, in the same episodes,
+with a bootstrap over seeds and episodes.
 Times are of one decision: medians of the controllers in Python, and the mean of the
 [exported C header](../export.md) with `cc -O2`. Training: wall-clock time of one process, longer
 where other work kept the machine busy.
@@ -194,7 +215,7 @@ def main() -> None:
         parser.error(one_line(error))
     with tempfile.TemporaryDirectory() as temporary:
         work = a.keep or Path(temporary)
-        rows = [kept.get(c.name) or row(c, a.seeds, work) for c in distilled()]
+        rows = [kept.get(c.name) or row(c, base, a.seeds, work) for c, base in distilled()]
     results = {"rows": rows, "provenance": provenance("flexarm", "torch", "stable_baselines3")}
     save_results(results, page(results), a.out)
     print(page(results))
