@@ -23,7 +23,7 @@ UNTRAINED, WARM_START = "untrained policy", "warm start"  # policies of a run be
 
 
 def beginning(config: Config) -> str:
-    """What the network with which an experiment begins is called."""
+    """Name of the network with which an experiment begins."""
     return WARM_START if config.agent.warm_start else UNTRAINED
 
 
