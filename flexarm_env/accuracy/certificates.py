@@ -196,7 +196,7 @@ def _fitted(found: dict[str, Any], control_dt: float) -> Fitted:
     if fidelity_of(arm).rigid and any(link.stiffnesses for link in arm.links):
         _log.warning(
             "The chosen model of %s has rigid links: they keep the tip within %.2g m of the "
-            "flexible reference, %.3g m are allowed; take a smaller tolerance for links that bend.",
+            "flexible reference, at a tolerance of %.3g m; take a smaller one for links that bend.",
             arm.name or "the arm", found["error"], found["tolerance"],
         )  # fmt: skip
     certificate = {key: value for key, value in found.items() if key != "arm"}
@@ -210,7 +210,6 @@ def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
 
     It is cached, since the search may take minutes.
     """
-    arm = arm.with_listed_modes()
     described = json.dumps(arm.to_dict())
     key = fingerprint("choice", _measuring(), described, repr(control_dt), repr(tolerance))
 

@@ -33,7 +33,7 @@ def searched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[float]:
         tolerances.append(tolerance)
         if arm.name == "hard":
             raise RuntimeError("No model is within that.")
-        link = arm.to_dict()["links"][0]
+        link = arm.with_listed_modes().to_dict()["links"][0]
         _, conditions = scene(arm, control_dt)
         return {
             "arm": {"name": arm.name, "links": [{**link, "modes": link["modes"][:1]}]},

@@ -1,6 +1,7 @@
 """Models chosen over episodes, for `tolerance` and `modes: auto`."""
 
 import logging
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from dynamics import Arm, load_arm
+from dynamics.accuracy.fidelity import everything, rigid
 from dynamics.accuracy.progress import Progress
 from flexarm_env.accuracy.certificates import fit
 from flexarm_env.accuracy.motions import KINDS, bang_bang, held, sines, white
@@ -70,6 +72,33 @@ def test_what_diverges_in_episodes_is_searched_again_and_refused_at_last(
     with pytest.raises(RuntimeError, match="diverges in whole episodes"):
         choice.chosen(load_arm("slim"), 0.02, 0.01)
     assert wanted == [0.01, 0.0008, 0.000064]
+
+
+def test_a_link_that_states_no_modes_beside_others_stays_rigid(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its stiffness is left to the reference from which the error of the choice is measured."""
+    upper = {"length": 0.6, "rho_A": 0.35, "EIz": 18.0, "modes": "auto"}
+    stiff = {"length": 0.5, "rho_A": 0.2, "EIz": 6.0}
+    arm = load_arm({"links": [upper, {"sections": [stiff], "modes": []}]})
+
+    def search(arm: Arm, motions: object, tolerance: float) -> Any:
+        best = replace(rigid(arm, foreshortening=True), counts=everything(arm, 1, 1)).arm(arm)
+        return SimpleNamespace(to_dict=lambda: {"arm": best.to_dict(), "reason": "One mode."})
+
+    def measured(found: dict[str, Any], *_: object) -> dict[str, float]:
+        return {"error": 0.25 if load_arm(found["arm"]).links[1].stiffnesses else 0.001}
+
+    monkeypatch.setattr(choice, "choose_model", search)
+    monkeypatch.setattr(choice, "_in_episodes", measured)
+    found = choice.chosen(arm, 0.02, 0.01)
+    chosen = load_arm(found["arm"])
+    assert chosen.foreshortening
+    assert [len(link.modes) for link in chosen.links] == [1, 0]
+    assert chosen.links[1] == arm.links[1]
+    assert found["error"] == 0.25
+    assert found["reference"].startswith("links 1, 2: 2 x")
+    assert "within 0.001 m of it, and within 0.25 m of one that bends there." in found["reason"]
 
 
 def test_a_scene_has_the_motions_of_the_certificate() -> None:
