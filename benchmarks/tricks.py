@@ -44,7 +44,7 @@ def _replace(module: ModuleType, name: str, value: object) -> None:
 
 
 @register_jitable
-def _expect_nothing(array, first):  # type: ignore[no-untyped-def]
+def _expect_nothing(array, count, first, stride):  # type: ignore[no-untyped-def]
     return
 
 
@@ -75,7 +75,7 @@ def _all_lanes_at_once() -> None:
 
 def _no_prefetch() -> None:
     made = lanes.lane_moves
-    _replace(lanes, "lane_moves", lambda count: (*made(count)[:2], _expect_nothing))
+    _replace(lanes, "lane_moves", lambda *sizes: (*made(*sizes)[:2], _expect_nothing))
 
 
 def _rows_one_by_one() -> None:

@@ -76,7 +76,7 @@ def _as_described(
     with Progress(None) as line:
         own = _in_episodes(found | {"arm": model.to_dict()}, control_dt, tolerance, line)
     reason = (
-        f"{found['reason']} Rigid in that reference too, by modes: [], are links "
+        f"{found['reason']} Rigid in that reference too, by modes: []: link "
         f"{', '.join(str(k + 1) for k in rigid)}. In whole episodes the tip stays within "
         f"{found['error']:.2g} m of it, and within {own['error']:.2g} m of one that bends there."
     )

@@ -65,17 +65,18 @@ def _block(statement: Statement, routines: Routines) -> list[str]:
         case Substeps(body):
             return ["for _ in range(substeps):", *indented(block_lines(body, routines))]
         case Copy(source, target, rows):
-            return _each(rows, f"put(w, {source} + k * LANES, w, {target} + k * LANES)")
+            return [f"put(w, {source}, N_{rows.name}, w, {target}, LANES)"]
         case Prefetch(rows, following):
-            return _each(rows, f"expect({rows.array}, {_place(rows, following)})")
+            at = _first(rows, "column + LANES" if following else "column")
+            return [f"expect({rows.array}, N_{rows.name}, {at})"]
         case Load(slots, rows) if rows.array in ROW_PER_ENVIRONMENT:
             return [f"take_{rows.array}(w, {slots}, {rows.array}, column)"]
         case Store(slots, rows) if rows.array in ROW_PER_ENVIRONMENT:
             return [f"put_{rows.array}(w, {slots}, {rows.array}, column)"]
         case Load(slots, rows):
-            return _each(rows, f"take(w, {slots} + k * LANES, {rows.array}, {_place(rows)})")
+            return [_moved("take", slots, rows, "column")]
         case Store(slots, rows):
-            return _each(rows, f"put(w, {slots} + k * LANES, {rows.array}, {_place(rows)})")
+            return [_moved("put", slots, rows, "column")]
         case WhereLost(flag=flag, restored=restored, then=then):
             return _where_lost(flag, restored, block_lines(then, routines))
     raise TypeError(f"The LLVM backend starts episodes between steps, so not by {statement}.")
@@ -83,35 +84,25 @@ def _block(statement: Statement, routines: Routines) -> list[str]:
 
 def _of_stack(statement: Push | Pop, move: str) -> list[str]:
     """Moves between slots and the rows of the stack from `top` on."""
-    slots = f"{statement.slots} + (np.uint64({statement.skipped}) + k) * LANES"
-    return [
-        f"for k in range(np.uint64({statement.count})):",
-        f"    {move}(w, {slots}, stack, (top + k) * width + column)",
-    ]
+    slots = f"{statement.slots} + np.uint64({statement.skipped}) * LANES"
+    rows = "stack, top * width + column, width"
+    return [f"{move}(w, {slots}, np.uint64({statement.count}), {rows})"]
 
 
-def _each(rows: Rows, line: str) -> list[str]:
-    return [f"for k in range(N_{rows.name}):", f"    {line}"]
+def _moved(move: str, slots: str, rows: Rows, environment: str) -> str:
+    return f"{move}(w, {slots}, N_{rows.name}, {rows.array}, {_first(rows, environment)})"
 
 
-def _place(rows: Rows, following: bool = False) -> str:
-    """Number of an element in its flat array: of row k and the block's first environment."""
+def _first(rows: Rows, environment: str) -> str:
+    """Place of an environment in the first row, in the flat array, and from there to the next."""
     if rows.array in ROW_PER_ENVIRONMENT:
-        return f"column * N_{rows.name} + k * LANES"
-    return f"{_row(rows)} * width + column" + (" + LANES" if following else "")
-
-
-def _row(rows: Rows) -> str:
-    return f"(FIRST_{rows.name} + k)" if rows.first else "k"
+        return f"({environment}) * N_{rows.name}, LANES"
+    return f"FIRST_{rows.name} * width + " * bool(rows.first) + f"{environment}, width"
 
 
 def _where_lost(flag: str, restored: Iterable[Load], then: Iterable[str]) -> list[str]:
     """Restore some lanes; call for all of them."""
-    loads = [
-        line
-        for x in restored
-        for line in _each(x.rows, f"{_slot(x.slots)} = {_element(x.rows, 'column + b')}")
-    ]
+    loads = [line for x in restored for line in _lane(x, "column + b")]
     lines = [f"if w[{flag} + b] > 0.0:", *indented(loads)]
     return [
         "lost = 0",
@@ -147,27 +138,18 @@ def _lane_by_lane(statement: Statement) -> str:
     return "load" if isinstance(statement, Load | Copy | Clear) else ""
 
 
-def _lane(statement: Statement) -> list[str]:
+def _lane(statement: Statement, environment: str = "i") -> list[str]:
     match statement:
         case Clear(slots, 1):
             return [f"w[{slots} + b] = 0.0"]
         case Clear(slots, count):
             return [f"for k in range({count}):", f"    w[{slots} + k * LANES + b] = 0.0"]
         case Copy(source, target, rows):
-            return _each(rows, f"{_slot(target)} = {_slot(source)}")
+            return [f"put_one(w, {source} + b, N_{rows.name}, w, {target} + b, LANES)"]
         case Load(slots, rows):
-            return _each(rows, f"{_slot(slots)} = {_element(rows, 'i')}")
+            return [_moved("take_one", f"{slots} + b", rows, environment)]
         case Store(slots, rows) if rows.array in ROW_PER_ENVIRONMENT:
-            return [f"scatter(w, {slots} + b, {rows.array}, i)"]
+            return [f"scatter(w, {slots} + b, {rows.array}, {environment})"]
         case Store(slots, rows):
-            flag = " != 0.0" if rows.array == "flags" else ""
-            return _each(rows, f"{_element(rows, 'i')} = {_slot(slots)}{flag}")
+            return [_moved("put_one", f"{slots} + b", rows, environment)]
     raise TypeError(f"No lines of one lane for {statement}.")
-
-
-def _slot(name: str) -> str:
-    return f"w[{name} + k * LANES + b]"
-
-
-def _element(rows: Rows, environment: str) -> str:
-    return f"{rows.array}[{_row(rows).strip('()')}, {environment}]"

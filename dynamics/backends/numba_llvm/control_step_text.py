@@ -24,6 +24,7 @@ def noise(w):
 # The block of lines in place of a name in braces: `steps` prepares for the length of a substep.
 _ENTRY = """
 take, put, expect = lane_moves(int(LANES))
+take_one, put_one, _ = lane_moves(1, int(LANES))
 _, scatter = row_moves(int(LANES))
 take_actions, _ = block_moves(int(LANES), int(N_ACTION))
 _, put_obs = block_moves(int(LANES), int(N_OBSERVATION))

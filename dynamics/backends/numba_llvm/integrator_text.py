@@ -1,17 +1,26 @@
 """The part of an integrator in a generated module beside its straight-line functions."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 from numba.extending import register_jitable
 
 from dynamics.integrators.exponential import FrozenModes
 from dynamics.integrators.table import INTEGRATORS
+from dynamics.runtime.jit import exact
 from dynamics.tracing.method import WHOLE_START, WHOLE_STEP, Method
 
 for _method in INTEGRATORS.values():
     for _helper in _method.helpers:
         register_jitable(_helper)
+
+
+@cache
+def preparation(integrator: str) -> Any:
+    """The method's `prepare`, which numba compiles once for all programs of a process."""
+    return exact(INTEGRATORS[integrator].prepare)
+
 
 # A method with a Jacobian is compiled as Python loops: recorded, it would be too long.
 _LOOPS = """
@@ -37,7 +46,7 @@ def {3}(w):
 _PLACES = "AT = Slots(N, Q, V, ACC, IMPLICIT, SCRATCH, TAU, LANES)"
 _MODES = "AID = FrozenModes(np.array({0!r}), np.array({1!r}))"
 _STEPS = "AID = np.array({0!r})"
-_PREPARE = "prepare_method = exact(INTEGRATORS[{0!r}].prepare)"
+_PREPARE = "prepare_method = preparation({0!r})"
 _PREPARED = "prepare_method(w, w[H], AT, AID)"
 
 

@@ -8,8 +8,8 @@ from dynamics.tracing.function import Function
 _IMPORTS = """
 import numpy as np
 from dynamics.backends.numba_llvm.free_base_entries import enter, leave, turn
-from dynamics.runtime.jit import compiled, exact, outermost
-from dynamics.backends.numba_llvm.integrator_text import INTEGRATORS
+from dynamics.runtime.jit import compiled, outermost
+from dynamics.backends.numba_llvm.integrator_text import INTEGRATORS, preparation
 from dynamics.backends.numba_llvm.lanes import block_moves, lane_moves, row_moves, straight_line
 from dynamics.runtime.work_queue import first_chunk, take_chunk
 from dynamics.integrators.exponential import FrozenModes

@@ -1,6 +1,7 @@
 """Compiled moves of values between the workspace and a caller's arrays."""
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,14 +17,17 @@ _BYTES = ir.IntType(8).as_pointer()
 _FETCH, _TO_WRITE = "llvm.prefetch.p0i8", (1, 3, 1)  # to write, into the nearest cache, data
 
 
-def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
-    """Functions `take`, `put` and `expect` on runs of consecutive array elements.
+@cache
+def lane_moves(lanes: int, apart: int | None = None) -> tuple[Any, Any, Any]:
+    """Functions `take`, `put` and `expect` on runs of consecutive elements of an array's rows.
 
-    `take(w, at, array, first)` copies elements first ... first + lanes of the flat array to the
-    lanes at offset `at` of w, `put(w, at, array, first)` copies them back. Numbers are converted;
-    in an array of booleans every nonzero number is true. `expect(array, first)` prefetches the
-    cache lines of such elements for writing. Gain: docs/results/tricks.md.
+    `take(w, at, count, array, first, stride)` copies `count` runs to the slots from offset `at` of
+    w on; run k is elements first + k stride ... + lanes of the flat array. Slots are `apart`
+    numbers apart, `lanes` if that is not given. `put` copies them back. Numbers are converted; in
+    an array of booleans every nonzero number is true. `expect(array, count, first, stride)`
+    prefetches the cache lines of such runs for writing. Gain: docs/results/tricks.md.
     """
+    apart = lanes if apart is None else apart
 
     def pointer(context, builder, kind, array, offset):  # type: ignore[no-untyped-def]
         data = data_pointer(context, builder, kind, array)
@@ -38,41 +42,48 @@ def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
 
     def move(inwards: bool) -> Any:
         @intrinsic
-        def lanes_moved(typingctx, w, at, array, first):  # type: ignore[no-untyped-def]
+        def lanes_moved(typingctx, w, at, count, array, first, stride):  # type: ignore[no-untyped-def]
             def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-                slot = pointer(context, builder, signature.args[0], args[0], args[1])
-                place = pointer(context, builder, signature.args[2], args[2], args[3])
-                source, target = (place, slot) if inwards else (slot, place)
-                number = context.get_data_type(signature.args[0 if inwards else 2].dtype)
-                size = context.get_abi_sizeof(context.get_data_type(w.dtype))
-                other = context.get_abi_sizeof(context.get_data_type(array.dtype))
-                aligns = (other, size) if inwards else (size, other)
-                value = convert(builder, builder.load(source, align=aligns[0]), number)
-                builder.store(value, target, align=aligns[1])
+                kinds = w, array
+                number = context.get_data_type(kinds[1 - inwards].dtype)
+                sizes = [context.get_abi_sizeof(context.get_data_type(x.dtype)) for x in kinds]
+                with for_range(builder, args[2]) as loop:
+                    slot = _after(builder, args[1], loop.index, WORD(apart))
+                    element = _after(builder, args[4], loop.index, args[5])
+                    places = (
+                        pointer(context, builder, w, args[0], slot),
+                        pointer(context, builder, array, args[3], element),
+                    )
+                    value = builder.load(places[inwards], align=sizes[inwards])
+                    value = convert(builder, value, number)
+                    builder.store(value, places[1 - inwards], align=sizes[1 - inwards])
                 return context.get_dummy_value()
 
-            return types.void(w, at, array, first), codegen
+            return types.void(w, at, count, array, first, stride), codegen
 
         return lanes_moved
 
     @intrinsic
-    def expect(typingctx, array, first):  # type: ignore[no-untyped-def]
+    def expect(typingctx, array, count, first, stride):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
             data = data_pointer(context, builder, signature.args[0], args[0])
             size = context.get_abi_sizeof(data.type.pointee)
-            place = _place(builder, data, args[1], ir.IntType(8))
             kind = ir.FunctionType(ir.VoidType(), [_BYTES, *3 * [ir.IntType(32)]])
             fetch = builder.module.globals.get(_FETCH) or ir.Function(builder.module, kind, _FETCH)
-            for byte in range(0, lanes * size, CACHE_LINE):
-                line = builder.gep(place, [WORD(byte)])
-                builder.call(fetch, [line, *map(ir.IntType(32), _TO_WRITE)])
+            with for_range(builder, args[1]) as loop:
+                offset = _after(builder, args[2], loop.index, args[3])
+                place = _place(builder, data, offset, ir.IntType(8))
+                for byte in range(0, lanes * size, CACHE_LINE):
+                    line = builder.gep(place, [WORD(byte)])
+                    builder.call(fetch, [line, *map(ir.IntType(32), _TO_WRITE)])
             return context.get_dummy_value()
 
-        return types.void(array, first), codegen
+        return types.void(array, count, first, stride), codegen
 
     return move(inwards=True), move(inwards=False), expect
 
 
+@cache
 def row_moves(lanes: int) -> tuple[Any, Any]:
     """Functions `gather` and `scatter` on rows of an array.
 
@@ -124,6 +135,7 @@ def row_moves(lanes: int) -> tuple[Any, Any]:
     return move(gathered), move(scattered)
 
 
+@cache
 def block_moves(lanes: int, columns: int) -> tuple[Any, Any]:
     """Functions `take_rows` and `put_rows` on consecutive rows of a C-ordered array.
 
@@ -240,6 +252,11 @@ def _zipped(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
     a, b = _zipped(builder, parts[::2]), _zipped(builder, parts[1::2])
     count = a.type.count
     return _shuffled(builder, a, b, (k for i in range(count) for k in (i, count + i)))
+
+
+def _after(builder: ir.IRBuilder, first: ir.Value, k: ir.Value, stride: ir.Value) -> ir.Value:
+    """first + k stride"""
+    return builder.add(first, builder.mul(k, stride))
 
 
 def _place(builder: ir.IRBuilder, data: ir.Value, offset: ir.Value, kind: ir.Type) -> ir.Value:

@@ -1,6 +1,7 @@
 """The functions of vector_code.py and moves.py in plain numba: slower, with public parts alone."""
 
 import re
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -43,28 +44,33 @@ def straight_line(name: str, lanes: int, text: str, loose: bool = False) -> Any:
     return njit(error_model="numpy")(names[name])
 
 
-def lane_moves(lanes: int) -> tuple[Any, Any, Any]:
+@cache
+def lane_moves(lanes: int, apart: int | None = None) -> tuple[Any, Any, Any]:
     """`take`, `put` and `expect` of moves.py; `expect` does nothing."""
+    between = lanes if apart is None else apart
 
     @register_jitable
-    def take(w, at, array, first):  # type: ignore[no-untyped-def]
+    def take(w, at, count, array, first, stride):  # type: ignore[no-untyped-def]
         flat = array.reshape(array.size)
-        for b in range(lanes):
-            w[np.int64(at) + b] = flat[np.int64(first) + b]
+        for k in range(np.int64(count)):
+            for b in range(lanes):
+                w[np.int64(at) + k * between + b] = flat[np.int64(first) + k * np.int64(stride) + b]
 
     @register_jitable
-    def put(w, at, array, first):  # type: ignore[no-untyped-def]
+    def put(w, at, count, array, first, stride):  # type: ignore[no-untyped-def]
         flat = array.reshape(array.size)
-        for b in range(lanes):
-            flat[np.int64(first) + b] = w[np.int64(at) + b]
+        for k in range(np.int64(count)):
+            for b in range(lanes):
+                flat[np.int64(first) + k * np.int64(stride) + b] = w[np.int64(at) + k * between + b]
 
     @register_jitable
-    def expect(array, first):  # type: ignore[no-untyped-def]
+    def expect(array, count, first, stride):  # type: ignore[no-untyped-def]
         return
 
     return take, put, expect
 
 
+@cache
 def row_moves(lanes: int) -> tuple[Any, Any]:
     """`gather` and `scatter` of moves.py."""
 
@@ -83,6 +89,7 @@ def row_moves(lanes: int) -> tuple[Any, Any]:
     return gather, scatter
 
 
+@cache
 def block_moves(lanes: int, columns: int) -> tuple[Any, Any]:
     """`take_rows` and `put_rows` of moves.py."""
     gather, scatter = row_moves(lanes)

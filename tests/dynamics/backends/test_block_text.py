@@ -25,18 +25,28 @@ STATE, FLAG = Rows("STATE", "state", 1, 2), Rows("FLAG", "flags", 0, 1)
 def names(**others: Any) -> dict[str, Any]:
     """The names that printed lines use: slots 0 and 1 are A, 2 and 3 are B, 4 is LOST."""
 
-    def take(w: Any, at: int, array: Any, first: int) -> None:
-        w[at : at + LANES] = array.reshape(-1)[first : first + LANES]
+    def moves(lanes: int) -> tuple[Any, Any]:
+        def pairs(at: int, count: int, first: int, stride: int) -> Any:
+            rows, lane = np.arange(count)[:, None], np.arange(lanes)
+            return at + LANES * rows + lane, int(first) + stride * rows + lane
 
-    def put(w: Any, at: int, array: Any, first: int) -> None:
-        array.reshape(-1)[first : first + LANES] = w[at : at + LANES]
+        def take(w: Any, at: int, count: int, array: Any, first: int, stride: int) -> None:
+            slots, elements = pairs(at, count, first, stride)
+            w[slots] = array.reshape(-1)[elements]
 
+        def put(w: Any, at: int, count: int, array: Any, first: int, stride: int) -> None:
+            slots, elements = pairs(at, count, first, stride)
+            array.reshape(-1)[elements] = w[slots]
+
+        return take, put
+
+    (take, put), (take_one, put_one) = moves(LANES), moves(1)
     state = np.arange(3.0 * WIDTH).reshape(3, WIDTH)
     return {
         "np": np, "LANES": LANES, "A": 0, "B": 2 * LANES, "LOST": 4 * LANES, "take": take,
-        "put": put, "N_STATE": 2, "FIRST_STATE": 1, "N_FLAG": 1, "w": np.zeros(5 * LANES),
-        "state": state, "flags": np.zeros((1, WIDTH), bool), "width": WIDTH, "column": 4,
-        **others,
+        "put": put, "take_one": take_one, "put_one": put_one, "N_STATE": 2, "FIRST_STATE": 1,
+        "N_FLAG": 1, "w": np.zeros(5 * LANES), "state": state,
+        "flags": np.zeros((1, WIDTH), bool), "width": WIDTH, "column": 4, **others,
     }  # fmt: skip
 
 
@@ -89,8 +99,10 @@ def test_routines_are_printed_in_place_and_substeps_repeat_them() -> None:
 
 def test_rows_are_prefetched_where_they_will_be_written() -> None:
     lines = block_lines((Prefetch(STATE, next=True), Prefetch(Rows("OBS", "obs", 0, 3))), {})
-    assert lines[1].strip() == "expect(state, (FIRST_STATE + k) * width + column + LANES)"
-    assert lines[3].strip() == "expect(obs, column * N_OBS + k * LANES)"
+    assert lines == [
+        "expect(state, N_STATE, FIRST_STATE * width + column + LANES, width)",
+        "expect(obs, N_OBS, (column) * N_OBS, LANES)",
+    ]
 
 
 def test_blocks_are_filled_in_with_their_indent() -> None:

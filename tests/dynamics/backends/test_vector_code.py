@@ -16,35 +16,40 @@ from dynamics.backends.numba_llvm.stepper_entries import LANES
 MOVES = """
 from dynamics.backends.numba_llvm.moves import lane_moves
 from dynamics.runtime.jit import outermost
-take, put, expect = lane_moves({lanes})
+take, put, expect = lane_moves({lanes}, {apart})
 
 @outermost
 def there_and_back(source, w, numbers, flags):
-    take(w, {lanes}, source, 3)
-    put(w, {lanes}, numbers, 1)
-    put(w, {lanes}, flags, 1)
+    take(w, {apart}, 2, source, 3, 20)
+    put(w, {apart}, 2, numbers, 1, 18)
+    put(w, {apart}, 2, flags, 1, 18)
 """
 
 
-@pytest.mark.parametrize("lanes", [1, LANES])
+@pytest.mark.parametrize(("lanes", "apart"), [(1, 1), (1, 7), (LANES, LANES)])
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 def test_lanes_move_between_workspace_and_arrays(
-    lanes: int, dtype: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    lanes: int, apart: int, dtype: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Just those elements, converted; whatever is not zero is true."""
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path))
-    module = cached_module(f"moves_{lanes}_{dtype}", lambda: MOVES.format(lanes=lanes))
+    text = MOVES.format(lanes=lanes, apart=apart)
+    module = cached_module(f"moves_{lanes}_{apart}_{dtype}", lambda: text)
     source = np.arange(3.0 * LANES) % 5.0 - 3.0
     source[4] = np.nan
-    w, numbers = np.zeros(3 * lanes, dtype), np.full(2 + lanes, 7.0)
-    flags = np.zeros(2 + lanes, np.bool_)
+    w, numbers, flags = np.zeros(3 * apart + lanes, dtype), np.full(40, 7.0), np.zeros(40, np.bool_)
 
     module.there_and_back(source, w, numbers, flags)
 
-    moved = source[3 : 3 + lanes]
-    np.testing.assert_array_equal(w, np.r_[np.zeros(lanes), moved, np.zeros(lanes)])
-    np.testing.assert_array_equal(numbers, np.r_[7.0, moved, 7.0])
-    np.testing.assert_array_equal(flags, np.r_[False, moved != 0.0, False])
+    expected, stored, marked = np.zeros_like(w), np.full(40, 7.0), np.zeros(40, np.bool_)
+    for k in range(2):
+        moved = source[3 + 20 * k :][:lanes]
+        expected[apart * (1 + k) :][:lanes] = moved
+        stored[1 + 18 * k :][:lanes] = moved
+        marked[1 + 18 * k :][:lanes] = moved != 0.0
+    np.testing.assert_array_equal(w, expected)
+    np.testing.assert_array_equal(numbers, stored)
+    np.testing.assert_array_equal(flags, marked)
 
 
 ROWS = """
@@ -256,7 +261,7 @@ take, put, expect = lane_moves({lanes})
 
 @outermost
 def ahead(numbers, first):
-    expect(numbers, first)
+    expect(numbers, 1, first, 0)
 """
 
 
