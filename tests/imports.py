@@ -5,6 +5,7 @@ All imports count, also those inside functions and type checks.
 
 import ast
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from tests.paths import ROOT
@@ -73,15 +74,16 @@ def module_name(path: Path) -> str:
     return ".".join(parts).removesuffix(".__init__")
 
 
-def imported(tree: ast.AST) -> set[str]:
-    """Dotted names of all absolute imports, each as far as it may be a module."""
+@cache
+def imported(path: Path) -> frozenset[str]:
+    """Dotted names of all absolute imports of a file, each as far as it may be a module."""
     names: set[str] = set()
-    for node in ast.walk(tree):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
+    return frozenset(names)
 
 
 def imports(*folders: str) -> Graph:
@@ -89,8 +91,7 @@ def imports(*folders: str) -> Graph:
     files = {module_name(path): path for path in sources(*folders)}
     graph: Graph = {}
     for name, path in files.items():
-        found = imported(ast.parse(path.read_text(encoding="utf-8")))
-        modules = {x if x in files else x.rpartition(".")[0] for x in found}
+        modules = {x if x in files else x.rpartition(".")[0] for x in imported(path)}
         graph[name] = {x for x in modules if x in files and x != name}
     return graph
 

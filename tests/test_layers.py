@@ -69,8 +69,7 @@ def test_every_room_is_there() -> None:
 @pytest.mark.parametrize("package", FORBIDDEN)
 def test_packages_do_not_import_what_they_must_not_know(package: str) -> None:
     for path in sources(package):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        found = {name.split(".")[0] for name in imported(tree)} & FORBIDDEN[package]
+        found = {name.split(".")[0] for name in imported(path)} & FORBIDDEN[package]
         if module_name(path).startswith(TENSORS):
             found -= {"torch"}
         assert not found, f"{path.relative_to(ROOT)} imports {sorted(found)}"
@@ -119,7 +118,6 @@ def test_docstrings_name_their_subject() -> None:
 def test_each_compiler_is_known_in_one_place() -> None:
     """Numba to its backend and its runtime, CUDA to its backend; the programs know neither."""
     for path in sources("dynamics", "flexarm_env", "agents"):
-        found = imported(ast.parse(path.read_text(encoding="utf-8")))
-        for name in {x.split(".")[0] for x in found} & set(COMPILERS):
+        for name in {x.split(".")[0] for x in imported(path)} & set(COMPILERS):
             where = f"{path.relative_to(ROOT)} imports {name}"
             assert module_name(path).startswith(COMPILERS[name]), where

@@ -1,6 +1,5 @@
 """Private parts of numba stand in one place, and a newer numba does without them."""
 
-import ast
 import json
 import os
 import re
@@ -73,7 +72,7 @@ def test_only_one_module_imports_private_parts() -> None:
     """`numba.core` is private; `numba`, `numba.extending` and `llvmlite.ir` are documented."""
     public = re.compile(r"(numba(\.extending|\.types|\.config)?|llvmlite\.(ir|binding))(\.\w+)?$")
     for path in sources("dynamics", "flexarm_env", "agents", "benchmarks"):
-        found = imported(ast.parse(path.read_text(encoding="utf-8")))
+        found = imported(path)
         private = {x for x in found if x.startswith(("numba", "llvmlite")) and not public.match(x)}
         assert not private or str(path.relative_to(ROOT)) in ALLOWED, (path, private)
 

@@ -328,8 +328,10 @@ def test_a_workspace_starts_with_a_cache_line(dtype: str) -> None:
 
 def test_a_batch_in_use_refuses_another_python_thread() -> None:
     """Four Python threads step one batch: each call completes or is refused."""
-    stepper = batch(compiled(ARM), 4000)
-    one = batch(compiled(ARM), 4000)
+    stepper = batch(compiled(ARM), 2000)
+    one = Stepper(compiled(ARM), 2000, dt=stepper.dt, substeps=stepper.substeps)
+    for own, other in ((one.q, stepper.q), (one.v, stepper.v), (one.torque, stepper.torque)):
+        own[:] = other
     errors: list[BaseException | None] = []
     ready = threading.Barrier(4)
 
