@@ -12,6 +12,7 @@ from dynamics.tracing.statements import Derivatives, Statements, rows_of, walked
 
 _MOVES = """
 take, put, expect = lane_moves(int(LANES))
+take_one, put_one, _ = lane_moves(1, int(LANES))
 take_actions, put_actions = block_moves(int(LANES), int(N_ACTION))
 take_obs, put_obs = block_moves(int(LANES), int(N_OBSERVATION))
 take_actions_mirror, put_actions_mirror = take_actions, put_actions
