@@ -56,18 +56,14 @@ def steps(jobs: int, keep: Path) -> Iterator[Step]:
     yield Step("parameters", ("agents.tune",), ("--keep", str(keep / "tune")))
     wide = ("--tasks", WIDE, "--tracks", "wide")
     yield Step("parameters", ("agents.tune", *wide), ("--keep", str(keep / "tune")))
-    for name, path in shipped_experiments().items():
+    configs = {name: load_config(path) for name, path in shipped_experiments().items()}
+    for name, config in sorted(configs.items(), key=lambda x: bool(x[1].agent.warm_start)):
         seeds, minutes = stored_runs(name)
-        given = ("--config", f"configs/{path.name}", "--ship", "--seeds", *map(str, seeds))
+        given = ("--config", f"configs/{name}.yaml", "--ship", "--seeds", *map(str, seeds))
         kept = (*side, "--keep", str(keep / name))
-        on_tensors = load_config(path).agent.name in ON_TENSORS
-        yield Step(
-            "trainings",
-            ("benchmarks.training", *given),
-            kept,
-            minutes and minutes / jobs,
-            on_tensors,
-        )
+        on_tensors = config.agent.name in ON_TENSORS
+        minutes = minutes and minutes / jobs
+        yield Step("trainings", ("benchmarks.training", *given), kept, minutes, on_tensors)
     yield Step("trainings", ("benchmarks.distilled",), ("--keep", str(keep)))
     for name, study in STUDIES.items():
         on_tensors = load_config(study.learner).agent.name in ON_TENSORS

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from agents.config import load_config
 from agents.experiments import shipped_experiments
 from benchmarks import results
 from benchmarks.results import done, main, steps
@@ -18,9 +19,14 @@ def test_every_experiment_is_trained_before_policies_are_ranked(tmp_path: Path) 
     assert parts == sorted(parts, key=list(dict.fromkeys(parts)).index)
     texts = [step.text for step in steps(2, tmp_path)]
     assert len(set(texts)) == len(texts)
-    for name in shipped_experiments():
-        (at,) = (k for k, text in enumerate(texts) if f"configs/{name}.yaml" in text)
-        assert at < texts.index("agents.leaderboard")
+    place = {
+        name: next(k for k, text in enumerate(texts) if f"configs/{name}.yaml" in text)
+        for name in shipped_experiments()
+    }
+    assert max(place.values()) < texts.index("agents.leaderboard")
+    first = {name: load_config(x).agent.warm_start for name, x in shipped_experiments().items()}
+    assert all(place[start] < place[name] for name, start in first.items() if start)
+    assert any(first.values())
     assert all(importlib.util.find_spec(step.words[0]) for step in steps(2, tmp_path))
 
 
