@@ -3,12 +3,14 @@
     python -m benchmarks.standings
 
 They have the best controller of every kind in each task and track, the tasks in which one kind
-leads, what policies gain on their bases, and the experiments whose keywords were searched. The
-command fills the blocks `<!-- NAME --> ... <!-- /NAME -->` of the page.
+leads, what policies gain on their bases, the best policy that twenty minutes of training buy, and
+the experiments whose keywords were searched. The command fills the blocks
+`<!-- NAME --> ... <!-- /NAME -->` of the page.
 """
 
 import json
 from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Any
 
 from agents.config import load_config
@@ -26,6 +28,7 @@ from benchmarks.output import RESULTS, ROOT, argument_parser, filled, table
 PAGE = ROOT / "docs" / "leaderboard.md"
 FAMILIES = ("joint control", "linear-quadratic", "predictive")  # of classical control
 COLUMNS = (*FAMILIES, LEARNED, ON_MODEL)
+BUDGET = 1200.0  # [s] of training on one core
 Tables = Mapping[str, Mapping[str, Mapping[str, Figures]]]  # by task, track and controller
 
 
@@ -43,7 +46,7 @@ def blocks() -> dict[str, str]:
     stored = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
     tables = {track: standings(stored, track) for track in entered(stored)}
     texts = {"leaders": leaders(stored), "gains": gains(stored), "searched": searched(tuned())}
-    return tables | texts
+    return tables | texts | {"bought": bought(stored, trained())}
 
 
 def entered(stored: Tables) -> list[str]:
@@ -121,6 +124,40 @@ def gains(stored: Tables) -> str:
     return "\n".join(
         f"- {text.capitalize()}, {len(x)}: {'; '.join(x) or 'none'}." for text, x in places.items()
     )
+
+
+def trained() -> dict[str, float]:
+    """[s] of one training of every shipped experiment, with that of its warm start: medians."""
+    seconds, starts = {}, {}
+    for name, path in shipped_experiments().items():
+        runs = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))["runs"]
+        seconds[name] = median(run["seconds"] for run in runs)
+        starts[name] = load_config(path).agent.warm_start
+    return {name: x + seconds.get(starts[name] or "", 0.0) for name, x in seconds.items()}
+
+
+def bought(stored: Tables, seconds: Mapping[str, float]) -> str:
+    """Best policy without a model that one core trains in twenty minutes, by task and track."""
+    found: dict[tuple[str, str], list[tuple[Figures, str]]] = {}
+    for name, path in shipped_experiments().items():
+        env_id, track, policy = place_of(load_config(path))
+        x = stored.get(env_id, {}).get(track, {}).get(policy)
+        if x is not None and x["kind"] == LEARNED and seconds[name] <= BUDGET:
+            found.setdefault((env_id, track), []).append((x, name))
+    rows = []
+    for env_id, tracks in stored.items():
+        for track in tracks:
+            if (env_id, track) not in found:
+                continue
+            x, name = max(found[env_id, track], key=lambda pair: pair[0]["score_mean"])
+            classical = {k: v for k, v in ranked(tracks[track]).items() if v["kind"] == CLASSICAL}
+            best = max(classical, key=lambda k: classical[k]["score_mean"])
+            rows.append([
+                short(env_id), track, f"[{name}](results/{name}.md)", f"{seconds[name] / 60.0:.1f}",
+                f"{x['score_mean']:.3f}", f"{best} {classical[best]['score_mean']:.3f}",
+            ])  # fmt: skip
+    header = ["task", "track", "experiment", "one training [min]", "mean score", "best classical"]
+    return table(header, rows, "lllrrl")
 
 
 def sorted_by(found: Mapping[str, str | None], words: Sequence[str]) -> str:

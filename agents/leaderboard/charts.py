@@ -26,9 +26,10 @@ from flexarm_env import IDS, TASKS
 Results = Mapping[str, Mapping[str, Mapping[str, Entry]]]  # by task, track and controller
 
 TRACK_LOOKS = {  # colour, marker and place
-    "state": (COLOURS[0], "o", 0.22),
-    "laboratory": (COLOURS[1], "s", 0.0),
-    "transfer": (COLOURS[3], "^", -0.22),
+    "state": (COLOURS[0], "o", 0.27),
+    "laboratory": (COLOURS[1], "s", 0.09),
+    "transfer": (COLOURS[3], "^", -0.09),
+    "wide": (COLOURS[4], "D", -0.27),
 }
 KIND_COLOURS = dict(
     zip((*KINDS, None), (COLOURS[2], COLOURS[1], COLOURS[0], COLOURS[7]), strict=True)

@@ -129,6 +129,18 @@ def ranked(
             env.close()
 
 
+def times_again(name: str, env_id: str, track: str, seed: int) -> dict[str, Any]:
+    """Figures of the times of a controller's decisions, in episodes from `seed` on."""
+    design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
+    single = make_batch(env_id, 1, keywords(name, track))
+    try:
+        subject = next(built(name, design, env_id, track))
+        return decisions(decision_times(subject, single, seed), single.unwrapped.control_dt)
+    finally:
+        design.close()
+        single.close()
+
+
 def names(wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool) -> list[str]:
     """Controllers that act on a task and track, all or those that are wanted.
 
@@ -153,9 +165,9 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     seeds = list(range(options.seed, options.seed + options.episodes))
     bounds = options.out / "bounds" if options.bound else None
     failures = Failures(prog)
-    if options.redraw:
+    if options.redraw or options.times:
         given = [name for name in RANKING if getattr(options, name) != parser.get_default(name)]
-        return redraw(options.out, given, failures)
+        return redraw(options.out, given, failures, options.times)
     try:
         places = _check(options)
         check_folder(options.out)
@@ -170,26 +182,27 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     return 1 if failures.told else 0
 
 
-def redraw(folder: Path, given: Sequence[str], failures: "Failures") -> int:
+def redraw(folder: Path, given: Sequence[str], failures: "Failures", times: bool = False) -> int:
     """Write figures, page and pictures of a stored ranking again; the exit status.
 
-    No option of a ranking may be given beside it.
+    With `times`, decisions are timed again. No option of a ranking may be given beside it.
     """
     try:
         if given:
             raise ValueError(
-                f"--redraw takes the ranking in --out as it is, and ranks nothing: leave out "
-                f"{' '.join(f'--{name}' for name in given)}."
+                f"{'--times' if times else '--redraw'} takes the ranking in --out as it is, and "
+                f"ranks nothing: leave out {' '.join(f'--{name}' for name in given)}."
             )
         check_folder(folder)
-        results = _compared(stored.read(folder, None, folder / "bounds"))
+        entries = stored.read(folder, None, folder / "bounds")
+        if times:
+            _time(entries)
+        results = _compared(entries)
     except ValueError as error:
         failures.tell(error)
         return 2
-    entries = (
-        x for tracks in results.values() for found in tracks.values() for x in found.values()
-    )
-    write(folder, results, max((entry.seeds for entry in entries), key=len))
+    each = (x for tracks in results.values() for found in tracks.values() for x in found.values())
+    write(folder, results, max((entry.seeds for entry in each), key=len))
     _draw(results, folder)
     return 0
 
@@ -198,6 +211,17 @@ def _draw(results: Results, folder: Path) -> None:
     for file, draw in pictures(results).items():
         save_figure(draw(), folder / file)
     print(f"Everything is in {folder}/")
+
+
+def _time(entries: stored.Entries) -> None:
+    """Time the decisions of all entries but the yardstick's and users'."""
+    for env_id, tracks in entries.items():
+        for track, found in tracks.items():
+            for name, entry in found.items():
+                if name != YARDSTICK and ":" not in name:
+                    again = times_again(name, env_id, track, entry.seeds[-1] + 1)
+                    entry.figures.update(again)
+            print(f"{env_id}, {track}: decisions timed", flush=True)
 
 
 def _compared(entries: stored.Entries) -> dict[str, dict[str, dict[str, Entry]]]:
@@ -275,6 +299,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--redraw", action="store_true",
         help="rank nothing: figures, page and pictures of the ranking in OUT from its episodes",
+    )  # fmt: skip
+    parser.add_argument(
+        "--times", action="store_true",
+        help="rank nothing: time the decisions of the ranking in OUT again, and redraw it",
     )  # fmt: skip
     parser.add_argument(
         "--jobs", type=int, default=1, help="processes; decisions are timed in them"

@@ -11,6 +11,7 @@ from benchmarks.standings import (
     COLUMNS,
     PAGE,
     blocks,
+    bought,
     cell,
     column,
     gains,
@@ -133,3 +134,24 @@ def test_experiments_are_searched_where_their_policies_have_an_entry() -> None:
     assert f"- By hand, {len(shipped_experiments()) - 1}: " in below
     assert "`one_link_track_ppo`" in below
     assert searched({}).startswith("- Searched, 0: none.")
+
+
+def test_twenty_minutes_buy_the_best_policy_that_is_trained_in_time_without_a_model() -> None:
+    """`one_link_reach_shac` would be better, and takes longer; `ppo-ahead-of-pd` needs a model."""
+
+    def learned(score: float, kind: str = "learned") -> Any:
+        return figures(0.5, 3, score_mean=score, kind=kind)
+
+    found = {
+        "lqr": figures(0.9, score_mean=0.7), "mpc": figures(0.8, score_mean=0.75),
+        "ppo": learned(0.6), "sac": learned(0.61), "shac": learned(0.8),
+        "ppo-ahead-of-pd": learned(0.9, "learned-on-model"),
+    }  # fmt: skip
+    seconds = dict.fromkeys(shipped_experiments(), 600.0)
+    seconds |= {"one_link_reach_sac": 1200.0, "one_link_reach_shac": 1201.0}
+    (header, _, row) = bought({REACH: {"state": found, "transfer": found}}, seconds).splitlines()
+    assert [text.strip() for text in row.strip("|").split("|")] == [
+        "OneLink-Reach", "state", "[one_link_reach_sac](results/one_link_reach_sac.md)", "20.0",
+        "0.610", "mpc 0.750",
+    ]  # fmt: skip
+    assert len(header.split("|")) == len(row.split("|"))

@@ -100,6 +100,26 @@ def test_a_ranking_is_redrawn_from_its_episodes_and_times(
     assert [page.splitlines()[:5] for page in pages] == 2 * [pages[0].splitlines()[:5]]
 
 
+def test_decisions_are_timed_again_and_nothing_else_changes(
+    former: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The yardstick decides nothing: its times stay."""
+    monkeypatch.setattr(run, "pictures", lambda results: {})
+    monkeypatch.setattr(run, "decision_times", lambda *_: np.array([7.0, *199 * [3.0]]))
+    shutil.copytree(former, tmp_path, dirs_exist_ok=True)
+    expected = json.loads((tmp_path / "leaderboard.json").read_text())
+    for tracks in expected.values():
+        for found in tracks.values():
+            for name, x in found.items():
+                if name != YARDSTICK:
+                    x |= dict.fromkeys(MEASURED, 3.0) | {"ms_first_action": 7.0, "late_share": 0.0}
+
+    assert main(["--times", "--out", str(tmp_path)]) == 0
+
+    assert json.loads((tmp_path / "leaderboard.json").read_text()) == expected
+    assert (tmp_path / EPISODES).read_bytes() == (former / EPISODES).read_bytes()
+
+
 def test_nothing_is_redrawn_without_a_ranking(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -113,13 +133,17 @@ def test_options_of_a_ranking_are_refused_beside_a_redraw(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["--redraw", "--seed", "7", "--controllers", "pd", "--out", str(tmp_path)]) == 2
-    assert "leave out --controllers --seed." in capsys.readouterr().err
+    assert "--redraw takes" in (error := capsys.readouterr().err)
+    assert "leave out --controllers --seed." in error
+    assert main(["--times", "--tracks", "state", "--out", str(tmp_path)]) == 2
+    assert "--times takes the ranking" in (error := capsys.readouterr().err)
+    assert "leave out --tracks." in error
     assert list(tmp_path.iterdir()) == []
 
 
 def test_runs_and_failures_keep_their_places(former: Path) -> None:
     found = stored.read(former, SEEDS)
-    assert found[REACH]["state"]["ppo"].metrics["score"].shape == (10, 4)
+    assert found[REACH]["state"]["ppo"].metrics["score"].shape == (5, 4)
     zero, told = found[REACH]["state"]["zero"], found[TRACK]["laboratory"][YARDSTICK]
     assert np.isinf(zero.metrics["settling_time"]).all()
     for values in found[REACH]["state"]["ppo"].metrics.values():
