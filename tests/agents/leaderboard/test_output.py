@@ -21,7 +21,7 @@ from agents.leaderboard.output import (
     write,
 )
 from agents.leaderboard.statistics import Entry, Spectrum, compared, decisions, figures
-from agents.leaderboard.tracks import RANKED
+from agents.leaderboard.tracks import RANKED, TRACKS
 from agents.metrics import METRICS, Best
 
 REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
@@ -199,6 +199,13 @@ def test_pictures_show_what_there_is(results: Any) -> None:
         *(f"leaderboard_{kind}_{track}.png" for kind in ("profiles", "spectra")
           for track in ("state", "laboratory")),
     }  # fmt: skip
+
+
+def test_every_track_can_be_drawn() -> None:
+    """A ranking without options has those that hold in a single task, too."""
+    assert list(charts.TRACK_LOOKS) == list(TRACKS)
+    for place in range(3):
+        assert len({look[place] for look in charts.TRACK_LOOKS.values()}) == len(TRACKS)
 
 
 def test_no_legend_is_wider_than_its_picture() -> None:
