@@ -32,6 +32,7 @@ from agents.leaderboard.replay import YARDSTICK, optimal, replayed
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.statistics import (
     Entry,
+    Figures,
     compared,
     decisions,
     figures,
@@ -100,8 +101,7 @@ def ranked(
     if name == YARDSTICK:
         seeds = replayed(env_id, track, seeds, bounds)
     design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
-    kwargs = keywords(name, track)
-    envs, single = make_batch(env_id, len(seeds), kwargs), make_batch(env_id, 1, kwargs)
+    envs = make_batch(env_id, len(seeds), keywords(name, track))
     try:
         if name == YARDSTICK:
             subjects: Iterator[Controller] = iter([optimal(env_id, track, seeds, bounds)])
@@ -110,7 +110,7 @@ def ranked(
         first = next(subjects)
         recordings = [record(first, envs, seeds)]
         new = seeds[-1] + 1  # an episode for which nothing is remembered
-        milliseconds = decision_times(first, single, new)
+        times = timed(first, name, env_id, track, new)
         del first
         recordings += [record(subject, envs, seeds) for subject in subjects]
         each = [episode_metrics(recording) for recording in recordings]
@@ -122,23 +122,20 @@ def ranked(
             learned=name in shipped(env_id, TRACKS[track].design),
         )  # fmt: skip
         found |= needs(name, env_id, track)
-        found |= decisions(milliseconds, envs.unwrapped.control_dt)
+        found |= times
         return Entry(found, metrics, spectrum(recordings), seeds)
     finally:
-        for env in (design, envs, single):
+        for env in (design, envs):
             env.close()
 
 
-def times_again(name: str, env_id: str, track: str, seed: int) -> dict[str, Any]:
+def timed(subject: Controller, name: str, env_id: str, track: str, seed: int) -> Figures:
     """Figures of the times of a controller's decisions, in episodes from `seed` on."""
-    design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
-    single = make_batch(env_id, 1, keywords(name, track))
+    env = make_batch(env_id, 1, keywords(name, track))
     try:
-        subject = next(built(name, design, env_id, track))
-        return decisions(decision_times(subject, single, seed), single.unwrapped.control_dt)
+        return decisions(decision_times(subject, env, seed), env.unwrapped.control_dt)
     finally:
-        design.close()
-        single.close()
+        env.close()
 
 
 def names(wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool) -> list[str]:
@@ -219,8 +216,10 @@ def _time(entries: stored.Entries) -> None:
         for track, found in tracks.items():
             for name, entry in found.items():
                 if name != YARDSTICK and ":" not in name:
-                    again = times_again(name, env_id, track, entry.seeds[-1] + 1)
-                    entry.figures.update(again)
+                    design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
+                    subject, new = next(built(name, design, env_id, track)), entry.seeds[-1] + 1
+                    entry.figures.update(timed(subject, name, env_id, track, new))
+                    design.close()
             print(f"{env_id}, {track}: decisions timed", flush=True)
 
 
