@@ -112,7 +112,7 @@ def regrets(results: Results) -> Figure:
     on a logarithmic scale.
     """
     shown = bounded(results)
-    figure, axes = panels([f"{title(env_id)}, {track}" for env_id, track in shown])
+    figure, axes = panels([f"{title(env_id)}\n{track}" for env_id, track in shown])
     for axis, (env_id, track) in zip(axes, shown, strict=True):
         drawn = excess_points if is_moving(env_id) else regret_bars
         drawn(axis, results[env_id][track], TRACK_LOOKS[track][0])

@@ -183,7 +183,7 @@ def test_pictures_show_what_there_is(results: Any) -> None:
     ]
     assert panels["leaderboard_spectra_laboratory.png"] == [("OneLink-Reach-v0", ["lqg"])]
     regret = drawn["leaderboard_regret.png"].axes
-    assert [axis.get_title() for axis in regret] == ["OneLink-Reach-v0, state"]
+    assert [axis.get_title() for axis in regret] == ["OneLink-Reach-v0\nstate"]
     assert [label.get_text() for label in regret[0].get_yticklabels()] == ["pd", "ppo"]
     assert [axis.get_title() for axis in drawn["leaderboard_settling.png"].axes] == [
         "OneLink-Reach-v0"
