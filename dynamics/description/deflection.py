@@ -1,6 +1,7 @@
 """Displacement and strain of a link from its modal amplitudes."""
 
 from collections.abc import Iterable
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,6 +19,7 @@ TILT: dict[str, Vector3] = {  # times s'
 TWIST: dict[str, Vector3] = {  # times s
     "x": (1, 0, 0), "y": (0, 0, 0), "z": (0, 0, 0), "axial": (0, 0, 0),
 }  # fmt: skip
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
 def deflection(link: Link, delta: Iterable[float], x: Array) -> Array:
@@ -32,11 +34,8 @@ def deflection(link: Link, delta: Iterable[float], x: Array) -> Array:
     -------
     (n, 3) [m]
     """
-    x = np.asarray(x, dtype=np.float64)
-    result = np.zeros((x.size, 3))
-    for mode, d in zip(link.modes, delta, strict=True):
-        result += d * np.outer(shape(mode, link.beam).value(x), DISPLACEMENT[mode.direction])
-    return result
+    displacements, _ = _shapes(link, tuple(x.tolist()))
+    return _combined(delta, displacements)
 
 
 def shortening(link: Link, delta: Iterable[float], x: Array) -> Array:
@@ -51,15 +50,32 @@ def shortening(link: Link, delta: Iterable[float], x: Array) -> Array:
     -------
     (n,) [m]
     """
-    x = np.asarray(x, dtype=np.float64)
-    nodes, weights = np.polynomial.legendre.leggauss(24)
-    inside = 0.5 * np.outer(x, nodes + 1.0)  # from the root to each point
-    slopes = np.zeros((2, *inside.shape))
-    for mode, d in zip(link.modes, delta, strict=True):
-        if mode.direction in BENDING:
-            slopes[BENDING.index(mode.direction)] += d * shape(mode, link.beam).slope(inside)
-    result: Array = -0.25 * x * (np.sum(slopes**2, axis=0) @ weights)
+    _, slopes = _shapes(link, tuple(x.tolist()))
+    result: Array = -0.25 * x * (np.sum(_combined(delta, slopes) ** 2, axis=0) @ WEIGHTS)
     return result
+
+
+@lru_cache(maxsize=256)
+def _shapes(link: Link, x: tuple[float, ...]) -> tuple[Array, Array]:
+    """Displacements (m, n, 3) [-] and slopes (m, 2, n, 24) [1/m] per unit amplitude of each mode.
+
+    Slopes are those towards y and z at the nodes between the root and each point. A picture of
+    an arm is drawn many times at the same points.
+    """
+    inside = 0.5 * np.outer(x, NODES + 1.0)
+    displacements = np.zeros((len(link.modes), len(x), 3))
+    slopes = np.zeros((len(link.modes), 2, *inside.shape))
+    for k, mode in enumerate(link.modes):
+        s = shape(mode, link.beam)
+        displacements[k] = np.outer(s.value(np.array(x)), DISPLACEMENT[mode.direction])
+        if mode.direction in BENDING:
+            slopes[k, BENDING.index(mode.direction)] = s.slope(inside)
+    return displacements, slopes
+
+
+def _combined(delta: Iterable[float], each: Array) -> Array:
+    """Sum of (m, ...) times the amplitudes delta (m,)."""
+    return np.tensordot(np.fromiter(delta, np.float64, len(each)), each, axes=1)
 
 
 def curvature(link: Link, x: float) -> Array:

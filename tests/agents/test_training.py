@@ -166,10 +166,10 @@ def test_a_finished_run_is_reported_and_unchanged(
 
 @pytest.mark.parametrize("name", ["ppo", "sac"])
 def test_a_killed_run_resumes_and_loses_nothing(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], unjudged: list[RunFolder]
 ) -> None:
     """After SIGKILL and --resume every logged row is still there, the steps continue from the last
-    checkpoint, and the run reaches its last step."""
+    checkpoint, and the run reaches its last step and its evaluation."""
     total = 6000 if name == "sac" else 120_000
     run = RunFolder(tmp_path / "out")
     process = train_py("--config", write_config(tmp_path, name, total), "--out", run.path)
@@ -183,6 +183,7 @@ def test_a_killed_run_resumes_and_loses_nothing(
     steps = checkpoint + 2000 if name == "ppo" else checkpoint + 200
     assert train(["--resume", str(run.path), "--steps", str(steps)]) == 0
     assert f"Resuming at {checkpoint:,}" in capsys.readouterr().out
+    assert [judged.path for judged in unjudged] == [run.path]
 
     after = run.log.read_text(encoding="utf-8")
     assert after.startswith(before)

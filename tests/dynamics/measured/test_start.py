@@ -278,8 +278,6 @@ MASS = {"stiffness": (0.5, 2.0), "damping": (0.0, 5.0), "payload_mass": (0.0, 0.
         (log_of(T, noise(0)), PRESET, {"gauges": []}, "needs a gauge, or an encoder"),
         (decay(0), PRESET, {"gauges": [Gauge(link=0, x=0.02, distance=1e-6)]}, "roll link 1 up"),
         (decay(0), one_mode(), {"bounds": MASS}, "do not tell .* apart"),
-        (clean_log(rig()), sideways(), {"held": {}, "bounds": STIFFNESS},
-         "stiffness has no effect on these signals: they do not read"),
         (decay(0, duration=0.055), PRESET, {}, "6 samples of 1 signals are too few"),
     ],
 )  # fmt: skip
@@ -289,6 +287,12 @@ def test_a_fit_that_cannot_be_says_why(
     given: dict[str, object] = {"gauges": [GAUGE], "bounds": NARROW, "held": HELD} | how
     with pytest.raises(ValueError, match=sentence):
         fit(arm, log, **given)  # type: ignore[arg-type]
+
+
+def test_a_gauge_that_no_bending_reaches_cannot_tell_a_stiffness() -> None:
+    sentence = "stiffness has no effect on these signals: they do not read"
+    with pytest.raises(ValueError, match=sentence):
+        fit(sideways(), clean_log(rig()), [GAUGE], bounds=STIFFNESS, held={})
 
 
 def test_a_gauge_on_the_neutral_axis_is_refused() -> None:
