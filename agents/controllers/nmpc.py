@@ -226,19 +226,29 @@ def _program(
     count, (r, bends) = m * (blocks[-1] + 1), bend.shape
     curvature, slope = np.zeros((count, count)), np.zeros(count)
     least, most = np.full(count, -np.inf), np.full(count, np.inf)
-    bent, bending = np.empty(steps * bends), np.zeros((steps * bends, count))
+    bent, bending = np.zeros(steps * bends), np.zeros((steps * bends, count))
     onto = np.zeros((count, size))
     for k in range(steps):
-        first, rows = m * blocks[k], slice(k * bends, (k + 1) * bends)
+        first = m * blocks[k]
         known = first + m  # later changes do not count yet
         reached = onto[:known] @ A[k]
-        reached[first:] += B[k]
+        for a in range(m):
+            for i in range(size):
+                reached[first + a, i] += B[k, a, i]
         weighed = reached @ (P if k == steps - 1 else Q)
-        curvature[:known, :known] += weighed @ reached.T
-        slope[:known] += weighed @ x[k]
-        bent[rows] = x[k, :r] @ bend
-        bending[rows, :known] = (reached[:, :r].copy() @ bend).T
-        onto[:known] = reached
+        curved = weighed @ reached.T
+        turned = reached[:, :r].copy() @ bend
+        for a in range(known):
+            for b in range(known):
+                curvature[a, b] += curved[a, b]
+            for i in range(size):
+                slope[a] += weighed[a, i] * x[k, i]
+                onto[a, i] = reached[a, i]
+            for w in range(bends):
+                bending[k * bends + w, a] = turned[a, w]
+        for w in range(bends):
+            for i in range(r):
+                bent[k * bends + w] += x[k, i] * bend[i, w]
         for a in range(m):
             curvature[first + a, first + a] += effort
             slope[first + a] += effort * action[k, a]

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from agents.controllers import CONTROLLERS
-from agents.leaderboard.shipped import shipped
-from agents.leaderboard.tracks import TRACKS
+from agents.leaderboard.shipped import policies_of
 
 CLASSICAL, ON_MODEL, LEARNED = KINDS = ("classical", "learned-on-model", "learned")
 
@@ -14,7 +13,7 @@ def needs(name: str, env_id: str, track: str) -> dict[str, str | None]:
     """Kind and base of a controller on a task and track, both null for what is none of ours."""
     if name in CONTROLLERS:
         return {"kind": CLASSICAL, "base": None}
-    policies = shipped(env_id, TRACKS[track].design).get(name)
+    policies = policies_of(env_id, track).get(name)
     return described(policies[0].about) if policies else {"kind": None, "base": None}
 
 

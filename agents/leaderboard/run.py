@@ -29,7 +29,7 @@ from agents.leaderboard.charts import Results, pictures
 from agents.leaderboard.kinds import needs
 from agents.leaderboard.output import row, write
 from agents.leaderboard.replay import YARDSTICK, optimal, replayed
-from agents.leaderboard.shipped import shipped
+from agents.leaderboard.shipped import policies_of
 from agents.leaderboard.statistics import (
     Entry,
     Figures,
@@ -86,7 +86,7 @@ def built(name: str, env: Any, env_id: str, track: str) -> Iterator[Controller]:
     elif ":" in name:
         yield users_controller(name, env, SEED)
     else:
-        for policy in shipped(env_id, TRACKS[track].design)[name]:
+        for policy in policies_of(env_id, track)[name]:
             yield acting(policy, env)
 
 
@@ -119,7 +119,7 @@ def ranked(
         found = figures(
             metrics, best,
             privileged=name == YARDSTICK,
-            learned=name in shipped(env_id, TRACKS[track].design),
+            learned=name in policies_of(env_id, track),
         )  # fmt: skip
         found |= needs(name, env_id, track)
         found |= times
@@ -145,7 +145,7 @@ def names(wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool) 
     that are wanted act.
     """
     classical = [name for name in CONTROLLERS if takes_part(name, env_id, track)]
-    others = [*shipped(env_id, TRACKS[track].design), *[YARDSTICK] * bounded]
+    others = [*policies_of(env_id, track), *[YARDSTICK] * bounded]
     if wanted is None:
         ready = [name for name in classical if is_tuned(name, env_id, track)]
         return [*ready, *others] if any(CONTROLLERS[name].ranges for name in ready) else others
@@ -358,7 +358,7 @@ def _check(options: argparse.Namespace) -> list[tuple[str, str, str]]:
     for track in options.tracks:
         validate.known(track, "track", TRACKS)
     shipped_names = {
-        name for env_id in RANKED for track in TRACKS for name in shipped(env_id, track)
+        name for env_id in RANKED for track in TRACKS for name in policies_of(env_id, track)
     }
     for name in options.controllers or ():
         if ":" not in name:

@@ -7,7 +7,7 @@ from typing import Any
 
 from agents.config import Config, ConfigError, load_config
 from agents.experiments import shipped_experiments
-from agents.leaderboard.tracks import designed_for, track_of
+from agents.leaderboard.tracks import TRACKS, designed_for, is_spread, track_of
 from agents.policy import Policy, PolicyError, load_policy, save_policy
 
 FOLDER = Path(__file__).parents[1] / "policies"
@@ -16,22 +16,28 @@ LINKS |= {"distilled": "of"}
 
 
 def name_of(policy: Policy) -> str:
-    """Algorithm of a policy, with its base, "-warm" and "-stacked"."""
+    """Algorithm of a policy, with its base, "-warm", "-stacked" and "-spread"."""
     about = policy.about
     base = about.get("base", about.get("expert"))
-    warm = bool(about.get("warm_start"))
-    return ranked_as(about.get("algorithm", "policy"), base, policy.stack, warm)
+    return ranked_as(
+        about.get("algorithm", "policy"), base, policy.stack, bool(about.get("warm_start")),
+        is_spread(about.get("env_id", ""), about.get("env_kwargs", {})),
+    )  # fmt: skip
 
 
 def name_made_by(config: Config) -> str:
     """Name of the policies that an experiment makes."""
-    agent, base = config.agent, config.to_dict().get("base")
-    return ranked_as(agent.name, base, config.env.stack, bool(agent.warm_start))
+    agent, env, base = config.agent, config.env, config.to_dict().get("base")
+    spread = is_spread(env.id, env.kwargs)
+    return ranked_as(agent.name, base, env.stack, bool(agent.warm_start), spread)
 
 
-def ranked_as(algorithm: str, base: Mapping[str, Any] | None, stack: int, warm: bool) -> str:
-    """Algorithm with the base on which the policy acts, such as "-on-lqg", "-warm", "-stacked"."""
-    return algorithm + on_base(base) + "-warm" * warm + "-stacked" * (stack > 1)
+def ranked_as(
+    algorithm: str, base: Mapping[str, Any] | None, stack: int, warm: bool, spread: bool
+) -> str:
+    """Algorithm with the base on which the policy acts, such as "-on-lqg", and how it was made."""
+    how = "-warm" * warm + "-stacked" * (stack > 1) + "-spread" * spread
+    return algorithm + on_base(base) + how
 
 
 def on_base(base: Mapping[str, Any] | None) -> str:
@@ -57,6 +63,11 @@ def shipped(env_id: str, track: str) -> dict[str, list[Policy]]:
     for folder in sorted(place(designed_for(env_id), track).glob("*/seed*")):
         found.setdefault(folder.parent.name, []).append(load_policy(folder))
     return found
+
+
+def policies_of(env_id: str, track: str) -> dict[str, list[Policy]]:
+    """Policies that act on a track: those of its design conditions, and those trained for it."""
+    return shipped(env_id, TRACKS[track].design) | shipped(env_id, track)
 
 
 def named_policy(name: str, seed: int) -> Policy:

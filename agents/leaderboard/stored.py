@@ -14,9 +14,9 @@ from agents.leaderboard.bound import best_of
 from agents.leaderboard.kinds import needs
 from agents.leaderboard.output import EPISODES, SPECTRA
 from agents.leaderboard.replay import YARDSTICK
-from agents.leaderboard.shipped import shipped
+from agents.leaderboard.shipped import policies_of
 from agents.leaderboard.statistics import Entry, Spectrum, figures
-from agents.leaderboard.tracks import TRACKS, takes_part
+from agents.leaderboard.tracks import takes_part
 from agents.metrics import METRICS
 from dynamics.types import AnyArray
 
@@ -73,7 +73,7 @@ def known(entries: Entries) -> Entries:
 def _is_known(name: str, env_id: str, track: str) -> bool:
     if name in CONTROLLERS:
         return takes_part(name, env_id, track)
-    return ":" in name or name == YARDSTICK or name in shipped(env_id, TRACKS[track].design)
+    return ":" in name or name == YARDSTICK or name in policies_of(env_id, track)
 
 
 def episodes(

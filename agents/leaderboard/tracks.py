@@ -1,5 +1,6 @@
 """Tasks of the leaderboard, and conditions ("tracks") under which controllers meet them."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -26,6 +27,7 @@ class Track:
     kwargs: Mapping[str, Any] = field(default_factory=dict)
     obs: tuple[str, ...] = ("state", "sensors")  # kinds of observation, the preferred first
     design: str  # track for which controllers are tuned and trained
+    spread: Mapping[str, Any] | None = None  # keywords with which policies may train for it alone
 
 
 TRACKS = {
@@ -47,6 +49,12 @@ TRACKS = {
             "fidelity": "reference",
         },
         obs=("sensors",), design="laboratory",
+        spread={
+            "hardware": {
+                "preset": "laboratory", "payload": (0.2, 0.9), "stiffness": (0.72, 1.0),
+                "delay": (1, 4),
+            },
+        },
     ),
     "wide": Track(
         text=(
@@ -88,9 +96,28 @@ def _observed(name: str, track: str) -> str | None:
 
 
 def track_of(name: str, env_id: str, kwargs: Mapping[str, Any]) -> str | None:
-    """Track whose keywords these are for a controller or an algorithm, or None."""
-    exact = kwargs.get("hardware", "ideal") == "ideal"
-    given = {"obs": "state" if exact else "sensors", **kwargs}
+    """Track on which a controller or an algorithm has these keywords, or trains with them."""
+    given = _given(kwargs)
     if env_id not in RANKED:
         return None
-    return next((track for track in TRACKS if keywords(name, track) == given), None)
+    return next((x for x in TRACKS if given in (_plain(keywords(name, x)), _spread(x))), None)
+
+
+def is_spread(env_id: str, kwargs: Mapping[str, Any]) -> bool:
+    """True if these keywords serve to train for a track, and are those of none."""
+    return env_id in RANKED and _given(kwargs) in map(_spread, TRACKS)
+
+
+def _given(kwargs: Mapping[str, Any]) -> Any:
+    exact = kwargs.get("hardware", "ideal") == "ideal"
+    return _plain({"obs": "state" if exact else "sensors", **kwargs})
+
+
+def _spread(track: str) -> Any:
+    spread = TRACKS[track].spread
+    return None if spread is None else _plain({**spread, "obs": TRACKS[track].obs[0]})
+
+
+def _plain(kwargs: Mapping[str, Any]) -> Any:
+    """Keywords as a file has them, which knows lists alone."""
+    return json.loads(json.dumps(kwargs, default=str))

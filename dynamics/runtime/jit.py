@@ -31,7 +31,8 @@ def on_disk(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-# entry points: functions that Python calls
+# entry points: functions that Python calls. They use loops where they can: with the first sum of
+# arrays or assignment to a slice numba compiles its message about shapes, which takes seconds
 outermost = on_disk(**_FAST, **ENTRY_OPTIONS)
 
 

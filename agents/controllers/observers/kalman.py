@@ -308,17 +308,17 @@ def _take(
             if surprise[i, h] == np.inf:
                 continue
             x = state[i, h]
-            if steps[i] == 0:
-                moved[:] = x[:S]
-            else:
-                moved[:] = 0.0
+            for a in range(S):
+                moved[a] = x[a] if steps[i] == 0 else 0.0
+            if steps[i] > 0:
                 for b in range(S):
                     for a in range(S):
                         moved[a] += A[p, b, a] * x[b]
                 for b in range(m):
                     for a in range(S):
                         moved[a] += B[p, b, a] * torque[i, ago, p, b]
-            innovation[:] = readings[i]
+            for a in range(y):
+                innovation[a] = readings[i, a]
             for b in range(S):
                 for a in range(y):
                     innovation[a] -= C[p, b, a] * moved[b]
@@ -331,7 +331,8 @@ def _take(
             for a in range(y):
                 for b in range(y):
                     surprise[i, h] += innovation[a] * precision[k, p, a, b] * innovation[b]
-            x[:S] = moved
+            for a in range(S):
+                x[a] = moved[a]
             for b in range(y):
                 for a in range(S):
                     x[a] += gain[k, p, b, a] * innovation[b]
@@ -347,18 +348,29 @@ def _predict(
     They are the first of `order` whose surprise exceeds the least by no more than `caution`.
     """
     _, m, S = B.shape
+    moved = np.empty(S)
     for i in group:
-        h = order[np.argmax(surprise[i][order] <= surprise[i].min() + caution)]
+        least = np.inf
+        for each in surprise[i]:
+            least = min(least, each)
+        for h in order:  # which ends at the plant
+            if surprise[i, h] <= least + caution:
+                break
         p, delay = h // len(delays), delays[h % len(delays)]
-        x = state[i, h, :S].copy()
+        for a in range(S):
+            now[i, a] = state[i, h, a]
         for age in range(min(delay, steps[i]), 0, -1):
-            moved = np.zeros(S)
+            for a in range(S):
+                moved[a] = 0.0
             for b in range(S):
-                moved += A[p, b] * x[b]
+                for a in range(S):
+                    moved[a] += A[p, b, a] * now[i, b]
             for b in range(m):
-                moved += B[p, b] * torque[i, torque.shape[1] - age, p, b]
-            x = moved
-        best[i], now[i, :S] = p, x
+                for a in range(S):
+                    moved[a] += B[p, b, a] * torque[i, torque.shape[1] - age, p, b]
+            for a in range(S):
+                now[i, a] = moved[a]
+        best[i] = p
 
 
 def grouped(banks: list[_Bank]) -> list[tuple[_Bank, AnyArray]]:

@@ -4,6 +4,7 @@ import bz2
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,13 @@ from agents.leaderboard.motions import Episode, plant
 from agents.leaderboard.output import EPISODES
 from agents.leaderboard.replay import YARDSTICK, optimal
 from agents.leaderboard.run import main, names, ranked
-from agents.leaderboard.shipped import FOLDER, name_of, shipped
+from agents.leaderboard.shipped import FOLDER, name_of, policies_of, ship, shipped
 from agents.leaderboard.tracks import (
     HARDER,
     RANKED,
     TRACKS,
     designed_for,
+    is_spread,
     keywords,
     takes_part,
     track_of,
@@ -206,6 +208,10 @@ def test_tracks_are_recognised_by_their_keywords() -> None:
         assert track_of("ppo", ONE, keywords("ppo", track)) == track
     assert track_of("ppo", ONE, {}) == "state"
     assert track_of("ppo", ONE, {"torque_limit": 3.0}) is None
+    spread = json.loads(json.dumps(TRACKS["transfer"].spread))  # as an experiment file has it
+    assert track_of("ppo", ONE, spread) == "transfer"
+    assert is_spread(ONE, spread)
+    assert not any(is_spread(ONE, keywords("ppo", track)) for track in TRACKS)
 
 
 def test_every_policy_of_the_package_is_found_under_its_name() -> None:
@@ -219,6 +225,21 @@ def test_every_policy_of_the_package_is_found_under_its_name() -> None:
     ]
     assert len(found) == len(list(FOLDER.rglob("policy.json")))
     assert all(name == name_of(policy) for policy, name in found)
+
+
+def test_a_policy_trained_for_a_track_acts_there_beside_those_of_its_design(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy = shipped(ONE, "laboratory")["ppo-stacked"][0]
+    about = {**policy.about, "env_kwargs": TRACKS["transfer"].spread}
+    monkeypatch.setattr("agents.leaderboard.shipped.FOLDER", tmp_path)
+    shipped.cache_clear()
+    ship(policy, ONE, "laboratory")
+    ship(replace(policy, about=about), ONE, "transfer")
+    assert list(policies_of(ONE, "transfer")) == ["ppo-stacked", "ppo-stacked-spread"]
+    assert list(policies_of(ONE, "laboratory")) == ["ppo-stacked"]
+    assert "ppo-stacked-spread" in names(None, ONE, "transfer", False)
+    shipped.cache_clear()
 
 
 def test_shipped_policies_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
