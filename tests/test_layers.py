@@ -14,6 +14,7 @@ from tests.imports import (
     imports,
     largest_folder,
     module_name,
+    nodes,
     room,
     sources,
 )
@@ -107,7 +108,7 @@ def test_docstrings_name_their_subject() -> None:
     """First a noun or a verb of the field, not a question word or a reference to another text."""
     riddles = ("What", "How", "Where", "Who", "Whether", "The same", "That", "Those", "This")
     for path in sources(".", *PACKAGES, "examples", "tests"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
                 text = ast.get_docstring(node) or ""
                 opening = next((x for x in riddles if text.startswith(f"{x} ")), None)
