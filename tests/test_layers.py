@@ -14,7 +14,6 @@ from tests.imports import (
     imports,
     largest_folder,
     module_name,
-    nodes,
     room,
     sources,
 )
@@ -108,7 +107,7 @@ def test_docstrings_name_their_subject() -> None:
     """First a noun or a verb of the field, not a question word or a reference to another text."""
     riddles = ("What", "How", "Where", "Who", "Whether", "The same", "That", "Those", "This")
     for path in sources(".", *PACKAGES, "examples", "tests"):
-        for node in nodes(path):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
                 text = ast.get_docstring(node) or ""
                 opening = next((x for x in riddles if text.startswith(f"{x} ")), None)

@@ -51,8 +51,8 @@ TRACKS = {
         obs=("sensors",), design="laboratory",
         spread={
             "hardware": {
-                "preset": "laboratory", "payload": (0.2, 0.9), "stiffness": (0.72, 1.0),
-                "delay": (1, 4),
+                "preset": "laboratory", "payload": (0.4, 0.85),
+                "stiffness": (0.75, 0.95), "delay": (1, 4),
             },
         },
     ),

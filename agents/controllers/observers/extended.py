@@ -14,7 +14,7 @@ from agents.controllers.models.nonlinear import PlantSteppers
 from agents.controllers.models.plan import Planner
 from agents.controllers.observers.exact import NEVER
 from agents.controllers.observers.kalman import Belief, KalmanFilters, grouped
-from dynamics.runtime.jit import outermost
+from agents.controllers.observers.steps import correct
 from dynamics.types import AnyArray, Array
 from flexarm_env.task.observations import BOUND
 
@@ -60,7 +60,7 @@ class ExtendedFilters(KalmanFilters):
         state[rows, filters] = self._stepped(state[rows, filters], torque, filters)
         origin = self._origin(belief)
         for bank, group in grouped(belief.banks):
-            _correct(
+            correct(
                 group, belief.steps, self._delays, readings, alive, origin, bank.shapes,
                 bank.readings, bank.gain, bank.precision, bank.bulk, state, surprise,
             )  # fmt: skip
@@ -126,40 +126,3 @@ class ExtendedFilters(KalmanFilters):
             stepper.advance()
             part[:, :n], part[:, n : 2 * n] = stepper.q[:count], stepper.v[:count]
         return state
-
-
-@outermost
-def _correct(
-    group: Any, steps: Any, delays: Any, readings: Any, alive: Any, origin: Any, shapes: Any,
-    seen: Any, gain: Any, precision: Any, bulk: Any, state: Any, surprise: Any,
-) -> None:  # fmt: skip
-    """Correct the predicted states of the environments of one bank by their readings."""
-    y, n = seen.shape
-    _, r, _ = shapes.shape
-    biases, innovation = gain.shape[3] - 2 * r, np.empty(y)
-    for i in group:
-        for h in range(alive.shape[1]):
-            if not alive[i, h]:
-                continue
-            p, late, x = h // len(delays), steps[i] - delays[h % len(delays)], state[i, h]
-            for a in range(y):
-                innovation[a] = readings[i, a]
-                for j in range(n):
-                    innovation[a] -= seen[a, j] * (x[j] - origin[i, j])
-            for b in range(biases):
-                innovation[y - biases + b] -= x[2 * n + b]
-            k = min(max(late, 0), len(bulk) - 1)
-            surprise[i, h] += bulk[k, p]
-            for a in range(y):
-                for b in range(y):
-                    surprise[i, h] += innovation[a] * precision[k, p, a, b] * innovation[b]
-            for a in range(gain.shape[3]):
-                change = 0.0
-                for b in range(y):
-                    change += gain[k, p, b, a] * innovation[b]
-                if a >= 2 * r:
-                    x[2 * n + a - 2 * r] += change
-                else:
-                    part = n * (a // r)
-                    for j in range(n):
-                        x[part + j] += shapes[p, a % r, j] * change

@@ -17,7 +17,7 @@ from agents.controllers.models.preview import Preview
 from agents.controllers.models.reading import UNIFORM, Reading, Sensors
 from agents.controllers.models.reference import Reference
 from agents.controllers.observers.exact import NEVER, Estimate, alike
-from dynamics.runtime.jit import outermost
+from agents.controllers.observers.steps import predict, take
 from dynamics.types import AnyArray, Array
 from flexarm_env.task.observations import BOUND
 
@@ -183,12 +183,12 @@ class KalmanFilters:
         """
         now, best = np.zeros((len(readings), self._most)), np.zeros(len(readings), np.int64)
         for bank, group in grouped(belief.banks):
-            _take(
+            take(
                 group, belief.steps, self._delays, readings, changed, self.planner.moving,
                 bank.A, bank.B, bank.C, bank.readings, bank.gain, bank.precision, bank.bulk,
                 belief.torque, belief.place, belief.state, belief.surprise,
             )  # fmt: skip
-            _predict(
+            predict(
                 group, belief.steps, self._delays, bank.A, bank.B, belief.torque, belief.state,
                 belief.surprise, self._order, self.caution, best, now,
             )  # fmt: skip
@@ -285,92 +285,6 @@ class KalmanFilters:
             P[:, part, part] = apart @ _turned(apart)
         P[:, 2 * r :, 2 * r :] = np.diag(self.sensors.bias**2)
         return A, B, C, P
-
-
-@outermost
-def _take(
-    group: Any, steps: Any, delays: Any, readings: Any, changed: Any, moving: bool,
-    A: Any, B: Any, C: Any, seen: Any, gain: Any, precision: Any, bulk: Any,
-    torque: Any, place: Any, state: Any, surprise: Any,
-) -> None:  # fmt: skip
-    """Update the filters of the environments of one bank that new readings reach."""
-    P, m, S = B.shape
-    y, n = seen.shape
-    moved, innovation = np.empty(S), np.empty(y)
-    for i in group:
-        for h in range(P * len(delays)):
-            p, delay = h // len(delays), delays[h % len(delays)]
-            late, ago = steps[i] - delay, torque.shape[1] - 1 - delay
-            if late <= 0 and steps[i] > 0:
-                if changed[i]:
-                    surprise[i, h] = np.inf
-                continue
-            if surprise[i, h] == np.inf:
-                continue
-            x = state[i, h]
-            for a in range(S):
-                moved[a] = x[a] if steps[i] == 0 else 0.0
-            if steps[i] > 0:
-                for b in range(S):
-                    for a in range(S):
-                        moved[a] += A[p, b, a] * x[b]
-                for b in range(m):
-                    for a in range(S):
-                        moved[a] += B[p, b, a] * torque[i, ago, p, b]
-            for a in range(y):
-                innovation[a] = readings[i, a]
-            for b in range(S):
-                for a in range(y):
-                    innovation[a] -= C[p, b, a] * moved[b]
-            if moving:
-                for a in range(y):
-                    for b in range(n):
-                        innovation[a] -= seen[a, b] * place[i, ago + 1, p, b]
-            k = min(max(late, 0), len(bulk) - 1)
-            surprise[i, h] += bulk[k, p]
-            for a in range(y):
-                for b in range(y):
-                    surprise[i, h] += innovation[a] * precision[k, p, a, b] * innovation[b]
-            for a in range(S):
-                x[a] = moved[a]
-            for b in range(y):
-                for a in range(S):
-                    x[a] += gain[k, p, b, a] * innovation[b]
-
-
-@outermost
-def _predict(
-    group: Any, steps: Any, delays: Any, A: Any, B: Any, torque: Any, state: Any, surprise: Any,
-    order: Any, caution: float, best: Any, now: Any,
-) -> None:  # fmt: skip
-    """The plants that are believed in, and their states with the torques since the readings.
-
-    They are the first of `order` whose surprise exceeds the least by no more than `caution`.
-    """
-    _, m, S = B.shape
-    moved = np.empty(S)
-    for i in group:
-        least = np.inf
-        for each in surprise[i]:
-            least = min(least, each)
-        for h in order:  # which ends at the plant
-            if surprise[i, h] <= least + caution:
-                break
-        p, delay = h // len(delays), delays[h % len(delays)]
-        for a in range(S):
-            now[i, a] = state[i, h, a]
-        for age in range(min(delay, steps[i]), 0, -1):
-            for a in range(S):
-                moved[a] = 0.0
-            for b in range(S):
-                for a in range(S):
-                    moved[a] += A[p, b, a] * now[i, b]
-            for b in range(m):
-                for a in range(S):
-                    moved[a] += B[p, b, a] * torque[i, torque.shape[1] - age, p, b]
-            for a in range(S):
-                now[i, a] = moved[a]
-        best[i] = p
 
 
 def grouped(banks: list[_Bank]) -> list[tuple[_Bank, AnyArray]]:
