@@ -38,8 +38,9 @@ TRACKS = {
     ),
     "transfer": Track(
         text=(
-            "controllers of `laboratory`, unchanged, on a reference model of the arm with more "
-            "payload, less stiffness and longer delays than are drawn there"
+            "controllers of `laboratory`, unchanged, and policies trained for it (`-spread`), on a "
+            "reference model of the arm with more payload, less stiffness and longer delays than "
+            "are drawn there"
         ),
         kwargs={
             "hardware": {

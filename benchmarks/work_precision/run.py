@@ -15,6 +15,7 @@ tests/reference/, which takes many minutes. `--charts` draws the stored results,
 lines of docs/results/peers.json.
 """
 
+import bz2
 import json
 import math
 import time
@@ -40,6 +41,7 @@ from flexarm_env.accuracy.certificates import stored
 from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.core import Core
 
+STORED = RESULTS / "work_precision.json.bz2"
 BATCH = 1024  # environments per timed call
 LONG = 17  # substeps of the longer of the two timed calls
 ACCURATE = max(INTEGRATORS, key=lambda name: INTEGRATORS[name].order)
@@ -323,14 +325,14 @@ def make_truth(setting: Setting) -> None:
 
 
 def main() -> None:
-    """Measure all scenes, write JSON, a table and the charts."""
+    """Measure all scenes, write packed JSON, a table and the charts."""
     parser = argument_parser("work_precision", __doc__)
     parser.add_argument("--quick", action="store_true", help="one scene, three models")
     parser.add_argument("--truth", action="store_true", help="only recompute the truths")
     parser.add_argument("--charts", action="store_true", help="only draw the stored results")
     parser.add_argument("--only", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
     parser.add_argument("--jobs", type=int, default=2, help="number of compiling processes")
-    parser.add_argument("--out", type=Path, default=RESULTS / "work_precision.json")
+    parser.add_argument("--out", type=Path, default=STORED)
     parser.add_argument("--images", type=Path, default=RESULTS)
     options = parser.parse_args()
     chosen = [SETTINGS[name] for name in options.only]
@@ -347,16 +349,22 @@ def main() -> None:
         results["scenes"] = stored_results(options.out)["scenes"] | results["scenes"]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.images.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(plain(results), separators=(",", ":")) + "\n")
+    store(results, options.out)
     text = precision_charts.page(results)
-    options.out.with_suffix(".md").write_text(text)
+    options.out.with_name(f"{options.out.name.split('.')[0]}.md").write_text(text)
     print(text)
     precision_charts.draw(results, options.images)
 
 
+def store(results: dict[str, Any], file: Path) -> None:
+    """Write results as packed JSON."""
+    file.write_bytes(bz2.compress(json.dumps(plain(results), separators=(",", ":")).encode()))
+
+
 def stored_results(file: Path) -> dict[str, Any]:
     """Results that a file holds."""
-    found: dict[str, Any] = json.loads(file.read_text().replace('"diverged"', "Infinity"))
+    text = bz2.decompress(file.read_bytes()).decode().replace('"diverged"', "Infinity")
+    found: dict[str, Any] = json.loads(text)
     return found
 
 

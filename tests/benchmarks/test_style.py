@@ -16,6 +16,7 @@ from benchmarks import style
 from benchmarks.output import RESULTS
 from benchmarks.peers import charts as peer_charts
 from benchmarks.work_precision import charts as precision_charts
+from benchmarks.work_precision.run import STORED, stored_results
 from dynamics.integrators.table import INTEGRATORS
 from tests.paths import ROOT
 
@@ -41,6 +42,8 @@ def closed() -> Iterator[None]:
 
 
 def stored(name: str) -> Any:
+    if name == "work_precision":
+        return stored_results(STORED)
     text = (RESULTS / f"{name}.json").read_text(encoding="utf-8")
     return json.loads(text.replace('"diverged"', "Infinity"))
 

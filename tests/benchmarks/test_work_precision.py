@@ -163,9 +163,9 @@ def test_results_are_plain_json_with_a_table_and_pictures(
 def test_scenes_that_are_not_measured_stay_as_they_are_stored(
     results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene, file = results["scenes"]["S1"], tmp_path / "stored.json"
+    scene, file = results["scenes"]["S1"], tmp_path / "stored.json.bz2"
     before = {"batch": 1, "scenes": {"S1": scene | {"floor": 1.0}, "S3": scene}}
-    file.write_text(json.dumps(work_precision.plain(before)))
+    work_precision.store(before, file)
     monkeypatch.setattr(work_precision, "run", lambda chosen, jobs: results)
     arguments = ["", "--only", "S1", "--out", str(file), "--images", str(tmp_path)]
     monkeypatch.setattr("sys.argv", arguments)
