@@ -15,8 +15,11 @@ from agents.metrics import (
     Best,
     Recording,
     episode_metrics,
+    evaluated,
     make_batch,
+    never_empty,
     print_table,
+    progress,
     record,
     regrets,
     settling_time,
@@ -314,6 +317,33 @@ def test_trees_without_infinities_are_plain_and_whole() -> None:
     assert [type(x) for x in found["a"]] == [float, type(None), int, type(None), bool]
 
 
+def test_episodes_are_evaluated_from_a_seed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    envs = SimpleNamespace(close=lambda: asked.append("closed"))
+    monkeypatch.setattr("agents.metrics.make_batch", lambda *given: asked.append(given) or envs)
+    monkeypatch.setattr("agents.metrics.record", lambda *given: given)
+    monkeypatch.setattr("agents.metrics.episode_metrics", lambda recording: recording)
+    run: Any = evaluated
+    assert run("pd", "id", obs="sensors") == ("pd", envs, range(10_000, 10_100))
+    assert run("pd", "id", episodes=3, seed=7) == ("pd", envs, range(7, 10))
+    assert asked == [("id", 100, {"obs": "sensors"}), "closed", ("id", 3, {}), "closed"]
+    with pytest.raises(TypeError):
+        run("pd", "id", 3)
+
+
+def test_a_rigid_arm_has_a_column_of_zero_curvature() -> None:
+    assert never_empty(np.ones((2, 3, 0))).tolist() == [3 * [[0.0]], 3 * [[0.0]]]
+    bent = np.ones((2, 3, 2))
+    assert never_empty(bent) is bent
+
+
+def test_a_bar_without_a_label_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With one it is shown on a terminal, as `disable=None` of tqdm has it."""
+    monkeypatch.setattr("agents.metrics.tqdm", dict)
+    assert progress("film", 5) == {"total": 5, "desc": "film", "disable": None, "leave": False}
+    assert progress(None, 5)["disable"] is True
+
+
 def test_environments_of_others_are_refused() -> None:
     with pytest.raises(ValueError, match="CartPole-v1 is not an environment of flexarm"):
         make_batch("CartPole-v1", 2)
@@ -367,3 +397,5 @@ def test_the_table_is_in_the_units_of_its_header(capsys: pytest.CaptureFixture[s
     assert "excess [mm]" in text
     assert " 0.625 │" in text  # of 1 and 0.25
     assert "(median 0.25 mm)" in text
+    print_table({"pd": metrics}, Best("tip_error_rms", np.full(4, 0.000999)))
+    assert "(median 0.999 mm)" in " ".join(capsys.readouterr().out.split())

@@ -266,6 +266,30 @@ def test_decisions_have_their_median_and_tail_beside_the_control_step() -> None:
     }
 
 
+def test_a_decision_that_takes_the_control_step_is_in_time() -> None:
+    times = np.array([90.0, 19.99, 20.0, 20.01])
+    assert decisions(times, 0.02)["late_share"] == pytest.approx(1 / 3)
+
+
+def test_improvements_have_four_decimals_and_no_negative_zero() -> None:
+    rng = np.random.default_rng(3)
+    scores = {name: rng.uniform(size=(3, 40)) for name in "ab"} | {"c": np.full((1, 40), 0.5)}
+    for others in improvements(scores | {"d": scores["c"]}).values():
+        for x in others.values():
+            values = np.array([x["p"], *x["ci"], x["gain"], *x["gain_ci"]])
+            np.testing.assert_array_equal(values, np.round(values, 4))
+            assert not np.signbit(values[values == 0.0]).any()
+
+
+def test_runs_are_not_drawn_as_episodes_are() -> None:
+    """With equal draws of both, a run that wins its own episode alone would never lose all."""
+    won = np.eye(4)
+    found = improvements({"one": won, "none": np.zeros((1, 4))})["one"]["none"]
+    assert found["ci"][0] < 0.5 + 0.5 / 4
+    _, low, _ = profile(won, np.array([0.5]))
+    assert low[0] < 1 / 4
+
+
 def test_entries_are_compared_by_their_scores() -> None:
     scores = {"a": np.array([[0.5, 0.5]]), "b": np.array([[0.25, 0.75]])}
     nothing = Spectrum(np.zeros(1), np.zeros(1), 0.0)
@@ -283,6 +307,12 @@ def test_entries_are_compared_by_their_scores() -> None:
     assert found["b"].metrics["score"] is scores["b"]
     with pytest.raises(FrozenInstanceError):
         found["a"].figures = {}  # type: ignore[misc]
+
+
+def test_what_a_controller_is_has_to_be_named() -> None:
+    metrics = {key: np.ones((1, 4)) for key in METRICS}
+    with pytest.raises(TypeError):
+        figures(metrics, None, True)  # type: ignore[misc]
 
 
 def test_figures_without_a_bound_have_no_regret() -> None:

@@ -1,11 +1,20 @@
 """Tasks: their ranges by hand, and the words in which pages give them."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
-from flexarm_env.task.tasks import SETTLED_BAND, TASKS, Task, find_task
+from dynamics import Arm, Base, Link
+from flexarm_env.task.tasks import (
+    SETTLED_BAND,
+    TASKS,
+    Task,
+    base_poses,
+    find_task,
+    refuse_floating,
+)
 
 PLAIN = Task(title="t", description="d", start=(-1.0, 2.0), start_text="s", reward="reach")
 
@@ -62,6 +71,27 @@ def test_tasks_are_found_by_name() -> None:
     assert find_task("Damp") is TASKS["Damp"]
     with pytest.raises(ValueError, match="Reach"):
         find_task("Reech")
+
+
+def floating(**base: Any) -> Arm:
+    return Arm(links=(Link(length=1.0, rho_A=1.0, modes=()),), base=Base(**base))
+
+
+PLANAR = floating(type="planar", mass=2.0, inertia=np.eye(3), position=(0.3, -0.2, 0.0))
+
+
+def test_a_floating_base_starts_at_its_place_at_any_angle() -> None:
+    expected = [[0.3, 0.3], [-0.2, -0.2], [-np.pi, np.pi]]
+    np.testing.assert_allclose(base_poses(PLANAR.base), expected, atol=1e-15)
+    assert base_poses(Base()).shape == (0, 2)
+
+
+@pytest.mark.parametrize("name", ["Track", "Damp"])
+def test_an_arm_that_floats_neither_follows_a_path_nor_starts_in_vibration(name: str) -> None:
+    with pytest.raises(ValueError, match=r"Base\.type must be 'fixed' .* got 'planar'"):
+        refuse_floating(TASKS[name], PLANAR)
+    refuse_floating(TASKS[name], floating())
+    refuse_floating(TASKS["Reach"], PLANAR)
 
 
 def test_tasks_are_fixed_and_named() -> None:
