@@ -29,7 +29,20 @@ def beginning(config: Config) -> str:
 
 def titled(env_id: str, kwargs: Mapping[str, Any]) -> str:
     """An id with the keywords that differ from it, as titles show it."""
-    return " ".join([env_id, *(f"{name}={value}" for name, value in kwargs.items())])
+    return " ".join([env_id, *(f"{name}={_told(value)}" for name, value in kwargs.items())])
+
+
+def _told(value: Any) -> str:
+    """A keyword's value in words: a table's preset, then its numbers and ranges."""
+    if not isinstance(value, Mapping):
+        return str(value)
+    changes = [
+        f"{name} {' to '.join(map(str, x)) if isinstance(x, list | tuple) else x}"
+        for name, x in value.items()
+        if name != "preset"
+    ]
+    words = [value["preset"]] if "preset" in value else []
+    return " ".join([*words, f"({', '.join(changes)})"] if changes else words)
 
 
 def compare(

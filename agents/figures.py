@@ -1,5 +1,6 @@
 """Pictures without a display: learning curves, tip error and root curvature, films of the arm."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -27,6 +28,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p")
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (4, 1, 1, 1, 1, 1)))
 PICTURE_COLOURS = 64
 LARGEST_PICTURE = 140_000  # [bytes]
+LINE = 95  # letters of a title
 GIF_SECONDS_PER_FRAME = 0.04
 GIF_HEIGHT = 300  # [px] height of the arm's picture
 FREQUENT = 8  # most frequent colours that a GIF keeps exactly
@@ -110,8 +112,13 @@ def plot_learning_curve(
     if len(runs) > 1:
         figure.axes[0].legend(frameon=False, fontsize=8)
     figure.axes[1].set_ylim(-3.0, 103.0)
-    figure.axes[0].set_title(title, loc="left", fontsize=10)
+    _entitle(figure.axes[0], title)
     save_figure(figure, path)
+
+
+def _entitle(axes: Any, title: str) -> None:
+    """Title on the left, on as many lines as it needs."""
+    axes.set_title(textwrap.fill(title, LINE), loc="left", fontsize=10)
 
 
 def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str) -> None:
@@ -132,7 +139,7 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
         "settled", (1.0, band), xycoords=("axes fraction", "data"), ha="right", va="bottom"
     )
     error.set(yscale="log", ylabel="tip error [% of reach]")
-    error.set_title(title, loc="left", fontsize=10)
+    _entitle(error, title)
     error.set_ylim(bottom=max(0.01, error.get_ylim()[0]))
     figure.legend(frameon=False, loc="outside upper right", ncols=len(recordings))
     curvature.set(xlabel="time [s]", ylabel="curvature at the root [1/m]\n(first episode)")

@@ -338,7 +338,6 @@ def test_a_rigid_arm_has_a_column_of_zero_curvature() -> None:
 
 
 def test_a_bar_without_a_label_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With one it is shown on a terminal, as `disable=None` of tqdm has it."""
     monkeypatch.setattr("agents.metrics.tqdm", dict)
     assert progress("film", 5) == {"total": 5, "desc": "film", "disable": None, "leave": False}
     assert progress(None, 5)["disable"] is True
