@@ -15,8 +15,6 @@ tests/reference/, which takes many minutes. `--charts` draws the stored results,
 lines of docs/results/peers.json.
 """
 
-import bz2
-import json
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -31,6 +29,7 @@ import numpy as np
 from benchmarks.output import RESULTS, argument_parser, provenance
 from benchmarks.work_precision import charts as precision_charts
 from benchmarks.work_precision.scenes import GOOD, SETTINGS, Level, Setting
+from benchmarks.work_precision.stored import STORED, store, stored_results
 from dynamics import Arm, Diverged, Model, Stepper, compile_arm, simulate
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.tracing import graphs
@@ -41,7 +40,6 @@ from flexarm_env.accuracy.certificates import stored
 from flexarm_env.accuracy.timing import cpu_seconds
 from flexarm_env.core import Core
 
-STORED = RESULTS / "work_precision.json.bz2"
 BATCH = 1024  # environments per timed call
 LONG = 17  # substeps of the longer of the two timed calls
 ACCURATE = max(INTEGRATORS, key=lambda name: INTEGRATORS[name].order)
@@ -349,23 +347,11 @@ def main() -> None:
         results["scenes"] = stored_results(options.out)["scenes"] | results["scenes"]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.images.mkdir(parents=True, exist_ok=True)
-    store(results, options.out)
+    store(plain(results), options.out)
     text = precision_charts.page(results)
     options.out.with_name(f"{options.out.name.split('.')[0]}.md").write_text(text)
     print(text)
     precision_charts.draw(results, options.images)
-
-
-def store(results: dict[str, Any], file: Path) -> None:
-    """Write results as packed JSON."""
-    file.write_bytes(bz2.compress(json.dumps(plain(results), separators=(",", ":")).encode()))
-
-
-def stored_results(file: Path) -> dict[str, Any]:
-    """Results that a file holds."""
-    text = bz2.decompress(file.read_bytes()).decode().replace('"diverged"', "Infinity")
-    found: dict[str, Any] = json.loads(text)
-    return found
 
 
 def quick() -> dict[str, Any]:

@@ -16,7 +16,7 @@ from benchmarks import style
 from benchmarks.output import RESULTS
 from benchmarks.peers import charts as peer_charts
 from benchmarks.work_precision import charts as precision_charts
-from benchmarks.work_precision.run import STORED, stored_results
+from benchmarks.work_precision.stored import STORED, stored_results
 from dynamics.integrators.table import INTEGRATORS
 from tests.paths import ROOT
 

@@ -165,7 +165,7 @@ def test_scenes_that_are_not_measured_stay_as_they_are_stored(
 ) -> None:
     scene, file = results["scenes"]["S1"], tmp_path / "stored.json.bz2"
     before = {"batch": 1, "scenes": {"S1": scene | {"floor": 1.0}, "S3": scene}}
-    work_precision.store(before, file)
+    work_precision.store(work_precision.plain(before), file)
     monkeypatch.setattr(work_precision, "run", lambda chosen, jobs: results)
     arguments = ["", "--only", "S1", "--out", str(file), "--images", str(tmp_path)]
     monkeypatch.setattr("sys.argv", arguments)
