@@ -87,7 +87,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Keep what was collected out of later sweeps for garbage, a twentieth of the time."""
+    """Keep what was collected out of later sweeps for garbage."""
     gc.collect()
     gc.freeze()
 
