@@ -208,6 +208,10 @@ def test_lanes_of_a_rosenbrock_batch_do_not_mix() -> None:
 
 
 STIFF = planar(1, 1, EIz=2e6)
+HEAVILY_DAMPED = replace(
+    planar(1, 1, damping_beta=1.0, joint=Joint(rotor_inertia=0.05, viscous=20.0), EIz=50.0),
+    gravity=(0.0, 0.0, 0.0),
+)
 STIFFEST = float(compiled(STIFF).frequencies(joints="free").max())  # [rad/s]
 
 
@@ -251,9 +255,7 @@ def test_damping_breaks_a_method_exactly_where_its_eigenvalues_say(
     integrator: str, decays: float
 ) -> None:
     """A mode that decays by e^-decays in a step, and a joint with viscous friction."""
-    joint = Joint(rotor_inertia=0.05, viscous=20.0)
-    arm = planar(1, 1, damping_beta=1.0, joint=joint, EIz=50.0)
-    model = compiled(replace(arm, gravity=(0.0, 0.0, 0.0)))
+    model = compiled(HEAVILY_DAMPED)
     dt = decays / fastest(model, np.zeros(2))
     stepper = Stepper(model, 1, dt=dt, substeps=20_000, integrator=integrator)
     stepper.q[0], stepper.v[0] = [0.0, 1e-6], [1e-6, 1e-6]
@@ -340,7 +342,7 @@ def test_a_step_beyond_the_stability_limit_is_refused_with_the_limit() -> None:
 @pytest.mark.parametrize("integrator", LIMITED)
 def test_strong_damping_is_refused_like_a_high_frequency(integrator: str) -> None:
     """Frequencies alone would allow a step several times larger."""
-    model = compiled(planar(1, 1, damping_beta=0.4))
+    model = compiled(HEAVILY_DAMPED)
     omega = float(model.frequencies(joints="free").max())
     rest, allowed = np.zeros(2), INTEGRATORS[integrator].limit / omega
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from dynamics import Arm, Model, Payload, Stepper, compile_arm
+from dynamics import Arm, Joint, Model, Payload, Stepper, compile_arm
 from dynamics.backends.numba_llvm.stepper_entries import LANES
 from dynamics.description.deflection import curvature
 from dynamics.integrators.table import INTEGRATORS
@@ -23,7 +23,10 @@ from tests.dynamics.random_arms import (
     two_link_spatial,
 )
 
-ARM = two_link_spatial()
+OBLIQUE = Joint(rotation=((1.0, 0.0, 0.0), (0.0, 0.8, -0.6), (0.0, 0.6, 0.8)), rotor_inertia=0.05)
+SPATIAL = two_link_spatial()
+LINK = replace(SPATIAL.links[0], joint=OBLIQUE)  # bends in both planes and twists
+ARM = Arm(links=(LINK,), gravity=(0.0, 0.0, -9.81), name="spatial link")
 FREE = ("payload_mass", "stiffness", "damping", "friction")
 
 
@@ -46,7 +49,7 @@ def results(stepper: Stepper, times: int = 2) -> np.ndarray:
     return np.hstack([stepper.q, stepper.v, stepper.measured])
 
 
-# Rosenbrock's Jacobian of this arm would take minutes to compile: test_integrators.py has it.
+# Rosenbrock's Jacobian takes long to compile: test_integrators.py has it.
 @pytest.fixture(scope="module", params=sorted(set(INTEGRATORS) - {"rosenbrock"}))
 def integrator(request: pytest.FixtureRequest) -> str:
     return request.param
@@ -240,15 +243,22 @@ def test_free_parameters_act_like_an_arm_compiled_with_their_values(integrator: 
     assert np.abs(free[1] - nominal[1]).max() > 1e-3
 
 
-def test_measurements_equal_the_quantities_of_the_model() -> None:
-    """By column name, after `advance` and by `measure`."""
-    model = compiled(ARM)
-    stepper = batch(model, 3)
+def test_measurements_after_a_step_are_those_of_its_end() -> None:
+    stepper = batch(compiled(ARM), 3)
     stepper.advance()
     out = np.empty_like(stepper.measured)
     stepper.measure(stepper.q, stepper.v, out)
 
     assert np.array_equal(out, stepper.measured)
+
+
+def test_measurements_equal_the_quantities_of_the_model() -> None:
+    """By column name."""
+    model = compiled(SPATIAL)
+    stepper = batch(model, 3)
+    out = np.empty_like(stepper.measured)
+    stepper.measure(stepper.q, stepper.v, out)
+
     for q, v, row in zip(stepper.q, stepper.v, out, strict=True):
         column = {name: row[part] for name, part in model.measurements.items()}
         bent = [shift_of(model, q, i) for i in range(model.n_joint)]
@@ -273,9 +283,9 @@ def shift_of(model: Model, q: np.ndarray, i: int) -> tuple[np.ndarray, np.ndarra
 
 
 def test_curvature_columns_are_bending_along_y_and_z_at_the_root() -> None:
-    model = compiled(ARM)
+    model = compiled(SPATIAL)
     q = np.array([0.0, 1e-3, 2e-3, 0.0, 0.0, 3e-3, 4e-3])
-    bent = [curvature(link, 0.0) for link in ARM.links]
+    bent = [curvature(link, 0.0) for link in SPATIAL.links]
     out = np.empty((1, model.n_measure))
     Stepper(model, 2, dt=1.0, substeps=1).measure(q[None], 0.0 * q[None], out)
 

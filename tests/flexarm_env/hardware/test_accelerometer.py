@@ -119,13 +119,13 @@ def test_the_reading_is_the_mean_specific_force_along_the_tips_axes(
 
 
 def test_an_arm_that_hangs_at_rest_reads_gravity_upwards() -> None:
-    """Straight links that hang along -y: upwards is against the tip's x."""
-    arm = replace(load_arm("two-link"), gravity=(0.0, -9.81, 0.0))
-    envs = gym.make_vec(ID, num_envs=2, arm=arm, hardware=EXACT)
+    """A straight link that hangs along -y: upwards is against the tip's x."""
+    arm = replace(load_arm("slim"), gravity=(0.0, -9.81, 0.0))
+    envs = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=2, arm=arm, hardware=EXACT)
     q = np.zeros(arm.n)
     q[0] = -0.5 * math.pi
     first, _ = envs.reset(seed=0, options={"state": {"q": q, "v": 0.0 * q}})
-    for observation in (first, envs.step(np.zeros((2, 2), np.float32))[0]):
+    for observation in (first, envs.step(np.zeros((2, 1), np.float32))[0]):
         np.testing.assert_allclose(read(envs, observation), [[-9.81, 0.0]] * 2, atol=1e-4)
 
 
