@@ -1,8 +1,8 @@
-"""`python -m tests.mutation`: does a test fail when the judge is wrong?
+"""`python -m tests.mutation`: does a test fail when the recursion or the judge is wrong?
 
 Cosmic Ray changes one operator, number or decorator of a module at a time and runs that module's
 quick tests, which have to fail. Everything happens in a copy of the sources. Writes
-docs/results/mutation.md. One run takes about forty minutes on one core.
+docs/results/mutation.md. One run takes an hour and a half on one core.
 
     pip install cosmic-ray
     python -m tests.mutation [--modules FILE ...] [--out FILE] [--work FOLDER]
@@ -28,7 +28,7 @@ from tests.paths import ROOT
 
 COPIED = ("agents", "benchmarks", "dynamics", "flexarm_env", "tests", "pyproject.toml")
 TIMEOUT = 60.0  # [s] of the tests of a mutant; a loop without an end is found by it
-PYTEST = "-m pytest -x -q -p no:cacheprovider -p no:hypothesispytest --noconftest"
+PYTEST = "-m pytest -x -q -p no:cacheprovider -p no:hypothesispytest"
 LEFT_OUT = [  # operators that no program would survive: bits of floats, unions of types, identity
     r"core/ReplaceBinaryOperator_BitOr_",
     r"core/ReplaceBinaryOperator_BitAnd_(?!BitOr)",
@@ -40,16 +40,26 @@ LEFT_OUT = [  # operators that no program would survive: bits of floats, unions 
 
 @dataclass(frozen=True)
 class Judge:
-    """A module that judges: its tests, and the functions that are not mutated."""
+    """A module that is mutated: its tests, and the functions that are not mutated."""
 
     tests: tuple[str, ...]
+    options: str = "--noconftest"  # which imports learning libraries
     without: tuple[str | None, ...] = ()  # None: code outside functions
     equal: dict[str, str] = field(
         default_factory=dict
     )  # mutated line that behaves as the original: why
 
 
+RECURSION = Judge(
+    (
+        "tests/dynamics/formulations/test_gibbs_appell.py",
+        "tests/dynamics/formulations/test_free_base.py",
+    ),
+    options="-m 'quick and not slow'",
+)
 JUDGES = {
+    "dynamics/formulations/gibbs_appell.py": RECURSION,
+    "dynamics/formulations/articulated_body.py": RECURSION,
     "flexarm_env/task/rewards.py": Judge(("tests/flexarm_env/task/test_reward_terms.py",)),
     "flexarm_env/task/tasks.py": Judge(
         ("tests/flexarm_env/task/test_tasks.py",),
@@ -137,7 +147,7 @@ def run(module: str, folder: Path) -> list[Mutant]:
 module-path = "{module}"
 timeout = {TIMEOUT}
 excluded-modules = []
-test-command = "{sys.executable} {PYTEST} {" ".join(judge.tests)}"
+test-command = "{sys.executable} {PYTEST} {judge.options} {" ".join(judge.tests)}"
 [cosmic-ray.distributor]
 name = "local"
 [cosmic-ray.filters.operators-filter]
@@ -234,7 +244,7 @@ def page(found: dict[str, list[Mutant]], earlier: str = "") -> str:
     table = [line for line in lines if line.startswith("|")]
     total, dead = (sum(int(line.split("|")[k]) for line in table) for k in (2, 3))
     survivors = [line for line in lines if line.startswith("-")]
-    return f"""# Mutants of the judge
+    return f"""# Mutants of the recursion and the judge
 
 Made by `python -m tests.mutation` with Cosmic Ray {version("cosmic-ray")}: one operator, number or
 decorator changed at a time; killed by the module's quick tests. Mutants that behave as the original
