@@ -29,12 +29,12 @@ def torque_limits(given: float | Sequence[float] | None, default: tuple[float, .
     if given is None:
         return np.array(default)
     count = len(default)
-    limits = (
-        count * [given] if isinstance(given, Real) else validate.sequence(given, "torque_limit")
-    )
-    if len(limits) != count:
+    limits: object = given.tolist() if isinstance(given, np.ndarray) else given
+    if isinstance(limits, Real):
+        limits = count * [limits]
+    if not isinstance(limits, list | tuple) or len(limits) != count:
         raise ValueError(
-            f"torque_limit must be one number or {count} (one per joint), "
+            f"torque_limit must be one number, or a list of {count} (one per joint), "
             f"got {validate.shown(given)}. Unit: [N m]."
         )
     return np.array([validate.positive(limit, "torque_limit", "N m") for limit in limits])

@@ -53,7 +53,7 @@ def read_text(path: Path, most: int) -> str:
             content = file.read(most + 1)
     except FileNotFoundError:
         where = "" if path.is_absolute() else f" in {Path.cwd()}"
-        raise ValueError(f"no such file: {path}{where}.") from None
+        raise ValueError(f"no such file{where}.") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a zero byte
         raise ValueError(f"cannot read {shown(str(path))}: {error}.") from None
     if len(content) > most:

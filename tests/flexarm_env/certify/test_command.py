@@ -92,7 +92,7 @@ def test_an_environment_finds_what_the_command_measured(
     ("given", "sentence"),
     [
         (["slimm"], "Unknown arm 'slimm'"),
-        (["missing.yaml"], "no such file: missing.yaml in /"),
+        (["missing.yaml"], "missing.yaml: no such file in /"),
         (["stanford"], "joint 3 is prismatic"),
         (["slim", "--control-dt", "0"], "--control-dt"),
         (["FlexArm/OneLnk-Reach-v0"], "did you mean"),
