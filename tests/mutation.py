@@ -54,6 +54,9 @@ RECURSION = Judge(
     (
         "tests/dynamics/formulations/test_gibbs_appell.py",
         "tests/dynamics/formulations/test_free_base.py",
+        "tests/dynamics/formulations/test_parallel_drive.py",
+        "tests/dynamics/formulations/test_joints.py",
+        "tests/dynamics/formulations/test_fixed_joints.py",
     ),
     options="-m 'quick and not slow'",
 )

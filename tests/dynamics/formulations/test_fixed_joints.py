@@ -105,6 +105,7 @@ def test_accelerations_solve_the_equations_of_motion(case: tuple[int, int, int])
     assert_implicit(arm, M, h, np.random.default_rng(1).normal(size=arm.n), 3e-3, 2e-3)
 
 
+@pytest.mark.compiles
 def test_compiled_accelerations_are_those_of_floats() -> None:
     model = compiled(built_up(*CASES[3]))
     assert_compiled(model, 1, recursion(model), 1e-11)
@@ -177,6 +178,7 @@ def test_a_randomised_payload_is_added_at_its_centre() -> None:
     assert_allclose(np.array(found).ravel(), recursion(Model(heavier))(q, v, tau), rtol=1e-10)
 
 
+@pytest.mark.compiles
 def test_energy_is_conserved_while_welded_links_swing() -> None:
     arm = replace(undamped(built_up(5, 3, 2)), foreshortening=False)
     links = [

@@ -131,6 +131,7 @@ def _without_friction(link: Link) -> Link:
     return replace(link, joint=joint, damping_ratio=0.0, damping_beta=0.0)
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("case", [CASES[3], CASES[6]], ids=str)
 @pytest.mark.parametrize("lanes", [1, LANES])
 def test_compiled_accelerations_are_those_of_floats(case: tuple[int, int, int], lanes: int) -> None:
@@ -139,6 +140,7 @@ def test_compiled_accelerations_are_those_of_floats(case: tuple[int, int, int], 
     assert_compiled(model, lanes, recursion(model), 1e-11)
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_energy_is_conserved_while_joints_slide_and_springs_twist(kind: str) -> None:
     """Free motion of a flexible arm without friction, by the compiled code."""

@@ -190,6 +190,7 @@ def test_neither_turning_nor_bending_the_link_before_turns_this_one(case: Case) 
 COMPILED = [CASES[1], CASES[4]]
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("case", COMPILED, ids=str)
 @pytest.mark.parametrize("lanes", [1, LANES])
 def test_compiled_accelerations_are_those_of_floats(case: Case, lanes: int) -> None:
@@ -206,6 +207,7 @@ def two_links(**joint: Any) -> Arm:
     return Arm(links=(link, second), gravity=(0.0, -9.81, 0.0), foreshortening=True)
 
 
+@pytest.mark.compiles
 def test_energy_is_conserved_in_motion() -> None:
     """Free fall under gravity, by the compiled code."""
     model = compiled(two_links(stiffness=60.0, rotor_inertia=0.1))
