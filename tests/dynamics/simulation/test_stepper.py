@@ -217,14 +217,14 @@ def changed(parameters: dict[str, float]) -> Arm:
                 coulomb=k.joint.coulomb * parameters["friction"],
             ),
         )
-        for k in ARM.links
+        for k in SPATIAL.links
     )
-    return replace(ARM, links=links, payload=Payload(mass=parameters["payload_mass"]))
+    return replace(SPATIAL, links=links, payload=Payload(mass=parameters["payload_mass"]))
 
 
 def test_free_parameters_act_like_an_arm_compiled_with_their_values(integrator: str) -> None:
     """In every lane; an exponential step, which keeps the nominal modes, to its own error."""
-    model = compiled(ARM, *FREE)
+    model = compiled(SPATIAL, *FREE)
     stepper = batch(model, 3, integrator=integrator)
     assert stepper.parameters.tolist() == [[0.0, 1.0, 1.0, 1.0]] * 3
     stepper.parameters[1] = [0.7, 1.4, 2.0, 3.0]
@@ -238,7 +238,7 @@ def test_free_parameters_act_like_an_arm_compiled_with_their_values(integrator: 
         error = 3.0 * np.abs(same - results(batch(fixed, 1, first=1))[0]).max()
         assert error < 1e-3
     assert_allclose(free[1], same, rtol=1e-10, atol=error)
-    nominal = results(batch(compiled(ARM), 2, integrator=integrator))
+    nominal = results(batch(compiled(SPATIAL), 2, integrator=integrator))
     assert_allclose(free[0], nominal[0], rtol=1e-11, atol=1e-13)
     assert np.abs(free[1] - nominal[1]).max() > 1e-3
 
