@@ -20,7 +20,14 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from benchmarks import style
-from benchmarks.output import RESULTS, argument_parser, provenance, save_figure
+from benchmarks.output import (
+    RESULTS,
+    argument_parser,
+    pack,
+    provenance,
+    save_figure,
+    unpacked,
+)
 from dynamics import Arm, Joint, Link, Mode, Model, Payload, Stepper, compile_arm
 from dynamics.formulations.linearized import linear_arm
 from dynamics.integrators.table import INTEGRATORS
@@ -327,15 +334,15 @@ def main() -> None:
     parser = argument_parser("stability", __doc__)
     parser.add_argument("--quick", action="store_true", help="a coarser grid")
     parser.add_argument("--charts", action="store_true", help="only draw the stored results")
-    parser.add_argument("--out", type=Path, default=RESULTS / "stability.json")
+    parser.add_argument("--out", type=Path, default=RESULTS / "stability.json.bz2")
     parser.add_argument("--images", type=Path, default=RESULTS)
     options = parser.parse_args()
     if not options.charts:
         options.out.parent.mkdir(parents=True, exist_ok=True)
         results = measure(16 if options.quick else 48)
         text = json.dumps(results, separators=(",", ":")).replace("NaN", "null")
-        options.out.write_text(text + "\n")
-    draw(json.loads(options.out.read_text(encoding="utf-8")), options.images)
+        pack(text, options.out)
+    draw(json.loads(unpacked(options.out)), options.images)
 
 
 if __name__ == "__main__":

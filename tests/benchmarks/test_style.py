@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from benchmarks import style
-from benchmarks.output import RESULTS
+from benchmarks.output import RESULTS, unpacked
 from benchmarks.peers import charts as peer_charts
 from benchmarks.work_precision import charts as precision_charts
 from benchmarks.work_precision.stored import STORED, stored_results
@@ -44,6 +44,8 @@ def closed() -> Iterator[None]:
 def stored(name: str) -> Any:
     if name == "work_precision":
         return stored_results(STORED)
+    if name == "stability":
+        return json.loads(unpacked(RESULTS / "stability.json.bz2"))
     text = (RESULTS / f"{name}.json").read_text(encoding="utf-8")
     return json.loads(text.replace('"diverged"', "Infinity"))
 
