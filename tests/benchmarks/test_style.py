@@ -13,10 +13,9 @@ import pytest
 from PIL import Image
 
 from benchmarks import style
-from benchmarks.output import RESULTS, unpacked
+from benchmarks.output import RESULTS, pack, unpacked
 from benchmarks.peers import charts as peer_charts
 from benchmarks.work_precision import charts as precision_charts
-from benchmarks.work_precision.stored import STORED, stored_results
 from dynamics.integrators.table import INTEGRATORS
 from tests.paths import ROOT
 
@@ -42,11 +41,9 @@ def closed() -> Iterator[None]:
 
 
 def stored(name: str) -> Any:
-    if name == "work_precision":
-        return stored_results(STORED)
-    if name == "stability":
-        return json.loads(unpacked(RESULTS / "stability.json.bz2"))
-    text = (RESULTS / f"{name}.json").read_text(encoding="utf-8")
+    file = RESULTS / f"{name}.json"
+    packed = RESULTS / f"{name}.json.bz2"
+    text = unpacked(packed) if packed.exists() else file.read_text(encoding="utf-8")
     return json.loads(text.replace('"diverged"', "Infinity"))
 
 
@@ -103,11 +100,15 @@ def test_stored_results_are_drawn_without_measuring(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also without the peers' engines."""
-    out = tmp_path / f"{name}.json"
     results = stored(name)
     if name == "work_precision":  # drawing all scenes takes long
         results["scenes"] = {key: results["scenes"][key] for key in ("S1", "six-link")}
-    out.write_text(json.dumps(results))
+    if (RESULTS / f"{name}.json.bz2").exists():
+        out = tmp_path / f"{name}.json.bz2"
+        pack(json.dumps(results), out)
+    else:
+        out = tmp_path / f"{name}.json"
+        out.write_text(json.dumps(results))
     before = out.read_bytes()
     images = [] if name == "rigid_arms" else ["--images", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", [name, "--charts", "--out", str(out), *images])
