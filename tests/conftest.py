@@ -1,9 +1,9 @@
-"""The tiers of tests: quick, by day, at night.
+"""The tiers of tests: quick, by day, in the evening, at night.
 
-`python -m pytest -m quick` compiles nothing and takes less than a minute. A file joins it by its
-name in QUICK; single tests of it that compile carry the marker `compiles`. In every tier, a quick
-test that compiles or loads compiled code fails. What night.yaml leaves to the night is marked
-`slow`.
+`python -m pytest -m quick` compiles nothing and takes about a minute. A file joins it by its name
+in QUICK; single tests of it that compile carry the marker `compiles`. In every tier, a quick test
+that compiles or loads compiled code fails. What night.yaml leaves to the night is marked `slow`.
+Of all others those of EVENING are marked `evening`, the rest `day`.
 """
 
 import gc
@@ -58,6 +58,52 @@ QUICK = {
 }
 
 
+EVENING = {  # long files, which .ci/run takes after the README's line
+    "agents/controllers/models/test_preview.py",
+    "agents/controllers/models/test_reference.py",
+    "agents/controllers/observers/test_kalman.py",
+    "agents/controllers/test_controllers.py",
+    "agents/controllers/test_nmpc.py",
+    "agents/export/test_c_header.py",
+    "agents/hybrid/test_hybrid.py",
+    "agents/leaderboard/test_run.py",
+    "agents/leaderboard/test_stored.py",
+    "agents/learners/test_dagger.py",
+    "agents/learners/test_normalization.py",
+    "agents/test_canaries.py",
+    "agents/test_fit.py",
+    "benchmarks/test_work_precision.py",
+    "dynamics/accuracy/test_kinds_of_arms.py",
+    "dynamics/accuracy/test_model_choice.py",
+    "dynamics/accuracy/test_rollout.py",
+    "dynamics/backends/test_program.py",
+    "dynamics/backends/test_vector_code.py",
+    "dynamics/description/beams/test_stepped_links.py",
+    "dynamics/description/urdf/test_against_pinocchio.py",
+    "dynamics/formulations/test_formulations.py",
+    "dynamics/formulations/test_formulations_compiled.py",
+    "dynamics/formulations/test_planar_base.py",
+    "dynamics/integrators/test_integrators.py",
+    "dynamics/measured/test_fit.py",
+    "dynamics/measured/test_rig.py",
+    "dynamics/measured/test_slopes.py",
+    "dynamics/measured/test_start.py",
+    "dynamics/runtime/test_jit.py",
+    "dynamics/simulation/test_free_base_motion.py",
+    "dynamics/test_cache.py",
+    "dynamics/test_nonsense.py",
+    "flexarm_env/compiled/test_happening.py",
+    "flexarm_env/hardware/test_accelerometer.py",
+    "flexarm_env/hardware/test_actuators.py",
+    "flexarm_env/hardware/test_sensors.py",
+    "flexarm_env/interfaces/tensors/test_device.py",
+    "flexarm_env/interfaces/tensors/test_differentiable.py",
+    "flexarm_env/test_derivatives.py",
+    "flexarm_env/test_floating_base.py",
+    "flexarm_env/test_holding.py",
+    "flexarm_env/test_nonsense.py",
+    "flexarm_env/test_rendering.py",
+}
 FIRST = (  # long files; what the first one compiles is shared, and the second needs none of it
     "flexarm_env/test_digests.py",
     "dynamics/integrators/test_integrators.py",
@@ -87,6 +133,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         by_day = NIGHT.get(name, {}).get(test)
         if by_day is not None and not any(part in bracket + parameters for part in by_day):
             item.add_marker("slow")
+        if not item.get_closest_marker("slow"):
+            item.add_marker("evening" if name in EVENING else "day")
 
 
 def pytest_collection_finish() -> None:
