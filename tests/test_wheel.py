@@ -80,9 +80,9 @@ def test_commands_work_outside_the_checkout(flexarm: Path, tmp_path: Path) -> No
 def test_a_shipped_experiment_is_trained_outside_the_checkout(
     flexarm: Path, tmp_path: Path
 ) -> None:
-    done = run(flexarm, "train", "one_link_reach_ppo", "--steps", "4096", folder=tmp_path)
+    done = run(flexarm, "train", "one_link_reach_ppo", "--steps", "8192", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     run_folder = tmp_path / "runs" / "one_link_reach_ppo" / "seed0"
     assert (run_folder / "arm.gif").is_file()
     finished = run(flexarm, "train", "--resume", str(run_folder), folder=tmp_path)
-    assert f"flexarm train --resume {run_folder} --steps 8192" in finished.stdout
+    assert f"flexarm train --resume {run_folder} --steps 16384" in finished.stdout
