@@ -1,5 +1,6 @@
-"""Atomic file writes, and checks of folders to write to."""
+"""Atomic file writes, packed texts, and checks of folders to write to."""
 
+import bz2
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -38,6 +39,16 @@ def sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def pack(text: str, path: Path) -> None:
+    """Write a long text compressed."""
+    path.write_bytes(bz2.compress(text.encode()))
+
+
+def unpacked(path: Path) -> str:
+    """Text of a file that `pack` wrote."""
+    return bz2.decompress(path.read_bytes()).decode()
 
 
 def check_folder(folder: Path, option: str = "--out") -> None:

@@ -1,7 +1,6 @@
 """Command line and output of every benchmark: provenance, JSON, Markdown tables, figures."""
 
 import argparse
-import bz2
 import json
 import os
 import platform
@@ -118,16 +117,6 @@ def save_results(results: dict[str, Any], text: str, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     path.with_suffix(".md").write_text(text, encoding="utf-8")
-
-
-def pack(text: str, path: Path) -> None:
-    """Write a long text compressed."""
-    path.write_bytes(bz2.compress(text.encode()))
-
-
-def unpacked(path: Path) -> str:
-    """Text of a file that `pack` wrote."""
-    return bz2.decompress(path.read_bytes()).decode()
 
 
 def save_figure(figure: Any, path: Path) -> None:

@@ -19,15 +19,9 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from agents.files import pack, unpacked
 from benchmarks import style
-from benchmarks.output import (
-    RESULTS,
-    argument_parser,
-    pack,
-    provenance,
-    save_figure,
-    unpacked,
-)
+from benchmarks.output import RESULTS, argument_parser, provenance, save_figure
 from dynamics import Arm, Joint, Link, Mode, Model, Payload, Stepper, compile_arm
 from dynamics.formulations.linearized import linear_arm
 from dynamics.integrators.table import INTEGRATORS

@@ -2,7 +2,7 @@
 
 Cosmic Ray changes one operator, number or decorator of a module at a time and runs that module's
 quick tests, which have to fail. Everything happens in a copy of the sources. Writes
-docs/results/mutation.md. One run takes an hour on one core.
+docs/results/mutation.md. One run takes more than an hour on one core.
 
     pip install cosmic-ray
     python -m tests.mutation [--modules FILE ...] [--out FILE] [--work FOLDER]

@@ -3,7 +3,6 @@
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import pytest
 
@@ -23,7 +22,6 @@ from tests.paths import ROOT
 PACKAGES = ("dynamics", "flexarm_env", "agents", "benchmarks")
 LONGEST_FILE = 400  # lines
 MOST_MODULES = 16  # of a folder
-Described = ast.Module | ast.ClassDef | ast.FunctionDef
 TENSORS = "flexarm_env.interfaces.tensors"
 COMPILERS = {
     "numba": ("dynamics.backends.numba_llvm", "dynamics.runtime"),
@@ -105,23 +103,16 @@ def test_importing_the_lower_layers_loads_no_learning_library(package: str) -> N
     assert result.stdout.split() == []
 
 
-def described(node: Described) -> Iterator[Described]:
-    """A module, class or function, and all that it defines."""
-    yield node
-    for child in node.body:
-        if isinstance(child, Described):
-            yield from described(child)
-
-
 def test_docstrings_name_their_subject() -> None:
     """First a noun or a verb of the field, not a question word or a reference to another text."""
     riddles = ("What", "How", "Where", "Who", "Whether", "The same", "That", "Those", "This")
     for path in sources(".", *PACKAGES, "examples", "tests"):
-        for node in described(ast.parse(path.read_text(encoding="utf-8"))):
-            text = ast.get_docstring(node) or ""
-            opening = next((x for x in riddles if text.startswith(f"{x} ")), None)
-            where = f"{path.relative_to(ROOT)}: {text.splitlines()[0] if text else ''}"
-            assert opening is None, where
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+                text = ast.get_docstring(node) or ""
+                opening = next((x for x in riddles if text.startswith(f"{x} ")), None)
+                where = f"{path.relative_to(ROOT)}: {text.splitlines()[0] if text else ''}"
+                assert opening is None, where
 
 
 def test_each_compiler_is_known_in_one_place() -> None:

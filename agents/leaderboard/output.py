@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.files import atomic_write
+from agents.files import atomic_write, pack
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.charts import UNRANKED, Results, pictures
 from agents.leaderboard.kinds import CLASSICAL, KINDS, LEARNED, ON_MODEL
@@ -34,7 +34,7 @@ def write(folder: Path, results: Results, seeds: Sequence[int]) -> None:
     with atomic_write(folder / "leaderboard.json") as path:
         path.write_text(_json(tables), encoding="utf-8")
     with atomic_write(folder / SPECTRA) as path:
-        path.write_bytes(bz2.compress(_json(spectra).encode("utf-8")))
+        pack(_json(spectra), path)
     with (
         atomic_write(folder / EPISODES) as path,
         bz2.open(path, "wt", newline="", encoding="utf-8") as file,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from agents.controllers import CONTROLLERS
+from agents.files import unpacked
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.kinds import needs
 from agents.leaderboard.output import EPISODES, SPECTRA
@@ -35,7 +36,7 @@ def read(folder: Path, seeds: Sequence[int] | None, bounds: Path | None = None) 
     found: Entries = {}
     try:
         tables = json.loads((folder / "leaderboard.json").read_text(encoding="utf-8"))
-        spectra = json.loads(bz2.decompress((folder / SPECTRA).read_bytes()))
+        spectra = json.loads(unpacked(folder / SPECTRA))
         table = episodes(folder)
         wanted = seeds or max((met for met, _ in table.values()), key=len)
         for (env_id, track, name), (met, metrics) in table.items():

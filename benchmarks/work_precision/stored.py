@@ -4,7 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.output import RESULTS, pack, unpacked
+from agents.files import pack, unpacked
+from benchmarks.output import RESULTS
 
 STORED = RESULTS / "work_precision.json.bz2"
 

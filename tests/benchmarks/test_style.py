@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from agents.files import pack, unpacked
 from benchmarks import style
-from benchmarks.output import RESULTS, pack, unpacked
+from benchmarks.output import RESULTS
 from benchmarks.peers import charts as peer_charts
 from benchmarks.work_precision import charts as precision_charts
 from dynamics.integrators.table import INTEGRATORS
@@ -40,10 +41,14 @@ def closed() -> Iterator[None]:
     style.pyplot().close("all")
 
 
-def stored(name: str) -> Any:
-    file = RESULTS / f"{name}.json"
+def stored_file(name: str) -> Path:
     packed = RESULTS / f"{name}.json.bz2"
-    text = unpacked(packed) if packed.exists() else file.read_text(encoding="utf-8")
+    return packed if packed.exists() else RESULTS / f"{name}.json"
+
+
+def stored(name: str) -> Any:
+    file = stored_file(name)
+    text = unpacked(file) if file.suffix == ".bz2" else file.read_text(encoding="utf-8")
     return json.loads(text.replace('"diverged"', "Infinity"))
 
 
@@ -103,11 +108,10 @@ def test_stored_results_are_drawn_without_measuring(
     results = stored(name)
     if name == "work_precision":  # drawing all scenes takes long
         results["scenes"] = {key: results["scenes"][key] for key in ("S1", "six-link")}
-    if (RESULTS / f"{name}.json.bz2").exists():
-        out = tmp_path / f"{name}.json.bz2"
+    out = tmp_path / stored_file(name).name
+    if out.suffix == ".bz2":
         pack(json.dumps(results), out)
     else:
-        out = tmp_path / f"{name}.json"
         out.write_text(json.dumps(results))
     before = out.read_bytes()
     images = [] if name == "rigid_arms" else ["--images", str(tmp_path)]
