@@ -288,7 +288,9 @@ def _json(tables: Tables) -> str:
 
 
 def _compact(x: Any) -> str:
-    return json.dumps(x, separators=(",", ":"))
+    """JSON text of figures, whose floats have the six digits of the episodes."""
+    short = json.loads(json.dumps(x), parse_float=lambda digits: float(f"{float(digits):.6g}"))
+    return json.dumps(short, separators=(",", ":"))
 
 
 def _number(x: float, style: str, otherwise: str) -> str:

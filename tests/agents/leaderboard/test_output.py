@@ -90,6 +90,17 @@ def test_files_hold_every_figure_and_every_episode(results: Any, tmp_path: Path)
     assert (row["task"], row["track"], float(row["score"])) == (REACH, "state", 0.6)
 
 
+def test_figures_have_six_digits(results: Any, tmp_path: Path) -> None:
+    figures = results[REACH]["state"]["ppo"].figures
+    figures["score_mean"], figures["score_ci"] = 2.0 / 3.0, [1.0e-9 / 3.0, 123456789.0]
+    figures["episodes"] = 123456789  # a count stays whole
+    write(tmp_path, results, SEEDS)
+    stored = json.loads((tmp_path / "leaderboard.json").read_text())[REACH]["state"]["ppo"]
+    assert stored["score_mean"] == 0.666667
+    assert stored["score_ci"] == [3.33333e-10, 123457000.0]
+    assert stored["episodes"] == 123456789
+
+
 def test_the_page_shows_the_best_first_and_how_sure_that_is(results: Any, tmp_path: Path) -> None:
     write(tmp_path, results, SEEDS)
     text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
