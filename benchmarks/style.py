@@ -1,7 +1,7 @@
 """Colours and markers of the charts, for colour-blind readers too.
 
-Colours are those of Okabe and Ito, and WINE. What a chart compares differs in marker as well as in
-colour.
+Colours are those of Okabe and Ito, and four of Paul Tol's. What a chart compares differs in marker
+as well as in colour.
 """
 
 from collections.abc import Sequence
@@ -14,8 +14,8 @@ T = TypeVar("T")
 BLACK, GREY = "#000000", "#999999"
 BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
 VERMILLION, ORANGE, PURPLE = "#D55E00", "#E69F00", "#CC79A7"
-WINE = "#661100"
-CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, WINE)
+WINE, INDIGO, SAND, FOREST = "#661100", "#332288", "#DDCC77", "#117733"
+CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, WINE, INDIGO, SAND, FOREST)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "h", "d", "8")
 STABLE, FAILED = "#DCEBF5", ORANGE  # cells of a map; they differ in lightness too
 ENGINES = {  # beginning of an engine's name: its line in every chart
