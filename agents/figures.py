@@ -315,9 +315,13 @@ def film_palette(images: Sequence[Image.Image], colours: int) -> Image.Image:
 
 
 def palette_of(picture: Image.Image, others: Image.Image, frequent: int) -> Image.Image:
-    """A palette of a picture's most frequent colours and those of `others`, then copies of one."""
+    """A palette of a picture's most frequent colours and those of `others`, then copies of one.
+
+    A pixel counts by its colour, so that greys at the edges of letters do not push out a marker's.
+    """
     counts: Any = picture.getcolors(picture.width * picture.height)
-    levels = [level for _, colour in sorted(counts)[-frequent:] for level in colour]
+    counts.sort(key=lambda entry: entry[0] * (8 + max(entry[1]) - min(entry[1])))
+    levels = [level for _, colour in counts[-frequent:] for level in colour]
     used: Any = others.getcolors()
     levels += (others.getpalette() or [])[: 3 * (1 + max(index for _, index in used))]
     palette = Image.new("P", (1, 1))

@@ -67,6 +67,15 @@ def test_frequent_colours_stay_exactly_as_they_are() -> None:
     np.testing.assert_array_equal(np.asarray(found.convert("RGB")), picture)
 
 
+def test_a_small_marker_keeps_its_colour_beside_the_greys_of_letters() -> None:
+    greys = np.arange(100, 200, dtype=np.uint8).repeat(400).reshape(200, 200)
+    picture = np.repeat(greys[..., None], 3, axis=2)
+    marker = (0x56, 0xB4, 0xE9)
+    picture[:10, :10] = marker
+    found = few_colours(Image.fromarray(picture)).convert("RGB")
+    assert np.all(np.asarray(found)[:10, :10] == marker)
+
+
 def test_a_film_is_the_same_and_holds_changes_alone(tmp_path: Path) -> None:
     """Every frame as its pictures show it, though most of it is not written again."""
     rng = np.random.default_rng(0)
