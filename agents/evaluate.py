@@ -35,6 +35,7 @@ from dynamics.description import validate
 from flexarm_env import registered
 
 KNOWN = sorted({*CONTROLLERS, YARDSTICK})
+STORED = (JSON_FILE, WEIGHTS_FILE)  # files that stand for their folder
 SENSING = "lqg"  # advice for imperfect hardware
 
 
@@ -134,15 +135,21 @@ def find_policy(subject: str, trust: bool) -> Policy | None:
             f"{subject!r} is neither a run's folder nor a controller; "
             f"controllers: {', '.join(KNOWN)}."
         )
-    if path.is_file():
-        stored = path.name in (JSON_FILE, WEIGHTS_FILE)
-        return load_policy(path.parent) if stored else load_zip(path, trust=trust)
+    if path.is_file() and path.name not in STORED:
+        return load_zip(path, trust=trust)
+    return stored_policy(path)[0]
+
+
+def stored_policy(path: Path) -> tuple[Policy, Path]:
+    """The policy of a run's folder, of its own or of a file in it, and this folder."""
+    if path.name in STORED:
+        path = path.parent
     inside = sorted(found.parent.parent for found in path.glob(f"*/policy/{JSON_FILE}"))
     if inside:
         raise UsageError(
             f"{path}: holds runs, not a policy; name one of them, such as {inside[0]}."
         )
-    return load_policy(path)
+    return load_policy(path), path
 
 
 def find_env(

@@ -26,7 +26,6 @@ from dynamics import compile_arm, load_arm
 from dynamics.measured.fit import BOUNDS, Fit, LinkAngle, fit
 from dynamics.measured.log_file import Log
 from dynamics.measured.motion import LoggedMotion
-from dynamics.measured.sensors import rotors
 from dynamics.measured.unknowns import without_friction
 from dynamics.simulation.sampled_motion import SampledMotion
 from dynamics.types import Array
@@ -88,7 +87,7 @@ def two_links() -> Log:
     late = np.stack([np.interp(t - LATE, t, angle) for angle in angles.T], axis=1)
     rng = np.random.default_rng(0)
     return Log(
-        t, torque, q @ rotors(model).T + 1e-4 * rng.standard_normal((t.size, 2)),
+        t, torque, q @ model.encoders.T + 1e-4 * rng.standard_normal((t.size, 2)),
         late + 1e-4 * rng.standard_normal(late.shape),
     )  # fmt: skip
 

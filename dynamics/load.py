@@ -9,7 +9,7 @@ from typing import Any
 from dynamics.arms import ARMS
 from dynamics.description.arm import Arm
 from dynamics.description.arm_file import arm_from_dict
-from dynamics.description.data_file import read_mapping
+from dynamics.description.data_file import MOST_BYTES, read_mapping
 from dynamics.description.plausibility import warn_if_implausible
 from dynamics.description.urdf.convert import Flexible, UrdfWarning, convert
 from dynamics.description.urdf.robot import SUFFIX
@@ -29,7 +29,7 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
     `dynamics.description.urdf.convert`; an UrdfWarning says what the arm does not take over.
     """
     if _is_urdf(source):
-        return _from_urdf(Path(source), flexible, tip)  # type: ignore[arg-type]
+        return _from_urdf(Path(source).expanduser(), flexible, tip)  # type: ignore[arg-type]
     if flexible is not None or tip is not None:
         raise ValueError(
             f"flexible and tip are of a {SUFFIX} file, got {shown(source)}; leave them out."
@@ -46,12 +46,15 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
         raise ValueError(
             f"An arm is a preset name, a path, a dict or an Arm, got {type(source).__name__}."
         )
-    path = Path(fspath(source))
+    path = Path(fspath(source)).expanduser()
     if isinstance(source, str) and path.suffix == "":
         raise ValueError(
             f"Unknown arm {shown(source)}. Presets: {sorted(ARMS)}; or give the path of a "
             f".json, .yaml or {SUFFIX} file."
         )
+    if path.suffix.lower() not in MOST_BYTES:
+        known = f"{', '.join(MOST_BYTES)} or {SUFFIX}"
+        raise ValueError(f"{path.name}: must end in {known}, got {shown(path.suffix)}.")
     try:
         return arm_from_dict(read_mapping(path))
     except ValueError as error:
@@ -59,7 +62,7 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
 
 
 def _is_urdf(source: ArmSource) -> bool:
-    return isinstance(source, str | PathLike) and Path(fspath(source)).suffix == SUFFIX
+    return isinstance(source, str | PathLike) and Path(fspath(source)).suffix.lower() == SUFFIX
 
 
 def _from_urdf(path: Path, flexible: Flexible | None, tip: str | None) -> Arm:

@@ -226,6 +226,14 @@ class Model:
         return graphs.accelerations(self.traced)
 
     @cached_property
+    def encoders(self) -> Array:
+        """(n_joint, n) joint angles that ideal encoders read, by q.
+
+        Encoders turn with the roots of the links, which pinned-free modes turn too.
+        """
+        return linearized.inputs(self.chain)[:, : self.n_joint].T
+
+    @cached_property
     def stiffness(self) -> Array:
         """Stiffness matrix K (n, n), zero in the joints."""
         return linearized.stiffness(self.chain)

@@ -12,6 +12,7 @@ from dynamics.description.urdf.arm_text import arm_text
 from dynamics.description.urdf.convert import convert
 from flexarm_env.registration import IDS, SCENES
 
+SUFFIXES = (".yaml", ".yml")  # of an arm file that is written
 COLUMNS = ("arm", "links", "coordinates", "reach [m]", "environments")
 
 
@@ -23,15 +24,22 @@ def main(arguments: list[str] | None = None, prog: str = "python -m flexarm_env"
         print("\ngym.make(ID, arm=ARM) puts any of them, or an arm file, in place of the id's own.")
         print("Sources of the arms: python -m dynamics list")
         return 0
+    at = options.file.name
     try:
-        flexible = dict(map(_flexible, options.flexible))
-        text = arm_text(convert(options.file, options.tip, flexible), options.file.name)
+        flexible = _flexible(options.flexible)
+        if options.out is not None:
+            _check_new(options.out)
+        text = arm_text(convert(options.file, options.tip, flexible), at)
         if options.out is None:
             print(text, end="")
         else:
+            at = str(options.out)
             options.out.write_text(text, encoding="utf-8")
-    except (OSError, ValueError) as error:
-        print(f"{prog} convert: {options.file.name}: {error}", file=sys.stderr)
+    except OSError as error:
+        print(f"{prog} convert: {at}: {error.strerror}.", file=sys.stderr)
+        return 2
+    except ValueError as error:
+        print(f"{prog} convert: {at}: {error}", file=sys.stderr)
         return 2
     return 0
 
@@ -49,14 +57,33 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add("--tip", metavar="LINK", help="end of the arm, needed if the tree has several ends")
     add("--flexible", nargs="+", action="append", default=[], metavar=("LINK", "KEY=VALUE"),
         help="a link that bends, with keys of an arm file's link: --flexible link_3 EIz=40 EIy=40; "
-        "may be repeated")  # fmt: skip
-    add("--out", type=Path, metavar="ARM.yaml", help="instead of standard output")
+        "repeated for every such link")  # fmt: skip
+    add("--out", type=Path, metavar="ARM.yaml", help="a new file, instead of standard output")
     return parser
 
 
-def _flexible(words: list[str]) -> tuple[str, dict[str, Any]]:
-    """Name and fields of a flexible link, as typed."""
-    link, *pairs = words
+def _check_new(out: Path) -> None:
+    """Refuse an --out that is no arm file, or that is there already."""
+    if out.suffix not in SUFFIXES:
+        raise ValueError(f"--out must end in {' or '.join(SUFFIXES)}, got {out.name!r}.")
+    if out.exists():
+        raise ValueError(
+            f"{out} is there already, perhaps completed by hand; name another --out, or remove it."
+        )
+
+
+def _flexible(options: list[list[str]]) -> dict[str, dict[str, Any]]:
+    """Fields of flexible links by their names, from the words of every --flexible."""
+    found: dict[str, dict[str, Any]] = {}
+    for link, *pairs in options:
+        if link in found:
+            raise ValueError(f"--flexible {link} is given twice; give all its keys at once.")
+        found[link] = _fields(link, pairs)
+    return found
+
+
+def _fields(link: str, pairs: list[str]) -> dict[str, Any]:
+    """Fields of a flexible link, as typed."""
     values: dict[str, Any] = {}
     for pair in pairs:
         key, sign, value = pair.partition("=")
@@ -66,7 +93,7 @@ def _flexible(words: list[str]) -> tuple[str, dict[str, Any]]:
             values[key] = yaml.safe_load(value)
         except yaml.YAMLError:
             raise ValueError(f"--flexible {link}: {key} must be a number, got {value!r}.") from None
-    return link, values
+    return values
 
 
 def table() -> str:

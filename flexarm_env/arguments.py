@@ -108,8 +108,8 @@ def curvature_limit(given: object, gauges: tuple[int, ...]) -> float | None:
         return None
     if not gauges:
         raise ValueError(
-            f"curvature_limit ({validate.shown(given)}) needs a link that bends, but all links "
-            "are rigid; leave it out."
+            f"curvature_limit ({validate.shown(given)}) needs a link that bends at its root, but "
+            "all links are rigid or have pinned-free modes; leave it out."
         )
     return validate.positive(given, "curvature_limit", "-")
 

@@ -373,8 +373,7 @@ class Core:
 
     def joint_state(self) -> tuple[Array, Array]:
         """(N, n_joint) [rad] and [rad/s] joint angles and rates, as ideal encoders read."""
-        joints = list(self.arm.joint_index)
-        return self.q[:, joints], self.v[:, joints]
+        return self.q @ self.model.encoders.T, self.v @ self.model.encoders.T
 
     def goal(self, row: int) -> Array:
         """(3,) [m] target of the tip of environment `row`."""

@@ -16,7 +16,7 @@ from dynamics.description.deflection import deflection, shortening
 from dynamics.formulations.link_constants import chain_constants, parts
 from dynamics.types import Array
 from flexarm_env.core import Core
-from flexarm_env.task.observations import is_planar
+from flexarm_env.task.observations import is_level
 
 SIZE = (640, 480)  # [px]
 FINE = 2  # supersampling factor, for smooth edges
@@ -51,7 +51,7 @@ class Renderer:
         arm = core.arm
         self.fine = FINE * height / SIZE[1]  # drawn pixels per pixel of SIZE
         self.canvas = (round(SIZE[0] * height / SIZE[1]) * FINE, height * FINE)
-        self.planar = is_planar(arm) and arm.links[0].joint.rotation[2][2] == 1.0
+        self.planar = is_level(arm)
         self.view = np.eye(3)[:2] if self.planar else VIEW
         self.constants = chain_constants(arm)
         room = SIZE[1] - STRIP_HEIGHT - 34  # [px] above the legend and the strip

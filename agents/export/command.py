@@ -9,12 +9,12 @@ import sys
 from pathlib import Path
 
 from agents.environments import REFUSALS
-from agents.evaluate import UsageError, find_env
+from agents.evaluate import UsageError, find_env, stored_policy
 from agents.export.c_header import header
 from agents.export.signals import Signals, signals_of
 from agents.files import FolderError, atomic_write, check_folder
 from agents.metrics import make_batch
-from agents.policy import Policy, PolicyError, load_policy
+from agents.policy import Policy, PolicyError
 from agents.sentences import one_line, speaker
 from dynamics.description import validate
 
@@ -53,7 +53,7 @@ def export(run: Path, form: str, out: Path | None = None) -> Path:
 
     Nothing is written before the policy, its environment and the file's name are checked.
     """
-    policy = load_policy(run)
+    policy, run = stored_policy(run)
     out = run / f"policy{SUFFIXES[form]}" if out is None else out
     name = checked_name(out, SUFFIXES[form])
     check_folder(out.parent)

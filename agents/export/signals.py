@@ -60,6 +60,13 @@ def span(at: slice) -> str:
     return f"{at.start}" if at.stop == at.start + 1 else f"{at.start} to {at.stop - 1}"
 
 
+def _accuracy(core: Core) -> str:
+    """Sentence about the error of an environment."""
+    if core.certificate is None:
+        return core.uncertified or ""
+    return sentence(core.certificate, core.arm.reach)
+
+
 def signals_of(policy: Policy, env_id: str, core: Core) -> Signals:
     """Inputs and outputs of a policy on its environment; raises PolicyError if it needs more."""
     refuse_base(policy.about)
@@ -69,7 +76,7 @@ def signals_of(policy: Policy, env_id: str, core: Core) -> Signals:
         env_id=env_id,
         arm=core.arm.name,
         control_dt=core.control_dt,
-        accuracy=sentence(core.certificate) if core.certificate else core.uncertified or "",
+        accuracy=_accuracy(core),
         inputs=Layout(parts),
         of=tuple(components(core, part) for part in parts),
         largest=np.array(actuation.command if actuation else core.torque_limit, float),

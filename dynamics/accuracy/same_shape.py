@@ -33,11 +33,18 @@ def transferred(q: Array, v: Array, source: Arm, target: Arm) -> tuple[Array, Ar
             delta, step = q[:, own], STEP * v[:, own]
             fits = [bent.fitted(given.angles(delta + sign * step)) for sign in (-1.0, 0.0, 1.0)]
             moved[:, other], turned[:, other] = fits[1], (fits[2] - fits[0]) / (2.0 * STEP)
+            if any(given.root) or any(bent.root):  # the roots point alike
+                joint = target.names.index(f"q{i + 1}")
+                for new, old in ((moved, q), (turned, v)):
+                    new[:, joint] += old[:, own] @ given.root - new[:, other] @ bent.root
     return moved, turned
 
 
 class Bent:
-    """Angles of a link's sections from the amplitudes of its modes, of all segments."""
+    """Angles of a link's sections against its root, from the amplitudes of all segments' modes.
+
+    `root` (m,) are the angles of the root itself per amplitude; zero but for pinned-free modes.
+    """
 
     def __init__(self, arm: Arm, i: int) -> None:
         link = arm.links[i]
@@ -47,13 +54,17 @@ class Bent:
         self.slopes = np.zeros(
             (link.segments, len(FIELDS), POINTS, link.segments * len(link.modes))
         )
+        self.root = np.zeros(self.slopes.shape[-1])
         for k, part in enumerate(parts(link)):
             local = np.clip(x - begins[k], 0.0, part.length)
             for j, mode in enumerate(part.modes):
                 s = shape(mode, part.beam)
+                column = k * len(part.modes) + j
+                if mode.kind == "pinned-free":
+                    self.root[column] = s.slope(0.0)
                 rows = s.slope(local) if mode.direction in BENDING else s.value(local)
                 rows = rows / (link.length if mode.direction == "axial" else 1.0)
-                column = k * len(part.modes) + j
+                rows = rows - self.root[column]
                 inside = np.where(x > begins[k], rows, 0.0)
                 self.slopes[k, FIELDS.index(mode.direction), :, column] = inside
 

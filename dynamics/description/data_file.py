@@ -21,11 +21,12 @@ def read_mapping(path: Path) -> dict[str, Any]:
     ------
     ValueError : if the file cannot be read or repeats a key; one sentence with the reason.
     """
-    if path.suffix not in MOST_BYTES:
+    suffix = path.suffix.lower()
+    if suffix not in MOST_BYTES:
         raise ValueError(f"must end in .json, .yaml or .yml, got {shown(path.suffix)}.")
-    content = read_text(path, MOST_BYTES[path.suffix])
+    content = read_text(path, MOST_BYTES[suffix])
     try:
-        if path.suffix == ".json":
+        if suffix == ".json":
             data = json.loads(content, object_pairs_hook=_unique)
         else:
             data = yaml.load(content, _Loader)  # a SafeLoader
@@ -52,8 +53,7 @@ def read_text(path: Path, most: int) -> str:
         with open(path, "rb") as file:
             content = file.read(most + 1)
     except FileNotFoundError:
-        where = "" if path.is_absolute() else f" in {Path.cwd()}"
-        raise ValueError(f"no such file{where}.") from None
+        raise ValueError(f"no such file in {path.absolute().parent}.") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a zero byte
         raise ValueError(f"cannot read {shown(str(path))}: {error}.") from None
     if len(content) > most:

@@ -161,6 +161,8 @@ class Link:
         if given is None and self.stiffnesses:
             sentence = mode_rule.rigid_in_silence(name, self.stiffnesses)
             warnings.warn(sentence, RigidLinkWarning, stacklevel=3)
+        if isinstance(given, str) and not self.stiffnesses:
+            warnings.warn(mode_rule.rigid_though_auto(name), RigidLinkWarning, stacklevel=3)
         stiff = stiff_segments(name, self.modes, self.beam, self.segments)
         if stiff:
             warnings.warn(stiff, StiffSegmentsWarning, stacklevel=3)
@@ -193,7 +195,13 @@ class Link:
 
     def _by_rule(self, welded: float = 0.0) -> ModesByRule:
         return mode_rule.modes_by_rule(
-            self.beam, self.joint, self.stiffnesses, self.segments, self.body is None, welded
+            self.beam,
+            self.joint,
+            self.stiffnesses,
+            self.segments,
+            self.body is None,
+            welded,
+            self.lumped,
         )
 
     def by_rule(self, welded: float) -> "Link":

@@ -4,16 +4,17 @@ A bending direction with a stiffness gets two modes. Their family suits both end
 
 | root                                             | tip                | family           |
 |--------------------------------------------------|--------------------|------------------|
-| turns about the bending axis, on a light joint   | without a body     | pinned-free      |
+| turns about the bending axis, on a light joint   | without a body     | unconstrained    |
 | any other                                        | with or without it | clamped-tip-mass |
-| any other                                        | a very heavy body  | poly             |
+| any other                                        | a very heavy body  | hierarchical     |
 | any, of a link in segments                       | any                | hierarchical     |
 | any                                              | a heavy weld       | hierarchical     |
 
 A light joint has less than LIGHT of the link's inertia: `python -m benchmarks.stability` finds two
-pinned shapes closer than two clamped ones up to there. Torsion gets one mode, if the link or its
-tip body has an inertia about x; in segments two, if the link itself has. Axial stretching gets
-none, its frequencies are far above those of bending.
+pinned shapes, which span the same bending as unconstrained ones, closer than two clamped ones up to
+there. Torsion gets one mode, if the link or its tip body has an inertia about x; in segments two,
+if the link itself has. Axial stretching gets none, its frequencies are far above those of bending.
+A lumped link gets one mode along a direction in which its tip has no inertia.
 
 Segments are welded, and a weld carries moment and shear. Shapes of a beam whose tip is free of
 them make a link in segments too stiff, however many segments it has. They also suit a link no
@@ -47,17 +48,21 @@ def modes_by_rule(
     segments: int,
     bare_root: bool,
     welded: float = 0.0,
+    lumped: bool = False,
 ) -> ModesByRule:
     """Modes for the directions whose stiffness is among `stiffnesses`, names of Link fields.
 
-    `bare_root` is false where a body is fixed to the root; `welded` [kg] is fixed to the tip.
+    `bare_root` is false where a body is fixed to the root; `welded` [kg] is fixed to the tip. The
+    tip of a `lumped` link, where its mass is, carries a second mode only if it has an inertia.
     """
     modes: list[Mode] = []
     for direction in "yz":
         if STIFFNESS[direction] in stiffnesses:
             welds = segments > 1 or welded > LADEN * beam.line_mass.mass
             kind = "hierarchical" if welds else _bending(beam, joint, direction, bare_root)
-            modes += _first(BENDING, kind, direction)
+            axis = "zy".index(direction) + 1  # about which the link bends
+            single = lumped and not beam.tip_inertia[axis][axis]
+            modes += _first(1 if single else BENDING, kind, direction)
     if STIFFNESS["x"] in stiffnesses:
         if segments > 1 and beam.rho_Ip > 0.0:
             modes += _first(2, "torsion-poly", "x")
@@ -71,8 +76,8 @@ def _first(count: int, kind: str, direction: str) -> list[Mode]:
 
 
 def _bending(beam: Beam, joint: Joint, direction: str, bare_root: bool) -> str:
-    pinned = direction == "y" and bare_root and _is_pinned(beam, joint)
-    return "pinned-free" if pinned else _clamped(beam, direction)
+    loose = direction == "y" and bare_root and _is_loose(beam, joint)
+    return "unconstrained" if loose else _clamped(beam, direction)
 
 
 def stated(modes: object) -> object:
@@ -105,7 +110,15 @@ def rigid_in_silence(name: str, stiffnesses: Collection[str]) -> str:
     )
 
 
-def _is_pinned(beam: Beam, joint: Joint) -> bool:
+def rigid_though_auto(name: str) -> str:
+    """Sentence of the warning about a link with modes by rule that has no stiffness."""
+    return (
+        f"{name} states modes: auto but neither EIz, EIy, GJ nor EA, so it is rigid; give a "
+        "stiffness, or modes: [] if that is meant."
+    )
+
+
+def _is_loose(beam: Beam, joint: Joint) -> bool:
     tip = beam.tip_mass > 0.0 or any(map(any, beam.tip_inertia))
     if joint.type != "revolute" or joint.elastic or joint.parallel or any(joint.root) or tip:
         return False
@@ -116,5 +129,5 @@ def _clamped(beam: Beam, direction: str) -> str:
     try:
         shape(Mode(kind="clamped-tip-mass", index=BENDING, direction=direction), beam)
     except ValueError:  # the tip body is too heavy for these shapes
-        return "poly"
+        return "hierarchical"
     return "clamped-tip-mass"

@@ -4,9 +4,10 @@ A length in mm makes a link a thousand times longer and its first frequency a mi
 lie beyond space cranes (15 m, 0.1 Hz) and micro arms (a few mm, a few kHz).
 
 Euler and Bernoulli's beam neglects shear and rotary inertia, which lower the frequencies of short,
-thick links: Timoshenko, "On the correction for shear" (1921). To first order the share of a mode is
+thick links: Timoshenko, "On the correction for shear" (1921). By Rayleigh's quotient of a mode's
+shape they divide its squared frequency by
 
-    1/2 (E/kG int r^2 (EI s_xx)_x^2 / EI / int EI s_xx^2 + int rho_A r^2 s_x^2 / modal mass)
+    1 + E/kG int r^2 (EI s_xx)_x^2 / EI / int EI s_xx^2 + int rho_A r^2 s_x^2 / modal mass
 
 with the radius of gyration r of the section, r^2 = EI / EA.
 """
@@ -130,7 +131,7 @@ def _softening(link: Link, direction: str) -> tuple[float, float]:
         mass = weights @ (rho_A * s.value(x) ** 2) + beam.tip_mass * s.value(beam.length) ** 2
         mass += beam.tip_inertia[axis][axis] * s.slope(beam.length) ** 2
         turning = weights @ (rho_A * gyration * s.slope(x) ** 2) / mass
-        result.append(float(0.5 * (SHEAR * shear + turning)))
+        result.append(float(1.0 - 1.0 / np.sqrt(1.0 + SHEAR * shear + turning)))
     return result[0], result[1]
 
 
@@ -145,6 +146,8 @@ def _oddities(link: Link) -> Iterator[str]:
     mass = link.beam.line_mass.mass + link.tip_mass + (link.body.mass if link.body else 0.0)
     if mass > HEAVIEST:
         yield f"a mass of {mass:g} kg"
+    if link.damping_ratio > 1.0:
+        yield f"a damping_ratio of {link.damping_ratio:g}, more than critical"
     for direction in BENDING:
         if link.in_direction(direction):
             frequency = clamped_frequency(link, link.tip_rigidity(direction))

@@ -49,6 +49,7 @@ def _joint_friction(name: str, joint: int) -> Callable[[Chain, Any], Chain]:
 
     def apply(chain: Chain, p: Any) -> Chain:
         driven = [k for k, link in enumerate(chain.links) if link.driven]
+        driven = driven[chain.driven_base :]  # a driven base comes first and has no friction
         if joint >= len(driven):
             raise ValueError(
                 f"{name}_{joint + 1} is of no joint: this arm has {len(driven)} joints, counted "

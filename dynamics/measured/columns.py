@@ -3,8 +3,9 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral
 
-from dynamics.description.validate import shown
+from dynamics.description.validate import clean, shown
 
 UNITS: dict[str, dict[str, float]] = {  # kind of signal: unit: factor to SI
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
@@ -32,6 +33,17 @@ class Columns:
     gauge: tuple[str, ...] = ()  # strain, curvature, or the angle of a bent link
     units: Mapping[str, str] = field(default_factory=dict)  # by column, or by kind: time, ...
     titles: tuple[str, ...] = ()  # of all columns of a text file without a header
+
+    def __post_init__(self) -> None:
+        clean(self, time=_column(self.time, "time"))
+        for kind in ("command", "encoder", "gauge", "titles"):
+            given = getattr(self, kind)
+            if isinstance(given, str) or not isinstance(given, Iterable):
+                raise ValueError(
+                    f"Columns.{kind} must be a tuple of columns, got {shown(given)}; write "
+                    f"({shown(given)},) for one."
+                )
+            clean(self, **{kind: tuple(_column(name, kind) for name in given)})
 
     @property
     def names(self) -> list[str]:
@@ -71,6 +83,15 @@ class Columns:
                 f"got {shown(unit)}."
             )
         return result
+
+
+def _column(name: object, kind: str) -> str:
+    """Title or number of a column as text."""
+    if isinstance(name, bool) or not isinstance(name, str | Integral):
+        raise ValueError(
+            f"Columns.{kind} must hold titles, or numbers of columns from 1, got {shown(name)}."
+        )
+    return str(name)
 
 
 def require(names: Sequence[str], present: Iterable[str]) -> None:

@@ -51,6 +51,8 @@ def read_log(path: str | Path | Sequence[str | Path], columns: Columns) -> Log:
         place.
     """
     paths = [Path(path)] if isinstance(path, str | Path) else [Path(one) for one in path]
+    if not paths:
+        raise ValueError("A log needs at least one file, got [].")
     factors = columns.factors()
     for one in paths:
         _check_file(one, alone=len(paths) == 1)
@@ -115,9 +117,10 @@ def _check_column(name: str, column: AnyArray, kind: str) -> None:
         allowed[:1] = False
     bad = np.flatnonzero(~np.isfinite(column) & ~allowed)
     if bad.size:
+        more = f" and {bad.size - 1} more" if bad.size > 1 else ""
         raise ValueError(
-            f"column {name!r} is not finite at sample {bad[0] + 1} of {size} and "
-            f"{bad.size - 1} more; cut or repair these samples."
+            f"column {name!r} is not finite at sample {bad[0] + 1} of {size}{more}; cut or repair "
+            "what is not."
         )
     readings = int(np.isfinite(column).sum())
     if kind in ("encoder", "gauge") and readings < ROWS[0]:

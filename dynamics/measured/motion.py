@@ -87,7 +87,7 @@ class LoggedMotion:
         self.model = compile_arm(arm, free_parameters=scaled)
         self._follow = SampledMotion(self.model)
         _check_scaled(self.model, scaled, free)
-        rotors = sensors.rotors(self.model)
+        rotors = self.model.encoders
         bends = [sensor.row(self.model) for sensor in gauges]
         self.rows = np.vstack([rotors[free], np.reshape(bends, (-1, arm.n))])
         self.start = np.zeros(arm.n)

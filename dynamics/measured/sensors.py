@@ -85,18 +85,6 @@ def check(sensors: Sequence[Sensor], arm: Arm, readings: Array) -> None:
             )
 
 
-def rotors(model: Model) -> Array:
-    """(n_joint, n) angle of every joint's rotor by q; it turns with the root of its link."""
-    result = np.eye(model.n)[list(model.arm.joint_index)]
-    first = 0
-    for link in model.chain.links:
-        modes = slice(first + (not link.welded), first + (not link.welded) + len(link.K))
-        if link.driven:
-            result[model.arm.joint_index.index(first), modes] = link.root_slope
-        first = modes.stop
-    return result
-
-
 def _tip(model: Model, link: int) -> tuple[Array, Array]:
     """(n,) deflection [m] and (n,) slope [-] of a link's tip in its x-y plane by q."""
     way, slope = np.zeros(model.n), np.zeros(model.n)

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from dynamics.formulations.free_parameters import FREE_PARAMETERS
+
 Range = tuple[float, float]
 ROUND_OFF = 1e-9  # [-] of a limit
 
@@ -50,6 +52,10 @@ class Conditions:
             known = measured.ranges.get(name)
             if known is None or low < known[0] - ROUND_OFF or high > known[1] + ROUND_OFF:
                 return f"{name} drawn from {low:g} to {high:g} by randomize"
+        for name in sorted(measured.ranges.keys() - self.ranges.keys()):
+            low, high = measured.ranges[name]
+            if not low - ROUND_OFF <= FREE_PARAMETERS[name].nominal <= high + ROUND_OFF:
+                return f"the described {name}"
         if self.deflection_limit > measured.deflection_limit * (1.0 + ROUND_OFF):
             return f"deflections above {measured.deflection_limit:g} of a link's length"
         return None

@@ -24,7 +24,7 @@ def accuracy(entry: Mapping[str, Any], command: str) -> str:
     reason = f"Chosen for `modes: auto`: {c['reason']}\n\n" if "reason" in c else ""
     return "\n\n".join(
         [
-            f"{reason}{sentence(c)} Measured by `{command}`.",
+            f"{reason}{sentence(c, c['reach'])} Measured by `{command}`.",
             kinds(c["episodes"]),
             causes(c),
             f"Model: {c['model']}. Reference: {c['reference']}.",
@@ -34,9 +34,9 @@ def accuracy(entry: Mapping[str, Any], command: str) -> str:
     )
 
 
-def sentence(certificate: Mapping[str, Any]) -> str:
-    """The promise of a certificate in words."""
-    c, e = certificate, certificate["episodes"]
+def sentence(certificate: Mapping[str, Any], reach: float) -> str:
+    """The promise of a certificate, of an arm with this reach [m], in words."""
+    e = certificate["episodes"]
     times = [
         (level, [kind["until"][k] for kind in e["kinds"].values()])
         for k, level in enumerate(e["levels"])
@@ -46,10 +46,10 @@ def sentence(certificate: Mapping[str, Any]) -> str:
         share = max(kind["share"] for kind in e["kinds"].values())
         return (
             f"In {round(100 * e['share'])} of 100 whole episodes of every kind the tip stays "
-            f"within {1e3 * share * c['reach']:.2g} mm ({share:.1e} of the reach) of the reference."
+            f"within {1e3 * share * reach:.2g} mm ({share:.1e} of the reach) of the reference."
         )
     bounds = [
-        f"within {1e3 * level * c['reach']:.2g} mm ({level:g} of the reach) up to "
+        f"within {1e3 * level * reach:.2g} mm ({level:g} of the reach) up to "
         f"{min(t for t in until if t):g} s"
         for level, until in times
     ]

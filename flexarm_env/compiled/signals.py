@@ -314,8 +314,11 @@ class Signals:
         """Angles, rates, curvatures, acceleration as sensors give them, and readings to keep."""
         import casadi as ca
 
-        joints = list(self.model.arm.joint_index)
-        angle, rate, curvature = s["q"][joints], s["v"][joints], values["curvature"]
+        turned = ca.sparsify(ca.DM(self.model.encoders))
+        if "modal_amplitude" in self.layout.slices:  # beside it, the coordinates themselves
+            turned = ca.DM.eye(self.model.n)[list(self.model.arm.joint_index), :]
+        angle, rate = (ca.mtimes(turned, s[name]) for name in "qv")
+        curvature = values["curvature"]
         if self.sensing:
             tip = {"velocity": values["tip_velocity"], "gravity": ca.DM(self.model.arm.gravity),
                    "axes": graphs.tip_axes(self.model.traced)(s["q"], s["v"])}  # fmt: skip

@@ -292,8 +292,17 @@ def check_render_mode(mode: str | None) -> None:
 
 
 def check_keywords(arguments: Mapping[str, Any], *others: str) -> None:
-    """Raise a ValueError for a keyword that neither `Core` has nor is one of `others`."""
+    """Raise a ValueError for a keyword that neither `Core` has nor is one of `others`.
+
+    Also without a task or an arm, which registered ids set.
+    """
     mapping(arguments, "the keywords of an environment", KEYWORDS | {*others})
+    for name, such in (("task", 'task="Reach"'), ("arm", 'arm="slim"')):
+        if name not in arguments:
+            raise ValueError(
+                f"{name} is missing; make a registered id, or give one, such as {such}, also in "
+                "the kwargs of gymnasium.register."
+            )
 
 
 def refuse_of_batches(arguments: Mapping[str, Any]) -> None:

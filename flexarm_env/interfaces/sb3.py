@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dynamics.description import validate
 from dynamics.extras import missing
+from flexarm_env.arguments import whole_seed
 from flexarm_env.compiled.outputs import BatchOutputs
 from flexarm_env.interfaces.env import Changeable
 from flexarm_env.interfaces.vector import FlexArmVectorEnv
@@ -128,6 +129,10 @@ class SB3VecEnv(Changeable, VecEnv):
     def max_episode_steps(self, given: int | None) -> None:
         self.envs.max_episode_steps = given
 
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed environment i with `seed` + i at the next reset; a ValueError for no seed."""
+        return super().seed(whole_seed(seed))
+
     def reset(self) -> Any:
         """Start episodes, with the seeds and options set by `seed` and `set_options`."""
         seeds = [None if seed is None else int(seed) for seed in self._seeds]
@@ -201,7 +206,7 @@ class SB3VecEnv(Changeable, VecEnv):
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Value of an attribute, which all environments share, once per environment."""
         value = getattr(self.envs, attr_name)
-        return [value for _ in self._get_indices(indices)]
+        return [value for _ in self._rows(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute of all environments, which share it; see `Changeable`."""
@@ -213,7 +218,7 @@ class SB3VecEnv(Changeable, VecEnv):
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
         """Call a method of the batch; a result with one row per environment is split."""
-        rows = list(self._get_indices(indices))
+        rows = self._rows(indices)
         if method_name == "get_wrapper_attr":
             return self.get_attr(method_args[0], indices)
         if method_name == "set_wrapper_attr":
@@ -221,6 +226,14 @@ class SB3VecEnv(Changeable, VecEnv):
             return [True for _ in rows]
         results = self.envs.call(method_name, *method_args, **method_kwargs)
         return [results[i] for i in rows]
+
+    def _rows(self, indices: Any) -> list[int]:
+        """Environments that indices name; refuses those that there are not."""
+        rows = list(self._get_indices(indices))
+        for row in rows:
+            if not -self.num_envs <= row < self.num_envs:
+                raise ValueError(f"indices must be below {self.num_envs}, got {row}.")
+        return rows
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Any = None) -> list[bool]:
         """True for `Monitor`, whose job this class does; no other wrapper is present."""

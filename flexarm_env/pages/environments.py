@@ -242,7 +242,7 @@ def _accuracy(env_id: str, core: Core) -> str:
     c = drawn["certificate"]
     return (
         f'{text}\n\nWith `hardware="laboratory"`, over its range of payloads and stiffnesses: '
-        f"{sentence(c)}\n\n{kinds(c['episodes'])}\n\n{steps(drawn['steps'])}"
+        f"{sentence(c, c['reach'])}\n\n{kinds(c['episodes'])}\n\n{steps(drawn['steps'])}"
     )
 
 

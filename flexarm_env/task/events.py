@@ -63,12 +63,16 @@ def check_event(name: str | None, arm: Arm) -> None:
             f"event must be one of {sorted(set(EVENTS) - {name})} where Base.type is "
             f"{arm.base.type!r}, got {name!r}: joint angles alone do not place the target there."
         )
+    if name == "drop" and not payload(arm, EVENTS[name].size)[1]:
+        raise ValueError(
+            "event 'drop' needs a last link with a mass, of which the payload is a share."
+        )
 
 
 def payload(arm: Arm, shares: Range) -> Range:
-    """Range [kg] of a payload from shares of the mass of the last link with its tip."""
+    """Range [kg] of a payload from shares of the mass of the last link with tip and body."""
     last = arm.links[-1]
-    mass = last.beam.line_mass.mass + last.tip_mass
+    mass = last.beam.line_mass.mass + last.tip_mass + (last.body.mass if last.body else 0.0)
     return mass * shares[0], mass * shares[1]
 
 

@@ -92,12 +92,15 @@ class Layout:
 
 
 def curvature_columns(arm: Arm) -> tuple[int, ...]:
-    """Columns of the model's "curvature" that are not always zero: one per strain gauge."""
+    """Columns of the model's "curvature" that are not always zero: one per strain gauge.
+
+    Pinned-free shapes are straight at the root, where their gauge would read nothing.
+    """
     return tuple(
         2 * i + k
         for i, link in enumerate(arm.links)
         for k, direction in enumerate("yz")
-        if link.in_direction(direction)
+        if any(mode.kind != "pinned-free" for mode in link.in_direction(direction))
     )
 
 
@@ -111,6 +114,11 @@ def is_planar(arm: Arm) -> bool:
     flat = all(link.joint.offset[2] == link.joint.root[2] == 0.0 for link in turned)
     bending = all(mode.direction == "y" for link in arm.links for mode in link.modes)
     return parallel and flat and bending
+
+
+def is_level(arm: Arm) -> bool:
+    """True if the arm moves only in the x-y plane of the world."""
+    return is_planar(arm) and arm.links[0].joint.rotation[2][2] == 1.0
 
 
 def observation_layout(
@@ -170,7 +178,7 @@ def _goal_layout(
 ) -> Layout:
     if task.moving:
         raise ValueError(f"obs must be 'state' or 'sensors' where the target moves ({task.title}).")
-    joints, axes = range(arm.n_joint), range(2 if is_planar(arm) else 3)
+    joints, axes = range(arm.n_joint), range(2 if is_level(arm) else 3)
     modal, actions = _modal(arm), range(arm.n_torque)
     every = (
         _part("joint_sin", "sine of the joint angle", "-", joints, 1.0, 1.0),

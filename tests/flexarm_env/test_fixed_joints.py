@@ -1,9 +1,13 @@
 """An environment of an arm with a fixed joint, a root beside its joint and a payload beyond."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
+from dynamics import ARMS, Arm, Body, Joint, Link
+from flexarm_env.hardware.sensors import load_hardware
 from flexarm_env.rendering import Renderer
 
 BEND = {"kind": "clamped-tip-mass", "index": 1, "direction": "y"}
@@ -42,3 +46,18 @@ def test_an_arm_without_a_moving_joint_is_refused() -> None:
     still = {"links": [{**LINK, "joint": {"type": "fixed"}}]}
     with pytest.raises(ValueError, match="with a joint that turns, got only fixed joints"):
         gym.make("FlexArm/OneLink-Reach-v0", arm=still, control_dt=0.02)
+
+
+def test_a_payload_is_a_share_of_the_body_that_a_last_link_carries() -> None:
+    """Laboratories draw it, and it drops in mid-episode."""
+    carried = Link(length=0.0, body=Body(mass=0.5, com=(0.03, 0.0, 0.0)), joint=Joint(type="fixed"))
+    arm = Arm(links=(*ARMS["slim"].links, carried))
+    drop = gym.make("FlexArm/OneLink-Track-v0", arm=arm, control_dt=0.02, event="drop")
+    assert drop.unwrapped.randomize["payload_mass"] == (0.125, 0.25)  # type: ignore[attr-defined]
+    laboratory = load_hardware("laboratory")
+    assert laboratory is not None
+    assert laboratory.spread(arm)["payload_mass"] == (0.0, 0.25)
+    nothing = replace(carried, body=Body(mass=0.0, inertia=np.eye(3)))
+    with pytest.raises(ValueError, match="event 'drop' needs a last link with a mass"):
+        gym.make("FlexArm/OneLink-Track-v0", arm=replace(arm, links=(arm.links[0], nothing)),
+                 control_dt=0.02, event="drop")  # fmt: skip

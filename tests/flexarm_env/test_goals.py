@@ -1,6 +1,7 @@
 """Goal-conditioned Reach: dict observations, a reward of goals, and hindsight replay."""
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -9,6 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import flexarm_env
+from dynamics import ARMS, Arm, Joint
 from tests.paths import ROOT
 
 GOAL_IDS = [env_id for env_id in flexarm_env.IDS if "ReachGoal" in env_id]
@@ -126,3 +128,19 @@ def test_hindsight_replay_learns() -> None:
     assert reached(example["model"]) < 0.1
     exec("model.learn" + after, example)
     assert reached(example["model"]) > 0.6
+
+
+def test_goals_of_an_arm_in_a_vertical_plane_have_all_three_coordinates() -> None:
+    """Tip and target one above the other are apart, though not in the world's x and y."""
+    slim = ARMS["slim"].links[0]
+    upright = Joint(rotor_inertia=0.1, rotation={"axis": (1, 0, 0), "angle": np.pi / 2})
+    arm = Arm(links=(replace(slim, joint=upright), replace(slim, joint=Joint(rotor_inertia=0.05))))
+    env: Any = gym.make("FlexArm/TwoLink-ReachGoal-v0", arm=arm, control_dt=0.02).unwrapped
+    q = np.zeros(arm.n)
+    q[list(arm.joint_index)] = [0.9, 0.6]
+    env.reset(seed=0, options={"state": {"q": q}, "target": [-0.9, -0.6]})
+    observation, reward, _, _, info = env.step(np.zeros(2, np.float32))
+    goals = [observation[name] * env.reach for name in ("achieved_goal", "desired_goal")]
+    assert np.linalg.norm(goals[0] - goals[1]) == pytest.approx(info["tip_error"], rel=1e-5)
+    assert info["tip_error"] > 1.0
+    assert reward == 0.0

@@ -1,13 +1,14 @@
 """Environments of arms with joint springs and parallel drives; prismatic joints are refused."""
 
 from dataclasses import replace
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
 import flexarm_env  # noqa: F401
-from dynamics import ARMS, Arm, Link, simulate
+from dynamics import ARMS, Arm, Joint, Link, Mode, simulate
 from flexarm_env.core import Core
 from flexarm_env.rendering import Renderer
 
@@ -84,3 +85,42 @@ def test_torque_limits_of_a_sprung_rigid_arm_are_those_of_the_rigid_arm() -> Non
 def test_an_arm_with_a_prismatic_joint_is_refused() -> None:
     with pytest.raises(ValueError, match="joint 3 is prismatic"):
         gym.make(ID, arm="stanford")
+
+
+def loose(kind: str, segments: int = 1, count: int = 2) -> Arm:
+    """A link on a rotor so light that its root turns with its bending."""
+    modes = tuple(Mode(kind=kind, index=k + 1, direction="y") for k in range(count))
+    link = Link(length=1.0, rho_A=0.5, EIz=20.0, damping_ratio=0.01, modes=modes,
+                segments=segments, joint=Joint(rotor_inertia=5e-4))  # fmt: skip
+    return Arm(links=(link,))
+
+
+@pytest.mark.parametrize("obs", ["state", "sensors"])
+def test_encoders_read_the_root_that_pinned_modes_turn(obs: str) -> None:
+    """Beside the same link in segments, whose joint angle is that of its root."""
+    angles = []
+    for arm in (loose("pinned-free", count=4), loose("hierarchical", 3, 3)):
+        keywords = {"arm": arm, "control_dt": 0.005, "torque_limit": 0.4, "deflection_limit": 1.0}
+        env: Any = gym.make(ID, obs=obs, **keywords)
+        env.reset(seed=0, options={"target": [0.0]})
+        base = env.unwrapped
+        for k in range(120):
+            observation = env.step([np.sin(2.0 * np.pi * k * 0.005 / 0.3)])[0]
+            angles.append(base.joint_state()[0].item())
+            if obs == "sensors":
+                read = observation[0] * base.core.layout.scales["joint_error"][0]
+                assert read == pytest.approx(angles[-1], abs=1e-5)  # the target is at zero
+    pinned, exact = np.reshape(angles, (2, -1))
+    assert np.abs(pinned - exact).max() < 0.03 * np.ptp(exact)
+
+
+def test_links_that_are_straight_at_the_root_have_no_strain_gauge() -> None:
+    pinned, other = loose("pinned-free"), loose("unconstrained")
+
+    def make(arm: Arm, **more: Any) -> Any:
+        return gym.make(ID, arm=arm, control_dt=0.02, obs="sensors", **more)
+
+    layouts = [make(arm).unwrapped.core.layout.slices for arm in (pinned, other)]
+    assert ["root_curvature" in slices for slices in layouts] == [False, True]
+    with pytest.raises(ValueError, match="needs a link that bends at its root"):
+        make(pinned, curvature_limit=0.1)

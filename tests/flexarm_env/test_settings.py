@@ -368,3 +368,24 @@ def test_the_batch_calls_and_reads_as_gymnasiums_own() -> None:
     for name in ("step", "reset"):
         with pytest.raises(ValueError, match=rf"of the whole batch.*envs\.{name}"):
             ours.call(name)
+
+
+def test_indices_and_seeds_that_there_are_not_are_refused() -> None:
+    envs = flexarm_env.SB3VecEnv(ID, 2)
+    for call in (
+        lambda: envs.get_attr("reach", 9),
+        lambda: envs.env_method("joint_target", indices=9),
+    ):
+        with pytest.raises(ValueError, match="indices must be below 2, got 9"):
+            call()
+    with pytest.raises(ValueError, match="seed must be between 0"):
+        envs.seed(-1)
+    envs.reset()
+
+
+def test_an_environment_without_a_task_or_an_arm_says_what_is_missing() -> None:
+    for kwargs, name in (({"arm": "slim"}, "task"), ({"task": "Reach"}, "arm")):
+        with pytest.raises(ValueError, match=f"{name} is missing; make a registered id, or give"):
+            flexarm_env.FlexArmEnv(**kwargs)
+        with pytest.raises(ValueError, match=f"{name} is missing"):
+            flexarm_env.FlexArmVectorEnv(num_envs=2, **kwargs)

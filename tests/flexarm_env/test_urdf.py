@@ -106,3 +106,27 @@ def test_the_command_ends_with_one_sentence(
     errors = capsys.readouterr().err
     assert re.match(f"flexarm arms convert: .*{sentence}", errors)
     assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--out", "there.yaml"], r"there.yaml is there already, perhaps completed by hand"),
+        (["--out", "arm.json"], r"--out must end in .yaml or .yml, got 'arm.json'"),
+        (["--tip", "tool0", "--out", "there.yaml/x.yaml"], r"there.yaml/x.yaml: Not a directory"),
+        (["--flexible", "a", "EIz=6", "--flexible", "a", "EIy=7"], r"--flexible a is given twice"),
+    ],
+)
+def test_a_conversion_replaces_no_file_and_drops_no_word(
+    words: list[str],
+    sentence: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("there.yaml").write_text("# by hand")
+    assert flexarm.main(["arms", "convert", str(public("ur5")), *words]) == 2
+    assert re.search(sentence, capsys.readouterr().err)
+    assert [path.name for path in tmp_path.iterdir()] == ["there.yaml"]
+    assert Path("there.yaml").read_text() == "# by hand"

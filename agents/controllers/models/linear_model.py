@@ -148,7 +148,7 @@ class LinearModels:
         q = self._straight(place)
         squares = eigh(self.plants[self.middle].K, self.model.mass_matrix(q), eigvals_only=True)
         tip, curvature = self._measured(q)
-        readings = np.concatenate([np.eye(self.model.n)[self.joints], curvature])
+        readings = np.concatenate([self.model.encoders, curvature])
         return int(np.sum(squares < (FASTEST / self.control_dt) ** 2)), tip, readings
 
     @cached_property

@@ -56,3 +56,13 @@ def test_bad_requests_are_refused_and_write_nothing(
     assert main([".", "--format", "c", *arguments]) == 2
     assert re.search(sentence, one_sentence(capsys))
     assert [path.name for path in tmp_path.iterdir()] == ["policy"]
+
+
+def test_a_folder_of_runs_is_refused_with_one_of_them_and_a_file_stands_for_its_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_policy(policy_of("tanh"), tmp_path / "seed0" / "policy")
+    assert main([str(tmp_path), "--format", "c"]) == 2
+    assert re.search(r"name one of them, such as .*seed0", one_sentence(capsys))
+    assert main([str(tmp_path / "seed0" / "policy" / "policy.json"), "--format", "c"]) == 0
+    assert (tmp_path / "seed0" / "policy" / "policy.h").exists()

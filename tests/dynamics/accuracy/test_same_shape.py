@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynamics import ARMS
+from dynamics import ARMS, Arm, Joint, Link, Mode
 from dynamics.accuracy.fidelity import Fidelity, everything
 from dynamics.accuracy.same_shape import transferred
 from dynamics.model import Model
@@ -47,3 +47,27 @@ def test_there_and_back_is_the_same_and_joints_stay() -> None:
     np.testing.assert_allclose(back[1], v, atol=1e-9)
     straight = replace(arm, foreshortening=False)
     assert transferred(q, v, straight, straight)[0] is not q
+
+
+def test_pinned_modes_and_clamped_ones_of_a_link_have_the_same_tip() -> None:
+    """Their joint angles differ by the slope at the root, which turns with pinned modes alone.
+
+    The tips of linear models differ by products of deflections.
+    """
+    arms = [
+        Arm(links=(Link(length=1.0, rho_A=0.5, EIz=20.0, modes=tuple(
+            Mode(kind=kind, index=k + 1, direction="y") for k in range(count)),
+            joint=Joint(rotor_inertia=5e-4)),))
+        for kind, count in (("pinned-free", 2), ("hierarchical", 6))
+    ]  # fmt: skip
+    pinned, clamped = map(Model, arms)
+    q, v = np.array([[0.3, 3e-3, 4e-4]]), np.array([[0.2, 0.05, -0.01]])
+
+    moved, turned = transferred(q, v, *arms)
+
+    assert np.linalg.norm(pinned.tip(q[0]) - clamped.tip(moved[0])) < 5e-5
+    faster = pinned.tip_velocity(q[0], v[0]) - clamped.tip_velocity(moved[0], turned[0])
+    assert np.linalg.norm(faster) < 3e-3
+    np.testing.assert_allclose(clamped.encoders @ moved[0], pinned.encoders @ q[0], atol=1e-12)
+    back = transferred(moved, turned, arms[1], arms[0])
+    np.testing.assert_allclose(back[0], q, atol=1e-4)

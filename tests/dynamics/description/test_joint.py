@@ -31,6 +31,8 @@ def arm(*links: dict[str, Any], **values: Any) -> Arm:
             r"got three numbers; write \{rpy: \[0.1, 0, 3\]\} .* or \{axis: .*, angle: a\}",
         ),
         ([{"joint": {"rotation": {"rpy": [0, 1]}}}], "rotation.rpy must have 3 numbers, got 2"),
+        ([{"joint": {"rotation": {"rpy": [0, 0, 90]}}}], r"rpy must be in radians, .* are 1.5708"),
+        ([{"joint": {"rotation": {"axis": [0, 0, 1], "angle": -90}}}], "angle must be in radians"),
         ([{"joint": {"rotation": {"axis": [0, 0, 1]}}}], r"rpy, or axis and angle, got \['axis'\]"),
         (
             [{"joint": {"rotation": {"axis": [0, 0, 0], "angle": 1.0}}}],
@@ -104,7 +106,7 @@ def test_an_arm_of_fixed_joints_is_a_structure_with_frequencies() -> None:
 
 def test_modes_by_rule_are_clamped_beside_a_root_or_a_body() -> None:
     light: dict[str, Any] = {"modes": "auto", "joint": {}}
-    assert arm(light).links[0].modes[0].kind == "pinned-free"
+    assert arm(light).links[0].modes[0].kind == "unconstrained"
     for changes in (
         {"joint": {"root": [0.02, 0.0, 0.0]}},
         {"joint": {"type": "fixed"}},

@@ -85,14 +85,14 @@ def test_evaluating_a_case_without_modes_is_rigid_and_warns_beside_the_result(
 @pytest.mark.parametrize(
     ("changes", "family"),
     [
-        ({}, "pinned-free"),
+        ({}, "unconstrained"),
         ({"joint": HEAVY_HUB}, "clamped-tip-mass"),
         ({"tip_mass": 0.1}, "clamped-tip-mass"),
         ({"segments": 2}, "hierarchical"),
         ({"segments": 3, "joint": HEAVY_HUB, "tip_mass": 1e5}, "hierarchical"),
         ({"joint": Joint(type="prismatic")}, "clamped-tip-mass"),
         ({"joint": Joint(stiffness=10.0, rotor_inertia=1e-6)}, "clamped-tip-mass"),
-        ({"tip_mass": 1e5}, "poly"),
+        ({"tip_mass": 1e5}, "hierarchical"),
     ],
 )
 def test_two_modes_of_the_family_that_suits_root_and_tip(
@@ -155,7 +155,7 @@ def test_an_automatic_arm_survives_the_round_trip_and_follows_changes() -> None:
     listed = arm.with_listed_modes()
     assert listed == arm
     assert not listed.automatic
-    assert listed.to_dict()["links"][0]["modes"][0]["kind"] == "pinned-free"
+    assert listed.to_dict()["links"][0]["modes"][0]["kind"] == "unconstrained"
 
 
 @pytest.mark.parametrize("value", ["automatic", "rigid", ""])
@@ -165,3 +165,33 @@ def test_other_text_for_modes_is_refused_with_the_remedy(value: str) -> None:
         load_arm({"links": [{**BEAM, "modes": value}]})
     with pytest.raises(ValueError, match=sentence):
         Link(**BEAM, modes=value)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("tip_mass", [1e-6, 50.0, 200.0])
+def test_both_modes_by_rule_have_the_damping_ratio_of_the_link(tip_mass: float) -> None:
+    """From the eigenvalues of the clamped link, also where its tip is very heavy."""
+    link = Link(**{**BEAM, "rho_A": 0.01}, tip_mass=tip_mass, damping_ratio=0.03, joint=HEAVY_HUB,
+                modes="auto")  # type: ignore[arg-type]  # fmt: skip
+    model = Model(Arm(links=(link,)))
+    A, _ = model.linearize(*np.zeros((2, 3)), np.zeros(1))
+    clamped = A[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])]
+    M = model.mass_matrix(np.zeros(3))
+    forces = M[1:, :] @ A[3:, :]  # of the link's coordinates, with the joint held
+    clamped[2:] = np.linalg.solve(M[1:, 1:], forces[:, [1, 2, 4, 5]])
+    poles = np.linalg.eigvals(clamped)
+    np.testing.assert_allclose(-poles.real / np.abs(poles), 0.03, rtol=1e-6)
+
+
+def test_a_lumped_link_without_tip_inertia_gets_one_mode() -> None:
+    """A second one would move no mass."""
+    light, heavy = (
+        Link(**BEAM, tip_mass=1.0, tip_inertia=inertia * np.eye(3), lumped=True, modes="auto")  # type: ignore[arg-type]
+        for inertia in (0.0, 1e-3)
+    )
+    assert [len(link.modes) for link in (light, heavy)] == [1, 2]
+    assert Model(Arm(links=(light,))).frequencies().size == 1
+
+
+def test_modes_by_rule_without_a_stiffness_are_warned_of() -> None:
+    with pytest.warns(RigidLinkWarning, match=r"states modes: auto but neither EIz, .* rigid"):
+        Link(length=1.0, rho_A=0.6, modes="auto")  # type: ignore[arg-type]

@@ -136,3 +136,8 @@ def test_the_frequency_is_that_of_the_clamped_beam() -> None:
     heavy = replace(bare, tip_mass=1e6)
     exact = (3.0 * 5.0 / (1e6 * 2.0**3)) ** 0.5 / (2.0 * 3.14159265)
     assert clamped_frequency(heavy, 5.0) == pytest.approx(exact, rel=1e-5)
+
+
+def test_a_damping_ratio_in_percent_is_warned_of() -> None:
+    with pytest.warns(ImplausibleArmWarning, match="a damping_ratio of 2, more than critical"):
+        load_arm({"links": [{**REAL["a pin"], "damping_ratio": 2.0}]})

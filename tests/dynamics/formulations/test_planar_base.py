@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from dynamics import Arm, Base, simulate
+from dynamics import Arm, Base, Joint, Link, Stepper, compile_arm, simulate
 from dynamics.arms import ARMS
 from dynamics.description.rotations import from_rotation_vector, to_rotation_vector
 from dynamics.formulations.free_base import carried
@@ -162,3 +162,27 @@ def test_energy_is_kept_without_damping() -> None:
     path = simulate(model, q, v, None, np.linspace(0.0, 3.0, 7), integrator="dop853", rtol=1e-11)
     energies = [sum(model.energy(*x)) for x in zip(path.q, path.v, strict=True)]
     assert_allclose(energies, energies[0], rtol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["viscous", "coulomb"])
+@pytest.mark.parametrize("driven", [False, True])
+def test_free_friction_acts_on_its_joint_also_where_the_base_is_driven(
+    name: str, driven: bool
+) -> None:
+    base = Base(type="planar", mass=4.0, inertia=np.diag([1.0, 1.0, 0.5]), driven=driven)
+
+    def arm(**friction: float) -> Arm:
+        joints = (Joint(rotor_inertia=0.1, **friction), Joint(rotor_inertia=0.1))
+        return Arm(links=tuple(Link(length=0.5, rho_A=1.0, joint=x) for x in joints), base=base)
+
+    described, free = arm(**{name: 0.7}), compile_arm(arm(), free_parameters=[f"{name}_1"])
+    ends = []
+    for model in (compile_arm(described), free):
+        stepper = Stepper(model, 1, dt=1e-3, substeps=1)
+        stepper.parameters[:] = 0.7
+        stepper.v[:] = [0.0, 0.0, 1.0, 1.0, 0.0]
+        stepper.advance()
+        ends.append(stepper.v[0].copy())
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-12)
+    with pytest.raises(ValueError, match=f"{name}_3 is of no joint: this arm has 2 joints"):
+        Stepper(compile_arm(arm(), free_parameters=[f"{name}_3"]), 1, dt=1e-3, substeps=1)

@@ -155,3 +155,16 @@ def test_units_are_names_or_factors(units: dict[str, str], sentence: str, tmp_pa
     with pytest.raises(ValueError) as refusal:
         read_log(csv_file(tmp_path, rows()), columns)
     assert sentence in str(refusal.value)
+
+
+def test_columns_are_titles_or_numbers(tmp_path: Path) -> None:
+    path = csv_file(tmp_path, rows())
+    named = read_log(path, Columns(time="t", encoder=("angle",)))
+    numbered = read_log(path, Columns(time=1, encoder=[np.int64(2)]))  # type: ignore[arg-type]
+    assert_allclose(numbered.encoder, named.encoder)
+    with pytest.raises(ValueError, match=r"Columns.encoder must be a tuple .* write \('angle',\)"):
+        Columns(time="t", encoder="angle")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"Columns.gauge must hold titles, or numbers .* got 1.5"):
+        Columns(time="t", gauge=(1.5,))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="needs at least one file"):
+        read_log([], Columns(time="t"))

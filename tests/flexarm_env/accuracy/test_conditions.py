@@ -1,0 +1,33 @@
+"""Conditions that measured errors cover, and the sentence of a certificate."""
+
+import pytest
+
+from flexarm_env.accuracy.conditions import Conditions
+from flexarm_env.accuracy.table import sentence
+
+
+def conditions(**ranges: tuple[float, float]) -> Conditions:
+    return Conditions(torque_limit=(1.0,), deflection_limit=0.1, ranges=ranges)
+
+
+def test_errors_of_other_plants_alone_do_not_cover_the_described_one() -> None:
+    stiff = conditions(stiffness=(2.0, 3.0))
+    assert conditions().beyond(stiff) == "the described stiffness"
+    assert conditions(stiffness=(2.0, 2.5)).beyond(stiff) is None
+    heavy = conditions(payload_mass=(0.2, 0.4), stiffness=(0.9, 1.1))
+    assert conditions(stiffness=(1.0, 1.0)).beyond(heavy) == "the described payload_mass"
+    assert conditions().beyond(conditions(payload_mass=(0.0, 0.4), stiffness=(0.9, 1.1))) is None
+
+
+@pytest.mark.parametrize(
+    ("until", "words"),
+    [
+        (None, "In 95 of 100 whole episodes of every kind the tip stays within 2 mm"),
+        (0.7, "stays within 1 mm (0.001 of the reach) up to 0.7 s of the reference"),
+    ],
+)
+def test_a_certificate_without_a_reach_is_told_in_words(until: float | None, words: str) -> None:
+    """Certificates of a search hold none."""
+    kinds = {"random": {"until": [until], "share": 0.002}}
+    found = {"episodes": {"kinds": kinds, "levels": [0.001], "share": 0.95}}
+    assert words in sentence(found, 1.0)
