@@ -31,6 +31,7 @@ LENGTH = 150  # control steps
 SEARCHES = 3
 MORE = 3  # times the steps of the search, tried before another search
 MARGIN = 0.8  # of the tolerance that a new search aims at
+FAR = 0.1  # [reach] error from which motions are lost, and a smaller tolerance helps no more
 LEAST = 0.1  # of a search's tolerance to that of the one before, MARGIN aside
 _log = logging.getLogger(__name__)
 
@@ -110,10 +111,16 @@ def _searched(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
             "Every model that keeps the tolerance on short motions diverges in whole episodes."
         )
     if best["error"] > tolerance:
+        remedy = "A smaller tolerance gives a finer model."
+        if best["error"] > FAR * arm.reach:
+            remedy = (
+                "Errors grow to the size of the arm in its motions; Arm.with_listed_modes() keeps "
+                "the modes by rule, without a search."
+            )
         _log.warning(
             "No model of %s was found that keeps the tip within %.3g m in whole episodes; the best "
-            "keeps %.0f %% of them within %.2g m. A smaller tolerance gives a finer model.",
-            arm.name or "the arm", tolerance, 100 * SHARE, best["error"],
+            "keeps %.0f %% of them within %.2g m. %s",
+            arm.name or "the arm", tolerance, 100 * SHARE, best["error"], remedy,
         )  # fmt: skip
     return best | {"tolerance": tolerance, "holds": conditions.to_dict()}
 
