@@ -37,6 +37,11 @@ class Reading:
     def require(self, controller: str, *names: str) -> None:
         """Refuse an environment whose observations lack a part."""
         missing = [name for name in names if name not in self]
+        if missing == ["root_curvature"] and "modal_amplitude" not in self:
+            raise ValueError(
+                f"{controller} reads strain gauges, of which this arm has none: its links are "
+                "rigid, or have pinned-free modes."
+            )
         if missing:
             kind = "state" if "modal_amplitude" in names else "sensors"
             raise ValueError(

@@ -1,5 +1,6 @@
 """Joint PID and feedback of the strain by hand, and along a root locus."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from agents.controllers.strain import (
     StrainFeedback,
 )
 from agents.metrics import make_batch
+from dynamics import ARMS
 
 TWO = "FlexArm/TwoLink-Reach-v0"
 GAINS = {"frequency_ratio": 0.2, "damping_ratio": 0.7}
@@ -90,6 +92,15 @@ def test_the_filter_of_positive_position_feedback_rests_at_the_chord(envs: Any) 
 def test_strain_is_not_among_exact_states(name: str) -> None:
     envs = make_batch(TWO, 1, {"obs": "state"})
     with pytest.raises(ValueError, match=f"{name} needs obs='sensors'"):
+        CONTROLLERS[name].build(envs, **CONTROLLERS[name].middle)
+
+
+@pytest.mark.parametrize("name", ["strain", "lqg"])
+def test_an_arm_without_gauges_is_refused_as_such(name: str) -> None:
+    arm = ARMS["slim"]
+    rigid = replace(arm, links=(replace(arm.links[0], modes=(), damping_ratio=0.0),))
+    envs = make_batch("FlexArm/OneLink-Reach-v0", 1, {"obs": "sensors", "arm": rigid})
+    with pytest.raises(ValueError, match=f"{name} reads strain gauges, of which this arm has none"):
         CONTROLLERS[name].build(envs, **CONTROLLERS[name].middle)
 
 
