@@ -235,7 +235,8 @@ def expected(data: Mapping[str, Any]) -> str:
     lines = [
         "  ".join([row[0].ljust(widths[0]), *(map(str.rjust, row[1:], widths[1:]))]) for row in rows
     ]
-    first = f"Expected of {len(seeds)} seeds after {data['config']['total_steps']:,} steps"
+    count = "one seed" if len(seeds) == 1 else f"{len(seeds)} seeds"
+    first = f"Expected of {count} after {data['config']['total_steps']:,} steps"
     texts = (f"{first}:", *(f"  {x}" for x in lines), f"from docs/results/{data['name']}.json")
     return "".join(f"# {text}\n" for text in texts)
 

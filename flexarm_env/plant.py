@@ -10,9 +10,10 @@ import numpy as np
 
 from dynamics.description import validate
 from dynamics.description.arm import Arm
+from dynamics.description.parameters import with_parameters
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
-from dynamics.simulation.statics import held, loaded
+from dynamics.simulation.statics import held
 from dynamics.simulation.validity import LARGEST_RATE
 from dynamics.types import Array
 from flexarm_env import arguments
@@ -32,6 +33,7 @@ from flexarm_env.task.scales import (
     DEFLECTION_LIMIT,
     EXTENT,
     MOVE,
+    SAFE,
     Scales,
     integration,
     scales,
@@ -150,6 +152,7 @@ def plan(
         substeps,
         entry or alike(measured, conditions),
         actuation,
+        1.0 if entry else _hastened(fitted.arm, ranges),
     )
     uncertified = None
     if entry and by_step(entry["certificate"], control_dt, name, count):
@@ -203,7 +206,9 @@ def warn_of_gravity(
             GravityWarning, stacklevel=4,
         )  # fmt: skip
     mass = ranges.get("payload_mass", (0.0, 0.0))[1]
-    needed = held(loaded(plant.arm, mass), np.array(plant.scales.home), EXTENT).torque
+    needed = held(
+        with_parameters(plant.arm, {"payload_mass": mass}), np.array(plant.scales.home), EXTENT
+    ).torque
     for i in np.flatnonzero(plant.torque_limit[: needed.size] <= needed):
         warnings.warn(
             f"A payload_mass of {mass:g} kg, which randomize may draw, needs {needed[i]:.3g} N m "
@@ -233,6 +238,14 @@ def _uncertified(measured: Sequence[Entry], conditions: Conditions, entry: Entry
     )
 
 
+def _hastened(arm: Arm, ranges: Mapping[str, tuple[float, float]]) -> float:
+    """Highest fastest rate of the plants that may be drawn, over that of the described arm."""
+    if not ranges:
+        return 1.0
+    ends = {name: low if name == "payload_mass" else high for name, (low, high) in ranges.items()}
+    return max(1.0, scales(with_parameters(arm, ends)).fastest / scales(arm).fastest)
+
+
 def _step(
     arm: Arm,
     control_dt: float,
@@ -240,15 +253,21 @@ def _step(
     substeps: int | None,
     entry: Entry | None,
     actuation: Actuation | None,
+    hastened: float,
 ) -> tuple[str, int]:
-    """Integrator and substeps: those given, else the measured ones, else those of the rule."""
+    """Integrator and substeps: those given, else the measured ones, else those of the rule.
+
+    Both are for the described arm; plants whose fastest rate is `hastened` times as high take more.
+    """
     if integrator is not None:
         validate.known(integrator, "integrator", INTEGRATORS)
     if entry is not None and integrator is None:
         best = entry["steps"][0]
         name, count = best["integrator"], best["substeps"]
+        count = math.ceil(count * max(1.0, SAFE * hastened) - 1e-9)
     else:
         name, count = integration(arm, control_dt, integrator)
+        count = math.ceil(count * hastened - 1e-9)
     if actuation:
         count = max(count, actuation.substeps(control_dt, name))
     if substeps is not None:

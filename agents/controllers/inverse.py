@@ -37,6 +37,8 @@ class InverseDynamics:
         self.pd = joint_pd(env, frequency_ratio, damping_ratio)
         self.planner = TimedMoves(env, self.models, load)
         self.reference = Reference(self.models, [self.models.middle])
+        model, exact = self.models.model, "modal_amplitude" in self.read
+        self.angles = np.eye(model.n)[self.models.joints] if exact else model.encoders
 
     def predict(
         self,
@@ -50,7 +52,7 @@ class InverseDynamics:
         fresh = fresh_of(state, episode_start, len(x))
         plan = self.planner.follow(x, state.plan if state else None, fresh)
         bent, forward = (part[:, 0] for part in self.reference.along(plan.motion))
-        offset = plan.left + bent[:, self.models.joints]
+        offset = plan.left + bent @ self.angles.T
         before = offset if state is None else np.where(fresh[:, None], offset, state.offset)
         rate = plan.target.rate + (offset - before) / dt
         torque = (

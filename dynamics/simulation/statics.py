@@ -1,11 +1,10 @@
 """Gravity on an arm at rest with straight links: torques that hold it, and its sag."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dynamics.description.arm import Arm
-from dynamics.description.link import Payload
 from dynamics.formulations.gibbs_appell import bias
 from dynamics.formulations.link_constants import chain_constants
 from dynamics.model import Model
@@ -119,12 +118,6 @@ def sag(model: Model, angles: Array) -> Array:
     result = np.zeros(model.n)
     result[modal] = np.linalg.solve(model.stiffness[np.ix_(modal, modal)], force)
     return result
-
-
-def loaded(arm: Arm, mass: float) -> Arm:
-    """The arm with a further mass [kg] at its tip."""
-    payload = arm.payload or Payload(mass=0.0)
-    return replace(arm, payload=replace(payload, mass=payload.mass + mass))
 
 
 def _turn(angle: Array) -> Array:

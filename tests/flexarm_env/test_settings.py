@@ -389,3 +389,17 @@ def test_an_environment_without_a_task_or_an_arm_says_what_is_missing() -> None:
             flexarm_env.FlexArmEnv(**kwargs)
         with pytest.raises(ValueError, match=f"{name} is missing"):
             flexarm_env.FlexArmVectorEnv(num_envs=2, **kwargs)
+
+
+def test_steps_by_rule_suit_the_stiffest_plant_that_may_be_drawn() -> None:
+    """Three times the frequency takes three times the steps."""
+    modes = [{"kind": "clamped-free", "index": k, "direction": "y"} for k in (1, 2)]
+    link = {"length": 0.6, "rho_A": 0.3, "EIz": 4.0, "modes": modes,
+            "joint": {"rotor_inertia": 0.02}}  # fmt: skip
+    own = {"arm": {"links": [link, link]}, "control_dt": 0.02}
+    ranges: list[Any] = [None, {"stiffness": (0.5, 9.0)}, {"stiffness": (0.5, 1.0)}]
+    steps = [
+        gym.make("FlexArm/TwoLink-Reach-v0", randomize=drawn, **own).unwrapped.core.substeps  # type: ignore[attr-defined]
+        for drawn in ranges
+    ]
+    assert steps == [steps[0], 3 * steps[0], steps[0]]

@@ -12,7 +12,8 @@ A mode that turns by more than FASTEST within a control step cannot be controlle
 is left out. The joint angles are among the modes: with straight links they cost no energy.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -20,7 +21,8 @@ import numpy as np
 from scipy.linalg import eigh, expm
 
 from agents.controllers.models.memory import kept
-from dynamics import Arm, Model, Payload, Stepper, compile_arm
+from dynamics import Arm, Model, Stepper, compile_arm
+from dynamics.description.parameters import with_parameters
 from dynamics.formulations.linearized import damping, stiffness
 from dynamics.types import Array
 from flexarm_env.task.observations import curvature_columns
@@ -85,6 +87,10 @@ class LinearModels:
                 f"Linear controllers take an arm without gravity, got gravity={arm.gravity}; "
                 "use pd."
             )
+        if arm.base.n:
+            raise ValueError(
+                f"Linear controllers take an arm on a fixed base, got {arm.base.type!r}; use pd."
+            )
         spans = {name: (value, value) for name, value in NOMINAL.items()} | dict(drawn)
         self.drawn = [spans[name] for name in LEVELS]
         self.levels = list(map(_levels, self.drawn, LEVELS.values()))
@@ -103,7 +109,9 @@ class LinearModels:
     def of(env: Any) -> "LinearModels":
         """Models of an environment's arm; environments with equal arms share them."""
         core = env.unwrapped.core
-        return _shared(core.arm, core.control_dt, tuple(sorted(core.randomize.items())))
+        arm = with_parameters(core.arm, usual(core.randomize))
+        drawn = tuple(sorted((name, x) for name, x in core.randomize.items() if name in LEVELS))
+        return _shared(arm, core.control_dt, drawn)
 
     def at(self, posture: Array, plant: int | None = None) -> LinearModel:
         """Model at joint angles (m,) [rad], of the middle plant if none is named.
@@ -119,7 +127,7 @@ class LinearModels:
         M = plant.model.mass_matrix(q)
         shapes = eigh(plant.K, M)[1][:, :kept]
         modes = shapes.T @ M
-        inputs = np.linalg.solve(M, self._forces)
+        inputs = np.linalg.solve(M, self.forces)
         flow = np.zeros((2 * kept + m, 2 * kept + m))
         flow[:kept, kept : 2 * kept] = np.eye(kept)
         flow[kept : 2 * kept, :kept] = -shapes.T @ plant.K @ shapes
@@ -152,7 +160,7 @@ class LinearModels:
         return int(np.sum(squares < (FASTEST / self.control_dt) ** 2)), tip, readings
 
     @cached_property
-    def _forces(self) -> Array:
+    def forces(self) -> Array:
         """(n, m) generalized forces of joint torques; parallel drives load more than one joint."""
         model, rest = self.model, np.zeros(self.model.n)
         still = model.accelerations(rest, rest, np.zeros(model.n_joint))
@@ -194,6 +202,11 @@ class LinearModels:
 _shared = lru_cache(maxsize=8)(LinearModels)
 
 
+def usual(ranges: Mapping[str, Range]) -> dict[str, float]:
+    """Middles of the ranges of drawn parameters of which there is no grid, such as friction."""
+    return {name: sum(ends) / 2.0 for name, ends in ranges.items() if name not in LEVELS}
+
+
 def place_of(posture: Array, decimals: int = ROUND) -> tuple[float, ...]:
     """Joint angles [rad] by which models are kept: the first is zero, the others are rounded."""
     return (0.0, *[round(angle, decimals) for angle in posture[1:].tolist()])
@@ -201,7 +214,7 @@ def place_of(posture: Array, decimals: int = ROUND) -> tuple[float, ...]:
 
 def _plants(arm: Arm, payloads: list[float], stiffnesses: list[float]) -> tuple[Plant, ...]:
     """Plants of every payload [kg] and factor of the stiffness."""
-    models = [compile_arm(_loaded(arm, payload)) for payload in payloads]
+    models = [compile_arm(with_parameters(arm, {"payload_mass": payload})) for payload in payloads]
     return tuple(
         Plant(model, payload, factor, factor * stiffness(model.chain), damping(model.chain))
         for model, payload in zip(models, payloads, strict=True)
@@ -222,9 +235,3 @@ def _levels(drawn: Range, count: int) -> list[float]:
 def _middle(levels: list[float], drawn: Range) -> int:
     """Index of the level in the middle of what is drawn."""
     return int(np.argmin(np.abs(np.array(levels) - sum(drawn) / 2.0)))
-
-
-def _loaded(arm: Arm, payload: float) -> Arm:
-    """The arm with a mass [kg] added to its tip; the shapes of its modes stay."""
-    carried = arm.payload or Payload(mass=0.0)
-    return replace(arm, payload=replace(carried, mass=carried.mass + payload))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers.models.linear_model import LinearModels
+from agents.controllers.models.linear_model import LinearModels, usual
 from dynamics import Stepper, compile_arm
 from dynamics.simulation.sampled_motion import SampledMotion
 from dynamics.types import AnyArray, Array
@@ -23,8 +23,11 @@ class PlantSteppers:
     def __init__(self, core: Any, models: LinearModels, substeps: int | None = None) -> None:
         model = compile_arm(core.arm, free_parameters=tuple(core.randomize))
         self.parameters = np.tile(model.nominal_parameters, (len(models.plants), 1))
+        middles = usual(core.randomize)
         for column, name in enumerate(model.free_parameters):
-            if name in FREE:
+            if name in middles:
+                self.parameters[:, column] = middles[name]
+            elif name in FREE:
                 self.parameters[:, column] = [getattr(x, FREE[name]) for x in models.plants]
         self._follow = SampledMotion(model, core.integrator)
         self._substeps = substeps or core.substeps

@@ -83,7 +83,9 @@ class Reference:
             share = (plant.payload - first.payload) / (last.payload - first.payload or 1.0)
             coming, now = light + share * (heavy - light)
             forward[moving, p] = coming[:, models.joints]
-            bent = (bends @ now[:, models.modal, None])[..., 0]
+            # the torques of joints bend pinned-free links too, whose roots they turn
+            load = now[:, models.modal] - now[:, models.joints] @ models.forces[models.modal].T
+            bent = (bends @ load[..., None])[..., 0]
             offset[moving, p] = bent / plant.factor
         return offset, forward
 

@@ -1,11 +1,14 @@
 """Plants of the linear models, and the memory for their postures."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from agents.controllers.models import linear_model
 from agents.controllers.models.linear_model import LinearModels
 from agents.metrics import make_batch
+from dynamics import ARMS
 
 REACH = "FlexArm/OneLink-Reach-v0"
 
@@ -35,3 +38,25 @@ def test_models_of_old_postures_are_forgotten(monkeypatch: pytest.MonkeyPatch) -
     for angle in range(5):
         models.at(np.array([0.0, float(angle)]))
     assert models._model.cache_info().currsize == 2
+
+
+def test_models_have_the_friction_and_the_damping_that_are_drawn() -> None:
+    """In the middle of their ranges, as an environment of a fit has them."""
+    slim = ARMS["slim"]
+    (link,) = slim.links
+    drawn = {"viscous_1": (0.1, 0.3), "coulomb_1": (0.04, 0.04), "damping": (2.0, 3.0)}
+    rubbing = replace(link.joint, viscous=link.joint.viscous + 0.2, coulomb=0.04)
+    described = replace(slim, links=(
+        replace(link, damping_ratio=2.5 * link.damping_ratio, joint=rubbing),
+    ))  # fmt: skip
+    of_drawn, of_described = (
+        LinearModels.of(make_batch("FlexArm/OneLink-Reach-v0", 1, keywords))
+        for keywords in ({"randomize": drawn}, {"arm": described})
+    )
+    np.testing.assert_allclose(of_drawn.plants[0].C, of_described.plants[0].C, rtol=1e-12)
+    assert of_drawn.model.chain == of_described.model.chain
+
+
+def test_a_floating_base_is_refused() -> None:
+    with pytest.raises(ValueError, match="take an arm on a fixed base, got 'planar'; use pd"):
+        LinearModels.of(make_batch("FlexArm/FreeFlyer-Reach-v0", 1, {}))

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import pytest
 
 from agents.controllers import controller
 from agents.controllers.models.linear_model import LinearModels
@@ -10,6 +11,7 @@ from agents.controllers.models.reading import Reading
 from agents.controllers.models.reference import Course, Reference, followed, torques
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
+from dynamics import Arm, Joint, Link, Mode
 
 TRACK = "FlexArm/OneLink-Track-v0"
 
@@ -74,3 +76,18 @@ def test_every_plant_has_its_own_torques() -> None:
     _, forward = Reference(models, range(len(models.plants))).along(course)
     for p in range(len(models.plants)):
         np.testing.assert_allclose(forward[:, p], torques(models, course, p), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "share"), [("hierarchical", 0.01), ("pinned-free", 0.15)])
+def test_the_joint_leads_by_what_a_uniform_acceleration_bends(kind: str, share: float) -> None:
+    """11 rho_A a l^4 / 120 EI, so that the tip is where the straight link would be.
+
+    Of pinned shapes, which torques at the root bend, many are needed.
+    """
+    modes = tuple(Mode(kind=kind, index=k + 1, direction="y") for k in range(6))
+    link = Link(length=0.8, rho_A=0.4, EIz=6.0, modes=modes, joint=Joint(rotor_inertia=0.002))
+    models = LinearModels(Arm(links=(link,)), 0.02, ())
+    still, pushed = np.zeros((1, 1)), np.full((1, 1), 20.0)
+    offset, _ = Reference(models, [0]).along(Course(still, still, still, pushed, pushed))
+    lead = models.model.encoders @ offset[0, 0]
+    assert lead == pytest.approx(11.0 * 0.4 * 20.0 * 0.8**4 / 120.0 / 6.0, rel=share)
