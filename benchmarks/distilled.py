@@ -169,19 +169,21 @@ def cells(found: dict[str, Any]) -> list[str]:
     """Texts of a row, in the order of HEADER."""
     least, most = min(found["seconds"]), max(found["seconds"])
     times = (found[key] for key in ("expert_us", "policy_us", "c_us"))
+    training = f"{least:.0f} to {most:.0f}" if len(found["seeds"]) > 1 else f"{least:.0f}, one seed"
     return [
         f"[{found['name']}]({found['name']}.md): {found['env']}",
         f"{found['expert']} {found['expert_score']:.3f}",
         f"{np.mean(found['scores']):.3f}",
         *(interval(found[key]) for key in ("gain", "gain_on_start")),
-        f"{least:.0f} to {most:.0f}",
+        training,
         *("" if x is None else f"{x:.3g}" for x in times),
     ]
 
 
 def page(results: dict[str, Any]) -> str:
     """Markdown page of the results."""
-    rows, seeds = results["rows"], results["rows"][0]["seeds"]
+    rows = results["rows"]
+    count = max(len(row["seeds"]) for row in rows)
     machine = results["provenance"]["machine"]
     return f"""# Distilled policies
 
@@ -190,9 +192,9 @@ Made by `{results["provenance"]["command"]}` on {machine["processor"]}.
 A policy without a model learns from a classical controller, its expert, by DAgger
 ([training](../training.md#distilled-policies)); PPO may begin with its weights
 ([warm starts](../training.md#warm-starts)). Scores are means over {EPISODES} episodes from seed
-{FIRST} on, which neither training nor tuning uses, and over {len(seeds)} training seeds. Gains: the
-policy's score less that of the expert, or of the policy with which it began, in the same episodes,
-with a bootstrap over seeds and episodes.
+{FIRST} on, which neither training nor tuning uses, and over {count} training seeds, or one
+where its row says so. Gains: the policy's score less that of the expert, or of the policy with
+which it began, in the same episodes, with a bootstrap over seeds and episodes.
 Times are of one decision: medians of the controllers in Python, and the mean of the
 [exported C header](../export.md) with `cc -O2`. Training: wall-clock time of one process, longer
 where other work kept the machine busy.

@@ -383,14 +383,6 @@ def test_indices_and_seeds_that_there_are_not_are_refused() -> None:
     envs.reset()
 
 
-def test_an_environment_without_a_task_or_an_arm_says_what_is_missing() -> None:
-    for kwargs, name in (({"arm": "slim"}, "task"), ({"task": "Reach"}, "arm")):
-        with pytest.raises(ValueError, match=f"{name} is missing; make a registered id, or give"):
-            flexarm_env.FlexArmEnv(**kwargs)
-        with pytest.raises(ValueError, match=f"{name} is missing"):
-            flexarm_env.FlexArmVectorEnv(num_envs=2, **kwargs)
-
-
 def test_steps_by_rule_suit_the_stiffest_plant_that_may_be_drawn() -> None:
     """Three times the frequency takes three times the steps."""
     modes = [{"kind": "clamped-free", "index": k, "direction": "y"} for k in (1, 2)]

@@ -179,3 +179,11 @@ def test_the_limit_of_ones_own_id_holds_and_comes_back() -> None:
     for limit, steps in ((None, 4), (6, 6), (-1, 0), (None, 4)):
         envs.set_attr("max_episode_steps", limit)
         assert length(envs, 20) == steps
+
+
+def test_an_environment_without_a_task_or_an_arm_says_what_is_missing() -> None:
+    for kwargs, name in (({"arm": "slim"}, "task"), ({"task": "Reach"}, "arm")):
+        with pytest.raises(ValueError, match=f"{name} is missing; make a registered id, or give"):
+            flexarm_env.FlexArmEnv(**kwargs)
+        with pytest.raises(ValueError, match=f"{name} is missing"):
+            flexarm_env.FlexArmVectorEnv(num_envs=2, **kwargs)
