@@ -12,9 +12,10 @@ from scipy.optimize import root
 import flexarm_env  # registers the ids
 from agents.controllers.pd import joint_pd
 from dynamics import ARMS, Arm, Joint, Link, load_arm
+from dynamics.description.parameters import with_parameters
 from dynamics.formulations.gibbs_appell import bias
 from dynamics.model import Model
-from dynamics.simulation.statics import RigidArm, held, loaded
+from dynamics.simulation.statics import RigidArm, held
 from dynamics.tracing.equilibrium import settled as bent
 from dynamics.types import Array
 from flexarm_env.certify.episodes import Episodes
@@ -145,7 +146,7 @@ def test_drawn_parameters_bend_the_arm_at_the_start() -> None:
     envs = settled(arm, randomize=ranges)
     for q, (stiffness, payload) in zip(envs.core.q, envs.core.parameters, strict=True):
         links = tuple(replace(x, EIz=stiffness * x.EIz) for x in arm.links)
-        drawn = Model(loaded(replace(arm, links=links), payload))
+        drawn = Model(with_parameters(replace(arm, links=links), {"payload_mass": payload}))
         angles = q[list(arm.joint_index)]
         tip = drawn.tip(equilibrium(drawn, angles)[0])
         assert np.linalg.norm(tip - envs.core.model.tip(q)) < 1e-5 * arm.reach

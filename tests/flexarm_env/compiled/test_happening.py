@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dynamics.arms import ARMS
+from dynamics.description.parameters import with_parameters
 from dynamics.model import Model
-from dynamics.simulation.statics import loaded
 from flexarm_env.core import Core
 from flexarm_env.task.events import EVENTS, PUSHED, TIME
 from flexarm_env.task.scales import EXTENT
@@ -100,7 +100,7 @@ def test_a_dropped_payload_is_gone_and_moves_nothing() -> None:
     core = started("drop", n_env=1, substeps=40)
     mass = core.parameters[0, 0]
     assert mass > 0.1
-    heavy, light = Model(loaded(ARMS["slim"], mass)), Model(ARMS["slim"])
+    heavy, light = Model(with_parameters(ARMS["slim"], {"payload_mass": mass})), Model(ARMS["slim"])
     check_by_scipy(core, lambda k, *x: (heavy if k < AT else light).accelerations(*x))
 
 
@@ -195,6 +195,6 @@ def test_a_payload_bends_the_arm_under_gravity_until_it_is_dropped() -> None:
     core.seed(0, np.random.default_rng(0))
     core.reset(np.arange(1))
     mass, q = core.parameters[0, 0], core.q[0]
-    expected = Model(loaded(soft, mass)).equilibrium(q[:1]).q
+    expected = Model(with_parameters(soft, {"payload_mass": mass})).equilibrium(q[:1]).q
     np.testing.assert_allclose(q, expected, rtol=1e-6)
     assert np.abs(q[1] / Model(soft).equilibrium(q[:1]).q[1]) > 1.1
