@@ -35,7 +35,9 @@ ARM = Arm(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("names", [*[[name] for name in VALUES], list(VALUES)], ids=str)
+@pytest.mark.parametrize(
+    "names", [list(VALUES), *[[name] for name in VALUES]], ids=["all", *VALUES]
+)
 def test_an_arm_described_anew_moves_as_the_compiled_one_with_the_parameters(
     names: list[str],
 ) -> None:
