@@ -152,7 +152,7 @@ def plan(
         substeps,
         entry or alike(measured, conditions),
         actuation,
-        1.0 if entry else _hastened(fitted.arm, ranges),
+        _fastest(fitted.arm, conditions.ranges) if entry is None or integrator else fitted.arm,
     )
     uncertified = None
     if entry and by_step(entry["certificate"], control_dt, name, count):
@@ -238,12 +238,10 @@ def _uncertified(measured: Sequence[Entry], conditions: Conditions, entry: Entry
     )
 
 
-def _hastened(arm: Arm, ranges: Mapping[str, tuple[float, float]]) -> float:
-    """Highest fastest rate of the plants that may be drawn, over that of the described arm."""
-    if not ranges:
-        return 1.0
+def _fastest(arm: Arm, ranges: Mapping[str, tuple[float, float]]) -> Arm:
+    """The stiffest, lightest and most damped of the plants that may be drawn."""
     ends = {name: low if name == "payload_mass" else high for name, (low, high) in ranges.items()}
-    return max(1.0, scales(with_parameters(arm, ends)).fastest / scales(arm).fastest)
+    return with_parameters(arm, ends)
 
 
 def _step(
@@ -253,21 +251,22 @@ def _step(
     substeps: int | None,
     entry: Entry | None,
     actuation: Actuation | None,
-    hastened: float,
+    fastest: Arm,
 ) -> tuple[str, int]:
     """Integrator and substeps: those given, else the measured ones, else those of the rule.
 
-    Both are for the described arm; plants whose fastest rate is `hastened` times as high take more.
+    The rule is for the `fastest` plant that may be drawn; if it is faster than measured steps of
+    the arm bear, there are more of them.
     """
     if integrator is not None:
         validate.known(integrator, "integrator", INTEGRATORS)
     if entry is not None and integrator is None:
         best = entry["steps"][0]
         name, count = best["integrator"], best["substeps"]
-        count = math.ceil(count * max(1.0, SAFE * hastened) - 1e-9)
+        bearable = scales(arm).fastest / SAFE or math.inf
+        count = math.ceil(count * max(1.0, scales(fastest).fastest / bearable) - 1e-9)
     else:
-        name, count = integration(arm, control_dt, integrator)
-        count = math.ceil(count * hastened - 1e-9)
+        name, count = integration(fastest, control_dt, integrator)
     if actuation:
         count = max(count, actuation.substeps(control_dt, name))
     if substeps is not None:
@@ -275,7 +274,7 @@ def _step(
     if count > arguments.MOST_BY_RULE:
         raise ValueError(
             f"control_dt ({control_dt:g} s) would take {count} steps of {name!r}, more "
-            f"than {arguments.MOST_BY_RULE}, for an arm of {scales(arm).fastest:.3g} rad/s; "
+            f"than {arguments.MOST_BY_RULE}, for an arm of {scales(fastest).fastest:.3g} rad/s; "
             "leave out modes of its stiffest links, take fidelity='rigid', or set substeps."
         )
     return name, count

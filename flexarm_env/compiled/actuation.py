@@ -18,7 +18,6 @@ import numpy as np
 from dynamics import Arm
 from dynamics.description import validate
 from dynamics.formulations.gibbs_appell import mass_matrix
-from dynamics.formulations.link_constants import chain_constants
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
 from dynamics.tracing.function import Function, traced
@@ -92,7 +91,7 @@ class Actuation:
             [most if x is None else x for x, most in zip(stalls, usual, strict=True)]
         )
         self.command = np.array([law.command for law in self.laws])
-        self.slip = _slip(arm)
+        self.slip = Model(arm).encoders
 
     @property
     def key(self) -> str:
@@ -233,16 +232,6 @@ def _steady_damping(law: Law) -> float:
     if not any(law.E):
         return law.damping
     return law.damping + float(np.dot(law.C, np.linalg.solve(law.A, law.E)))
-
-
-def _slip(arm: Arm) -> Array:
-    """(n_joint, n) matrix from coordinates to actuator angles: a link's root against its hub."""
-    result = np.zeros((arm.n_joint, arm.n))
-    bodies = [body for link in chain_constants(arm) for body in link if body.driven]
-    for i, (start, body) in enumerate(zip(arm.joint_index, bodies, strict=True)):
-        result[i, start] = 1.0
-        result[i, start + 1 : start + 1 + len(body.root_slope)] = body.root_slope
-    return result
 
 
 def _discrete(law: Law, h: float) -> dict[str, Any]:

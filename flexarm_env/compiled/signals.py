@@ -315,9 +315,10 @@ class Signals:
         import casadi as ca
 
         turned = ca.sparsify(ca.DM(self.model.encoders))
-        if "modal_amplitude" in self.layout.slices:  # beside it, the coordinates themselves
-            turned = ca.DM.eye(self.model.n)[list(self.model.arm.joint_index), :]
         angle, rate = (ca.mtimes(turned, s[name]) for name in "qv")
+        if "modal_amplitude" in self.layout.slices:  # beside it, the coordinates themselves
+            joints = list(self.model.arm.joint_index)
+            angle, rate = s["q"][joints], s["v"][joints]
         curvature = values["curvature"]
         if self.sensing:
             tip = {"velocity": values["tip_velocity"], "gravity": ca.DM(self.model.arm.gravity),

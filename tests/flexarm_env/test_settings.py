@@ -381,17 +381,3 @@ def test_indices_and_seeds_that_there_are_not_are_refused() -> None:
     with pytest.raises(ValueError, match="seed must be between 0"):
         envs.seed(-1)
     envs.reset()
-
-
-def test_steps_by_rule_suit_the_stiffest_plant_that_may_be_drawn() -> None:
-    """Three times the frequency takes three times the steps."""
-    modes = [{"kind": "clamped-free", "index": k, "direction": "y"} for k in (1, 2)]
-    link = {"length": 0.6, "rho_A": 0.3, "EIz": 4.0, "modes": modes,
-            "joint": {"rotor_inertia": 0.02}}  # fmt: skip
-    own = {"arm": {"links": [link, link]}, "control_dt": 0.02}
-    ranges: list[Any] = [None, {"stiffness": (0.5, 9.0)}, {"stiffness": (0.5, 1.0)}]
-    steps = [
-        gym.make("FlexArm/TwoLink-Reach-v0", randomize=drawn, **own).unwrapped.core.substeps  # type: ignore[attr-defined]
-        for drawn in ranges
-    ]
-    assert steps == [steps[0], 3 * steps[0], steps[0]]

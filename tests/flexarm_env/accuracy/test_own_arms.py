@@ -119,3 +119,21 @@ def test_a_tolerance_that_ends_in_rigid_links_says_so(caplog: pytest.LogCaptureF
     assert record.levelno == logging.WARNING
     assert "The chosen model of own has rigid links" in record.getMessage()
     assert f"{found.entry['certificate']['error']:.2g} m" in record.getMessage()
+
+
+def test_steps_by_rule_suit_the_stiffest_plant_that_may_be_drawn() -> None:
+    """They are those of the arm that is described as stiff; a rigid one takes any payload."""
+    modes = [{"kind": "clamped-free", "index": k, "direction": "y"} for k in (1, 2)]
+    link = {"length": 0.6, "rho_A": 0.3, "EIz": 4.0, "modes": modes,
+            "joint": {"rotor_inertia": 0.02}}  # fmt: skip
+
+    def steps(link: dict[str, Any], **drawn: Any) -> tuple[str, int]:
+        own = {"arm": {"links": [link, link]}, "control_dt": 0.02}
+        core = gym.make("FlexArm/TwoLink-Reach-v0", randomize=drawn, **own).unwrapped.core  # type: ignore[attr-defined]
+        return core.integrator, core.substeps
+
+    stiff = steps({**link, "EIz": 36.0})
+    assert steps(link) != stiff == steps(link, stiffness=(0.5, 9.0))
+    assert steps(link, stiffness=(0.5, 1.0)) == steps(link)
+    rigid = {**link, "modes": []}
+    assert steps(rigid, payload_mass=(0.0, 0.1)) == steps(rigid)
