@@ -1,6 +1,7 @@
-"""Small learners for tests of stored policies and checkpoints."""
+"""Small learners for tests of stored policies and checkpoints, and an arm for filters."""
 
 from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -8,6 +9,15 @@ import numpy as np
 import torch
 
 from agents.learners.algorithms import algorithms, policies
+from dynamics import ARMS, Arm
+
+
+def light_hub() -> Arm:
+    """One link on a hub so light that its second mode is faster than control steps of 20 ms."""
+    (link,) = ARMS["slim"].links
+    return replace(
+        ARMS["slim"], links=(replace(link, joint=replace(link.joint, rotor_inertia=2e-4)),)
+    )
 
 
 class Toy(gym.Env):

@@ -6,10 +6,12 @@ M a + C v + K q = B tau (`dynamics.formulations.linearized`) and the natural mod
 free joints, slow ones alone, q - target = S z. With x = (z, dz/dt) and inputs held over a control
 step,
 
-    x[k + 1] = A x[k] + B tau[k],   y = C x: joint angles, then curvatures of the strain gauges.
+    x[k + 1] = A x[k] + B tau[k],   y[k + 1] = C x[k + 1] + D tau[k]: joint angles, then curvatures
+                                                                      of the strain gauges.
 
 A mode that turns by more than FASTEST within a control step cannot be controlled at that rate; it
-is left out. The joint angles are among the modes: with straight links they cost no energy.
+is left out but for what the held torques bend of it, which D reads. The joint angles are among the
+modes: with straight links they cost no energy.
 """
 
 from collections.abc import Mapping
@@ -47,6 +49,7 @@ class LinearModel:
     A: Array  # (2r, 2r)
     B: Array  # (2r, m)
     C: Array  # (m + g, 2r)
+    D: Array  # (m + g, m)
     tip: Array  # (3, r) [m] tip displacement per mode
     shapes: Array  # (n, r) S
     modes: Array  # (r, n) of a displacement: S' M
@@ -125,7 +128,8 @@ class LinearModels:
         q = self._straight(place)
         kept, tip, readings = self._seen(place)
         M = plant.model.mass_matrix(q)
-        shapes = eigh(plant.K, M)[1][:, :kept]
+        squares, every = eigh(plant.K, M)
+        shapes, fast = every[:, :kept], every[:, kept:]
         modes = shapes.T @ M
         inputs = np.linalg.solve(M, self.forces)
         flow = np.zeros((2 * kept + m, 2 * kept + m))
@@ -134,12 +138,12 @@ class LinearModels:
         flow[kept : 2 * kept, kept : 2 * kept] = -shapes.T @ plant.C @ shapes
         flow[kept : 2 * kept, 2 * kept :] = modes @ inputs
         step = expm(flow * self.control_dt)
-        seen = readings @ shapes
+        seen, bent = readings @ shapes, fast / squares[kept:] @ fast.T @ self.forces
         return LinearModel(
             A=step[: 2 * kept, : 2 * kept], B=step[: 2 * kept, 2 * kept :],
-            C=np.hstack([seen, np.zeros_like(seen)]), tip=tip @ shapes, shapes=shapes,
-            modes=modes, K=plant.K, tip_of=tip, readings=readings, bend=self.bends @ shapes,
-            rest=q, plant=plant_index,
+            C=np.hstack([seen, np.zeros_like(seen)]), D=readings @ bent, tip=tip @ shapes,
+            shapes=shapes, modes=modes, K=plant.K, tip_of=tip, readings=readings,
+            bend=self.bends @ shapes, rest=q, plant=plant_index,
         )  # fmt: skip
 
     def _straight(self, place: tuple[float, ...]) -> Array:

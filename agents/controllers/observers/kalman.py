@@ -37,6 +37,7 @@ class _Bank:
     A: Array  # (P, S, S)
     B: Array  # (P, m, S)
     C: Array  # (P, S, y)
+    D: Array  # (P, m, y)
     shapes: Array  # (P, r, n) of the modes
     turns: Array  # (P, r, m) modes of a turn of each joint, not transposed
     readings: Array  # (y, n) of coordinates, the same for all plants, not transposed
@@ -185,7 +186,7 @@ class KalmanFilters:
         for bank, group in grouped(belief.banks):
             take(
                 group, belief.steps, self._delays, readings, changed, self.planner.moving,
-                bank.A, bank.B, bank.C, bank.readings, bank.gain, bank.precision, bank.bulk,
+                bank.A, bank.B, bank.C, bank.D, bank.readings, bank.gain, bank.precision, bank.bulk,
                 belief.torque, belief.place, belief.state, belief.surprise,
             )  # fmt: skip
             predict(
@@ -248,25 +249,31 @@ class KalmanFilters:
         """Filters at joint angles: gains, precisions and bulks of the first readings."""
         models = [self.models.at(np.array(place), plant) for plant in self.plants]
         A, B, C, P = self._with_biases(models)
-        V, quantum = np.diag(self.sensors.noise**2), self.sensors.quantum
-        W = B @ np.diag((self.disturbance * self.limit) ** 2) @ _turned(B)
+        D = np.array([model.D for model in models])
+        disturbed, quantum = np.diag((self.disturbance * self.limit) ** 2), self.sensors.quantum
+        W = B @ disturbed @ _turned(B)
+        V = np.diag(self.sensors.noise**2) + D @ disturbed @ _turned(D)
+        both = B @ disturbed @ _turned(D)  # (P, S, y) covariances of the state with the reading
         traces = np.trace(W, axis1=1, axis2=2)[:, None, None]
         W += 1e-12 * traces / W.shape[1] * np.eye(W.shape[1])
         P += W
         learned = []
         for _ in range(LEARNING):
-            S = C @ P @ _turned(C) + V
+            cross = P @ _turned(C) + both
+            S = C @ cross + _turned(both) @ _turned(C) + V
             precision = np.linalg.inv(S)
-            gain = P @ _turned(C) @ precision
+            gain = cross @ precision
             bulk = np.linalg.slogdet(2.0 * np.pi * S / np.outer(quantum, quantum))[1]
             learned.append((_turned(gain), precision, bulk))
-            P = A @ (P - gain @ C @ P) @ _turned(A) + W
+            P = A @ (P - gain @ _turned(cross)) @ _turned(A) + W
             P = 0.5 * (P + _turned(P))
         gains, precisions, bulks = map(np.array, zip(*learned, strict=True))
-        A, B, C = (np.ascontiguousarray(_turned(matrices)) for matrices in (A, B, C))
+        A, B, C, D = (np.ascontiguousarray(_turned(matrices)) for matrices in (A, B, C, D))
         shapes = np.array([model.shapes.T for model in models])
         turns = np.array([model.modes[:, self.models.joints] for model in models])
-        return _Bank(models, A, B, C, shapes, turns, models[0].readings, gains, precisions, bulks)
+        return _Bank(
+            models, A, B, C, D, shapes, turns, models[0].readings, gains, precisions, bulks
+        )
 
     def _with_biases(self, models: list[LinearModel]) -> tuple[Array, Array, Array, Array]:
         """A, B, C of the states with the gauges' biases, and their covariances at the start."""

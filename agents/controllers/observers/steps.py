@@ -13,7 +13,7 @@ from dynamics.runtime.jit import compiled, outermost
 @outermost
 def take(
     group: Any, steps: Any, delays: Any, readings: Any, changed: Any, moving: bool,
-    A: Any, B: Any, C: Any, seen: Any, gain: Any, precision: Any, bulk: Any,
+    A: Any, B: Any, C: Any, D: Any, seen: Any, gain: Any, precision: Any, bulk: Any,
     torque: Any, place: Any, state: Any, surprise: Any,
 ) -> None:  # fmt: skip
     """Update the filters of the environments of one bank that new readings reach."""
@@ -31,11 +31,14 @@ def take(
             if surprise[i, h] == np.inf:
                 continue
             x = state[i, h]
+            _copy(readings[i], innovation)
             if steps[i] == 0:
                 _copy(x, moved)
             else:
                 _move(A[p], B[p], x, torque[i, ago, p], moved)
-            _copy(readings[i], innovation)
+                for b in range(D.shape[1]):
+                    for a in range(y):
+                        innovation[a] -= D[p, b, a] * torque[i, ago, p, b]
             for b in range(S):
                 for a in range(y):
                     innovation[a] -= C[p, b, a] * moved[b]

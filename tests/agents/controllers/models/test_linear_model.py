@@ -8,7 +8,8 @@ import pytest
 from agents.controllers.models import linear_model
 from agents.controllers.models.linear_model import LinearModels
 from agents.metrics import make_batch
-from dynamics import ARMS
+from dynamics import ARMS, Stepper, compile_arm
+from tests.agents.toys import light_hub
 
 REACH = "FlexArm/OneLink-Reach-v0"
 
@@ -55,6 +56,24 @@ def test_models_have_the_friction_and_the_damping_that_are_drawn() -> None:
     )
     np.testing.assert_allclose(of_drawn.plants[0].C, of_described.plants[0].C, rtol=1e-12)
     assert of_drawn.model.chain == of_described.model.chain
+
+
+def test_readings_follow_torques_that_bend_what_is_left_out() -> None:
+    """Against the simulated arm, whose second mode is too fast for the control step."""
+    envs = make_batch(REACH, 1, {"obs": "sensors", "arm": light_hub()})
+    core = envs.unwrapped.core
+    model = LinearModels.of(envs).at(np.zeros(1))
+    stepper = Stepper(compile_arm(core.arm), 1, dt=core.control_dt / 200, substeps=200)
+    assert len(model.modes) < stepper.model.n
+    state, gaps, sizes = np.zeros(len(model.A)), [], []
+    for k in range(40):
+        torque = stepper.torque[:, :] = 0.1 * np.sin([[0.2 * k]])
+        stepper.advance()
+        state = model.A @ state + model.B @ torque[0]
+        reading = model.readings @ stepper.q[0]
+        gaps.append(reading - model.C @ state - model.D @ torque[0])
+        sizes.append(model.D @ torque[0])
+    assert np.std(gaps, axis=0)[1] < 0.5 * np.std(sizes, axis=0)[1]
 
 
 def test_a_floating_base_is_refused() -> None:

@@ -12,6 +12,7 @@ from agents.controllers.observers import kalman
 from agents.controllers.observers.kalman import KalmanFilters
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
+from tests.agents.toys import light_hub
 
 WEIGHTS = {"effort": 0.01, "lead": 0.2, "clip": 0.5, "disturbance": 0.2}
 REACH, DAMP, TRACK = (f"FlexArm/OneLink-{task}-v0" for task in ("Reach", "Damp", "Track"))
@@ -130,12 +131,18 @@ def test_surprises_are_as_large_as_the_covariances_say() -> None:
     assert 0.5 * 2 < squares.mean() < 1.5 * 2
 
 
-def test_the_compiled_filters_are_kalman_filters() -> None:
-    """State and surprise of a late filter of two links, against the textbook's in plain NumPy."""
+@pytest.mark.parametrize(
+    ("env_id", "kwargs"), [("FlexArm/TwoLink-Reach-v0", {}), (REACH, {"arm": light_hub()})]
+)
+def test_the_compiled_filters_are_kalman_filters(env_id: str, kwargs: dict[str, Any]) -> None:
+    """State and surprise of a late filter, against the textbook's in plain NumPy.
+
+    One arm has a mode that its filter leaves out, and that readings follow at once.
+    """
     hardware = {"preset": "laboratory", "delay": 2, "payload": (0.2, 0.2), "stiffness": (1, 1)}
-    envs = make_batch("FlexArm/TwoLink-Reach-v0", 3, {"hardware": hardware})
+    envs = make_batch(env_id, 3, kwargs | {"hardware": hardware})
     filters = KalmanFilters(envs, "lqg", 0.05)
-    rng = np.random.default_rng(0)
+    m, rng = len(filters.limit), np.random.default_rng(0)
     observation, _ = envs.reset(seed=0)
     belief: Any = None
     readings, torques = [], []
@@ -144,27 +151,30 @@ def test_the_compiled_filters_are_kalman_filters() -> None:
         read = filters.read
         seen = [read(observation, "joint_error"), read(observation, "root_curvature")]
         readings.append(np.hstack(seen).astype(float))
-        torques.append(rng.uniform(-0.3, 0.3, (3, 2)) * filters.limit)
+        torques.append(rng.uniform(-0.3, 0.3, (3, m)) * filters.limit)
         filters.act(belief, torques[-1])
         observation = envs.step((torques[-1] / filters.limit).astype(np.float32))[0]
     for i in range(3):
         model, sensors = belief.banks[i].models[0], filters.sensors
         r, biases = len(model.modes), len(sensors.bias)
         A = block_diag(model.A, np.eye(biases))
-        B = np.vstack([model.B, np.zeros((biases, 2))])
-        C = np.hstack([model.C, np.eye(2 + biases)[:, 2:]])
-        W, V = B @ np.diag((0.05 * filters.limit) ** 2) @ B.T, np.diag(sensors.noise**2)
+        B = np.vstack([model.B, np.zeros((biases, m))])
+        C, D = np.hstack([model.C, np.eye(m + biases)[:, m:]]), model.D
+        Q = np.diag((0.05 * filters.limit) ** 2)
+        W, both, V = B @ Q @ B.T, B @ Q @ D.T, D @ Q @ D.T + np.diag(sensors.noise**2)
         W += 1e-12 * np.trace(W) / len(W) * np.eye(len(W))
         x, surprise = np.zeros(len(A)), 0.0
-        x[:r] = model.modes[:, filters.models.joints] @ readings[0][i, :2]
+        x[:r] = model.modes[:, filters.models.joints] @ readings[0][i, :m]
         P = block_diag(np.zeros_like(model.A), np.diag(sensors.bias**2)) + W
         for k in [0, *range(3, 40)]:  # readings 1 and 2 repeat the first
+            held = torques[k - 3][i] if k else np.zeros(m)
             if k:
-                x, P = A @ x + B @ torques[k - 3][i], A @ P @ A.T + W
-            gap, S = readings[k][i] - C @ x, C @ P @ C.T + V
+                x, P = A @ x + B @ held, A @ P @ A.T + W
+            gap = readings[k][i] - C @ x - D @ held
+            S = C @ P @ C.T + C @ both + both.T @ C.T + V
             surprise += gap @ np.linalg.solve(S, gap)
             surprise += np.linalg.slogdet(2.0 * np.pi * S)[1] - 2.0 * np.log(sensors.quantum).sum()
-            gain = np.linalg.solve(S, C @ P).T
+            gain = np.linalg.solve(S, C @ P + both.T).T
             x, P = x + gain @ gap, P - gain @ S @ gain.T
         np.testing.assert_allclose(belief.state[i, 0, : len(x)], x, rtol=1e-6, atol=1e-9)
         assert belief.surprise[i, 0] == pytest.approx(surprise, rel=1e-6)
@@ -194,6 +204,18 @@ def test_a_careful_belief_is_the_heaviest_that_readings_allow(caution: float) ->
         assert estimate.model is belief.banks[i].models[index]
         differ += index != filters.hypotheses[belief.surprise[i].argmin()][0]
     assert (differ > 0) == (caution > 0.0)
+
+
+def test_an_arm_settles_whose_second_mode_is_too_fast_for_the_filters() -> None:
+    """The torque bends that mode at once: filters that do not expect it take it for a swing."""
+    envs = make_batch(REACH, 8, {"obs": "sensors", "arm": light_hub()})
+    lqg: Any = controller("lqg", envs, WEIGHTS)
+    observation, _ = envs.reset(seed=0)
+    state: Any = None
+    for k in range(150):
+        action, state = lqg.predict(observation, state, np.full(8, k == 0))
+        observation, _, _, _, info = envs.step(action.astype(np.float32))
+    assert np.all(info["tip_error"] < 0.05 * envs.unwrapped.reach)
 
 
 def test_the_first_reading_repeats_for_as_long_as_the_delay() -> None:
