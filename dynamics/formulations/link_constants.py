@@ -324,14 +324,16 @@ def _tip_theta(link: Link, b: BeamIntegrals) -> Array:
 def _damping(link: Link, b: BeamIntegrals) -> Array:
     """(m, m) [N s/m] 2 zeta sqrt(K_jj m_jj) on the diagonal, or beta K.
 
-    m_jj is the mass that a mode moves, of beam and tip body without payload; of a torsion mode the
-    inertia that it turns.
+    m_jj is the mass that a shape moves, of beam and tip mass without payload. Those of
+    clamped-tip-mass, which are natural modes, move the tip's rotary inertia too; torsion turns
+    inertia alone.
     """
     m = len(link.modes)
     square, tip, twist = np.diag(b.square)[:m], b.tip[:m] ** 2, b.twist[:m] == 1.0
     theta = _tip_theta(link, b)
     beam = np.where(twist, link.mean("rho_Ip"), link.mean("rho_A")) * square
     turning = np.einsum("ja,ab,jb->j", theta, link.tip_inertia, theta)
+    turning *= twist | np.array([mode.kind == "clamped-tip-mass" for mode in link.modes], bool)
     modal = beam + link.tip_mass * tip * ~twist + turning
     damping = 2.0 * link.damping_ratio * np.diag(np.sqrt(np.diag(b.K) * modal))
     own = link.damping_beta_torsion

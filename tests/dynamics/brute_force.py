@@ -143,8 +143,9 @@ def resisting_forces(arm: Arm, q: Array, v: Array, dampers: bool = True) -> Arra
             twist = mode.direction == "x"
             m = (link.rho_Ip if twist else link.rho_A) * weights @ s.value(x) ** 2
             m += (link.tip_inertia[0][0] if twist else link.tip_mass) * s.value(link.length) ** 2
-            about = {"z": link.tip_inertia[1][1], "y": link.tip_inertia[2][2]}
-            m += about.get(mode.direction, 0.0) * s.slope(link.length) ** 2
+            if mode.kind == "clamped-tip-mass":
+                axis = {"z": 1, "y": 2}[mode.direction]
+                m += link.tip_inertia[axis][axis] * s.slope(link.length) ** 2
             C[j, j] = 2.0 * link.damping_ratio * np.sqrt(K[j, j] * m)
         twists = np.array([mode.direction == "x" for mode in link.modes], dtype=bool)
         torsion = link.damping_beta_torsion

@@ -312,12 +312,17 @@ def test_a_rotor_that_modes_turn_resists_like_a_gyroscope() -> None:
         assert_allclose(2.0 * added @ w, np.cross(w, momentum), atol=1e-14)
 
 
-def test_damping_is_the_ratio_of_each_clamped_mode() -> None:
-    """c_j = 2 zeta sqrt(K_jj m_jj) with the tip body, or the inertia that torsion turns."""
-    chosen = (*modes("clamped-free", 2), Mode(kind="torsion-poly", index=1, direction="x"))
+@pytest.mark.parametrize("kind", ["clamped-free", "clamped-tip-mass"])
+def test_damping_is_the_ratio_of_each_clamped_mode(kind: str) -> None:
+    """c_j = 2 zeta sqrt(K_jj m_jj) with the tip mass, or the inertia that torsion turns.
+
+    Shapes that a tip's rotary inertia has bent move it too.
+    """
+    chosen = (*modes(kind, 2), Mode(kind="torsion-poly", index=1, direction="x"))
     link = a_link(*chosen, damping_ratio=0.03)
     k = link_constants(link)
-    turned = [0.03 * shape(mode, link.beam).slope(0.7) ** 2 for mode in chosen[:2]]
+    rotary = 0.03 * (kind == "clamped-tip-mass")
+    turned = [rotary * shape(mode, link.beam).slope(0.7) ** 2 for mode in chosen[:2]]
     m = np.diag(k.s) + np.array((0.4 + turned[0], 0.4 + turned[1], link.tip_inertia[0][0]))
     assert_allclose(np.diag(k.damping), 0.06 * np.sqrt(np.diag(k.K) * m), rtol=1e-14)
     assert np.count_nonzero(k.damping) == 3
