@@ -59,7 +59,7 @@ def _variables(path: Path) -> dict[str, Any]:
         found: dict[str, Any] = loadmat(path, simplify_cells=True)
     except NotImplementedError:
         raise ValueError("is a MAT file of version 7.3; save it with -v7.") from None
-    except (MatReadError, TypeError, KeyError, IndexError, ValueError, zlib.error) as error:
+    except (MatReadError, OSError, TypeError, LookupError, ValueError, zlib.error) as error:
         raise ValueError(f"cannot be read as a MAT file ({error}).") from None
     return found
 

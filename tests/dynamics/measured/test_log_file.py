@@ -121,12 +121,14 @@ def test_files_that_are_no_logs_are_refused(tmp_path: Path) -> None:
         b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"x" * 99
     )
     (tmp_path / "short.mat").write_bytes(b"no")
+    savemat(tmp_path / "cut.mat", {"t": np.arange(99.0) ** 0.5}, do_compression=True)
+    (tmp_path / "cut.mat").write_bytes((tmp_path / "cut.mat").read_bytes()[:-50])
     (tmp_path / "log.csv").write_bytes(b"t,\x81\n1,2\n")
     (tmp_path / "log.xlsx").write_bytes(b"")
     for name, sentence in (
         ("log.mat", "version 7.3"), ("short.mat", "cannot be read as a MAT file"),
-        ("log.csv", "is no text in UTF-8"), ("log.xlsx", "must end in one of"),
-        ("none.csv", "cannot be read (No such file"),
+        ("cut.mat", "cannot be read as a MAT file"), ("log.csv", "is no text in UTF-8"),
+        ("log.xlsx", "must end in one of"), ("none.csv", "cannot be read (No such file"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=sentence[:8]) as refusal:
             read_log(tmp_path / name, COLUMNS)
