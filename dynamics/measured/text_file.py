@@ -50,14 +50,14 @@ def read_text(
     """
     rows, decimal = _rows(StringIO(_decoded(path.read_bytes()), newline=None).readlines())
     places, width, data = _columns(rows, list(names), list(titles), decimal)
-    cells = [_cells(line, row, places, width, decimal) for line, row in data]
+    cells = [_cells(line, row, places, width) for line, row in data]
     columns = zip(*cells, strict=True) if cells else ((),) * len(names)
     found = {}
     for name, texts in zip(names, columns, strict=True):
         if name == names[0] and any(":" in text for text in texts):
             found[name] = _stamps(texts, name, data) / second
         else:
-            found[name] = _numbers(texts, name, data)
+            found[name] = _numbers(texts, name, data, decimal)
     return found
 
 
@@ -111,7 +111,7 @@ def _share(lines: list[str], separator: str, decimal: str) -> tuple[float, int]:
 
 
 def _pointed(cell: str, decimal: str) -> str:
-    """A cell with a decimal point; empty for a number with a point and a comma."""
+    """A cell with a decimal point; empty for one with a point where a comma is the decimal mark."""
     return cell if decimal == "." else ("" if "." in cell else cell.replace(",", "."))
 
 
@@ -190,21 +190,23 @@ def _trimmed(row: list[str]) -> list[str]:
     return row
 
 
-def _cells(line: int, row: list[str], places: list[int], width: int, decimal: str) -> list[str]:
-    """Named cells of a row of the data, with decimal points."""
+def _cells(line: int, row: list[str], places: list[int], width: int) -> list[str]:
+    """Named cells of a row of the data."""
     if len(row) < width or any(row[width:]):
         raise ValueError(f"line {line} holds {len(row)} values, but the header names {width}.")
-    return [_pointed(row[k], decimal) or row[k] for k in places]
+    return [row[k] for k in places]
 
 
-def _numbers(texts: Sequence[str], name: str, data: list[Row]) -> Array:
+def _numbers(texts: Sequence[str], name: str, data: list[Row], decimal: str) -> Array:
     values = []
     for text, (line, _) in zip(texts, data, strict=True):
-        if text and not _is_number(text):
+        number = _pointed(text, decimal)
+        if text and not _is_number(number):
+            mark = " with a decimal comma" if decimal == "," else ""
             raise ValueError(
-                f"column {name!r} holds {shown(text)} in line {line}, which is no number."
+                f"column {name!r} holds {shown(text)} in line {line}, which is no number{mark}."
             )
-        values.append(float(text or math.nan))
+        values.append(float(number or math.nan))
     return np.array(values)
 
 

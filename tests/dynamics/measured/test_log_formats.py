@@ -150,6 +150,7 @@ def edited(number: int, line: str) -> list[str]:
         (edited(1, "0;;3.25;0"), "column 'u' is not finite at sample 1 of 12"),
         (edited(4, "0.015;-1.5;inf;0"), "column 'angle' is not finite at sample 4 of 12"),
         (edited(4, "0.015;-1.5;;0")[:11], "column 'angle' holds 9 readings in 10 samples"),
+        ([*lines(decimal=","), "0,06;-6;1.234;0"], "'1.234' in line 14, which is no number with a"),
         (["sep=|", *lines("|")], "line 1 says that '|' separates columns; export the log with"),
         (edited(4, "31.01.2026 10:00;-1.5;3;0"), "holds '0.000' in line 2, which is no time"),
         ([*PREAMBLE, *lines(header="t;u;a;s")], "holds no column 'angle'; it holds ['t', 'u', "),
