@@ -22,6 +22,7 @@ from dynamics.model import compile_arm
 
 UNEXPLAINED = 0.9  # [of a signal's deviation] residual of a signal that the fit does not follow
 WHITE = 0.2  # largest correlation of a residual's neighbours that counts as white
+CHANCE = 3.0  # deviations of that correlation, 1 / root of the readings, that chance may give
 EXAMPLE = (
     "flexarm fit run.csv --arm slim --time t --command torque --encoder angle --gauge strain "
     "--gauge-at 1:0.05:0.0008 --units time=ms encoder=deg gauge=microstrain"
@@ -243,9 +244,11 @@ def doubts(found: Fit, driven: bool = True) -> list[str]:
         "wrong unit, unless the bound is a physical one."
         for name in found.at_bound
     ]
+    chance = CHANCE / np.sqrt(np.isfinite(found.measured).sum(axis=0))
     coloured = [
-        name for name, rho in zip(found.signals, found.correlation, strict=True) if abs(rho) > WHITE
-    ]
+        name for name, rho, least in zip(found.signals, found.correlation, chance, strict=True)
+        if abs(rho) > max(WHITE, least)
+    ]  # fmt: skip
     if coloured:
         result.append(
             f"The residual of {', '.join(coloured)} is not white: the arm lacks something that the "

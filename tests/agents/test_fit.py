@@ -149,6 +149,18 @@ def test_an_unexplained_encoder_suggests_a_clamp() -> None:
     assert doubts(replace(found, fitted=found.measured)) == []
 
 
+@pytest.mark.parametrize(("readings", "is_told"), [(60, False), (300, True)])
+def test_a_short_log_is_not_called_coloured_by_chance(readings: int, is_told: bool) -> None:
+    """A correlation of 0.25 is two deviations of 60 white residuals, and four of 300."""
+    t = np.where(np.arange(300) < readings, np.arange(300.0), np.nan)[:, None]
+    found = Fit(
+        bounds={"stiffness": (0.2, 5.0)}, values=np.ones(1), intervals=np.ones((1, 2)),
+        covariance=np.eye(1), signals=("gauge 1",), measured=t, nominal=t, fitted=t,
+        correlation=np.array([0.25]), start={}, arm=load_arm("slim"),
+    )  # fmt: skip
+    assert any("is not white" in sentence for sentence in doubts(found)) == is_told
+
+
 def test_the_python_of_the_page_prints_what_it_says(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
