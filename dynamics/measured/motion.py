@@ -1,6 +1,6 @@
 """Signals of an arm under the command of a log, for many values of what a fit estimates."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,9 +31,9 @@ FORGOTTEN = 8.0  # [of a time constant] after which the filter's state at the st
 STRAIGHT = 1e-9  # [of the largest force] modal force at rest that counts as none
 WINDOW = 1.0 / 12.0  # [of the first mode's period] readings that tell a state
 SCALED = {  # parameter: what it scales
-    "stiffness": "a bending mode or a joint spring (Link.modes, Joint.stiffness)",
+    "stiffness": "bending mode or joint spring (Link.modes, Joint.stiffness)",
     "damping": "damping (Link.damping_ratio, Joint.spring_damping)",
-    "friction": "joint friction (Joint.viscous, Joint.coulomb)",
+    "friction": "joint friction (Joint.viscous, Joint.coulomb) beside viscous_1, coulomb_1, ...",
 }
 
 
@@ -87,6 +87,7 @@ class LoggedMotion:
         self.model = compile_arm(arm, free_parameters=scaled)
         self._follow = SampledMotion(self.model)
         _check_scaled(self.model, scaled, free)
+        _check_moving(bounds, held)
         rotors = self.model.encoders
         bends = [sensor.row(self.model) for sensor in gauges]
         self.rows = np.vstack([rotors[free], np.reshape(bends, (-1, arm.n))])
@@ -327,6 +328,18 @@ def _check_scaled(model: Model, names: Sequence[str], free: Sequence[int]) -> No
                 "friction has no effect: all joints are held; leave friction out of the fit, or "
                 "let a joint move."
             )
+
+
+def _check_moving(names: Iterable[str], held: Iterable[int]) -> None:
+    """Refuse friction and torque constants of joints that are held."""
+    for joint in sorted(held):
+        still = {f"{word}_{joint + 1}" for word in ("viscous", "coulomb", "torque")}
+        for name in names:
+            if name in still:
+                raise ValueError(
+                    f"{name} has no effect: joint {joint + 1} is held; leave {name} out of the "
+                    "fit, or let the joint move."
+                )
 
 
 def _with_held(arm: Arm, held: Mapping[int, float | None]) -> Arm:

@@ -103,6 +103,11 @@ def stiff_without_damping() -> Arm:
         (PRESET, {"stiffness": (2.0, 0.5)}, "0 <= low < high"),
         (PRESET, {"stiffness": (0.5, float("nan"))}, "bounds of stiffness"),
         (stiff_without_damping(), {"damping": (0.0, 2.0)}, "damping has no effect"),
+        (
+            PRESET,
+            dict.fromkeys(("friction", "viscous_1"), (0.0, 2.0)),
+            r"friction \(.*\) beside viscous_1",
+        ),
         ("two-link", None, "The arm needs 2 commands, got 1"),
         ("free-flyer", None, "needs a fixed base"),
     ],

@@ -272,6 +272,8 @@ MASS = {"stiffness": (0.5, 2.0), "damping": (0.0, 5.0), "payload_mass": (0.0, 0.
         (PUSHED, PRESET, {"held": {}}, "The torque moves these signals less than their noise"),
         (decay(0), PRESET, {"bounds": {"stiffness": (3.0, 5.0)}}, "No motion .* widen the bounds"),
         (decay(0), PRESET, {"bounds": {"friction": (0.0, 5.0)}}, "all joints are held"),
+        (decay(0), PRESET, {"bounds": {"coulomb_1": (0.0, 1.0)}}, "coulomb_1 .*joint 1 is held"),
+        (decay(0), PRESET, {"bounds": {"torque_1": (0.5, 2.0)}}, "torque_1 .*joint 1 is held"),
         (decay(0), PRESET, {"held": {1: None}}, "held joint .*must be between 0 and 0, got 1"),
         (decay(0), PRESET, {"held": {0: float("nan")}}, "angle of a held joint"),
         (decay(0), PRESET, {"gauges": []}, "got 1 columns and 0 places"),
