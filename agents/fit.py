@@ -243,6 +243,12 @@ def doubts(found: Fit, driven: bool = True) -> list[str]:
         f"{name} stopped at its bound, so its interval means nothing: widen --fit or look for a "
         "wrong unit, unless the bound is a physical one."
         for name in found.at_bound
+        if name not in found.untold
+    ]
+    result += [
+        f"The log does not tell {name}: its interval is wider than its bounds. Leave it out of "
+        "--fit, or log a motion that depends on it."
+        for name in found.untold
     ]
     chance = CHANCE / np.sqrt(np.isfinite(found.measured).sum(axis=0))
     coloured = [

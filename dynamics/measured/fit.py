@@ -60,6 +60,13 @@ class Fit:
         near = np.minimum(self.values - low, high - self.values) < EDGE * (high - low)
         return [name for name, is_near in zip(self.bounds, near, strict=True) if is_near]
 
+    @property
+    def untold(self) -> list[str]:
+        """Parameters that the log does not tell: their intervals are wider than their bounds."""
+        low, high = np.array(list(self.bounds.values())).T
+        wide = np.ptp(self.intervals, axis=1) > high - low
+        return [name for name, is_wide in zip(self.bounds, wide, strict=True) if is_wide]
+
     def environment(self) -> dict[str, Any]:
         """Keywords of an environment of the fitted arm: `arm`, and `randomize` over intervals.
 

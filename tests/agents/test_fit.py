@@ -110,6 +110,10 @@ def test_bad_command_lines_end_with_one_sentence(
     ("wrong", "sentences"),
     [
         (["--from", "0"], ["gauge 1 is not white", "begin a free decay at its release by --from"]),
+        (
+            ["--fit", "stiffness=0.5:2", "damping=0:9", "gain_gauge_1=0.5:2"],
+            ["does not tell gain_gauge_1: its interval is wider than its bounds"],
+        ),
         (["--fit", "stiffness=0.2:1.15"], ["stiffness stopped at its bound", "widen --fit"]),
     ],
 )
@@ -121,6 +125,7 @@ def test_a_doubtful_decay_is_told_with_its_remedy(
     said = capsys.readouterr().out
     for sentence in sentences:
         assert sentence in said
+    assert "gain_gauge_1 stopped at its bound" not in said
 
 
 def test_a_pluck_without_its_clamp_is_refused_with_the_remedy(
