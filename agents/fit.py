@@ -271,7 +271,9 @@ def doubts(found: Fit, driven: bool = True) -> list[str]:
         ) if rms > UNEXPLAINED * size
     ]  # fmt: skip
     if unexplained:
-        result.append(f"The fit explains nothing of {', '.join(unexplained)}.")
+        result.append(
+            f"The fit explains nothing of {', '.join(unexplained)}: check columns, units and signs."
+        )
     clamped = [name.removeprefix("encoder ") for name in unexplained if name.startswith("encoder")]
     if clamped:
         result.append(f"If a joint was clamped, say so: --held {' '.join(clamped)}.")

@@ -148,7 +148,7 @@ def test_an_unexplained_encoder_suggests_a_clamp() -> None:
         correlation=np.zeros(2), start={}, arm=load_arm("slim"),
     )  # fmt: skip
     assert doubts(found) == [
-        "The fit explains nothing of encoder 2.",
+        "The fit explains nothing of encoder 2: check columns, units and signs.",
         "If a joint was clamped, say so: --held 2.",
     ]
     assert doubts(replace(found, fitted=found.measured)) == []
