@@ -95,11 +95,17 @@ def _column(name: object, kind: str) -> str:
 
 
 def require(names: Sequence[str], present: Iterable[str]) -> None:
-    """Refuse columns that a file does not hold, and those named twice."""
+    """Refuse columns that a file does not hold, and those that are there or named twice."""
     held = list(present)
     missing = [name for name in names if name not in held]
     if missing:
         raise ValueError(f"holds no column {missing[0]!r}; it holds {shown(held)}.")
-    repeated = [name for name in names if names.count(name) > 1 or held.count(name) > 1]
+    alike = [name for name in names if held.count(name) > 1]
+    if alike:
+        raise ValueError(
+            f"column {alike[0]!r} is there {held.count(alike[0])} times, in one file or in several "
+            "of one run; name it by its number, or rename the others."
+        )
+    repeated = [name for name in names if names.count(name) > 1]
     if repeated:
         raise ValueError(f"column {repeated[0]!r} is named twice.")

@@ -77,7 +77,7 @@ def edited(number: int, line: str) -> list[str]:
     ("lines", "header", "sentence"),
     [
         (rows(), "t,angle,unused,u,gauge", "holds no column 'strain'; it holds"),
-        (rows(), "t,angle,t,u,strain", "column 't' is named twice"),
+        (rows(), "t,angle,t,u,strain", "column 't' is there 2 times, in one file or"),
         (edited(3, "15,6,x,-3,inf"), HEADER, "column 'strain' is not finite at sample 4 of 12"),
         (edited(3, ",6,x,-3,3"), HEADER, "column 't' is not finite at sample 4 of 12"),
         (edited(3, "15,six,x,-3,3"), HEADER, "column 'angle' holds 'six' in line 5"),

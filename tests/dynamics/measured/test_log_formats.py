@@ -225,6 +225,9 @@ def test_the_mat_files_of_one_run_are_read_together(tmp_path: Path) -> None:
         savemat(tmp_path / name, variables)
     columns = named(["data_u:1", "data_u:2", "angle", "strain"])
     check(read_log([tmp_path / name for name in parts], columns))
+    savemat(tmp_path / "c.mat", {"angle": ANGLE})
+    with pytest.raises(ValueError, match="'angle' is there 2 times, in one file or in several"):
+        read_log([tmp_path / name for name in [*parts, "c.mat"]], columns)
     with pytest.raises(ValueError, match="only MAT files of one run are read together"):
         read_log([tmp_path / "a.mat", written(tmp_path, lines())], columns)
 
