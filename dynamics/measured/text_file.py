@@ -1,8 +1,9 @@
 """Columns of text files as loggers and spreadsheets write them.
 
 Separator and decimal mark are those by which most cells of the last lines are numbers. The header
-is the line that holds the named columns, wherever it stands; columns that no line names are counted
-from 1. A cell may be empty where a channel is sampled less often than the others.
+is the line that holds the named columns, wherever it stands, also behind the mark of a comment;
+columns that no line names are counted from 1. A cell may be empty where a channel is sampled less
+often than the others. Among the data, comments are left out.
 """
 
 import csv
@@ -48,8 +49,10 @@ def read_text(
     ValueError : for a file that is no text, a missing column, a line of another width and a cell
         that is no number, with the line.
     """
-    rows, decimal = _rows(StringIO(_decoded(path.read_bytes()), newline=None).readlines())
+    lines = StringIO(_decoded(path.read_bytes()), newline=None).readlines()
+    rows, decimal = _rows(lines)
     places, width, data = _columns(rows, list(names), list(titles), decimal)
+    data = [pair for pair in data if not lines[pair[0] - 1].lstrip().startswith(tuple(COMMENT))]
     cells = [_cells(line, row, places, width) for line, row in data]
     columns = zip(*cells, strict=True) if cells else ((),) * len(names)
     found = {}

@@ -48,6 +48,7 @@ VARIANTS: dict[str, list[str]] = {
     "preamble": PREAMBLE + lines(),
     "preamble and decimal comma": PREAMBLE + lines(decimal=","),
     "commented header": ["# " + lines(",")[0], *lines(",")[1:]],
+    "comments among the data": [*lines()[:5], "# 0.016;9;9;9", "% pause", *lines()[5:], "# end"],
     "blanks": lines("   "),
     "blanks in front and behind": [f"  {line}  " for line in lines(" ")],
     "comma and blank": lines(", "),
