@@ -121,17 +121,17 @@ def frozen_modes(chain: Chain) -> FrozenModes:
 
 def inputs(chain: Chain) -> Array:
     """(n, n_torque) generalized forces B of unit torques: joints, then a driven base."""
+    sizes = [len(link.K) + (not link.welded) for link in chain.links]
     columns, first = [], 0
-    for link in chain.links:
-        size = len(link.K) + (not link.welded)
+    for link, size in zip(chain.links, sizes, strict=True):
         if link.driven:
-            column = np.zeros(sum(len(x.K) + (not x.welded) for x in chain.links))
+            column = np.zeros(sum(sizes))
             column[first : first + size] = (1.0, *link.root_slope)
             columns.append(column)
         first += size
     if chain.driven_base:  # comes first in the chain
         columns = [*columns[1:], columns[0]]
-    return np.array(columns).T
+    return np.array(columns).reshape(len(columns), sum(sizes)).T
 
 
 def explicit_steps(chain: Chain) -> Array:

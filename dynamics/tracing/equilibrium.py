@@ -2,7 +2,8 @@
 
 The joint angles are given; modal amplitudes, deflections of joint springs and the torques that hold
 the joints are unknown. Newton's method with the exact Jacobian follows the arm from no gravity to
-all of it, so that it finds the equilibrium into which a straight arm bends.
+all of it and takes no equilibrium that is unstable, so that it finds the one into which a straight
+arm bends, and none of an arm that buckles.
 """
 
 from dataclasses import replace
@@ -20,7 +21,8 @@ from dynamics.types import Array
 
 ITERATIONS = 30  # of Newton's method at one share of gravity
 CONVERGED = 1e-12  # [-] last change over the size of the unknowns
-SMALLEST_SHARE = 1.0 / 256.0  # of gravity that is added at once
+SLOWEST = 0.25  # [-] a change of the bent coordinates over the one before
+SMALLEST_SHARE = 1.0 / 4096.0  # of gravity that is added at once
 SETTLING = 8  # steps of `settling`, each of about two digits
 SETTLED = 1e-6  # [-] share of the last of them in what it has come to, both squared
 FARTHEST = 1e3  # [m] or [rad] that a coordinate may move by them
@@ -55,8 +57,8 @@ def equilibrium(traced: TracedArm, angles: Array) -> Equilibrium:
         else:
             raise ValueError(
                 f"No equilibrium of {traced.arm.name or 'the arm'} was found beyond "
-                f"{share:.0%} of its gravity: it bends too far for its modes; raise Link.segments, "
-                "or make the links stiffer."
+                f"{share:.0%} of its gravity: it buckles or bends too far for its modes; raise "
+                "Link.segments, or make the links stiffer."
             )
     q = np.zeros(n)
     q[joints], q[bent] = angles, x[: len(bent)]
@@ -120,23 +122,31 @@ def _without_torques(traced: TracedArm, chain: Chain, q: list[Any]) -> Any:
 
 
 def _newton(traced: TracedArm, angles: Array, share: float, x: Array) -> Array | None:
-    """Solution at a share of gravity from a guess; None if it is not reached."""
-    forces, x = _forces(traced), x.copy()
+    """Stable solution at a share of gravity from a guess; None if it is not reached."""
+    forces, x, before = _forces(traced), x.copy(), np.inf
     for _ in range(ITERATIONS):
-        residual, jacobian = (np.array(y) for y in forces(x, angles, share))
+        residual, jacobian, stiffness = (np.array(y) for y in forces(x, angles, share))
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
             return None
         change = np.linalg.solve(jacobian, residual.ravel())
         x -= change
         if np.all(np.abs(change) <= CONVERGED * (np.abs(x).max() + 1e-300)):
-            return x
+            return x if np.all(np.linalg.eigvalsh(stiffness) > 0.0) else None
+        size = float(np.linalg.norm(change[: x.size - traced.n_joint]))
+        if size > SLOWEST * before:  # it may leave for another equilibrium
+            return None
+        before = size
     return None
 
 
 @lru_cache(maxsize=8)
 def _forces(traced: TracedArm) -> Any:
-    """CasADi Function (unknowns, angles, share of gravity) -> h - B tau, and its Jacobian."""
+    """CasADi Function (unknowns, angles, share of gravity) -> h - B tau, and its Jacobian.
+
+    A third result is the stiffness of the arm whose joints are held, of elasticity and gravity.
+    """
     import casadi as ca
+    from scipy.linalg import null_space
 
     joints, m = list(traced.arm.joint_index), traced.n_joint
     bent = bent_coordinates(traced.arm)
@@ -147,5 +157,8 @@ def _forces(traced: TracedArm) -> Any:
             q[place] = value
     gravity: Any = tuple(share * g if g else 0.0 for g in traced.arm.gravity)
     h = traced.formed.equations.bias(replace(traced.chain, gravity=gravity), q, traced.n * [0.0])
-    residual = ca.vertcat(*h) - ca.mtimes(ca.DM(inputs(traced.chain)), x[len(bent) :])
-    return ca.Function("statics", [x, angles, share], [residual, ca.jacobian(residual, x)])
+    B = inputs(traced.chain)
+    residual, still = ca.vertcat(*h) - ca.mtimes(ca.DM(B), x[len(bent) :]), ca.DM(null_space(B.T))
+    stiffness = ca.mtimes([still.T, ca.jacobian(ca.vertcat(*h), ca.vertcat(*q)), still])
+    results = [residual, ca.jacobian(residual, x), stiffness]
+    return ca.Function("statics", [x, angles, share], results)

@@ -24,10 +24,10 @@ def horizontal(**changes: Any) -> Arm:
     return Arm(links=(link,), gravity=(0.0, -G, 0.0))
 
 
-def elastica(EI: float) -> tuple[float, float]:
+def elastica(EI: float, root: float = 0.0) -> tuple[float, float]:
     """(2,) [m] tip of a heavy rod with a tip mass, by its boundary value problem in the angle.
 
-    EI theta'' = (rho_A (L - s) + m) g cos theta, theta(0) = 0, theta'(L) = 0.
+    EI theta'' = (rho_A (L - s) + m) g cos theta, theta(0) = root, theta'(L) = 0.
     """
     L, rho, m = BEAM["length"], BEAM["rho_A"], BEAM["tip_mass"]
 
@@ -36,10 +36,10 @@ def elastica(EI: float) -> tuple[float, float]:
         return np.stack([y[1], load * np.cos(y[0]) / EI, np.cos(y[0]), np.sin(y[0])])
 
     def ends(a: Array, b: Array) -> Array:
-        return np.array([a[0], b[1], a[2], a[3]])
+        return np.array([a[0] - root, b[1], a[2], a[3]])
 
     s = np.linspace(0.0, L, 41)
-    guess = np.stack([-s / L, s - 1.0, s, -s * s])
+    guess = np.stack([root - (1.0 + root) * s / L, s - 1.0, s, -s * s])
     found = solve_bvp(rates, ends, s, guess, tol=1e-9)
     assert found.success
     return float(found.y[2, -1]), float(found.y[3, -1])
@@ -72,6 +72,23 @@ def test_a_soft_beam_in_segments_is_the_elastica(EI: float) -> None:
     assert 0.0 < rest.torque[0] - weight < 0.5 * BEAM["rho_A"] * G * BEAM["length"] ** 2
 
 
+@pytest.mark.parametrize(("EI", "lean"), [(0.36, 0.1), (0.36, 0.003), (0.3, 0.01)])
+def test_a_rod_too_heavy_to_stand_falls_to_the_side_on_which_it_leans(
+    EI: float, lean: float
+) -> None:
+    """With 0.46 N m^2 it would stand upright."""
+    arm = horizontal(EIz=EI, segments=8, modes=SHAPES[:2])
+    model = Model(replace(arm, foreshortening="fourth-order"))
+    upright = 0.5 * np.pi
+
+    rest = model.equilibrium(np.array([upright - lean]))
+
+    found = elastica(EI, upright - lean)
+    assert_allclose(model.tip(rest.q)[:2], found, atol=0.01 * BEAM["length"])
+    with pytest.raises(ValueError, match=r"beyond \d+% of its gravity: it buckles"):
+        model.equilibrium(np.array([upright]))
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_torques_hold_the_arm_at_rest(seed: int) -> None:
     """Accelerations by the O(n) elimination are zero there."""
@@ -92,6 +109,15 @@ def test_the_torques_hold_the_arm_at_rest(seed: int) -> None:
         model.chain, floats(straight), arm.n * [0.0], floats(rest.torque)
     )
     assert np.abs(a).max() < 1e-8 * np.abs(fallen).max()
+
+
+def test_a_clamped_beam_without_a_joint_has_its_equilibrium() -> None:
+    held = Model(horizontal()).equilibrium(np.zeros(1))
+
+    clamped = Model(horizontal(joint=Joint(type="fixed"))).equilibrium(np.zeros(0))
+
+    assert_allclose(clamped.q, held.q[1:], rtol=1e-10)
+    assert clamped.torque.shape == (0,)
 
 
 def test_an_arm_that_starts_at_rest_stays_there() -> None:
