@@ -263,9 +263,18 @@ class Arm:
 
 
 def _welded(links: tuple[Link, ...]) -> float:
-    """[kg] of the first of the links, those beyond a tip, that are welded to it."""
-    fixed = takewhile(lambda link: link.joint.welds, links)
-    return sum(x.beam.line_mass.mass + x.tip_mass + (x.body.mass if x.body else 0) for x in fixed)
+    """[kg m^2] int r^2 dm about a tip, of the first of the links beyond that are welded to it."""
+    place, R, total = np.zeros(3), np.eye(3), 0.0
+    for link in takewhile(lambda link: link.joint.welds, links):
+        place, R = place + R @ np.array(link.joint.offset), R @ np.array(link.joint.rotation)
+        root, line = place + R @ np.array(link.joint.root), link.beam.line_mass
+        place = root + link.length * R[:, 0]
+        total += line.mass * (root @ root) + 2.0 * line.first * (root @ R[:, 0]) + line.second
+        total += link.tip_mass * (place @ place) + 0.5 * float(np.trace(link.tip_inertia))
+        if link.body is not None:
+            com = root + R @ np.array(link.body.com)
+            total += link.body.mass * (com @ com) + 0.5 * float(np.trace(link.body.inertia))
+    return total
 
 
 def _joint_inertia(links: tuple[Link, ...], payload: Payload | None) -> float:

@@ -205,7 +205,7 @@ class Link:
         )
 
     def by_rule(self, welded: float) -> "Link":
-        """The link, whose modes by rule, if it has them, suit a mass [kg] welded to its tip."""
+        """The link, whose modes by rule suit an inertia [kg m^2] welded to its tip."""
         modes = self._by_rule(welded) if isinstance(self.modes, ModesByRule) else self.modes
         if modes == self.modes:
             return self

@@ -8,7 +8,7 @@ A bending direction with a stiffness gets two modes. Their family suits both end
 | any other                                        | with or without it | clamped-tip-mass |
 | any other                                        | a very heavy body  | hierarchical     |
 | any, of a link in segments                       | any                | hierarchical     |
-| any                                              | a heavy weld       | hierarchical     |
+| any                                              | a long weld        | hierarchical     |
 
 A light joint has less than LIGHT of the link's inertia: `python -m benchmarks.stability` finds two
 pinned shapes, which span the same bending as unconstrained ones, closer than two clamped ones up to
@@ -18,7 +18,7 @@ A lumped link gets one mode along a direction in which its tip has no inertia.
 
 Segments are welded, and a weld carries moment and shear. Shapes of a beam whose tip is free of
 them make a link in segments too stiff, however many segments it has. They also suit a link no
-longer to whose tip others are welded with more than LADEN of its mass.
+longer to whose tip others are welded that turn with more than LADEN of its inertia.
 """
 
 from collections.abc import Collection
@@ -28,7 +28,7 @@ from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, shape
 
 AUTO = "auto"
 BENDING = 2  # modes per bending direction
-LADEN = 0.5  # [-] mass welded to the tip over the link's, from which hierarchical shapes err less
+LADEN = 0.03  # [-] inertia welded to the tip over the link's: above it hierarchical shapes err less
 LIGHT = 0.005  # [-] joint inertia over the link's, up to which pinned shapes suit
 _REMEDY = 'list modes, or write "auto" (shapes by a rule) or [] (a rigid link)'
 
@@ -52,13 +52,13 @@ def modes_by_rule(
 ) -> ModesByRule:
     """Modes for the directions whose stiffness is among `stiffnesses`, names of Link fields.
 
-    `bare_root` is false where a body is fixed to the root; `welded` [kg] is fixed to the tip. The
-    tip of a `lumped` link, where its mass is, carries a second mode only if it has an inertia.
+    `bare_root` is false where a body is fixed to the root; `welded` [kg m^2] turns with the tip.
+    The tip of a `lumped` link, where its mass is, carries a second mode only if it has an inertia.
     """
     modes: list[Mode] = []
     for direction in "yz":
         if STIFFNESS[direction] in stiffnesses:
-            welds = segments > 1 or welded > LADEN * beam.line_mass.mass
+            welds = segments > 1 or welded > LADEN * beam.line_mass.second
             kind = "hierarchical" if welds else _bending(beam, joint, direction, bare_root)
             axis = "zy".index(direction) + 1  # about which the link bends
             single = lumped and not beam.tip_inertia[axis][axis]
