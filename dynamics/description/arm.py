@@ -153,7 +153,11 @@ class Arm:
             raise ValueError("Arm.links must hold at least one link on a fixed base, got [].")
         for i, link in enumerate(links):
             validate.instance(link, f"Arm.links[{i}]", Link)
-        links = tuple(link.by_rule(_welded(links[i + 1 :])) for i, link in enumerate(links))
+        beyond = [links[i:] for i in range(1, len(links) + 1)]
+        links = tuple(
+            link.by_rule(_welded(others), bool(others))
+            for link, others in zip(links, beyond, strict=True)
+        )
         count = sum(link.n for link in links)
         if count > MOST_COORDINATES:
             raise ValueError(

@@ -193,7 +193,7 @@ class Link:
                 )
         clean(self, length=total)
 
-    def _by_rule(self, welded: float = 0.0) -> ModesByRule:
+    def _by_rule(self, welded: float = 0.0, carries: bool = False) -> ModesByRule:
         return mode_rule.modes_by_rule(
             self.beam,
             self.joint,
@@ -201,12 +201,17 @@ class Link:
             self.segments,
             self.body is None,
             welded,
+            carries,
             self.lumped,
         )
 
-    def by_rule(self, welded: float) -> "Link":
-        """The link, whose modes by rule suit an inertia [kg m^2] welded to its tip."""
-        modes = self._by_rule(welded) if isinstance(self.modes, ModesByRule) else self.modes
+    def by_rule(self, welded: float, carries: bool) -> "Link":
+        """The link, whose modes by rule suit an inertia [kg m^2] welded to its tip.
+
+        It `carries` other links if it is not the last.
+        """
+        by_rule = isinstance(self.modes, ModesByRule)
+        modes = self._by_rule(welded, carries) if by_rule else self.modes
         if modes == self.modes:
             return self
         words = mode_rule.in_words(modes, self.stiffnesses)

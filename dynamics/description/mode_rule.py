@@ -12,9 +12,11 @@ A bending direction with a stiffness gets two modes. Their family suits both end
 
 A light joint has less than LIGHT of the link's inertia: `python -m benchmarks.stability` finds two
 pinned shapes, which span the same bending as unconstrained ones, closer than two clamped ones up to
-there. Torsion gets one mode, if the link or its tip body has an inertia about x; in segments two,
-if the link itself has. Axial stretching gets none, its frequencies are far above those of bending.
-A lumped link gets one mode along a direction in which its tip has no inertia.
+there. Torsion gets one mode, if the link or its tip body has an inertia about x: a twist in
+proportion to x where more than TWISTED of the link's own turns with its tip, as a link beyond does,
+else that of a free tip. In segments it gets two, if the link itself has an inertia. Axial
+stretching gets none, its frequencies are far above those of bending. A lumped link gets one mode
+along a direction in which its tip has no inertia.
 
 Segments are welded, and a weld carries moment and shear. Shapes of a beam whose tip is free of
 them make a link in segments too stiff, however many segments it has. They also suit a link no
@@ -30,6 +32,7 @@ AUTO = "auto"
 BENDING = 2  # modes per bending direction
 LADEN = 0.03  # [-] inertia welded to the tip over the link's: above it hierarchical shapes err less
 LIGHT = 0.005  # [-] joint inertia over the link's, up to which pinned shapes suit
+TWISTED = 0.38  # [-] polar inertia at the tip over the link's: from it linear twist errs less
 _REMEDY = 'list modes, or write "auto" (shapes by a rule) or [] (a rigid link)'
 
 
@@ -48,12 +51,14 @@ def modes_by_rule(
     segments: int,
     bare_root: bool,
     welded: float = 0.0,
+    carries: bool = False,
     lumped: bool = False,
 ) -> ModesByRule:
     """Modes for the directions whose stiffness is among `stiffnesses`, names of Link fields.
 
-    `bare_root` is false where a body is fixed to the root; `welded` [kg m^2] turns with the tip.
-    The tip of a `lumped` link, where its mass is, carries a second mode only if it has an inertia.
+    `bare_root` is false where a body is fixed to the root; `welded` [kg m^2] turns with the tip,
+    at which the link `carries` others if it is not the last. The tip of a `lumped` link, where its
+    mass is, carries a second mode only if it has an inertia.
     """
     modes: list[Mode] = []
     for direction in "yz":
@@ -67,7 +72,8 @@ def modes_by_rule(
         if segments > 1 and beam.rho_Ip > 0.0:
             modes += _first(2, "torsion-poly", "x")
         elif segments == 1 and beam.rho_Ip + beam.tip_inertia[0][0] > 0.0:
-            modes += _first(1, "torsion-fixed-free", "x")
+            laden = carries or beam.tip_inertia[0][0] > TWISTED * beam.rho_Ip * beam.length
+            modes += _first(1, "torsion-poly" if laden else "torsion-fixed-free", "x")
     return ModesByRule(modes)
 
 

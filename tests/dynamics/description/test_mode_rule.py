@@ -147,6 +147,32 @@ def test_torsion_needs_inertia_and_stretching_gets_no_mode() -> None:
     assert kinds(Link(**stiff, rho_Ip=1e-3, segments=2)) == [*welded, *twisting]
 
 
+@pytest.mark.parametrize(
+    ("ratio", "beyond"),
+    [(0.0, False), (0.3, False), (0.5, False), (100.0, False), (0.5, True), (100.0, True)],
+)
+def test_torsion_by_rule_has_the_frequency_of_a_bar_with_what_its_tip_turns(
+    ratio: float, beyond: bool
+) -> None:
+    """b tan b = rho_Ip l / J, w = b / l sqrt(GJ / rho_Ip); one mode errs by 3 % at most."""
+    size, J = 1e-3 * BEAM["length"], ratio * 1e-3 * BEAM["length"]
+    low, high = 0.0, 0.5 * np.pi
+    for _ in range(60):
+        b = 0.5 * (low + high)
+        low, high = (low, b) if J * b * np.tan(b) > size else (b, high)
+    exact = low / BEAM["length"] * np.sqrt(5.0 / 1e-3)
+    bar: dict[str, Any] = {**BEAM, "EIz": None, "GJ": 5.0, "rho_Ip": 1e-3, "modes": "auto"}
+    inertia = np.diag([J, 0.0, 0.0]).tolist()
+    if beyond:  # a body beside the bar's axis, on a joint across it
+        across = Joint(rotation=((1, 0, 0), (0, 0, -1), (0, 1, 0)), rotor_inertia=1.0)
+        mass = Body(mass=1.0, com=(0.0, J**0.5, 0.0))
+        arm = Arm(links=(Link(**bar, joint=HEAVY_HUB), Link(length=0.0, body=mass, joint=across)))
+    else:
+        arm = Arm(links=(Link(**bar, tip_inertia=inertia, joint=HEAVY_HUB),))
+    found = Model(arm).frequencies(np.zeros(arm.n), joints="locked")
+    assert found == pytest.approx([exact], rel=0.03)
+
+
 def test_the_choice_is_logged_with_what_stays_rigid(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO, "dynamics"):
         load_arm({"links": [{**BEAM, "GJ": 5.0, "tip_mass": 0.1, "modes": "auto"}]})
