@@ -23,7 +23,8 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
 
     An `Arm` is returned unchanged. A case file is also an arm file: its motion and expected results
     are ignored. Numbers of no arm, as lengths in mm, give an ImplausibleArmWarning,
-    links that are too thick for slender beams a ThickLinkWarning.
+    links that are too thick for slender beams a ThickLinkWarning, shapes too stiff before a weld a
+    StiffSegmentsWarning.
 
     Of a URDF file, `flexible` and `tip` choose the links that bend and the end of the chain, see
     `dynamics.description.urdf.convert`; an UrdfWarning says what the arm does not take over.

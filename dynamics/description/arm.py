@@ -155,7 +155,7 @@ class Arm:
             validate.instance(link, f"Arm.links[{i}]", Link)
         beyond = [links[i:] for i in range(1, len(links) + 1)]
         links = tuple(
-            link.by_rule(_welded(others), bool(others))
+            link.by_rule(welded_inertia(others), bool(others))
             for link, others in zip(links, beyond, strict=True)
         )
         count = sum(link.n for link in links)
@@ -266,7 +266,7 @@ class Arm:
         return _plain(self)
 
 
-def _welded(links: tuple[Link, ...]) -> float:
+def welded_inertia(links: tuple[Link, ...]) -> float:
     """[kg m^2] int r^2 dm about a tip, of the first of the links beyond that are welded to it."""
     place, R, total = np.zeros(3), np.eye(3), 0.0
     for link in takewhile(lambda link: link.joint.welds, links):

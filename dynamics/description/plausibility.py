@@ -1,4 +1,5 @@
-"""Warnings where an arm is read: numbers of no arm, as after a mistake of units, and thick links.
+"""Warnings where an arm is read: numbers of no arm, as after a mistake of units, thick links, and
+shapes that are too stiff for what is welded to them.
 
 A length in mm makes a link a thousand times longer and its first frequency a millionth. Thresholds
 lie beyond space cranes (15 m, 0.1 Hz) and micro arms (a few mm, a few kHz).
@@ -19,13 +20,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from dynamics.description.arm import Arm
+from dynamics.description.arm import Arm, welded_inertia
 from dynamics.description.beams.piecewise import PieceShape
 from dynamics.description.beams.sections import rate
 from dynamics.description.beams.uniform import BeamShape
 from dynamics.description.deflection import BENDING
 from dynamics.description.link import Link
+from dynamics.description.mode_rule import LADEN, ModesByRule
 from dynamics.description.mode_shapes import STIFFNESS, Mode, points, shape
+from dynamics.description.welds import StiffSegmentsWarning, stiff_end
 from dynamics.types import Array
 
 LENGTHS = (1e-3, 100.0)  # [m] of a link, or of a joint's offset
@@ -46,7 +49,8 @@ class ThickLinkWarning(UserWarning):
 
 
 def warn_if_implausible(arm: Arm, stacklevel: int) -> None:
-    """Warn once in a process of an arm with links of these lengths."""
+    """Warn of an arm; of the same lengths of links once in a process, but for welds."""
+    _warn_of_welds(arm, stacklevel + 1)
     found = [(k, text) for k, link in enumerate(arm.links, 1) for text in _oddities(link)]
     lengths = tuple(link.length for link in arm.links)
     if not found:
@@ -64,6 +68,16 @@ def warn_if_implausible(arm: Arm, stacklevel: int) -> None:
         ImplausibleArmWarning,
         stacklevel=stacklevel + 1,
     )
+
+
+def _warn_of_welds(arm: Arm, stacklevel: int) -> None:
+    """Warn of listed shapes that are too stiff for the links welded to their tip."""
+    for i, link in enumerate(arm.links, 1):
+        listed = link.segments == 1 and not isinstance(link.modes, ModesByRule)
+        if listed and welded_inertia(arm.links[i:]) > LADEN * link.beam.line_mass.second:
+            stiff = stiff_end(f"Link {i}", link.modes, link.beam)
+            if stiff:
+                warnings.warn(stiff, StiffSegmentsWarning, stacklevel=stacklevel + 1)
 
 
 def _warn_if_thick(arm: Arm, stacklevel: int) -> None:

@@ -1,7 +1,8 @@
-"""Welds between the segments of a link, and the shapes that cannot load them.
+"""Welds between the segments of a link or between links, and the shapes that cannot load them.
 
 A weld carries moment and shear. A shape whose own tip is free of them leaves every segment
-straight at its end, so that a link of such shapes is too stiff in any number of segments.
+straight at its end, so that a link of such shapes is too stiff in any number of segments; so is one
+to whose tip others are welded.
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ _BENDING = ("y", "z")
 
 
 class StiffSegmentsWarning(UserWarning):
-    """A link in segments has shapes that leave it too stiff in any number of segments."""
+    """A link in segments, or with others welded to its tip, has shapes that leave it too stiff."""
 
 
 def unloaded(modes: Sequence[Mode]) -> str | None:
@@ -55,17 +56,40 @@ def stiff_segments(name: str, modes: Sequence[Mode], beam: Beam, segments: int) 
         load = unloaded(own)
         if load:
             share = tip_compliance(own, beam, segments)
-            kinds = " and ".join(sorted({mode.kind for mode in own}))
             return (
-                f"{name} in {segments} segments has {kinds} modes along {direction!r}, which bear "
-                f"no {load} at a weld: its tip yields only {share:.3g} of what the beam's does; "
-                f"take {_BEARING[load]} modes, or modes: auto."
+                f"{name} in {segments} segments has {_kinds(own)} modes along {direction!r}, which "
+                f"bear no {load} at a weld: its tip yields only {share:.3g} of what the beam's "
+                f"does; take {_BEARING[load]} modes, or modes: auto."
             )
     return None
 
 
-def _yield(modes: Sequence[Mode], beam: Beam, lever: float) -> float:
-    """Compliance of one segment under unit load at `lever` [m] beyond its tip.
+def stiff_end(name: str, modes: Sequence[Mode], beam: Beam) -> str | None:
+    """Sentence of the warning about the shapes of a link to whose tip others are welded, or None.
+
+    It has the tip's compliance under a moment, torque or force along it over that of the beam.
+    """
+    for direction in STIFFNESS:
+        own = [mode for mode in modes if mode.direction == direction]
+        load = unloaded(own)
+        if load:
+            x, weights = points(beam, own)
+            whole = float(weights @ (1.0 / beam.rigidity(direction, x)))
+            share = _yield(own, beam, None) / whole
+            return (
+                f"{name} has {_kinds(own)} modes along {direction!r}, which bear no {load} at a "
+                f"weld, as to the next link: under it the tip yields only {share:.3g} of what the "
+                f"beam's does; take {_BEARING[load]} modes, or modes: auto."
+            )
+    return None
+
+
+def _kinds(modes: Sequence[Mode]) -> str:
+    return " and ".join(sorted({mode.kind for mode in modes}))
+
+
+def _yield(modes: Sequence[Mode], beam: Beam, lever: float | None) -> float:
+    """Compliance of one segment under unit load at `lever` [m] beyond its tip; None: a moment.
 
     If it is uniform, its rigidity is 1.
     """
@@ -74,7 +98,8 @@ def _yield(modes: Sequence[Mode], beam: Beam, lever: float) -> float:
     shapes = [shape(mode, beam) for mode in modes]
     bending = modes[0].direction in _BENDING
     bent = np.array([s.curvature(x) if bending else s.slope(x) for s in shapes])
-    load = [float(s.value(beam.length)) for s in shapes]
+    load = np.array([float(s.value(beam.length)) for s in shapes])
     if bending:
-        load = [u + lever * float(s.slope(beam.length)) for u, s in zip(load, shapes, strict=True)]
+        turn = np.array([float(s.slope(beam.length)) for s in shapes])
+        load = turn if lever is None else load + lever * turn
     return float(load @ np.linalg.solve((bent * weights) @ bent.T, load))

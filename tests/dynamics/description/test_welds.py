@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dynamics import Arm, Joint, Link, Mode, StiffSegmentsWarning
+from dynamics import Arm, Body, Joint, Link, Mode, StiffSegmentsWarning, load_arm
 from dynamics.description.beams.uniform import clamped_root
-from dynamics.description.mode_shapes import FREE_ROOT, KINDS
+from dynamics.description.mode_shapes import FREE_ROOT, KINDS, STIFFNESS
 from dynamics.description.welds import FREE_TIP, tip_compliance
 from dynamics.model import Model
 
@@ -103,6 +103,29 @@ def test_shapes_with_a_free_tip_warn_in_segments_with_the_size_of_the_error(
     assert stated == pytest.approx(whole / beam, rel=5e-3)
     assert stated < 0.95
     assert first_frequency(link) > 1.02 * of_the_beam(direction)
+
+
+@pytest.mark.parametrize(("kind", "direction"), STIFF)
+def test_shapes_with_a_free_tip_warn_before_a_weld_with_the_size_of_the_error(
+    kind: str, direction: str
+) -> None:
+    """The tip's compliance under a moment, a torque or a force along it, from K and kinematics."""
+    link = replace(described(kind, direction, 1), tip_mass=0.0)
+    part = replace(link, joint=Joint(type="fixed"))
+    with pytest.warns(StiffSegmentsWarning, match="Link 1 has .* at a weld") as caught:
+        arm = load_arm(Arm(links=(link, part)))
+    stated = float(str(caught[0].message).split("yields only ")[1].split(" of")[0])
+    first = Model(Arm(links=(link,)))
+    body = first.chain.links[0]
+    load = np.array(body.tip_phi if direction == "axial" else body.tip_theta).sum(axis=1)
+    whole = float(load @ np.linalg.solve(first.stiffness[1:, 1:], load))
+    assert stated == pytest.approx(whole * BEAM[STIFFNESS[direction]] / LENGTH, rel=5e-3)
+    assert stated < 0.96
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", StiffSegmentsWarning)
+        load_arm(Arm(links=(link, replace(part, joint=Joint()))))  # a joint that moves
+        load_arm(Arm(links=(link, Link(length=0.0, body=Body(mass=1.0), joint=part.joint))))
+        load_arm(replace(arm, links=(described("hierarchical", "y", 1), part)))
 
 
 def test_shapes_with_a_free_tip_do_not_warn_in_one_piece_or_beside_one_that_bears_moment() -> None:
