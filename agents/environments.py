@@ -15,6 +15,7 @@ SET_BY_ID = {"self", "task", "n_env", "single", "max_steps"}  # set by the id an
 KEYWORDS = sorted(
     set(inspect.signature(Core.__init__).parameters) - SET_BY_ID | {"max_episode_steps"}
 )
+ENDLESS = -1  # max_episode_steps of episodes without a time limit
 # Errors with which Gymnasium, an environment or a learner refuses its arguments.
 REFUSALS: tuple[type[Exception], ...] = (TypeError, ValueError, ArithmeticError, AssertionError)
 REFUSALS += (MemoryError, RuntimeError, ImportError, gym.error.Error)
@@ -34,6 +35,11 @@ def check_keywords(kwargs: Any, where: str) -> dict[str, Any]:
     Other keywords of `gymnasium.make_vec`, such as wrappers, are refused.
     """
     keywords: dict[str, Any] = validate.mapping(kwargs, where, KEYWORDS)
+    if keywords.get("max_episode_steps") == ENDLESS:
+        raise ValueError(
+            f"{where}.max_episode_steps must be a number of control steps, got {ENDLESS}: episodes "
+            "without an end cannot be evaluated."
+        )
     try:
         json.dumps(keywords, allow_nan=False)
     except (TypeError, ValueError, RecursionError):

@@ -65,11 +65,20 @@ class Recording:
 
 
 def make_batch(env_id: str, n_env: int, kwargs: Mapping[str, Any] | None = None) -> Any:
-    """Batch environment of this package; errors about the id and keywords are not caught."""
+    """Batch environment of this package; errors about the id and keywords are not caught.
+
+    Episodes without a time limit are refused: nothing would end their recording.
+    """
     envs = gym.make_vec(env_id, num_envs=n_env, **(kwargs or {}))
     if not isinstance(envs.unwrapped, FlexArmVectorEnv):
         envs.close()
         raise ValueError(f"{env_id} is not an environment of flexarm; see flexarm_env.IDS.")
+    if not envs.unwrapped.core.max_steps:
+        envs.close()
+        raise ValueError(
+            f"{env_id} has episodes without an end here, which cannot be evaluated; give "
+            "max_episode_steps, a number of control steps."
+        )
     return envs
 
 

@@ -65,6 +65,11 @@ def test_shipped_configs_load(path: Path) -> None:
             r"net_arch must have at most 8 layers",
         ),
         (
+            "n_envs: 4",
+            "n_envs: 4, kwargs: {max_episode_steps: -1}",
+            r"env\.kwargs\.max_episode_steps must be a number of control steps, got -1: episodes w",
+        ),
+        (
             "total_steps",
             "seed: 4294967296\ntotal_steps",
             "seed must be between 0 and 2_147_483_647",

@@ -75,6 +75,10 @@ def test_evaluation_is_deterministic(run: RunFolder, tmp_path: Path) -> None:
         (["pd", "--env", ENV_ID, "--env-kwargs", "{no_such: 1}"], "Unknown key 'no_such'"),
         (["pd", "--env", ENV_ID, "--env-kwargs", "{obs: [}"], "--env-kwargs must be a YAML table"),
         (["pd", "--env", ENV_ID, "--env-kwargs", "{obs: sensor}"], "sensor"),
+        (
+            ["zero", "--env", ENV_ID, "--env-kwargs", "{max_episode_steps: -1}"],
+            "--env-kwargs.max_episode_steps must be a number of control steps, got -1",
+        ),
         (["pd", "--env", ENV_ID, "--env-kwargs", "[" * 9999], "--env-kwargs must be a YAML table"),
         (["lqr", "--env", ENV_ID, "--env-kwargs", "{torque_limit: 0.5}"], "lqr was not tuned"),
         (
@@ -104,6 +108,8 @@ def test_environments_of_a_users_module_in_the_present_folder_are_found(
         "keywords = flexarm_env.IDS['FlexArm/OneLink-Reach-v0']['kwargs']\n"
         "gym.register('MyLab/Slim-v0', vector_entry_point=flexarm_env.FlexArmVectorEnv,\n"
         "             entry_point=flexarm_env.FlexArmEnv, max_episode_steps=9, kwargs=keywords)\n"
+        "gym.register('MyLab/Endless-v0', vector_entry_point=flexarm_env.FlexArmVectorEnv,\n"
+        "             kwargs=keywords)\n"
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [x for x in sys.path if x not in ("", ".")])
@@ -112,6 +118,8 @@ def test_environments_of_a_users_module_in_the_present_folder_are_found(
     assert (tmp_path / "out" / "evaluation.json").is_file()
     assert evaluate(["zero", "--env", "no_lab:MyLab/Slim-v0", *arguments]) == 2
     assert "no_lab" in capsys.readouterr().err
+    assert evaluate(["zero", "--env", "my_lab:MyLab/Endless-v0", *arguments]) == 2
+    assert "give max_episode_steps" in capsys.readouterr().err
 
 
 def test_a_folder_of_runs_names_one_and_a_file_of_a_policy_stands_for_it(
@@ -125,6 +133,14 @@ def test_a_folder_of_runs_names_one_and_a_file_of_a_policy_stands_for_it(
     assert not any(tmp_path.iterdir())
     assert evaluate([str(run.policy / "policy.json"), *out]) == 0
     assert (tmp_path / "evaluation.json").is_file()
+
+
+def test_given_keywords_are_not_called_those_of_the_training(
+    run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["--env-kwargs", "{max_episode_steps: 20}", "--episodes", "1", "--out", str(tmp_path)]
+    assert evaluate([str(run.path), *given]) == 0
+    assert "of the training" not in capsys.readouterr().out
 
 
 def test_the_output_folder_is_checked_first(
