@@ -209,6 +209,7 @@ def run_session(run: RunFolder, config: Config, model: Any, progress: dict[str, 
     session = 1 + max([progress["session"], *(row["session"] for row in run.rows())])
     if session > 0:
         model.set_random_seed((config.seed + SESSION_STRIDE * session) % 2**32)
+        model._last_obs = None  # start episodes with these seeds
     remaining, fresh = config.total_steps - model.num_timesteps, progress["session"] < 0
     stop = StopLater()
     with (

@@ -4,16 +4,20 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
+from stable_baselines3.common.callbacks import BaseCallback
 
 from agents import training
+from agents.config import load_config
 from agents.evaluate import main as evaluate
+from agents.metrics import make_batch
 from agents.policy import PolicyError, load_policy
 from agents.run_folder.checkpoints import list_checkpoints
 from agents.run_folder.folder import RunFolder
 from agents.training import main as train
-from tests.agents.tiny import KWARGS, one_sentence, write_config
+from tests.agents.tiny import ENV_ID, KWARGS, one_sentence, write_config
 
 
 @pytest.mark.parametrize("name", sorted(KWARGS))
@@ -71,3 +75,27 @@ def test_exploration_that_depends_on_the_state_is_trained_and_resumed(
     assert train(["--resume", str(run.path), "--steps", "512"]) == 0
     assert load_policy(run.policy).mean_limit == {"ppo": None, "sac": 2.0}[name]
     assert evaluate([str(run.path), "--episodes", "1", "--out", str(tmp_path / "seen")]) == 0
+
+
+@pytest.mark.parametrize("name", ["ppo", "rsl-ppo", "shac"])
+def test_a_resumed_session_begins_with_episodes_of_its_own_seed(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name == "rsl-ppo":
+        pytest.importorskip("rsl_rl")
+    starts: list[Any] = []
+
+    class Start(BaseCallback):
+        def _on_training_start(self) -> None:
+            starts.append(self.model._last_obs)
+
+        def _on_step(self) -> bool:
+            return False
+
+    monkeypatch.setattr(training, "make_callback", lambda *given: Start())
+    config, run = load_config(write_config(tmp_path, name, 256)), RunFolder(tmp_path / "out")
+    model = training.build_model(config)
+    training.run_session(run, config, model, {"session": 0, "seconds": 0.0})
+    found = starts[0]["observation"] if isinstance(starts[0], dict) else starts[0]
+    expected, _ = make_batch(ENV_ID, 8).reset(seed=training.SESSION_STRIDE)
+    np.testing.assert_allclose(np.asarray(found), expected, atol=1e-6)
