@@ -92,7 +92,7 @@ def evaluate(a: argparse.Namespace) -> None:
     env_kwargs = parse_kwargs(a.env_kwargs)
     policy = find_policy(a.subject, a.trust)
     env_id, kwargs = find_env(policy, a.env, env_kwargs)
-    if policy is not None and a.env is None and kwargs:
+    if policy is not None and a.env is None and env_kwargs is None and kwargs:
         print(f"{env_id} with the keywords of the training: {validate.shown(kwargs)}")
     if a.subject == YARDSTICK:
         name, subject = a.subject, bounds_of(env_id, kwargs, range(a.seed, a.seed + a.episodes))
