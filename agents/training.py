@@ -39,7 +39,7 @@ from agents.learners.algorithms import (
 from agents.learners.export import begin_with, export_policy
 from agents.learners.normalization import normalized
 from agents.metrics import make_batch, write_json
-from agents.policy import Controller, Policy, PolicyError, load_policy, save_policy
+from agents.policy import Controller, PolicyError, load_policy, save_policy
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
@@ -119,8 +119,8 @@ def base_description(base: BaseConfig, env: EnvConfig) -> dict[str, Any]:
     )
 
 
-def prepare(config: Config, first: Policy | None = None) -> None:
-    """Build the experiment, with the weights of `first`, and take one step.
+def prepare(config: Config, warm: bool = False) -> None:
+    """Build the experiment, if asked with its warm start, and take one step.
 
     A bad experiment fails here, before files are made.
     """
@@ -128,13 +128,19 @@ def prepare(config: Config, first: Policy | None = None) -> None:
     print(f"Preparing {config.env.id} (an arm is compiled at its first use and cached) ...")
     model = build_model(config)
     export_policy(model, {"stack": config.env.stack})
-    if first is not None:
-        begin_with(model, first)
+    if warm:
+        begin_warm(model, config)
     env = model.env
     env.reset()
     env.step(np.zeros((config.env.n_envs, *env.action_space.shape), np.float32))
     env.close()
     print(f"Ready after {time.monotonic() - begin:.1f} s.", flush=True)
+
+
+def begin_warm(model: Any, config: Config) -> None:
+    """Give a new model the weights of its experiment's warm start, if there is one."""
+    if config.agent.warm_start:
+        begin_with(model, named_policy(config.agent.warm_start, config.seed))
 
 
 def learn(run: RunFolder, config: Config) -> int:
@@ -177,8 +183,7 @@ def begin(run: RunFolder, config: Config, model: Any, about: dict[str, Any]) -> 
     try:
         first = load_policy(run.untrained)
     except PolicyError:
-        if config.agent.warm_start:
-            begin_with(model, named_policy(config.agent.warm_start, config.seed))
+        begin_warm(model, config)
         save_policy(export_policy(model, about | {"steps": 0}), run.untrained)
     else:
         if config.agent.warm_start:
@@ -296,8 +301,7 @@ def train(run: RunFolder, config: Config) -> None:
 def start(out: Path | None, config: Config) -> RunFolder:
     """Create the folder of a new run, after the experiment was built successfully."""
     check_out(out)
-    warm = config.agent.warm_start
-    prepare(config, named_policy(warm, config.seed) if warm else None)
+    prepare(config, warm=True)
     return new_run(out, config)
 
 

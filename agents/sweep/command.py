@@ -17,9 +17,10 @@ import numpy as np
 import yaml
 
 from agents.config import Config, ConfigError, config_from_dict, load_config
-from agents.experiments import find_experiment
+from agents.experiments import find_experiment, shipped_experiments
 from agents.files import FolderError, atomic_write, check_folder
 from agents.learners.ranges import at_random, drawn
+from agents.policy import PolicyError
 from agents.run_folder.folder import refuse_used
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, speaker
@@ -73,7 +74,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.sweep
             raise SweepError("an experiment file is needed, such as configs/one_link_damp_ppo.yaml")
         else:
             start(a)
-    except (SweepError, ConfigError, FolderError) as error:
+    except (SweepError, ConfigError, FolderError, PolicyError) as error:
         print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
         return 2
     except ConnectionError as error:
@@ -97,7 +98,7 @@ def start(a: argparse.Namespace) -> None:
     check_folder(out)
     refuse_begun(out)
     require_cluster(a.address)
-    prepare(config)
+    prepare(config, warm=True)
     out.mkdir(parents=True, exist_ok=True)
     with folder_lock(out):
         refuse_begun(out)
@@ -106,12 +107,18 @@ def start(a: argparse.Namespace) -> None:
 
 
 def located(config: Config) -> Config:
-    """The experiment with the absolute path of its arm file; workers run in other folders."""
-    arm = config.env.kwargs.get("arm")
-    if not isinstance(arm, str) or arm in ARMS or not Path(arm).is_file():
-        return config
-    kwargs = {**config.env.kwargs, "arm": str(Path(arm).absolute())}
-    return replace(config, env=replace(config.env, kwargs=kwargs))
+    """The experiment with absolute paths of its arm file and the run that it begins with.
+
+    Workers run in other folders.
+    """
+    arm, warm = config.env.kwargs.get("arm"), config.agent.warm_start
+    if isinstance(arm, str) and arm not in ARMS and Path(arm).is_file():
+        kwargs = {**config.env.kwargs, "arm": str(Path(arm).absolute())}
+        config = replace(config, env=replace(config.env, kwargs=kwargs))
+    if warm and warm not in shipped_experiments():
+        agent = replace(config.agent, warm_start=str(Path(warm).absolute()))
+        config = replace(config, agent=agent)
+    return config
 
 
 def resume(out: Path, address: str | None) -> None:

@@ -8,7 +8,7 @@ from agents.config import config_from_dict
 from agents.learners.export import export_policy
 from agents.policy import save_policy
 from agents.run_folder.checkpoints import newest_intact, restore_checkpoint, save_checkpoint
-from agents.training import about_policy, build_model
+from agents.training import about_policy, begin_warm, build_model
 from agents.tune.learners import judged
 
 REPORTS = 9  # of a trial that is not stopped early
@@ -31,7 +31,9 @@ def train_trial(settings: dict[str, Any]) -> None:
     model = build_model(config)
     progress = {"session": 0, "seconds": 0.0}
     checkpoint = tune.get_checkpoint()
-    if checkpoint is not None:
+    if checkpoint is None:
+        begin_warm(model, config)
+    else:
         with checkpoint.as_directory() as folder:
             found, _ = newest_intact(Path(folder))
             if found is not None:

@@ -25,6 +25,7 @@ from agents.controllers import CONTROLLERS
 from agents.experiments import find_experiment
 from agents.files import FolderError, check_folder
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
+from agents.policy import PolicyError
 from agents.sentences import one_line
 from agents.tune.controllers import tune
 from agents.tune.search import EPISODES, TRIALS
@@ -72,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
             tune_experiments(experiments, options)
         else:
             tune_controllers(options)
-    except FolderError as error:
+    except (ConfigError, FolderError, PolicyError) as error:
         print(f"agents.tune: {one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

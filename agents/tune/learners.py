@@ -17,7 +17,7 @@ from agents.learners.export import export_policy
 from agents.learners.ranges import DEFAULTS, drawn, suggested
 from agents.metrics import episode_metrics, make_batch, record
 from agents.policy import Policy
-from agents.training import about_policy, build_model
+from agents.training import about_policy, begin_warm, build_model
 from agents.tune.search import EPISODES, SEED, TRIALS, kept_study, objective, searched
 
 REDUCTION = 3  # of so many trials one goes on
@@ -137,6 +137,7 @@ def trained(
 
     gc.collect()  # a learner and its environments form a cycle: those of the last training go first
     model = build_model(config)
+    begin_warm(model, config)
 
     def policy() -> Policy:
         return export_policy(model, about_policy(config) | {"steps": model.num_timesteps})

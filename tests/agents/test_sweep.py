@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -83,7 +84,7 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     """Folders in which a sweep would begin, without Ray and without compiling."""
     begun: list[Path] = []
     monkeypatch.setattr("agents.sweep.command.require_ray", lambda: None)
-    monkeypatch.setattr("agents.sweep.command.prepare", lambda config: None)
+    monkeypatch.setattr("agents.sweep.command.prepare", lambda config, warm: None)
     monkeypatch.setattr("agents.sweep.command.run", lambda out, *more: begun.append(out))
     return begun
 
@@ -130,7 +131,7 @@ def test_a_folder_is_free_until_its_sweep_began(
     assert planned == [out, out, out]
 
 
-def test_workers_in_other_folders_find_the_arm(
+def test_workers_in_other_folders_find_the_arm_and_the_warm_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "mine.yaml").touch()
@@ -145,6 +146,9 @@ def test_workers_in_other_folders_find_the_arm(
         assert located(config).env.id == config.env.id
     plain = load_config(write_config(tmp_path, "ppo", 256))
     assert located(plain) == plain
+    for given, found in (("a/b", str(tmp_path / "a" / "b")), ("one_link_reach_ppo",) * 2):
+        warm = replace(plain, agent=replace(plain.agent, warm_start=given))
+        assert located(warm).agent.warm_start == found
 
 
 def test_a_missing_ray_is_named_with_the_remedy(

@@ -15,7 +15,7 @@ from agents.controllers import CONTROLLERS
 from agents.experiments import shipped_experiments
 from agents.leaderboard.tracks import RANKED
 from agents.learners.export import export_policy
-from agents.policy import Policy
+from agents.policy import Policy, save_policy
 from agents.training import build_model
 from agents.tune.__main__ import main
 from agents.tune.learners import NINTHS, judged, place_of, trained, tune_experiment
@@ -44,6 +44,18 @@ def test_a_training_is_asked_at_a_ninth_and_a_third_of_its_steps(tmp_path: Path)
     assert asked == [(STEPS // NINTHS, 1), (3 * STEPS // NINTHS, 3)]
     assert trained(config, poor) is None  # it ended at its second question
     assert len(asked) == 4
+
+
+def test_a_training_begins_with_the_experiments_warm_start(tmp_path: Path) -> None:
+    config = experiment(tmp_path)
+    first = export_policy(build_model(replace(config, seed=7)), {})
+    save_policy(first, tmp_path / "first")
+    kwargs = config.agent.kwargs | {"learning_rate": 0.0}
+    agent = replace(config.agent, warm_start=str(tmp_path / "first"), kwargs=kwargs)
+    found = trained(replace(config, agent=agent))
+    assert found is not None
+    for ours, theirs in zip(found.weights, first.weights, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 def test_a_training_frees_the_learner_of_the_one_before(
@@ -139,6 +151,11 @@ def test_experiments_that_cannot_be_ranked_are_refused(
     assert "is not on a track" in one_sentence(capsys)
     assert main(["--experiments", "none.yaml", "--out", str(out)]) == 2
     assert "there is no such file" in one_sentence(capsys)
+    cold = write_config(tmp_path, "ppo", STEPS)
+    cold.write_text(cold.read_text().replace("agent:", "agent:\n  warm_start: nothing"))
+    options = ["--trials", "2", "--keep", str(tmp_path / "keep"), "--out", str(out)]
+    assert main(["--experiments", str(cold), *options]) == 2
+    assert "agent.warm_start: neither a run nor a shipped" in one_sentence(capsys)
     assert not out.exists()
 
 
