@@ -20,52 +20,22 @@ from agents.learners.algorithms import (
     policy_settings,
     settings,
 )
+from agents.learners.limits import LIMITS, NUMBERS_BETWEEN
 from agents.learners.normalization import checked_normalization
 from agents.learners.ranges import checked_ranges
 from agents.learners.zoo import HINTS, translated
-from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS, MOST_STACKED
+from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
 from flexarm_env import registered
 
-COUNTS = "policy_delay cg_max_steps line_search_max_iter n_critic_updates sub_sampling_factor "
-COUNTS += "n_delta n_top n_eval_episodes"
-# Smallest and largest value by key; NUMBERS_BETWEEN for all other keys.
-LIMITS: dict[str, tuple[float, float]] = {
-    "total_steps": (1, 10**11),
-    "n_envs": (1, 65_536),
-    "stack": (1, MOST_STACKED),
-    "seed": (0, 2**31 - 1),
-    "checkpoint_seconds": (1e-3, 1e6),
-    "episodes": (1, 10_000),
-    "learning_rate": (0.0, 10.0),
-    "batch_size": (1, 2**20),
-    "stats_window_size": (1, 10**6),
-    "n_steps": (1, 2**20),
-    "n_epochs": (1, 1000),
-    "buffer_size": (1, 10**7),
-    "learning_starts": (0, 10**9),
-    "train_freq": (1, 10**6),
-    "gradient_steps": (-1, 10**6),
-    "target_update_interval": (1, 10**9),
-    "n_critics": (1, 10),
-    "log_std_init": (-20.0, 10.0),
-    "noise_std": (0.0, 10.0),
-    "scale": (0.0, 2.0),
-    "n_quantiles": (1, 1000),
-    "lstm_hidden_size": (1, LARGEST_LAYER),
-    "n_lstm_layers": (1, MOST_LAYERS - 2),
-    **dict.fromkeys(("gamma", "gae_lambda", "tau", "critic_first"), (0.0, 1.0)),
-    **dict.fromkeys(COUNTS.split(), (1, 10_000)),
-    **dict.fromkeys(("desired_kl", "std_floor"), (1e-6, 10.0)),
-}
-NUMBERS_BETWEEN = (-1e6, 1e6)
 TEXTS = {  # texts of agent keywords that are no schedules, and their description
     # "auto_" and the initial value
     "ent_coef": (re.compile(r"auto(_\d{1,6}(\.\d{1,9})?)?"), "a number, 'auto' or 'auto_NUMBER'"),
     "target_entropy": (re.compile("auto"), "a number or 'auto'"),
     "noise_type": (re.compile("normal|ornstein-uhlenbeck"), "'normal' or 'ornstein-uhlenbeck'"),
 }
+DROPPED, N_QUANTILES = "top_quantiles_to_drop_per_net", 25  # of tqc; the default of its policy
 LARGEST_ROLLOUT = 2**24  # steps, summed over all environments
 FOLDER_NAME = re.compile(r"\w[\w .,()+=@-]{0,99}")
 TYPE_NAMES = {int: "an int", float: "a float", str: "text", bool: "true or false"}
@@ -257,6 +227,8 @@ def checked_environment(env: EnvConfig, agent: AgentConfig) -> EnvConfig:
         normalize = checked_normalization(env.normalize, agent.name, agent.gamma, env.stack)
     except ValueError as error:
         raise ConfigError(str(error)) from None
+    if env.reward is not None and "reward" in env.kwargs:
+        raise ConfigError("env.reward and env.kwargs.reward are one setting; keep one of them.")
     for term, weight in (env.reward or {}).items():
         check_value(weight, NUMBER, f"env.reward.{term}")
     return replace(env, id=plain, normalize=normalize)
@@ -382,10 +354,16 @@ def check_sweep(agent: AgentConfig, ranges: dict[str, Any]) -> None:
 
 
 def check_batch(agent: AgentConfig, env: EnvConfig) -> None:
-    """Refuse a rollout that is too large or not a multiple of the minibatch."""
+    """Refuse a rollout too large or not a multiple of the minibatch, and no quantile to learn."""
     if agent.name == "ars" and env.n_envs > 1:
         raise ConfigError(
             f"env.n_envs must be 1 for ars, which runs one episode at a time, got {env.n_envs}."
+        )
+    drop = agent.kwargs.get(DROPPED, default(agent.name, DROPPED))
+    quantiles = agent.kwargs.get("policy_kwargs", {}).get("n_quantiles", N_QUANTILES)
+    if drop is not None and drop >= quantiles:
+        raise ConfigError(
+            f"agent.kwargs.{DROPPED} ({drop}) must be below the number of quantiles ({quantiles})."
         )
     if "gae_lambda" not in settings(agent.name):  # only on-policy algorithms have rollouts
         return

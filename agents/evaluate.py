@@ -9,7 +9,6 @@ from typing import Any
 import yaml
 
 from agents.comparison import compare
-from agents.config import LIMITS
 from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
 from agents.environments import REFUSALS, check_keywords, look_in_present_folder
 from agents.files import FolderError, check_folder
@@ -17,6 +16,7 @@ from agents.hybrid.controller import acting
 from agents.leaderboard.replay import YARDSTICK, optimal
 from agents.leaderboard.tracks import takes_part, track_of
 from agents.learners.export import load_zip
+from agents.learners.limits import LIMITS
 from agents.metrics import make_batch
 from agents.policy import (
     JSON_FILE,

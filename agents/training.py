@@ -13,7 +13,6 @@ import numpy as np
 
 from agents.comparison import beginning, compare, titled
 from agents.config import (
-    LIMITS,
     BaseConfig,
     Config,
     ConfigError,
@@ -37,6 +36,7 @@ from agents.learners.algorithms import (
     learner_kwargs,
 )
 from agents.learners.export import begin_with, export_policy
+from agents.learners.limits import LIMITS
 from agents.learners.normalization import normalized
 from agents.metrics import make_batch, write_json
 from agents.policy import Controller, PolicyError, load_policy, save_policy
