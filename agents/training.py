@@ -223,7 +223,7 @@ def run_session(run: RunFolder, config: Config, model: Any, progress: dict[str, 
         closing(Progress(config.total_steps, model.num_timesteps)) as bar,
     ):
         model.set_logger(configure(str(run.path / "tensorboard"), ["tensorboard"]))
-        callback = make_callback(run, config, session, progress["seconds"], bar, stop)
+        callback = make_callback(run, config, session, progress, bar, stop)
         try:
             model.learn(remaining, callback, log_interval=None, reset_num_timesteps=fresh)
         except ValueError:

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -28,9 +28,9 @@ ROWS = 250  # approximate number of rows in the log of a run
 class EpisodeStatistics:
     """Means over the latest episodes of a batch."""
 
-    def __init__(self, n_env: int) -> None:
+    def __init__(self, n_env: int, before: int = 0) -> None:
         self.running = np.zeros(n_env)  # returns of the current episodes
-        self.episodes = 0
+        self.episodes = before  # ended ones, those of earlier sessions included
         self.latest: deque[tuple[float, float, float, float]] = deque(maxlen=max(100, n_env))
 
     def add(self, rewards: AnyArray, dones: AnyArray, infos: Any) -> None:
@@ -57,16 +57,19 @@ def make_callback(
     run: RunFolder,
     config: Config,
     session: int,
-    seconds_before: float,
+    before: Mapping[str, Any],
     bar: "Progress",
     stop: StopLater,
 ) -> Any:
-    """stable-baselines3 callback that logs, shows progress, writes checkpoints and stops."""
+    """stable-baselines3 callback that logs, shows progress, writes checkpoints and stops.
+
+    `before` is the progress of the checkpoint from which the session goes on.
+    """
     from stable_baselines3.common.callbacks import BaseCallback
 
     class RunCallback(BaseCallback):
         def _on_training_start(self) -> None:
-            self.statistics = EpisodeStatistics(config.env.n_envs)
+            self.statistics = EpisodeStatistics(config.env.n_envs, before.get("episodes", 0))
             self.started = self.checkpointed = time.monotonic()
             self.first_step = self.logged = self.num_timesteps
             self.checkpoint_cost = 0.0
@@ -99,11 +102,15 @@ def make_callback(
             self.checkpoint()
 
         def seconds(self) -> float:
-            return seconds_before + time.monotonic() - self.started
+            return float(before["seconds"]) + time.monotonic() - self.started
 
         def checkpoint(self) -> None:
             begin = time.monotonic()
-            progress = {"session": session, "seconds": self.seconds()}
+            progress = {
+                "session": session,
+                "seconds": self.seconds(),
+                "episodes": self.statistics.episodes,
+            }
             save_checkpoint(self.model, run.checkpoints, progress)
             self.checkpointed = time.monotonic()
             self.checkpoint_cost = self.checkpointed - begin

@@ -137,6 +137,7 @@ def verified(folder: Path) -> dict[str, Any]:
             raise ValueError(f"progress must be a table, got {validate.shown(progress)}.")
         validate.integer(progress.get("session"), "progress.session", 0, LARGEST_COUNT)
         validate.nonnegative(progress.get("seconds"), "progress.seconds", "s")
+        validate.integer(progress.get("episodes", 0), "progress.episodes", 0, LARGEST_COUNT)
         return state
     except OSError as error:
         raise CheckpointError(f"{folder}: is not intact ({error.strerror or error}).") from None

@@ -105,6 +105,10 @@ def state(**values: Any) -> Callable[[Path], None]:
         (state(progress={"session": 0, "seconds": "1"}), "must be a number, got the text '1'"),
         (state(progress={"session": 0, "seconds": -1.0}), "must not be negative"),
         (state(progress={"session": 0, "seconds": float("nan")}), "must be a finite number"),
+        (
+            state(progress={"session": 0, "seconds": 1.0, "episodes": -1}),
+            "progress.episodes must be between 0 and",
+        ),
         (state(num_timesteps="64"), "num_timesteps must be an int, got '64'"),
         (state(num_timesteps=-64), "num_timesteps must be between 0 and"),
         (state(num_timesteps=None), "num_timesteps must be an int, got None"),
