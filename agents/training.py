@@ -156,6 +156,7 @@ def learn(run: RunFolder, config: Config) -> int:
     progress = restore_newest(run, config, model)
     if model.num_timesteps < config.total_steps:
         run_session(run, config, model, progress)
+    refuse_divergence(model)
     save_policy(export_policy(model, about | {"steps": model.num_timesteps}), run.policy)
     model.env.close()
     return int(model.num_timesteps)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from stable_baselines3 import PPO
 
 from agents.config import load_config
 from agents.evaluate import main as evaluate
@@ -250,6 +251,19 @@ def test_a_diverged_training_ends_with_a_message(
     config.write_text(yaml.safe_dump(experiment))
     assert train(["--config", str(config), "--out", str(tmp_path / "out")]) == 1
     assert "the training has diverged" in one_sentence(capsys)
+
+
+def test_a_training_that_diverges_in_its_last_update_says_so_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def diverge(model: PPO) -> None:
+        next(model.policy.parameters()).data.fill_(float("nan"))
+
+    monkeypatch.setattr(PPO, "train", diverge)
+    config, out = str(write_config(tmp_path, "ppo", 128)), str(tmp_path / "out")
+    for arguments in (["--config", config, "--out", out], ["--resume", out]):
+        assert train(arguments) == 1
+        assert "the training has diverged" in one_sentence(capsys)
 
 
 def test_a_damaged_untrained_network_is_written_again(run: RunFolder) -> None:
