@@ -231,7 +231,8 @@ def _uncertified(measured: Sequence[Entry], conditions: Conditions, entry: Entry
             f"{entry['certificate']['integrator']!r}; leave both out, or measure them with "
             "`flexarm certify`."
         )
-    beyond = conditions.beyond(Conditions.from_dict(measured[0]["certificate"]["holds"]))
+    nearest = alike(measured, conditions) or measured[0]
+    beyond = conditions.beyond(Conditions.from_dict(nearest["certificate"]["holds"]))
     return (
         f"No certificate holds for {beyond}, which errors were not measured with; measure them "
         "with `flexarm certify` and the keywords of the environment."

@@ -152,6 +152,7 @@ def test_an_entry_covers_what_it_measured_and_less() -> None:
         ({"actuator": {"type": "limited"}}, "these actuators"),
         ({"randomize": {"payload_mass": (0.0, 9.0)}}, "payload_mass drawn from 0 to 9"),
         ({"deflection_limit": 0.3}, "deflections above"),
+        ({"deflection_limit": 0.3, "hardware": "laboratory"}, "deflections above"),
         ({"integrator": "rk4"}, "for this integrator and substeps"),
         ({"control_dt": 0.019}, "never measured"),
     ):
