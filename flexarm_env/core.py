@@ -28,7 +28,7 @@ from flexarm_env.compiled.settings import Settings, settings
 from flexarm_env.compiled.signals import Signals
 from flexarm_env.compiled.termination import FLAGS, LOST
 from flexarm_env.hardware.sensors import load_hardware, refuse_exact_state
-from flexarm_env.plant import plan, warn_of_gravity
+from flexarm_env.plant import Plant, planned, planned_again
 from flexarm_env.task.events import check_event, spread
 from flexarm_env.task.observations import (
     acceleration_scale,
@@ -126,32 +126,18 @@ class Core:
         self.task_name, self.task = task, find_task(task)
         self.n_env = validate.integer(n_env, "num_envs", 1, MOST_ENVIRONMENTS)
         self.threads = validate.integer(threads, "threads", 1, MOST_THREADS)
-        described, fitted = load_arm(arm), load_hardware(hardware)
+        given["arm"] = described = load_arm(arm)  # a copy does not read a file again
+        fitted = load_hardware(hardware)
         check_event(event, described)
         self._spread = spread(event, described) | (fitted.spread(described) if fitted else {})
         self._outputs = SingleOutputs if single else BatchOutputs
         self.settings = settings(self.task, self._spread, given)
-        plant = plan(
-            arm=described,
-            control_dt=control_dt,
-            integrator=integrator,
-            substeps=substeps,
-            torque_limit=torque_limit,
-            fidelity=fidelity,
-            tolerance=tolerance,
-            actuator=actuator,
-            ranges=self.randomize,
-            event=event,
-            deflection_limit=deflection_limit,
-            base_torque=base_torque,
-        )
-        warn_of_gravity(plant, self.randomize, deflection_limit)
+        plant = planned(given, self.randomize)
         refuse_floating(self.task, plant.arm)
         self.arm, self.scales, self.actuation = plant.arm, plant.scales, plant.actuation
-        self.integrator, self.substeps = plant.integrator, plant.substeps
-        self.control_dt, self.dt = plant.control_dt, plant.dt
-        self.torque_limit, self.conditions = plant.torque_limit, plant.conditions
-        self.certificate, self.uncertified = plant.certificate, plant.uncertified
+        self.integrator, self.control_dt = plant.integrator, plant.control_dt
+        self.torque_limit = plant.torque_limit
+        self._take_step(plant)
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
         self._rate_limit, self._impulse = plant.rate_limit, plant.impulse
         torques = tuple(self.actuation.torque_limit.tolist()) if self.actuation else ()
@@ -172,7 +158,7 @@ class Core:
             self.model, self.task.moving, self.layout, self.actuation, self.sensing,
             self.happening, self.curvature_limit is not None,
         )  # fmt: skip
-        self.constants = self._fixed_numbers(self.settings)
+        self.constants = self._fixed_numbers(self.settings, self.dt)
         self.starts = self._episode_ranges()
         self._allocate()
         self.arguments = copy.deepcopy(given)
@@ -180,26 +166,35 @@ class Core:
     randomize = property(lambda self: self.settings.ranges)
     max_steps = property(lambda self: self.settings.max_steps)
 
+    def _take_step(self, plant: Plant) -> None:
+        """Take the integration step of a plant, and what is known of its errors."""
+        self.substeps, self.dt, self.conditions = plant.substeps, plant.dt, plant.conditions
+        self.certificate, self.uncertified = plant.certificate, plant.uncertified
+        vars(self).pop("alone", None)  # it has the former step
+
     def change(self, **keywords: Any) -> None:
         """Take new values of `reward`, `deflection_limit`, `max_steps` or `randomize`.
 
         They are checked as at construction, and a refused value changes nothing. Weights and limits
-        hold from the next step, ranges from the next episode.
+        hold from the next step, ranges from the next episode. The integration step gets finer where
+        the new ranges need it, and the certificate is that of the new values, if there is one.
         """
         self.claim()
         try:
             given = self.arguments | keywords
             changed = settings(self.task, self._spread, given).after(self.settings)
-            self.constants = self._fixed_numbers(changed)
-            self.arguments = copy.deepcopy(given | {"randomize": changed.ranges})
-            self.settings = changed
+            given["randomize"] = changed.ranges
+            plant = planned_again(given, changed.ranges, self.integrator, self.substeps)
+            self.constants = self._fixed_numbers(changed, plant.dt)
+            self.arguments, self.settings = copy.deepcopy(given), changed
+            self._take_step(plant)
             self.starts = self._episode_ranges()
             for w in self.workspaces:
                 self.fill_constants(w, self.program)
         finally:
             self.busy = False
 
-    def _fixed_numbers(self, settings: Settings) -> Array:
+    def _fixed_numbers(self, settings: Settings, dt: float) -> Array:
         """Constants of all environments, in the order of `signals.Signals.constants`."""
         values: dict[str, Any] = {
             "torque_limit": self.torque_limit,
@@ -212,7 +207,7 @@ class Core:
         }
         if self.actuation:
             values["command_limit"] = self.actuation.command
-            values["actuators"] = self.actuation.constants(self.dt)
+            values["actuators"] = self.actuation.constants(dt)
         if self.sensing:
             acceleration = acceleration_scale(self.arm, self.scales, self.rate_scale)
             values |= self.sensing.numbers(self.gauge_scale, acceleration)
@@ -390,9 +385,11 @@ class Core:
 
     def __getstate__(self) -> dict[str, Any]:
         arrays = {"state": self.state.copy(), "streams": self.streams.copy()}
-        return {"arguments": self.arguments, "arrays": arrays}
+        step = {"integrator": self.integrator, "substeps": self.substeps}
+        return {"arguments": self.arguments, "step": step, "arrays": arrays}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        Core.__init__(self, **state["arguments"])
+        Core.__init__(self, **(state["arguments"] | state["step"]))
+        self.arguments = state["arguments"]
         self.state[...] = state["arrays"]["state"]
         self.streams[...] = state["arrays"]["streams"]

@@ -57,8 +57,6 @@ class Derivatives:
         self._program = core.model.program(
             lanes, core.integrator, core.signals.addition, derivatives=True
         )
-        fixed, per_substep = self._program.STACK
-        self._depth = fixed + per_substep * core.substeps
         self._workspaces = [core.model.workspace(self._program) for _ in core.workspaces]
         self._settings: Settings | None = None  # by which the workspaces are filled
         self._memory = Recycled()
@@ -66,7 +64,9 @@ class Derivatives:
     def record(self, state: Array, actions: AnyArray) -> Recorded:
         """A control step from `state`, which is left as it is."""
         after, stored = self._memory.copy(state), self._stored(state, actions)
-        stack = self._memory.array((self._depth, state.shape[1]), state.dtype)
+        fixed, per_substep = self._program.STACK
+        depth = fixed + per_substep * self._core.substeps
+        stack = self._memory.array((depth, state.shape[1]), state.dtype)
         self._run(self._program.record, actions, after, *stored, stack)
         return Recorded(state, actions, after, *stored, stack)
 

@@ -1,5 +1,6 @@
 """The plant of an environment: arm model, actuators, torque limits, integrator and step."""
 
+import inspect
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -39,6 +40,7 @@ from flexarm_env.task.scales import (
     scales,
 )
 
+Ranges = Mapping[str, tuple[float, float]]  # of the free parameters that are drawn at a reset
 UNLIMITED_RATE = 1e12  # [rad/s] limit of the joint rate where the model has none
 
 
@@ -96,7 +98,7 @@ def plan(
     fidelity: str,
     tolerance: float | None,
     actuator: Any,
-    ranges: Mapping[str, tuple[float, float]],
+    ranges: Ranges,
     deflection_limit: float,
     base_torque: float | None = None,
     event: str | None = None,
@@ -178,6 +180,36 @@ def plan(
     )
 
 
+KEYWORDS = tuple(name for name in inspect.signature(plan).parameters if name != "ranges")
+
+
+def planned(given: Mapping[str, Any], ranges: Ranges) -> Plant:
+    """Plant of the keywords of `core.Core`, with a warning of what gravity prevents."""
+    plant = _of_keywords(given, ranges)
+    warn_of_gravity(plant, ranges, given["deflection_limit"])
+    return plant
+
+
+def planned_again(
+    given: Mapping[str, Any], ranges: Ranges, integrator: str, substeps: int
+) -> Plant:
+    """Plant of keywords that have changed, stepped by the compiled `integrator`.
+
+    It has no fewer than `substeps`: episodes that go on have plants of the former ranges.
+    """
+    plant = planned(given, ranges)
+    if plant.integrator != integrator:
+        plant = _of_keywords({**given, "integrator": integrator}, ranges)
+    if plant.substeps < substeps:
+        step = {"integrator": integrator, "substeps": substeps}
+        plant = _of_keywords({**given, **step}, ranges)
+    return plant
+
+
+def _of_keywords(given: Mapping[str, Any], ranges: Ranges) -> Plant:
+    return plan(**{name: given[name] for name in KEYWORDS}, ranges=ranges)
+
+
 def _refuse_weak(name: str, limit: Array, holding: Array) -> None:
     """Refuse torque limits (n_joint,) [N m] that hold no target against gravity."""
     for i in np.flatnonzero(limit <= holding):
@@ -188,9 +220,7 @@ def _refuse_weak(name: str, limit: Array, holding: Array) -> None:
         )
 
 
-def warn_of_gravity(
-    plant: Plant, ranges: Mapping[str, tuple[float, float]], deflection_limit: float
-) -> None:
+def warn_of_gravity(plant: Plant, ranges: Ranges, deflection_limit: float) -> None:
     """Warn where gravity bends links beyond their limit, or a drawn payload is too heavy to hold.
 
     `ranges` are those of the free parameters that are drawn at a reset.
@@ -203,7 +233,7 @@ def warn_of_gravity(
             f"Gravity alone bends a link by {sag:.2g} of its length in postures of the tasks; "
             f"episodes end there as invalid, since deflection_limit is {deflection_limit:g}. Give "
             "a larger deflection_limit, a stiffer or a lighter arm.",
-            GravityWarning, stacklevel=4,
+            GravityWarning, stacklevel=5,
         )  # fmt: skip
     mass = ranges.get("payload_mass", (0.0, 0.0))[1]
     needed = held(
@@ -214,7 +244,7 @@ def warn_of_gravity(
             f"A payload_mass of {mass:g} kg, which randomize may draw, needs {needed[i]:.3g} N m "
             f"at joint {i + 1} in some targets, but torque_limit is {plant.torque_limit[i]:.3g} "
             "N m; draw lighter payloads, or give more torque.",
-            GravityWarning, stacklevel=4,
+            GravityWarning, stacklevel=5,
         )  # fmt: skip
 
 
@@ -239,7 +269,7 @@ def _uncertified(measured: Sequence[Entry], conditions: Conditions, entry: Entry
     )
 
 
-def _fastest(arm: Arm, ranges: Mapping[str, tuple[float, float]]) -> Arm:
+def _fastest(arm: Arm, ranges: Ranges) -> Arm:
     """The stiffest, lightest and most damped of the plants that may be drawn."""
     ends = {name: low if name == "payload_mass" else high for name, (low, high) in ranges.items()}
     return with_parameters(arm, ends)

@@ -145,6 +145,8 @@ Weights and limits hold from the next step, ranges from the next episode. A new 
 former one as a whole: parameters that `randomize` leaves out take the range of the hardware, or
 else their nominal value. Parameters are drawn only if `randomize` or `hardware` named them at
 construction. `randomize={{"payload_mass": (0.0, 0.0)}}` names one and leaves the arm as it is.
+Where new ranges need a finer integration step, it is taken; `certificate` and `uncertified` are
+those of the new values.
 
 Values are checked as at construction. Every other keyword needs a new environment, and setting it
 is refused. `gym.make` puts wrappers round the environment: without `unwrapped`, an assignment stays

@@ -264,7 +264,11 @@ def test_drawn_payloads_that_are_too_heavy_to_hold_warn() -> None:
         gym.make("FlexArm/OneLink-Reach-v0", arm=OWN, **heavy)
     with warnings.catch_warnings():
         warnings.simplefilter("error", GravityWarning)
-        gym.make("FlexArm/OneLink-Reach-v0", arm=OWN, randomize={"payload_mass": (0.0, 0.02)})
+        light = gym.make(
+            "FlexArm/OneLink-Reach-v0", arm=OWN, randomize={"payload_mass": (0.0, 0.02)}
+        )
+    with pytest.warns(GravityWarning, match=r"A payload_mass of 1 kg"):
+        light.unwrapped.randomize = heavy["randomize"]  # type: ignore[attr-defined]
 
 
 def test_a_link_that_gravity_bends_beyond_its_limit_warns() -> None:
