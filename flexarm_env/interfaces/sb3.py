@@ -139,11 +139,15 @@ class SB3VecEnv(Changeable, VecEnv):
         given = any(seed is not None for seed in seeds)
         self.core.claim()
         try:
+            before = self.core.state.copy(), self.core.streams.copy()
             self.envs.seed_streams(seeds if given else None)
-            out = self.core.reset(np.arange(self.num_envs))
+            out = self.core.reset(np.flatnonzero([not options for options in self._options]))
             for i, options in enumerate(self._options):
                 if options:
                     self.core.restart(np.array([i]), out, options)
+        except ValueError:
+            self.core.state[...], self.core.streams[...] = before
+            raise
         finally:
             self.core.busy = False
         self._returns[:], self._lengths[:] = 0.0, 0

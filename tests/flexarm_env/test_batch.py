@@ -1,5 +1,6 @@
 """The batch, the single environment and `SB3VecEnv` give the same results."""
 
+import math
 import pickle
 from dataclasses import replace
 from typing import Any
@@ -305,6 +306,27 @@ def test_sb3_batch_is_the_same_batch() -> None:
                     info["terminal_observation"], other["terminal_observation"],
                     rtol=ROUND_OFF, atol=ROUND_OFF,
                 )  # fmt: skip
+
+
+def test_sb3_options_place_the_episode_of_the_seed_or_change_nothing() -> None:
+    env_id, target = "FlexArm/OneLink-Reach-v0", {"target": [0.5]}
+    for hardware in (None, "laboratory"):
+        envs = flexarm_env.SB3VecEnv(env_id, 2, hardware=hardware)
+        singles = [gym.make(env_id, hardware=hardware) for _ in range(2)]
+        for given in ([target, {}], [target, target]):
+            envs.seed(3)
+            envs.set_options(given)
+            expected = [
+                env.reset(seed=3 + i, options=x)[0]
+                for i, (env, x) in enumerate(zip(singles, given, strict=True))
+            ]
+            np.testing.assert_allclose(envs.reset(), expected, rtol=ROUND_OFF, atol=ROUND_OFF)
+        before = envs.core.state.copy(), envs.core.streams.copy()
+        envs.set_options([target, {"target": [math.nan]}])
+        with pytest.raises(ValueError, match="target"):
+            envs.reset()
+        np.testing.assert_array_equal(envs.core.state, before[0])
+        np.testing.assert_array_equal(envs.core.streams, before[1])
 
 
 def test_sb3_batch_takes_either_name_of_its_size() -> None:
