@@ -115,6 +115,7 @@ class SB3VecEnv(Changeable, VecEnv):
         assert isinstance(envs, FlexArmVectorEnv)
         self.envs, self._observed = envs, envs.core.layout.observed
         super().__init__(n_envs, envs.single_observation_space, envs.single_action_space)
+        self.metadata = envs.metadata  # the frame rate of films
         self._actions: NDArray[np.float32] = np.zeros(envs.action_space.shape or (), np.float32)
         self._returns, self._lengths = np.zeros(n_envs), np.zeros(n_envs, np.int64)
         self._started = time.time()

@@ -344,6 +344,7 @@ def test_sb3_batch_has_the_attributes_and_methods_of_a_vec_env() -> None:
     targets = envs.env_method("joint_target", indices=[1])
     np.testing.assert_array_equal(targets[0], envs.envs.joint_target()[1])
     assert not envs.has_attr("nonsense")
+    assert envs.metadata["render_fps"] == gym.make(envs.envs.spec.id).metadata["render_fps"] == 20
     envs.close()
 
 
