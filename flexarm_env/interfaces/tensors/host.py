@@ -15,17 +15,16 @@ from flexarm_env.interfaces.vector import FlexArmVectorEnv
 
 
 class HostBatch:
-    """Steps of a Gymnasium batch, whose arrays become tensors without a copy.
-
-    Attributes
-    ----------
-    state : (rows, N) state of all environments.
-    """
+    """Steps of a Gymnasium batch, whose arrays become tensors without a copy."""
 
     def __init__(self, envs: FlexArmVectorEnv) -> None:
         self._envs, self._core = envs, envs.core
-        self.state = torch.from_numpy(envs.core.state)[:, : envs.num_envs]
         self._all = np.arange(envs.num_envs)
+
+    @property
+    def state(self) -> torch.Tensor:
+        """(rows, N) state of all environments; of a copied batch, that of the copy."""
+        return torch.from_numpy(self._core.state)[:, : self._core.n_env]
 
     def reset(self, options: Mapping[str, Any] | None) -> tuple[torch.Tensor, Info]:
         """Start episodes in all environments: observations, info."""

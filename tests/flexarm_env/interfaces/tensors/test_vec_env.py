@@ -1,5 +1,7 @@
 """A batch of tensors gives the numbers of Gymnasium's batch, on the same memory."""
 
+import copy
+import pickle
 from typing import Any
 
 import gymnasium as gym
@@ -93,6 +95,17 @@ def test_results_share_the_memory_of_the_batch() -> None:
     assert terminated.dtype == torch.bool
     assert info["final_obs"].data_ptr() == obs.data_ptr()
     assert not obs.requires_grad
+
+
+def test_a_copy_reads_a_state_of_its_own() -> None:
+    envs = TorchVecEnv("FlexArm/OneLink-Reach-v0", 3)
+    envs.reset(seed=0)
+    for other in (copy.deepcopy(envs), pickle.loads(pickle.dumps(envs))):
+        before = envs.privileged()
+        other.step(torch.ones(3, 1))
+        assert not torch.equal(other.privileged(), before)
+        assert torch.equal(other.state, torch.from_numpy(other.core.state)[:, :3])
+        assert torch.equal(envs.privileged(), before)
 
 
 def test_numbers_of_a_critic_are_those_of_the_state() -> None:
