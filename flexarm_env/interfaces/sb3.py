@@ -7,7 +7,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from dynamics.description import validate
@@ -15,7 +14,7 @@ from dynamics.extras import missing
 from flexarm_env.arguments import whole_seed
 from flexarm_env.compiled.outputs import BatchOutputs
 from flexarm_env.interfaces.env import Changeable
-from flexarm_env.interfaces.vector import FlexArmVectorEnv
+from flexarm_env.interfaces.vector import restarting_batch
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -23,6 +22,7 @@ except ModuleNotFoundError as error:
     raise missing(error, "SB3VecEnv", "train") from None
 
 
+REFUSED = {"autoreset_mode": "SAME_STEP", "vectorization_mode": "one compiled batch"}
 AT_ENDS = frozenset({"episode", "is_success", "terminal_observation", "TimeLimit.truncated"})
 
 
@@ -105,14 +105,13 @@ class SB3VecEnv(Changeable, VecEnv):
                 f"Give the number of environments once, as n_envs or num_envs, got n_envs={n_envs} "
                 f"and num_envs={num_envs}."
             )
-        if "autoreset_mode" in kwargs:
+        for name in REFUSED.keys() & kwargs.keys():
             raise ValueError(
-                "autoreset_mode of SB3VecEnv is always SAME_STEP, got "
-                f"{validate.shown(kwargs['autoreset_mode'])}; leave it out."
+                f"{name} of SB3VecEnv is always {REFUSED[name]}, got "
+                f"{validate.shown(kwargs[name])}; leave it out."
             )
         n_envs = given[0]
-        envs = gym.make_vec(id, num_envs=n_envs, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs)
-        assert isinstance(envs, FlexArmVectorEnv)
+        envs = restarting_batch(id, n_envs, kwargs)
         self.envs, self._observed = envs, envs.core.layout.observed
         super().__init__(n_envs, envs.single_observation_space, envs.single_action_space)
         self.metadata = envs.metadata  # the frame rate of films

@@ -360,3 +360,26 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+def restarting_batch(
+    env_id: str | EnvSpec, num_envs: int, keywords: Mapping[str, Any]
+) -> FlexArmVectorEnv:
+    """Batch of a registered id or a specification, whose ended episodes restart in the same step.
+
+    Raises
+    ------
+    ValueError : the id has single environments alone.
+    """
+    spec = gym.registry.get(env_id.rpartition(":")[2]) if isinstance(env_id, str) else env_id
+    if spec and spec.vector_entry_point is None:
+        raise ValueError(
+            f"{spec.id!r} is registered without a batch; register it with "
+            "vector_entry_point='flexarm_env:FlexArmVectorEnv', or step its single environments, "
+            "by DummyVecEnv of stable-baselines3 or SyncVectorEnv of Gymnasium."
+        )
+    envs = gym.make_vec(
+        env_id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **keywords
+    )
+    assert isinstance(envs, FlexArmVectorEnv)
+    return envs

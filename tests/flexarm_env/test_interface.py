@@ -218,8 +218,9 @@ def test_misspelt_keywords_of_ids_are_answered_with_the_nearest() -> None:
     ):
         with pytest.raises(ValueError, match=f"'{given}' .* nearest known: '{near}'"):
             make(one, **{given: 2})
-    with pytest.raises(ValueError, match="autoreset_mode of SB3VecEnv is always SAME_STEP"):
-        makers[2](one, autoreset_mode="Disabled")
+    for name, value in (("autoreset_mode", "Disabled"), ("vectorization_mode", "sync")):
+        with pytest.raises(ValueError, match=f"{name} of SB3VecEnv is always .*, got '{value}'"):
+            makers[2](one, **{name: value})
 
 
 @pytest.mark.parametrize(

@@ -181,6 +181,20 @@ def test_the_limit_of_ones_own_id_holds_and_comes_back() -> None:
         assert length(envs, 20) == steps
 
 
+@pytest.mark.parametrize("batch", [flexarm_env.SB3VecEnv, flexarm_env.TorchVecEnv])
+def test_an_id_of_single_environments_alone_says_how_to_register_a_batch(batch: Any) -> None:
+    kwargs = {"task": "Reach", "arm": "slim"}
+    gym.register("Mine/Single-v0", entry_point=flexarm_env.FlexArmEnv, kwargs=kwargs)
+    try:
+        for given in ("Mine/Single-v0", gym.spec("Mine/Single-v0")):
+            with pytest.raises(
+                ValueError, match=r"'Mine/Single-v0' .* vector_entry_point='flexarm"
+            ):
+                batch(given, 2)
+    finally:
+        del gym.registry["Mine/Single-v0"]
+
+
 def test_an_environment_without_a_task_or_an_arm_says_what_is_missing() -> None:
     for kwargs, name in (({"arm": "slim"}, "task"), ({"task": "Reach"}, "arm")):
         with pytest.raises(ValueError, match=f"{name} is missing; make a registered id, or give"):

@@ -4,9 +4,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import gymnasium as gym
 import torch
-from gymnasium.vector import AutoresetMode
 
 from dynamics.description import validate
 from flexarm_env.interfaces.env import Changeable
@@ -19,7 +17,7 @@ from flexarm_env.interfaces.tensors.differentiable import (
 from flexarm_env.interfaces.tensors.host import HostBatch
 from flexarm_env.interfaces.tensors.privileged import Privileged
 from flexarm_env.interfaces.tensors.results import Info
-from flexarm_env.interfaces.vector import FlexArmVectorEnv
+from flexarm_env.interfaces.vector import FlexArmVectorEnv, restarting_batch
 
 Observation = Any  # a tensor, or with obs="goal" a dict of tensors
 RECOMPUTED = "recomputed"
@@ -80,10 +78,7 @@ class TorchVecEnv(Changeable):
             )
         if self.device.type == "cuda":
             keywords.setdefault("dtype", "float32")
-        envs = gym.make_vec(
-            id, num_envs=num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **keywords
-        )
-        assert isinstance(envs, FlexArmVectorEnv)
+        envs = restarting_batch(id, num_envs, keywords)
         self.envs, self.num_envs = envs, envs.num_envs
         self.single_observation_space = envs.single_observation_space
         self.single_action_space = envs.single_action_space
