@@ -88,6 +88,11 @@ def ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, f
                 f"randomize[{name!r}] must be (low, high) with 0 <= low <= high <= "
                 f"{MOST_DRAWN:g}, got {validate.shown(pair)}."
             )
+        if name == "stiffness" and not high:
+            raise ValueError(
+                "The factor on every stiffness must be above 0 at the upper end of its range, got "
+                f"{validate.shown(pair)}; links without stiffness are no arm."
+            )
         result[name] = (low, high)
     return result
 

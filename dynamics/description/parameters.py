@@ -22,6 +22,10 @@ def with_parameters(arm: Arm, values: Mapping[str, float]) -> Arm:
     links = [_scaled(link, stiffness, damping, friction) for link in arm.links]
     for name, added in left.items():
         word, joint = name.rsplit("_", 1)
+        if int(joint) > arm.n_joint:
+            raise ValueError(
+                f"{name} is of no joint: this arm has {arm.n_joint} joints, counted from 1."
+            )
         k = arm.joints[int(joint) - 1]
         own = links[k].joint
         links[k] = replace(links[k], joint=replace(own, **{word: getattr(own, word) + added}))
