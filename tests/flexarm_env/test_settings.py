@@ -1,10 +1,8 @@
 """Keywords that change while an environment runs, and those that do not."""
 
 import copy
-import json
 import pickle
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -14,7 +12,6 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecMonitor
 
 import flexarm_env
-from dynamics import load_arm
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.runtime import thread_pool
 from flexarm_env.interfaces.env import CHANGEABLE, GUARDED
@@ -173,40 +170,6 @@ def test_parameters_that_are_left_out_are_those_of_the_hardware_or_nominal() -> 
     assert set(drawn["payload_mass"]) == {0.0}
     assert base.certificate is None
     assert "by randomize" in base.uncertified
-
-
-def test_step_and_certificate_follow_what_is_drawn() -> None:
-    """A stiffer plant takes the finer step that one built so takes; a copy keeps the step."""
-    env: Any = single().unwrapped
-    env.reset(seed=0)
-    env.step(np.ones(1, np.float32))
-    assert env.certificate is not None
-    for factor in (100.0, 1.0):
-        env.randomize = DRAWN | {"stiffness": (factor, factor)}
-        assert env.core.substeps == 15  # of the running episode, too
-        assert env.certificate is None
-        env.reset(seed=0)
-        built = single(randomize=env.randomize, integrator=env.core.integrator, substeps=15)
-        built.reset(seed=0)
-        for other in (copy.deepcopy(env), built):
-            assert_same(motion_of_one(copy.deepcopy(env)), motion_of_one(other))
-    assert single(randomize={"stiffness": (100.0, 100.0)}).unwrapped.core.substeps == 15
-    env = single().unwrapped
-    env.deflection_limit = 0.3
-    assert env.certificate is None
-    assert "deflections above 0.1" in env.uncertified
-
-
-def motion_of_one(env: Any) -> list[np.ndarray]:
-    return [env.step(np.array([sign], np.float32))[0] for sign in 4 * [1.0] + 4 * [-1.0]]
-
-
-def test_a_copy_does_not_read_the_arm_file_again(tmp_path: Path) -> None:
-    path = tmp_path / "own.json"
-    path.write_text(json.dumps(load_arm("slim").to_dict()))
-    env = gym.make(ID, arm=str(path))
-    path.unlink()
-    assert copy.deepcopy(env).unwrapped.arm == env.unwrapped.arm  # type: ignore[attr-defined]
 
 
 def test_a_change_reaches_every_thread(monkeypatch: pytest.MonkeyPatch) -> None:
