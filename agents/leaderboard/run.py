@@ -50,6 +50,7 @@ from dynamics.types import AnyArray
 
 SEED, EPISODES = 10_000, 100
 TIMED = 200  # single decisions that are timed
+LEFT_OUT = (UsersControllerError, ModuleNotFoundError)  # of one controller; others are ranked
 RANKING = (
     "tasks",
     "tracks",
@@ -155,7 +156,8 @@ def names(wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool) 
 def main(arguments: list[str] | None = None, prog: str = "python -m agents.leaderboard") -> int:
     """Rank, and write after every task; the exit status.
 
-    A user's controller that fails is named in one sentence and left out, and the status is 1.
+    A user's controller that fails, or one whose library is missing, is told in one sentence and
+    left out, and the status is 1.
     """
     parser = _parser(prog)
     options = parser.parse_args(arguments)
@@ -237,7 +239,7 @@ class Failures:
         self.speaker = speaker(prog)
         self.told: set[str] = set()
 
-    def tell(self, error: ValueError) -> None:
+    def tell(self, error: Exception) -> None:
         """Print an error that was not told before as one sentence."""
         sentence = f"{self.speaker}: {one_line(error)}"
         if sentence not in self.told:
@@ -261,7 +263,7 @@ def _rank(
             now = before.get(env_id, {})
             entries = run(partial(_entry, env_id, seeds, bounds), places)
             for (track, name), entry in zip(places, entries, strict=True):
-                if isinstance(entry, UsersControllerError):
+                if isinstance(entry, LEFT_OUT):
                     failures.tell(entry)
                     now.get(track, {}).pop(name, None)
                 else:
@@ -328,11 +330,11 @@ def _places(
 
 def _entry(
     env_id: str, seeds: Sequence[int], bounds: Path | None, place: tuple[str, str]
-) -> Entry | UsersControllerError:
+) -> Entry | UsersControllerError | ModuleNotFoundError:
     track, name = place
     try:
         return ranked(name, env_id, track, seeds, bounds)
-    except UsersControllerError as error:
+    except LEFT_OUT as error:
         return error
 
 

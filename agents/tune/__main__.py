@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
             tune_experiments(experiments, options)
         else:
             tune_controllers(options)
-    except (ConfigError, FolderError, PolicyError) as error:
+    except (ConfigError, FolderError, PolicyError, ModuleNotFoundError) as error:
         print(f"agents.tune: {one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

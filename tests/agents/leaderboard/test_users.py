@@ -148,6 +148,20 @@ def test_one_sentence_names_a_class_that_fails_and_the_others_are_ranked(
     assert "| zero |" in (out / "leaderboard.md").read_text(encoding="utf-8")
 
 
+def test_a_missing_library_is_told_and_the_others_are_ranked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Installed without the extra `train`."""
+    monkeypatch.setitem(sys.modules, "daqp", None)
+    out = tmp_path / "out"
+    assert main([*HERE, "--controllers", "mpc", "zero", "--out", str(out)]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("agents.leaderboard: predictive control needs daqp, which is not inst")
+    assert error.count("\n") == 1
+    results = json.loads((out / "leaderboard.json").read_text(encoding="utf-8"))
+    assert list(results[ONE]["state"]) == ["zero"]
+
+
 def test_nothing_is_written_where_no_class_works(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
