@@ -3,7 +3,7 @@
     python -m benchmarks.harder
 
 Each meets the same test episodes with and without the event or the cost; none was tuned or trained
-for it. On `wide` those meet the tracks `wide` and `laboratory` that were tuned for both. Writes
+for it. On `wide` those meet the tracks `wide` and `laboratory` that were made for both. Writes
 docs/results/harder.json and .md.
 """
 
@@ -30,7 +30,7 @@ COLUMNS = ("controller", "score", "without", "failed", "cost", "excess")
 def acting(env_id: str, track: str) -> list[str]:
     """Controllers of a task and track: the classical ones of this study, and shipped policies."""
     found = names(None, env_id, track, bounded=False)
-    return [name for name in found if name in CLASSICAL or "ppo" in name or name in ("sac", "tqc")]
+    return [name for name in found if name in CLASSICAL or name not in CONTROLLERS]
 
 
 def met(name: str, env_id: str, track: str, seeds: Sequence[int]) -> dict[str, float]:
@@ -80,9 +80,11 @@ def study(env_id: str, track: str, seeds: Sequence[int]) -> dict[str, dict[str, 
 
 
 def widely(seeds: Sequence[int]) -> dict[str, dict[str, float]]:
-    """Figures of the controllers tuned for `wide`, with the score in the laboratory."""
+    """Figures of what was tuned or trained for `wide`, with the score of the laboratory's."""
     found = {}
-    for name in (x for x in names(None, REACH, "wide", bounded=False) if CONTROLLERS[x].ranges):
+    for name in names(None, REACH, "wide", bounded=False):
+        if name in CONTROLLERS and not CONTROLLERS[name].ranges:
+            continue
         narrow = met(name, REACH, "laboratory", seeds)
         found[name] = met(name, REACH, "wide", seeds) | {"without": narrow["score"]}
         print(REACH, "wide", row(name, found[name]), flush=True)
@@ -102,6 +104,21 @@ def ordered(found: Mapping[str, Mapping[str, float]], *header: str) -> str:
     return table(header[: len(rows[0])], rows, "lr")
 
 
+def memories(data: Mapping[str, Any]) -> str:
+    """Markdown table of the best controller and the best policy without a model on sensors."""
+    places = {f"{x.removeprefix('FlexArm/')}, laboratory": tracks["laboratory"]
+              for x, tracks in data["tasks"].items()}  # fmt: skip
+    places[f"{REACH.removeprefix('FlexArm/')}, wide"] = data["wide"]
+    rows = []
+    for place, found in places.items():
+        best: dict[bool, str] = {}
+        for name in sorted(found, key=lambda x: found[x]["score"]):
+            if name in CONTROLLERS or name.startswith("recurrent") or "-stacked" in name:
+                best[name in CONTROLLERS] = f"{name} {found[name]['score']:.3f}"
+        rows.append([place, best[True], best[False]])
+    return table(["task, track", "controller", "policy that remembers"], rows, "lll")
+
+
 def page(data: Mapping[str, Any]) -> str:
     """Markdown page of the tables."""
     parts = [
@@ -116,8 +133,9 @@ def page(data: Mapping[str, Any]) -> str:
 Made by `{data["command"]}`.
 
 Controllers with the parameters of the plain task, and policies that were trained on it, in
-{data["episodes"]} test episodes; of a policy the first training seed. Policies were trained on the
-former defaults of the environments (see the changelog), which costs some of them their score.
+{data["episodes"]} test episodes; of a policy the first training seed. `ppo-stacked`,
+`recurrent-ppo`, `ppo-ahead-of-pd`, and `ppo` beyond Reach of one link were trained on the former
+defaults of the environments (see the changelog), which costs some of them their score.
 `score` is the mean, `without` that in the same episodes of the plain task, `failed` the share of
 episodes that a failure ends, `cost` the mean sum of `info["cost"]` over an episode, and `excess`
 the largest curvature beyond the limit, over the limit.
@@ -127,7 +145,7 @@ the largest curvature beyond the limit, over the limit.
 ## OneLink-Reach-v0, wide
 
 Payloads of 0 to 200 % and stiffnesses of 60 to 140 %, drawn per episode, with the sensors of the
-laboratory. Controllers were tuned for it, and for the laboratory beside it.
+laboratory. Controllers were tuned, and policies trained, for it, and for the laboratory beside it.
 
 {ordered(data["wide"], "controller", "score", "laboratory", "failed")}
 
@@ -144,9 +162,14 @@ is a share of the episode of {lost}. `score` is to be compared with `without` le
 gap that is left is largest for controllers with a filter or a plan of the whole move: these know of
 no event.
 
-On `wide` the best controller keeps a filter for each of several plants, which is a memory of what
-the plant did so far. What it loses against the laboratory, whose sensors are the same, is a measure
-of what a better memory could gain.
+With the sensors of the laboratory controllers remember what the plant did by a filter for each of
+several plants, and policies without a model by the latest observations or recurrent cells. The best
+of both:
+
+{memories(data)}
+
+What they lose on `wide` against the laboratory, whose sensors are the same, is a measure of what a
+better memory could gain.
 """
 
 
