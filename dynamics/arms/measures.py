@@ -34,11 +34,9 @@ def alone(arm: Arm, link: int, modes: int, kind: str = "clamped-tip-mass", **cha
     return Arm(links=(replace(single, joint=replace(single.joint, parallel=False)),))
 
 
-def mode_of_arm(
-    mode: int, joints: str = "locked", angles: tuple[float, ...] | None = None
-) -> Callable[[Arm], float]:
-    """Measure of a natural frequency [Hz] of the whole arm; modes are numbered from 1."""
-    return lambda arm: hertz(arm, joints, angles)[mode - 1]
+def mode_of_arm(mode: int, angles: tuple[float, ...] | None = None) -> Callable[[Arm], float]:
+    """Measure of a natural frequency [Hz] of the whole arm, joints locked; modes from 1."""
+    return lambda arm: hertz(arm, "locked", angles)[mode - 1]
 
 
 def mode_of_link(

@@ -11,10 +11,8 @@ from flexarm_env.certify.episodes import Episodes, environment
 COUNT, STEPS = 32, 40  # episodes, and their control steps
 
 
-def momentum_error(
-    arm: Arm, keywords: Mapping[str, Any], integrator: str, substeps: int, kind: str = "held"
-) -> float:
-    """Largest drift of the momentum in episodes from rest.
+def momentum_error(arm: Arm, keywords: Mapping[str, Any], integrator: str, substeps: int) -> float:
+    """Largest drift of the momentum in episodes of held torques from rest.
 
     It is relative to the largest momentum of the base alone, linear [N s] or about its own axis
     [N m s]. Infinite if an episode diverges; zero for a fixed base, for a torque on the base, and
@@ -32,5 +30,5 @@ def momentum_error(
             for sizes, parts in ((drift, core.model.momentum(q, v)), (largest, own)):
                 sizes[:] = np.maximum(sizes, [np.linalg.norm(part) for part in parts])
 
-    trace = Episodes.drawn(core, (kind,), COUNT, STEPS).played(core, watch=watch)
+    trace = Episodes.drawn(core, ("held",), COUNT, STEPS).played(core, watch=watch)
     return float("inf") if trace.diverged.any() else float((drift / largest).max())
