@@ -187,7 +187,8 @@ def page(results: dict[str, Any]) -> str:
     machine = results["provenance"]["machine"]
     return f"""# Distilled policies
 
-Made by `{results["provenance"]["command"]}` on {machine["processor"]}.
+Made by `python -m benchmarks.distilled` on {machine["processor"]}, the latest rows by
+`{results["provenance"]["command"]}`.
 
 A policy without a model learns from a classical controller, its expert, by DAgger
 ([training](../training.md#distilled-policies)); PPO may begin with its weights
