@@ -33,8 +33,9 @@ def parameters_of(name: str, env_id: str, track: str) -> dict[str, float]:
     found = _stored(env_id, track).get(name)
     if found is None:
         raise ValueError(
-            f"{name} was not tuned for {env_id} on the track {track!r}; run python -m agents.tune "
-            f"--tasks {designed_for(env_id)} --controllers {name}."
+            f"{name} was not tuned for {env_id} on the track {track!r}; name other --tracks, or "
+            f"run python -m agents.tune --tasks {designed_for(env_id)} "
+            f"--tracks {TRACKS[track].design} --controllers {name}."
         )
     result: dict[str, float] = found["parameters"]
     return result

@@ -143,6 +143,11 @@ def test_the_yardstick_is_evaluated_where_bounds_are_stored(
         (["--tasks", ONE, "--tracks", "laboratory", "--controllers", "lqr"], "None of ['lqr']"),
         (["--episodes", "1"], "--episodes"),
         (["--seed", "-1"], "--seed"),
+        (
+            ["--controllers", "pd", "--tasks", "FlexArm/TwoLink-Reach-v0", "--tracks", "wide"],
+            "name other --tracks, or run python -m agents.tune --tasks FlexArm/TwoLink-Reach-v0 "
+            "--tracks wide --controllers pd.",
+        ),
     ],
 )
 def test_bad_requests_end_with_one_sentence(
