@@ -189,6 +189,11 @@ def make_controller(
         with_keywords = f" with {validate.shown(kwargs)}" if kwargs else ""
         raise UsageError(f"{env_id}{with_keywords}: {error}") from None
     try:
+        if env.single_observation_space.shape is None:
+            raise UsageError(
+                f"{env_id} has dicts as observations, with obs='goal'; controllers and stored "
+                "policies take one vector: evaluate them on the id without goals."
+            )
         if policy is None:
             return subject, classical(subject, env, env_id, kwargs)
         acting_policy = acting(policy, env)

@@ -86,6 +86,7 @@ def test_evaluation_is_deterministic(run: RunFolder, tmp_path: Path) -> None:
             "{'hardware': 'laboratory'}; use lqg, which was, or pd, whose gains are searched here",
         ),
         (["lqg", "--env", ENV_ID.replace("Reach", "Track")], "lqg was not tuned"),
+        (["zero", "--env", ENV_ID.replace("Reach", "ReachGoal")], "has dicts as observations"),
         ([str(ROOT / "configs"), "--env", ENV_ID], "holds no policy.json"),
         ([str(ROOT / "train.py"), "--env", ENV_ID], "--trust"),
     ],
