@@ -28,6 +28,12 @@ OVERDRIVEN, OVERDRIVE = 0.1, 20.0  # share of the steps, and their torque over t
 SWITCHES = 0.15  # probability per control step that a bang-bang torque changes its sign
 
 
+def side_by_side(obs: Any) -> NDArray[np.float32]:
+    """(BATCH, n) observations, those of goals in the order of their dict."""
+    parts = list(obs.values()) if isinstance(obs, dict) else [obs]
+    return np.concatenate(parts, axis=1)
+
+
 class Soak:
     """A batch of one environment, and counts of its steps, ends and faults."""
 
@@ -42,7 +48,7 @@ class Soak:
         self.elapsed = np.zeros(BATCH)
         self.ended = np.zeros(BATCH, dtype=bool)
         self.sign = np.ones((BATCH, self.envs.n_joint), np.float32)
-        self.before = obs
+        self.before = side_by_side(obs)
         self.counts = dict.fromkeys(
             ("steps", "time out", "invalid", "diverged", "not finite", "out of bounds",
              "clock wrong", "divergence not said", "frozen"), 0,
@@ -58,7 +64,8 @@ class Soak:
 
     def step(self) -> None:
         """Step all environments once and count the faults."""
-        obs, reward, terminated, truncated, info = self.envs.step(self.actions())
+        seen, reward, terminated, truncated, info = self.envs.step(self.actions())
+        obs = side_by_side(seen)
         self.elapsed = np.where(self.ended, 0.0, self.elapsed + 1.0)
         restarted, self.ended = self.ended, terminated | truncated
         numbers = [reward, *(x for x in info.values() if isinstance(x, np.ndarray))]

@@ -17,6 +17,14 @@ def test_a_short_soak_finds_every_kind_of_end_and_no_fault() -> None:
     assert {name: counts[name] for name in soak.WRONG} == dict.fromkeys(soak.WRONG, 0)
 
 
+def test_goals_are_soaked_too() -> None:
+    watched = soak.Soak("FlexArm/OneLink-ReachGoal-v0", torque=1.0)
+    for _ in range(5):
+        watched.step()
+    assert {name: watched.counts[name] for name in soak.WRONG} == dict.fromkeys(soak.WRONG, 0)
+    assert watched.counts["steps"] == 5 * soak.BATCH
+
+
 def spoil(wrong: str, obs: Any, terminated: Any, info: dict[str, Any], before: Any) -> None:
     """Inject a fault into the step of one environment."""
     if wrong == "not finite":
