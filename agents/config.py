@@ -10,6 +10,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from agents.environments import check_keywords
 from agents.learners.algorithms import (
+    DAGGER,
     DISCRETE,
     NUMBER,
     algorithms,
@@ -188,6 +189,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
         check_device(agent.name, config.device, {"env.normalize": env.normalize, "base": base})
     except ValueError as error:
         raise ConfigError(str(error)) from None
+    check_steps(config.agent, config.total_steps)
     if not FOLDER_NAME.fullmatch(config.name):
         raise ConfigError(
             f"name must be the plain name of a folder, at most 100 characters, got "
@@ -351,6 +353,24 @@ def check_sweep(agent: AgentConfig, ranges: dict[str, Any]) -> None:
             check_table({key: value}, settings(agent.name), "sweep")
     except ValueError as error:
         raise ConfigError(str(error)) from None
+
+
+def check_steps(agent: AgentConfig, total_steps: int) -> None:
+    """Refuse a run that ends before its learner begins, or whose imitation forgets observations."""
+    starts, size = (
+        agent.kwargs.get(key, default(agent.name, key))
+        for key in ("learning_starts", "buffer_size")
+    )
+    if starts is not None and starts >= total_steps:
+        raise ConfigError(
+            f"agent.kwargs.learning_starts ({starts:_}) must be below total_steps "
+            f"({total_steps:_}), or nothing is learned."
+        )
+    if agent.name == DAGGER and size < total_steps:
+        raise ConfigError(
+            f"agent.kwargs.buffer_size ({size:_}) must be at least total_steps ({total_steps:_}) "
+            f"for {DAGGER}, which learns from all observations."
+        )
 
 
 def check_batch(agent: AgentConfig, env: EnvConfig) -> None:

@@ -17,6 +17,7 @@ from agents.config import (
     Config,
     ConfigError,
     EnvConfig,
+    check_steps,
     load_config,
 )
 from agents.controllers import controller, joint_pd, tune_pd
@@ -390,5 +391,7 @@ def with_overrides(config: Config, seed: int | None, steps: int | None) -> Confi
         if value is not None and not low <= value <= high:
             option = "--seed" if name == "seed" else "--steps"
             raise ConfigError(f"{option} must be between {low:_} and {high:_}, got {value}.")
+    if steps is not None:
+        check_steps(config.agent, steps)
     seed = config.seed if seed is None else seed
     return replace(config, seed=seed, total_steps=config.total_steps if steps is None else steps)

@@ -64,6 +64,16 @@ def test_shipped_configs_load(path: Path) -> None:
             r"top_quantiles_to_drop_per_net \(25\) must be below the number of quantiles \(25\)",
         ),
         (
+            "name: ppo, kwargs: {n_steps: 64, batch_size: 128, learning_rate: lin_3.0e-4}",
+            "name: sac, kwargs: {learning_starts: 300_000}",
+            r"learning_starts \(300_000\) must be below total_steps \(300_000\), or nothing is l",
+        ),
+        (
+            "name: ppo, kwargs: {n_steps: 64, batch_size: 128, learning_rate: lin_3.0e-4}",
+            "name: dagger, kwargs: {buffer_size: 9}}\nbase: {controller: pd, learned: distilled",
+            r"buffer_size \(9\) must be at least total_steps \(300_000\) for dagger",
+        ),
+        (
             "n_envs: 4",
             "n_envs: 4, kwargs: {reward: {}}",
             r"env\.reward and env\.kwargs\.reward are one",

@@ -160,6 +160,7 @@ def test_training_refuses_bad_requests(tmp_path: Path, capsys: pytest.CaptureFix
         (["--config", str(tmp_path / "none.yaml")], "there is no such file"),
         (["--steps", "0"], "--steps must be between 1 and 100_000_000_000, got 0"),
         (["--resume", str(tmp_path), "--seed", "1"], "--resume allows only --steps"),
+        (["one_link_reach_distilled", "--steps", "99"], "must be below total_steps (99)"),
     ):
         assert train(arguments) == 2
         assert sentence in capsys.readouterr().err

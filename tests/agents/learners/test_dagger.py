@@ -39,7 +39,7 @@ def experiment(name: str, steps: int, updates: int = 10, **env: Any) -> dict[str
 def test_the_expert_advises_what_it_does_alone_if_it_is_followed() -> None:
     """With filters that must know the torques, through an end of episodes."""
     env = {"kwargs": {"hardware": "laboratory", "max_episode_steps": 12}, "n_envs": 3}
-    config = config_from_dict(experiment("lqg", 100, **env))
+    config = config_from_dict(experiment("lqg", 1_000, **env))
     assert config.base is not None
     batch = SB3VecEnv(ENV_ID, 3, **config.env.kwargs)
     batch.seed(4)

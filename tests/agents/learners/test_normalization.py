@@ -200,7 +200,7 @@ def test_a_checkpoint_fits_runs_of_its_own_settings_only(tmp_path: Path) -> None
 def experiment(name: str = "ppo", zoo: Any = None, **env: Any) -> Config:
     kwargs = {} if zoo is None else {"normalize": zoo}
     more = {"n_steps": 16, "batch_size": 32} if name == "ppo" else {}
-    data = {"env": {"id": ENV_ID, "n_envs": 2} | env, "total_steps": 64}
+    data = {"env": {"id": ENV_ID, "n_envs": 2} | env, "total_steps": 128}
     return config_from_dict(data | {"agent": {"name": name, "kwargs": kwargs | more}})
 
 

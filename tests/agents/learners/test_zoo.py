@@ -58,7 +58,7 @@ def test_settings_of_the_zoo_go_to_their_places() -> None:
     others = {"n_steps": 64, "batch_size": 256, "use_sde": True, "sde_sample_freq": 4}
     others |= {"learning_rate": "lin_3e-4", "clip_range": "lin_0.2"}
     assert config.agent.kwargs == {"policy_kwargs": policy, **others}
-    assert pasted("sac", {"train_freq": [8, "step"]}, total_steps=9).agent.kwargs == {
+    assert pasted("sac", {"train_freq": [8, "step"]}, total_steps=999).agent.kwargs == {
         "train_freq": 8
     }
 
