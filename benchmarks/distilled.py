@@ -23,7 +23,7 @@ from agents.controllers import controller
 from agents.experiments import shipped_experiments
 from agents.export.c_header import header
 from agents.export.signals import signals_of
-from agents.leaderboard.run import decision_times
+from agents.leaderboard.decisions import decision_times
 from agents.learners.algorithms import DISTILLED
 from agents.metrics import episode_metrics, make_batch, record
 from agents.policy import Controller, Policy, load_policy

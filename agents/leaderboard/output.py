@@ -100,7 +100,8 @@ def page(tables: Tables, files: Sequence[str], seeds: Sequence[int]) -> str:
         "the arm while it acts. Gain on its base: IQM less that of the controller on which a "
         "policy acts, in the same episodes; no gain where the interval includes zero. Decisions: "
         "one environment at a time. Late: share of decisions that take longer than the control "
-        "step; at most, or at least, 1 % as the 99 % time tells where no share is stored. A dash: "
+        "step, and, above 1 %, the delay in control steps with which the episodes are judged; at "
+        "most, or at least, 1 % as the 99 % time tells where no share is stored. A dash: "
         f"not known. {YARDSTICK} plays the torques of the best known in the episodes that have "
         "one; it is told which they are, and is not ranked."
     )
@@ -237,9 +238,10 @@ def verdict(x: Figures, other: str | None) -> str | None:
 
 
 def late(x: Figures) -> str:
-    """Share of decisions later than the control step, or on which side of 1 % it is."""
+    """Share of decisions later than the control step, or on which side of 1 % it is; the delay."""
     if x["late_share"] is not None:
-        return f"{100.0 * x['late_share']:.1f} %"
+        delay = f", {x['judged_late']:.2g} steps" if x["judged_late"] else ""
+        return f"{100.0 * x['late_share']:.1f} %{delay}"
     return "≥ 1 %" if x["ms_per_action_p99"] > x["ms_control_step"] else "≤ 1 %"
 
 

@@ -9,10 +9,10 @@ policy has.
 
 import argparse
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from itertools import chain
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -26,13 +26,13 @@ from agents.hybrid.controller import acting
 from agents.leaderboard import stored
 from agents.leaderboard.bound import PLANTS, best_of, compute
 from agents.leaderboard.charts import Results, pictures
+from agents.leaderboard.decisions import Late, decision_times, lateness
 from agents.leaderboard.kinds import needs
 from agents.leaderboard.output import row, write
 from agents.leaderboard.replay import YARDSTICK, optimal, replayed
 from agents.leaderboard.shipped import policies_of
 from agents.leaderboard.statistics import (
     Entry,
-    Figures,
     compared,
     decisions,
     figures,
@@ -49,7 +49,6 @@ from dynamics.description import validate
 from dynamics.types import AnyArray
 
 SEED, EPISODES = 10_000, 100
-TIMED = 200  # single decisions that are timed
 LEFT_OUT = (UsersControllerError, ModuleNotFoundError)  # of one controller; others are ranked
 RANKING = (
     "tasks",
@@ -61,19 +60,6 @@ RANKING = (
     "bound",
     "jobs",
 )  # options
-
-
-def decision_times(subject: Controller, env: Any, seed: int) -> AnyArray:
-    """(TIMED,) [ms] of single decisions in episodes of one environment."""
-    observation, _ = env.reset(seed=[seed])
-    state, start, times = None, np.ones(1, dtype=bool), []
-    for _ in range(TIMED):
-        begin = time.perf_counter()
-        action, state = subject.predict(observation, state, start)
-        times.append(1e3 * (time.perf_counter() - begin))
-        observation, _, terminated, truncated, _ = env.step(np.asarray(action, np.float32))
-        start = terminated | truncated
-    return np.array(times)
 
 
 def built(name: str, env: Any, env_id: str, track: str) -> Iterator[Controller]:
@@ -97,7 +83,8 @@ def ranked(
     """Entry of a controller, made for the track's design conditions.
 
     The episodes of all training seeds of a policy count. The yardstick meets those episodes alone
-    that have a bound, in the package or in the folder `bounds`.
+    that have a bound, in the package or in the folder `bounds`. A controller that misses its
+    control step is judged with the delay that it causes.
     """
     if name == YARDSTICK:
         seeds = replayed(env_id, track, seeds, bounds)
@@ -112,6 +99,10 @@ def ranked(
         recordings = [record(first, envs, seeds)]
         new = seeds[-1] + 1  # an episode for which nothing is remembered
         times = timed(first, name, env_id, track, new)
+        steps = lateness(times[1:], envs.unwrapped.control_dt)
+        if steps.any():
+            subjects = (Late(subject, steps) for subject in chain([first], subjects))
+            recordings = []
         del first
         recordings += [record(subject, envs, seeds) for subject in subjects]
         each = [episode_metrics(recording) for recording in recordings]
@@ -123,18 +114,19 @@ def ranked(
             learned=name in policies_of(env_id, track),
         )  # fmt: skip
         found |= needs(name, env_id, track)
-        found |= times
+        found |= decisions(times, envs.unwrapped.control_dt)
+        found["judged_late"] = float(steps.mean())
         return Entry(found, metrics, spectrum(recordings), seeds)
     finally:
         for env in (design, envs):
             env.close()
 
 
-def timed(subject: Controller, name: str, env_id: str, track: str, seed: int) -> Figures:
-    """Figures of the times of a controller's decisions, in episodes from `seed` on."""
+def timed(subject: Controller, name: str, env_id: str, track: str, seed: int) -> AnyArray:
+    """(T,) [ms] of a controller's decisions, in episodes from `seed` on."""
     env = make_batch(env_id, 1, keywords(name, track))
     try:
-        return decisions(decision_times(subject, env, seed), env.unwrapped.control_dt)
+        return decision_times(subject, env, seed)
     finally:
         env.close()
 
@@ -220,7 +212,8 @@ def _time(entries: stored.Entries) -> None:
                 if name != YARDSTICK and ":" not in name:
                     design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
                     subject, new = next(built(name, design, env_id, track)), entry.seeds[-1] + 1
-                    entry.figures.update(timed(subject, name, env_id, track, new))
+                    times = timed(subject, name, env_id, track, new)
+                    entry.figures.update(decisions(times, design.unwrapped.control_dt))
                     design.close()
             print(f"{env_id}, {track}: decisions timed", flush=True)
 

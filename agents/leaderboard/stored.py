@@ -49,6 +49,7 @@ def read(folder: Path, seeds: Sequence[int] | None, bounds: Path | None = None) 
             )  # fmt: skip
             now |= needs(name, env_id, track)
             now |= {key: before.get(key) for key in DECISIONS}
+            now["judged_late"] = before.get("judged_late", 0.0)
             own = Entry(now, metrics, _spectrum(spectra[env_id][track][name]), met)
             found.setdefault(env_id, {}).setdefault(track, {})[name] = own
     except (OSError, EOFError, KeyError, TypeError, ValueError) as error:

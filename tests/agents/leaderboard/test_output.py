@@ -43,7 +43,7 @@ def entry(
     metrics |= {"score": score, "success": np.sign(score)}
     metrics["settling_time"] = np.where(score > 0.0, 3.0 * (1.0 - score), np.inf)
     found = figures(metrics, best) | decisions(np.array([9.0, 0.5, 1.5]), 0.02)
-    found |= {"kind": kind, "base": base}
+    found |= {"kind": kind, "base": base, "judged_late": 0.0}
     spectrum = Spectrum(FREQUENCY, np.ones_like(FREQUENCY), share)
     return Entry(found, metrics, spectrum, SEEDS[-score.shape[1] :])
 
@@ -169,7 +169,10 @@ def test_a_gain_on_the_base_counts_where_its_interval_excludes_zero() -> None:
 def test_late_decisions_are_known_or_on_a_side_of_a_hundredth(
     share: float | None, slow: float, text: str
 ) -> None:
-    assert late({"late_share": share, "ms_per_action_p99": slow, "ms_control_step": 20.0}) == text
+    figures = {"late_share": share, "ms_per_action_p99": slow, "ms_control_step": 20.0}
+    assert late(figures | {"judged_late": 0.0}) == text
+    if share:
+        assert late(figures | {"judged_late": 0.24}) == f"{text}, 0.24 steps"
 
 
 def test_slow_controllers_are_hollow_in_the_picture_of_decisions() -> None:
