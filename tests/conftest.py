@@ -58,20 +58,31 @@ QUICK = {
 }
 
 
-EVENING = {  # long files, which .ci/run takes after the README's line
+EVENING = {  # long files, of quick ones what compiles; .ci/run takes them after the README's line
+    "agents/controllers/models/test_linear_model.py",
+    "agents/controllers/models/test_plan.py",
     "agents/controllers/models/test_preview.py",
     "agents/controllers/models/test_reference.py",
     "agents/controllers/observers/test_kalman.py",
     "agents/controllers/test_controllers.py",
+    "agents/controllers/test_inverse.py",
     "agents/controllers/test_nmpc.py",
     "agents/export/test_c_header.py",
     "agents/hybrid/test_hybrid.py",
     "agents/leaderboard/test_run.py",
     "agents/leaderboard/test_stored.py",
+    "agents/leaderboard/test_users.py",
     "agents/learners/test_dagger.py",
+    "agents/learners/test_export.py",
     "agents/learners/test_normalization.py",
+    "agents/learners/test_runs.py",
     "agents/test_canaries.py",
     "agents/test_fit.py",
+    "benchmarks/test_knowledge.py",
+    "benchmarks/test_results.py",
+    "benchmarks/test_scenarios.py",
+    "benchmarks/test_soak.py",
+    "benchmarks/test_standings.py",
     "benchmarks/test_work_precision.py",
     "dynamics/accuracy/test_kinds_of_arms.py",
     "dynamics/accuracy/test_model_choice.py",
@@ -79,9 +90,19 @@ EVENING = {  # long files, which .ci/run takes after the README's line
     "dynamics/backends/test_program.py",
     "dynamics/backends/test_vector_code.py",
     "dynamics/description/beams/test_stepped_links.py",
+    "dynamics/description/test_denavit_hartenberg.py",
+    "dynamics/description/test_parameters.py",
+    "dynamics/description/test_thick_links.py",
+    "dynamics/description/test_torsion.py",
     "dynamics/description/urdf/test_against_pinocchio.py",
+    "dynamics/description/urdf/test_flexible.py",
+    "dynamics/formulations/test_christoffel.py",
+    "dynamics/formulations/test_fixed_joints.py",
     "dynamics/formulations/test_formulations.py",
     "dynamics/formulations/test_formulations_compiled.py",
+    "dynamics/formulations/test_gibbs_appell.py",
+    "dynamics/formulations/test_joints.py",
+    "dynamics/formulations/test_parallel_drive.py",
     "dynamics/formulations/test_planar_base.py",
     "dynamics/integrators/test_integrators.py",
     "dynamics/measured/test_fit.py",
@@ -90,7 +111,9 @@ EVENING = {  # long files, which .ci/run takes after the README's line
     "dynamics/measured/test_start.py",
     "dynamics/runtime/test_jit.py",
     "dynamics/simulation/test_free_base_motion.py",
+    "dynamics/simulation/test_sampled_motion.py",
     "dynamics/test_cache.py",
+    "dynamics/test_main.py",
     "dynamics/test_nonsense.py",
     "flexarm_env/compiled/test_happening.py",
     "flexarm_env/hardware/test_accelerometer.py",
@@ -100,9 +123,13 @@ EVENING = {  # long files, which .ci/run takes after the README's line
     "flexarm_env/interfaces/tensors/test_differentiable.py",
     "flexarm_env/test_derivatives.py",
     "flexarm_env/test_floating_base.py",
+    "flexarm_env/test_goals.py",
     "flexarm_env/test_holding.py",
+    "flexarm_env/test_joint_kinds.py",
     "flexarm_env/test_nonsense.py",
+    "flexarm_env/test_plant.py",
     "flexarm_env/test_rendering.py",
+    "flexarm_env/test_settings.py",
 }
 FIRST = (  # long files; what the first one compiles is shared, and the second needs none of it
     "flexarm_env/test_digests.py",
@@ -134,7 +161,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if by_day is not None and not any(part in bracket + parameters for part in by_day):
             item.add_marker("slow")
         if not item.get_closest_marker("slow"):
-            item.add_marker("evening" if name in EVENING else "day")
+            long = name in EVENING and not item.get_closest_marker("quick")
+            item.add_marker("evening" if long else "day")
 
 
 def pytest_collection_finish() -> None:

@@ -94,7 +94,7 @@ def test_a_learning_rate_of_zero_changes_no_return(name: str) -> None:
 def experiment(name: str, **kwargs: Any) -> Config:
     """A minimal experiment with the given agent keywords."""
     agent = {"name": name, "kwargs": kwargs}
-    return config_from_dict({"env": {"id": ENV_ID}, "agent": agent, "total_steps": 1})
+    return config_from_dict({"env": {"id": ENV_ID}, "agent": agent, "total_steps": 1000})
 
 
 @pytest.mark.parametrize("value", ["auto", "auto_0.1", 0.05])
