@@ -234,7 +234,7 @@ def without_infinities(value: Any) -> Any:
 
 def write_json(path: Path, data: Any) -> None:
     """Write strict JSON, without NaN and Infinity."""
-    text = json.dumps(without_infinities(data), indent=2, allow_nan=False)
+    text = json.dumps(without_infinities(data), indent=1, allow_nan=False)
     with atomic_write(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
