@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from dynamics.tracing.traced_arm import slices
+from dynamics.types import AnyArray, Array
 from flexarm_env.core import Core
 from flexarm_env.task.scales import EXTENT, MOVE
 
@@ -26,14 +27,11 @@ class Privileged:
     """
 
     def __init__(self, core: Core) -> None:
-        self._core, self._settings = core, core.settings
+        self._core, self._rows = core, core.signals.state.slices
         self._joints = list(core.arm.joint_index)
-        self._modal = [i for i in range(core.arm.base.n, core.arm.n) if i not in self._joints]
-        self._rows = core.signals.state.slices
         self._prepare()
-        one = torch.zeros((core.signals.state.total, 1), dtype=torch.float64)
-        parts = self._parts(one)
-        self.sizes = {name: len(parts[name]) for name in NAMES if len(parts[name])}
+        parts = self._parts(torch.zeros((core.signals.state.total, 1), dtype=torch.float64))
+        self.sizes = {name: len(parts[name]) for name in NAMES if len(parts.get(name, ()))}
 
     @property
     def slices(self) -> dict[str, slice]:
@@ -49,50 +47,47 @@ class Privileged:
         return rows.T.to(torch.float32)
 
     def _prepare(self) -> None:
-        """Centres and factors of what an episode draws."""
-        self._settings = self._core.settings
-        sensing = self._core.sensing
-        ranges = torch.tensor(list(self._core.randomize.values()), dtype=torch.float64)
-        self._parameters = _to_unit(ranges.reshape(-1, 2))
-        drawn = sensing.ranges(self._core.gauge_scale) if sensing else np.zeros((2, 2))
-        self._bias = _to_unit(torch.from_numpy(drawn[2:]))  # behind the key and the delay
+        """Rows of the parts that are linear in the state, their centres and factors."""
+        core, scales = self._core, self._core.scales
+        self._settings, arm, sensing = core.settings, core.arm, core.sensing
+        at = {name: np.arange(x.start, x.stop) for name, x in self._rows.items()}
+        q, v, joints, base = at["q"], at["v"], self._joints, arm.base.n
+        modal = [i for i in range(base, arm.n) if i not in joints]
+        linear: dict[str, tuple[AnyArray, Any, Any]] = {
+            "joint_angle": (q[joints], scales.home, 1.0 / EXTENT),
+            "joint_rate": (v[joints], 0.0, 1.0 / core.rate_scale),
+            "modal_amplitude": (q[modal], 0.0, 1.0 / np.array(scales.modal_scale)),
+            "modal_rate": (v[modal], 0.0, 1.0 / np.array(scales.modal_rate)),
+            "elapsed": (at["elapsed"], 0.0, (core.max_steps > 0) / max(core.max_steps, 1)),
+            "parameters": (at["free"], *_to_unit(list(core.randomize.values()))),
+        }
+        if base:
+            travel, turn = scales.base
+            moved = core.rate_scale * np.array([travel, travel, turn][:base])
+            linear["base_position"] = (q[:2], arm.base.position[:2], 10.0 / arm.reach)
+            linear["base_velocity"] = (v[:base], 0.0, 1.0 / moved)
+        if sensing:
+            drawn = sensing.ranges(core.gauge_scale)[2:]  # behind the key and the delay
+            linear["gauge_bias"] = (at["bias"], *_to_unit(drawn))
+        every = [np.broadcast_arrays(*x) for x in linear.values()]
+        rows, *to_unit = (torch.from_numpy(np.concatenate(x)) for x in zip(*every, strict=True))
+        self._linear = rows, *(x[:, None] for x in to_unit)
+        self._lengths = {name: len(x[0]) for name, x in linear.items()}
 
     def _parts(self, state: torch.Tensor) -> Mapping[str, torch.Tensor]:
-        """Rows of each part, one column per environment."""
-        core, scales = self._core, self._core.scales
-
-        def scaled(rows: torch.Tensor, unit: Any) -> torch.Tensor:
-            units = torch.as_tensor(unit, dtype=state.dtype, device=state.device)
-            return rows / units.reshape(-1, 1)
-
-        def drawn(rows: torch.Tensor, to_unit: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
-            centre, factor = (x.to(state)[:, None] for x in to_unit)
-            return (rows - centre) * factor
-
-        q, v = state[self._rows["q"]], state[self._rows["v"]]
-        angles, rates, base = q[self._joints], v[self._joints], core.arm.base.n
-        home = torch.as_tensor(scales.home).to(state)[:, None]
-        start = torch.as_tensor(core.arm.base.position[:2]).to(state)[:, None]
-        travel, turn = scales.base if base else (1.0, 1.0)
-        moved = (travel, travel, turn)[:base]
-        steps = max(core.max_steps, 1)
-        none = state[:0]
-        sensors = bool(core.sensing)
-        return {
-            "joint_angle": (angles - home) / EXTENT,
-            "joint_rate": rates / core.rate_scale,
-            "modal_amplitude": scaled(q[self._modal], scales.modal_scale),
-            "modal_rate": scaled(v[self._modal], scales.modal_rate),
-            "base_position": (q[:2] - start) / (0.1 * core.arm.reach) if base else none,
-            "base_velocity": scaled(v[:base], moved) / core.rate_scale,
-            "base_turn": torch.cat([torch.sin(q[2:3]), torch.cos(q[2:3])]) if base else none,
-            "joint_error": (state[self._rows["target"]] - angles) / MOVE,
-            "elapsed": state[self._rows["elapsed"]] * (core.max_steps > 0) / steps,
-            "parameters": drawn(state[self._rows["free"]], self._parameters),
-            "event": self._happened(state) if core.happening else none,
-            "delay": self._delay(state) if sensors else none,
-            "gauge_bias": drawn(state[self._rows["bias"]], self._bias) if sensors else none,
-        }
+        """Rows of each part that the environment has, one column per environment."""
+        core, (rows, centre, factor) = self._core, self._linear
+        scaled = (state[rows.to(state.device)] - centre.to(state)) * factor.to(state)
+        parts = dict(zip(self._lengths, scaled.split(list(self._lengths.values())), strict=True))
+        q = state[self._rows["q"]]
+        parts["joint_error"] = (state[self._rows["target"]] - q[self._joints]) / MOVE
+        if core.arm.base.n:
+            parts["base_turn"] = torch.cat([torch.sin(q[2:3]), torch.cos(q[2:3])])
+        if core.happening:
+            parts["event"] = self._happened(state)
+        if core.sensing:
+            parts["delay"] = self._delay(state)
+        return parts
 
     def _happened(self, state: torch.Tensor) -> torch.Tensor:
         """Rows of the event: if it has happened, its time, its signed sizes over the largest."""
@@ -113,8 +108,8 @@ class Privileged:
         return delay / max(latest, 1)
 
 
-def _to_unit(ranges: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _to_unit(ranges: Any) -> tuple[Array, Array]:
     """Centres of ranges, and factors to [-1, 1]; 0 where a range is one number."""
-    half = 0.5 * (ranges[:, 1] - ranges[:, 0])
-    factor = torch.where(half > 0.0, 1.0 / half, torch.zeros_like(half))
-    return ranges.mean(1), factor
+    low, high = np.reshape(ranges, (-1, 2)).T
+    half = 0.5 * (high - low)
+    return 0.5 * (low + high), np.divide(1.0, half, out=np.zeros_like(half), where=half > 0.0)

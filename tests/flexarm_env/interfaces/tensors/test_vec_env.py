@@ -122,6 +122,9 @@ def test_numbers_of_a_critic_are_those_of_the_state() -> None:
     error = (core.joint_target() - q) / 0.5
     np.testing.assert_allclose(found[:, at["joint_error"]], error, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(found[:, at["joint_rate"]], v / core.rate_scale, rtol=1e-5)
+    angle, bent = (q - core.scales.home) / 1.3, core.q[:, 1:] / core.scales.modal_scale
+    np.testing.assert_allclose(found[:, at["joint_angle"]], angle, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(found[:, at["modal_amplitude"]], bent, rtol=1e-5, atol=1e-6)
     assert found[:, at["elapsed"]] == pytest.approx(0.4)
     for j, (low, high) in enumerate(core.randomize.values()):
         share = 2.0 * (core.parameters[:, j] - low) / (high - low) - 1.0
