@@ -16,6 +16,7 @@ from agents.learners.algorithms import (
     algorithms,
     check_device,
     check_expert,
+    check_privileged,
     default,
     policies,
     policy_settings,
@@ -57,6 +58,7 @@ class EnvConfig:
     n_envs: int = 1
     stack: int = 1  # latest observations that the policy sees
     normalize: bool | dict[str, Any] = False  # running statistics; DEFAULTS of normalization.py
+    privileged: bool = False  # whether the critic sees the true state
 
     @property
     def make_kwargs(self) -> dict[str, Any]:
@@ -186,6 +188,7 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     config = Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
     try:
         check_expert(agent.name, base.learned if base else None)
+        check_privileged(env.privileged, agent, base)
         check_device(agent.name, config.device, {"env.normalize": env.normalize, "base": base})
     except ValueError as error:
         raise ConfigError(str(error)) from None

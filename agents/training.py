@@ -63,6 +63,8 @@ def build_model(config: Config) -> Any:
     """The model of the experiment on its batch environment."""
     import torch
 
+    from agents.learners.privileged import PrivilegedCriticPolicy
+
     torch.set_num_threads(1)  # faster for small networks, and leaves the other cores free
     try:
         env = _tensors(config) if config.agent.name in ON_TENSORS else _arrays(config)
@@ -71,9 +73,10 @@ def build_model(config: Config) -> Any:
     except REFUSALS as error:
         keywords = validate.shown(config.env.make_kwargs)
         raise ConfigError(f"env: {config.env.id} refuses {keywords}: {error}") from None
+    policy = PrivilegedCriticPolicy if config.env.privileged else config.agent.policy
     try:
         return algorithms()[config.agent.name](
-            config.agent.policy,
+            policy,
             env,
             seed=config.seed,
             device=config.device,
@@ -97,11 +100,11 @@ def _tensors(config: Config) -> Any:
 
 def _arrays(config: Config) -> Any:
     """The experiment's arms as stable-baselines3 takes them."""
-    from stable_baselines3.common.vec_env import VecFrameStack
-
+    from agents.learners.privileged import stacked
     from flexarm_env import SB3VecEnv
 
-    env: Any = SB3VecEnv(config.env.id, config.env.n_envs, **config.env.make_kwargs)
+    given = config.env
+    env: Any = SB3VecEnv(given.id, given.n_envs, privileged=given.privileged, **given.make_kwargs)
     if config.base is not None:
         from agents.hybrid.environment import HybridVecEnv
 
@@ -110,7 +113,7 @@ def _arrays(config: Config) -> Any:
         except REFUSALS as error:
             raise ConfigError(str(error)) from None
     env = normalized(env, config.env.normalize, config.agent.gamma)
-    return VecFrameStack(env, config.env.stack) if config.env.stack > 1 else env
+    return stacked(env, config.env.stack)
 
 
 def base_description(base: BaseConfig, env: EnvConfig) -> dict[str, Any]:

@@ -23,6 +23,7 @@ DISCRETE = ("dqn", "maskable-ppo", "qrdqn")  # algorithms without continuous act
 DIFFERENTIATED = ("shac",)  # algorithms that take gradients through the arms
 ON_TENSORS = ("rsl-ppo", *DIFFERENTIATED)  # algorithms whose batch is `arms.Arms`
 DEVICES = ("cpu", "cuda")
+CRITICS = ("a2c", "ppo", "trpo")  # algorithms with `privileged.PrivilegedCriticPolicy`
 POLICIES = ("MlpPolicy", "LinearPolicy", "MlpLstmPolicy")  # policies of one vector of observations
 # Set by the run, or objects that no file can hold
 NOT_IN_FILES = {"policy", "env", "verbose", "tensorboard_log", "seed", "device"}
@@ -101,6 +102,21 @@ def check_expert(algorithm: str, learned: str | None) -> None:
             f"agent.name: {DAGGER} and base.learned: {DISTILLED} go together, got {algorithm} and "
             f"{validate.shown(learned)}; the base is the expert that {DAGGER} imitates."
         )
+
+
+def check_privileged(wanted: bool, agent: Any, base: Any) -> None:
+    """Refuse observations with a part for the critic where the learner takes one vector."""
+    if not wanted:
+        return
+    if agent.name not in CRITICS:
+        raise ValueError(
+            f"env.privileged is for {', '.join(CRITICS)}, got {agent.name}; leave it out "
+            "(rsl-ppo has agent.kwargs.privileged_critic)."
+        )
+    sampled = agent.kwargs.get("sub_sampling_factor", 1) > 1
+    for where, given in {"base": base, "agent.kwargs.sub_sampling_factor": sampled}.items():
+        if given:
+            raise ValueError(f"env.privileged and {where} exclude each other; leave one out.")
 
 
 def policies(name: str) -> list[str]:

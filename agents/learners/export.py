@@ -32,6 +32,7 @@ ZIPPED = {
     "sb3_contrib.crossq.policies": "crossq",
     "sb3_contrib.tqc.policies": "tqc",
 }
+ON_POLICY = ("agents.learners.privileged", "stable_baselines3.common.policies")  # a2c, ppo, trpo
 COLD = ("ars", "crossq", "recurrent-ppo")  # algorithms without a warm start
 LAYOUT = {  # what a policy and a model it begins share, and the remedy otherwise
     "layer_sizes": "change agent.kwargs.policy_kwargs.net_arch, or env",
@@ -46,6 +47,8 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
     Batch renormalisation, which is affine in a trained network, becomes part of the next layer.
     """
     import torch
+
+    from agents.learners.privileged import PrivilegedCriticPolicy
 
     cells, modules = actor(model)
     squashing = "clip"
@@ -76,6 +79,8 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
             f"{sorted(activations)}."
         )
     space = model.observation_space
+    if isinstance(model.policy, PrivilegedCriticPolicy):
+        space = space["observation"]
     policy = Policy(
         weights=tuple(W.astype(np.float32) for W in weights),
         biases=tuple(b.astype(np.float32) for b in biases),
@@ -138,6 +143,8 @@ def normalization(envs: Any) -> Normalization | None:
     if envs is None or not envs.norm_obs:
         return None
     found = envs.obs_rms
+    if isinstance(found, dict):
+        found = found["observation"]
     return Normalization(
         mean=found.mean.copy(),
         variance=found.var.copy(),
@@ -230,7 +237,7 @@ def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
 def zipped_algorithm(settings: Any) -> str:
     """Name of the algorithm of a zip, from its JSON settings without unpickling."""
     module = settings["policy_class"].get("__module__")
-    if module == "stable_baselines3.common.policies":
+    if module in ON_POLICY:
         return "ppo" if "n_epochs" in settings else "trpo" if "cg_max_steps" in settings else "a2c"
     if module not in ZIPPED:
         raise PolicyError(

@@ -73,7 +73,11 @@ def running(model: Any) -> dict[str, Any]:
     """Statistics of the model's environment by their names; none if nothing is normalized."""
     envs = model.get_vec_normalize_env()
     names = ("obs_rms", "ret_rms")
-    return {name: getattr(envs, name) for name in names if hasattr(envs, name)}
+    found = {name: getattr(envs, name) for name in names if hasattr(envs, name)}
+    parts = found.get("obs_rms")
+    if isinstance(parts, dict):
+        found |= {f"obs_rms/{name}": part for name, part in found.pop("obs_rms").items()}
+    return found
 
 
 def statistics(model: Any) -> dict[str, AnyArray]:

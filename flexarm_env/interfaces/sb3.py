@@ -18,6 +18,8 @@ from flexarm_env.interfaces.vector import restarting_batch
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
+
+    from flexarm_env.interfaces.tensors.privileged import Privileged
 except ModuleNotFoundError as error:
     raise missing(error, "SB3VecEnv", "train") from None
 
@@ -93,10 +95,21 @@ class SB3VecEnv(Changeable, VecEnv):
     same step. Its info has those of a `DummyVecEnv` of monitored environments besides:
     "terminal_observation", "TimeLimit.truncated", "episode" (return, length, time) and "is_success"
     (tip on the target at the end).
+
+    With `privileged=True` observations are dicts: "observation" is for the actor, and "privileged"
+    for its critic alone, the true state, drawn parameters and delay of `TorchVecEnv.privileged`.
     """
 
+    _privileged: Privileged | None
+
     def __init__(
-        self, id: str, n_envs: int | None = None, *, num_envs: int | None = None, **kwargs: Any
+        self,
+        id: str,
+        n_envs: int | None = None,
+        *,
+        num_envs: int | None = None,
+        privileged: bool = False,
+        **kwargs: Any,
     ) -> None:
         """Take the number of environments as `n_envs` or, as `gymnasium.make_vec`, `num_envs`."""
         given = [n for n in (n_envs, num_envs) if n is not None]
@@ -112,13 +125,25 @@ class SB3VecEnv(Changeable, VecEnv):
             )
         n_envs = given[0]
         envs = restarting_batch(id, n_envs, kwargs)
-        self.envs, self._observed = envs, envs.core.layout.observed
-        super().__init__(n_envs, envs.single_observation_space, envs.single_action_space)
+        self.envs, self._privileged = envs, None
+        space = envs.single_observation_space
+        if validate.boolean(privileged, "privileged"):
+            if envs.core.layout.goal:
+                raise ValueError(
+                    "privileged=True takes observations of one vector, got obs='goal', whose dicts "
+                    "have no part for a critic; leave privileged out, or take another obs."
+                )
+            self._privileged = Privileged(envs.core)
+            size = sum(self._privileged.sizes.values())
+            space = gym.spaces.Dict(
+                observation=space, privileged=gym.spaces.Box(-np.inf, np.inf, (size,))
+            )
+        super().__init__(n_envs, space, envs.single_action_space)
         self.metadata = envs.metadata  # the frame rate of films
         self._actions: NDArray[np.float32] = np.zeros(envs.action_space.shape or (), np.float32)
         self._returns, self._lengths = np.zeros(n_envs), np.zeros(n_envs, np.int64)
         self._started = time.time()
-        self.core = envs.core
+        self.core = envs.core  # from here on keywords are guarded
 
     @property
     def max_episode_steps(self) -> int:
@@ -154,7 +179,7 @@ class SB3VecEnv(Changeable, VecEnv):
         self._reset_seeds()
         self._reset_options()
         self.reset_infos = self._infos(out.by_row())
-        return self._observed(out.obs)
+        return self._observed(self._elements(out))
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Store the actions for `step_wait`."""
@@ -178,14 +203,28 @@ class SB3VecEnv(Changeable, VecEnv):
         infos = self._infos(by_row)
         dones = out.terminated | out.truncated
         if ended:
-            rows = np.flatnonzero(dones)
+            rows, last = np.flatnonzero(dones), self._elements(out)
             for i in rows.tolist():
                 infos[i] = self._ended_info(i, out, by_row(i))
+                infos[i]["terminal_observation"] = self._observed(last[i].copy())
             self.core.restart(rows, out)
             self._returns[rows], self._lengths[rows] = 0.0, 0
             for i in rows.tolist():
                 self.reset_infos[i] = by_row(i)
-        return self._observed(out.obs), reward, dones, infos
+        return self._observed(self._elements(out)), reward, dones, infos
+
+    def _elements(self, out: BatchOutputs) -> Any:
+        """(N, size) numbers of the observations, and behind them those of a critic."""
+        if self._privileged is None:
+            return out.obs
+        return np.hstack([out.obs, self._privileged.on_host()])
+
+    def _observed(self, elements: Any) -> Any:
+        """Observation of elements (..., size): an array, or a dict of views."""
+        if self._privileged is None:
+            return self.core.layout.observed(elements)
+        size = self.core.layout.size
+        return {"observation": elements[..., :size], "privileged": elements[..., size:]}
 
     def _infos(self, source: Callable[[int], dict[str, Any]]) -> list[dict[str, Any]]:
         infos: list[dict[str, Any]] = []
@@ -197,7 +236,6 @@ class SB3VecEnv(Changeable, VecEnv):
 
     def _ended_info(self, i: int, out: BatchOutputs, info: dict[str, Any]) -> dict[str, Any]:
         """Add what is known of environment i, whose episode ended, to its info."""
-        info["terminal_observation"] = self._observed(out.obs[i].copy())
         info["TimeLimit.truncated"] = bool(out.truncated[i] and not out.terminated[i])
         info["is_success"] = info["settled"]
         info["episode"] = {

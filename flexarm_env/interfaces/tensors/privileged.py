@@ -46,6 +46,12 @@ class Privileged:
         rows = torch.cat([parts[name] for name in self.sizes])
         return rows.T.to(torch.float32)
 
+    def on_host(self) -> AnyArray:
+        """(N, size) float32 numbers of the present state on the processor."""
+        core = self._core
+        numbers: AnyArray = self(torch.from_numpy(core.state)[:, : core.n_env]).numpy()
+        return numbers
+
     def _prepare(self) -> None:
         """Rows of the parts that are linear in the state, their centres and factors."""
         core, scales = self._core, self._core.scales
