@@ -79,6 +79,7 @@ EVENING = {  # long files, of quick ones what compiles; .ci/run takes them after
     "agents/test_canaries.py",
     "agents/test_fit.py",
     "benchmarks/test_knowledge.py",
+    "benchmarks/test_learning.py",
     "benchmarks/test_results.py",
     "benchmarks/test_scenarios.py",
     "benchmarks/test_soak.py",

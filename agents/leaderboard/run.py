@@ -131,8 +131,10 @@ def timed(subject: Controller, name: str, env_id: str, track: str, seed: int) ->
         env.close()
 
 
-def names(wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool) -> list[str]:
-    """Controllers that act on a task and track, all or those that are wanted.
+def names(
+    wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool, untuned: bool = True
+) -> list[str]:
+    """Controllers that act on a task and track, all or those that are wanted, perhaps untuned.
 
     The yardstick is among them where bounds are known. Where no controller was tuned, only those
     that are wanted act.
@@ -142,6 +144,8 @@ def names(wanted: Sequence[str] | None, env_id: str, track: str, bounded: bool) 
     if wanted is None:
         ready = [name for name in classical if is_tuned(name, env_id, track)]
         return [*ready, *others] if any(CONTROLLERS[name].ranges for name in ready) else others
+    if not untuned:
+        classical = [name for name in classical if is_tuned(name, env_id, track)]
     return [name for name in wanted if ":" in name or name in (*classical, *others)]
 
 
@@ -159,6 +163,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     if options.redraw or options.times:
         given = [name for name in RANKING if getattr(options, name) != parser.get_default(name)]
         return redraw(options.out, given, failures, options.times)
+    options.untuned, options.tracks = options.tracks is not None, options.tracks or list(TRACKS)
     try:
         places = _check(options)
         check_folder(options.out)
@@ -211,8 +216,9 @@ def _time(entries: stored.Entries) -> None:
             for name, entry in found.items():
                 if name != YARDSTICK and ":" not in name:
                     design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
-                    subject, new = next(built(name, design, env_id, track)), entry.seeds[-1] + 1
-                    times = timed(subject, name, env_id, track, new)
+                    subject, last = next(built(name, design, env_id, track)), entry.seeds[-1]
+                    timed(subject, name, env_id, track, last)  # builds what serves all episodes
+                    times = timed(subject, name, env_id, track, last + 1)
                     entry.figures.update(decisions(times, design.unwrapped.control_dt))
                     design.close()
             print(f"{env_id}, {track}: decisions timed", flush=True)
@@ -275,7 +281,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     )
     parser.add_argument("--tasks", nargs="+", default=list(RANKED), metavar="ID",
                         help=f"default: all but {', '.join(HARDER)}")  # fmt: skip
-    parser.add_argument("--tracks", nargs="+", default=list(TRACKS), metavar="TRACK")
+    parser.add_argument("--tracks", nargs="+", metavar="TRACK",
+                        help="default: all on which a controller was tuned")  # fmt: skip
     parser.add_argument(
         "--controllers", nargs="+", metavar="NAME",
         help="of the table, of a shipped policy, or mymodule:MyController (default: all)",
@@ -298,9 +305,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "--times", action="store_true",
         help="rank nothing: time the decisions of the ranking in OUT again, and redraw it",
     )  # fmt: skip
-    parser.add_argument(
-        "--jobs", type=int, default=1, help="processes; decisions are timed in them"
-    )
+    parser.add_argument("--jobs", type=int, default=1, help="processes, which time decisions")
     parser.add_argument("--out", type=Path, default=Path("leaderboard"))
     return parser
 
@@ -316,7 +321,11 @@ def _places(
         (track, name)
         for track in options.tracks
         for name in names(
-            options.controllers, env_id, track, best_of(env_id, track, seeds, bounds) is not None
+            options.controllers,
+            env_id,
+            track,
+            best_of(env_id, track, seeds, bounds) is not None,
+            options.untuned,
         )
     ]
 
@@ -375,6 +384,7 @@ def _check(options: argparse.Namespace) -> list[tuple[str, str, str]]:
         for name in names(
             options.controllers, env_id, track,
             (options.bound and track in PLANTS) or best_of(env_id, track, seeds) is not None,
+            options.untuned,
         )
     ]  # fmt: skip
     for name, *place in found:

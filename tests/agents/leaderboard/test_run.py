@@ -191,6 +191,8 @@ def test_harder_tasks_are_met_with_what_the_plain_task_found() -> None:
 def test_nobody_acts_where_nobody_was_tuned() -> None:
     assert "lqg" in names(None, ONE, "wide", bounded=False)
     assert names(None, "FlexArm/SixLink-Reach-v0", "wide", bounded=False) == []
+    assert names(["pd"], "FlexArm/SixLink-Reach-v0", "wide", bounded=False) == ["pd"]
+    assert names(["pd"], "FlexArm/SixLink-Reach-v0", "wide", False, untuned=False) == []
 
 
 def test_tuning_is_repeatable_and_no_worse_than_its_start(tmp_path: Path) -> None:
