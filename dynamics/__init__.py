@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from dynamics.simulation.simulate import Diverged, simulate
     from dynamics.simulation.stepper import Stepper
     from dynamics.simulation.trajectory import Trajectory
-    from dynamics.simulation.validity import ValidityWarning, limits
+    from dynamics.simulation.validity import limits
+    from dynamics.validity import ValidityWarning
 
 __all__ = [
     "ARMS", "Arm", "Base", "Body", "Choice", "Diverged", "ImplausibleArmWarning", "Joint",
@@ -43,7 +44,7 @@ _LATE = {  # these import numba: only when asked for
     "Model": "model", "compile_arm": "model",
     "Stepper": "simulation.stepper", "Trajectory": "simulation.trajectory",
     "Diverged": "simulation.simulate", "simulate": "simulation.simulate",
-    "ValidityWarning": "simulation.validity", "limits": "simulation.validity",
+    "ValidityWarning": "validity", "limits": "simulation.validity",
     "Choice": "accuracy.choice", "choose_model": "accuracy.model_choice",
     "JointMotion": "accuracy.scene", "Scene": "accuracy.scene",
 }  # fmt: skip

@@ -1,5 +1,6 @@
 """The compiled arm: dynamics quantities at a state, and programs that step it."""
 
+import warnings
 from collections.abc import Sequence
 from functools import cached_property
 from types import ModuleType
@@ -25,6 +26,7 @@ from dynamics.tracing.equilibrium import Equilibrium, equilibrium
 from dynamics.tracing.operation_counts import operations
 from dynamics.tracing.traced_arm import TracedArm
 from dynamics.types import Array
+from dynamics.validity import ValidityWarning, bending
 
 
 def compile_arm(
@@ -184,7 +186,8 @@ class Model:
     def equilibrium(self, joint_angles: Array) -> Equilibrium:
         """Rest under gravity: q (n,) with bent links, and the torques (n_joint,) that hold it.
 
-        Raises ValueError for a base that moves, and where gravity bends links beyond the model.
+        Raises ValueError for a base that moves, and where gravity bends links beyond the model; a
+        ValidityWarning says where it bends them beyond small deflections.
         """
         if self.arm.base.n:
             raise ValueError(
@@ -193,7 +196,10 @@ class Model:
             )
         angles = validate.array(joint_angles, "joint_angles", (self.n_joint,))
         with validate.double_precision("The arm's equilibrium"):
-            return equilibrium(self.traced, angles)
+            found = equilibrium(self.traced, angles)
+        for sentence in bending(self.arm, self.chain, self.bodies, found.q[None]):
+            warnings.warn(sentence, ValidityWarning, stacklevel=2)
+        return found
 
     def linearize(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array]:
         """A (2n, 2n) and B (2n, n_torque) of d/dt (q, v) = A (q, v) + B tau about a state.

@@ -22,6 +22,7 @@ ROOMS = (
     "dynamics.integrators",
     "dynamics.formulations",
     "dynamics.tracing",
+    "dynamics.validity",
     "dynamics.arms",
     "dynamics.load",
     "dynamics.runtime",

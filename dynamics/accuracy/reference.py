@@ -12,7 +12,7 @@ from dynamics.accuracy.progress import Progress
 from dynamics.accuracy.rollout import NotConverged, Rollout, distance
 from dynamics.accuracy.scene import Scene
 from dynamics.description.arm import Arm
-from dynamics.simulation.validity import LARGEST_DEFLECTION
+from dynamics.validity import LARGEST_DEFLECTION
 
 _log = logging.getLogger(__name__)
 Tips = list[NDArray[np.float64]]  # (N, 3) [m] per motion

@@ -26,6 +26,7 @@ from dynamics.model import Model
 from dynamics.simulation import step_limits
 from dynamics.simulation.case_file import Numbers
 from dynamics.tracing import graphs
+from dynamics.tracing.equilibrium import equilibrium
 from dynamics.tracing.operation_counts import operations
 from dynamics.types import Array
 
@@ -126,7 +127,7 @@ class Rollout:
         """(n,) coordinates at rest under gravity; `straight` if links are too soft for that."""
         if angles not in self._rest:
             try:
-                self._rest[angles] = self.model.equilibrium(np.array(angles)).q
+                self._rest[angles] = equilibrium(self.model.traced, np.array(angles)).q
             except ValueError:
                 self._rest[angles] = straight
         return self._rest[angles]

@@ -15,8 +15,9 @@ from dynamics.model import Model
 from dynamics.simulation import quaternion_state, step_limits
 from dynamics.simulation.stepper import Stepper
 from dynamics.simulation.trajectory import Trajectory
-from dynamics.simulation.validity import FARTHEST, ValidityWarning, limits
+from dynamics.simulation.validity import FARTHEST, limits
 from dynamics.types import Array
+from dynamics.validity import ValidityWarning
 
 TorqueSignal = Callable[[float], ArrayLike]
 Signal = Callable[[float], Array]  # a torque signal whose values are validated

@@ -1,5 +1,6 @@
 """Arms at rest under gravity: linear sag, the elastica, and torques that hold."""
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_bvp
 
-from dynamics import ARMS, Arm, Base, Joint, Link, Mode, Model, simulate
+from dynamics import ARMS, Arm, Base, Joint, Link, Mode, Model, Stepper, ValidityWarning, simulate
 from dynamics.formulations import articulated_body
 from dynamics.types import Array
 from tests.dynamics.random_arms import floats, random_arm, random_state
@@ -156,3 +157,22 @@ def test_what_has_no_equilibrium_is_refused() -> None:
         Model(flying).equilibrium(np.zeros(1))
     with pytest.raises(ValueError, match=r"joint_angles must have shape \(1,\), got \(2,\)"):
         Model(horizontal()).equilibrium(np.zeros(2))
+
+
+def test_a_rest_beyond_small_deflections_is_told_with_the_link() -> None:
+    """One segment errs by 2.7 % of the length against the elastica, four by 0.15 %."""
+    tip = np.array(elastica(1.8))
+
+    def error(segments: int) -> float:
+        model = Model(horizontal(EIz=1.8, segments=segments))
+        found = Stepper(model, 1, dt=1.0, substeps=1)
+        out = np.zeros((1, model.n_measure))
+        q = model.equilibrium(np.zeros(1)).q[None]
+        found.measure(q, np.zeros_like(q), out)
+        return float(np.linalg.norm(out[0, model.measurements["tip"]][:2] - tip)) / 0.8
+
+    with pytest.warns(ValidityWarning, match="Link 1 bends by up to 22% of the link's length"):
+        assert error(1) > 0.02
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert error(4) < 0.002
