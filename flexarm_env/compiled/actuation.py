@@ -156,6 +156,13 @@ class Actuation:
         """
         return self._each(s, _present_torque)
 
+    def rest(self, q: Any) -> Any:
+        """(states,) states at zero torque, linear in the coordinates q (n,), as symbols."""
+        import casadi as ca
+
+        linear = self.at_rest(np.eye(q.numel()))
+        return ca.mtimes(ca.DM(linear), q) if len(linear) else ca.SX(0, 1)
+
     def functions(self, at: Mapping[str, int], constants: int) -> list[Function]:
         """Functions `mark(w)`, `drive(w)`, `follow(w)`; their constants start at slot `constants`.
 

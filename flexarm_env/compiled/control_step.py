@@ -79,7 +79,7 @@ def control_step(
     drop = (event == "drop") * (Call("drop"),)
     placed = anchor.count or bent  # the parameters place the arm at its start
     bend = (Clear("REST", bent), *SETTLING * (Call("settle"),), Call("bend"),
-            Store("Q", motion), Store("ELAPSED", elapsed))  # fmt: skip
+            Store("Q", motion), Store("ELAPSED", elapsed), Store("ACTUATOR", actuator))  # fmt: skip
     results = (Store("FLAGS", flags), Store("INFO", info), Store("OBSERVATION", observation))
     start = (
         *state_loads,

@@ -22,7 +22,6 @@ from dynamics.tracing.statements import (
     Uniform,
     WhereEnded,
 )
-from flexarm_env.compiled.actuation import Actuation
 from flexarm_env.compiled.episode import MOVES, SHAKE, SHARE, START, STRAIGHT, TEMPO, WAVES
 from flexarm_env.compiled.signals import Signals
 
@@ -125,18 +124,10 @@ def _stacked(signals: Signals, state: dict[str, Any], drawn: list[Any], inputs: 
     import casadi as ca
 
     if signals.actuation:
-        state["actuator"] = _at_rest(signals.actuation, state["q"])
+        state["actuator"] = signals.actuation.rest(state["q"])
     names = [name for name in state if name != "free" and name not in signals.drawn]
     rows = ca.vertcat(*(state[name] for name in names), *drawn)
     return ca.Function("begin", inputs, [ca.cse(ca.densify(rows))])
-
-
-def _at_rest(actuation: Actuation, q: Any) -> Any:
-    """States of the actuators at zero torque, linear in the coordinates."""
-    import casadi as ca
-
-    linear = actuation.at_rest(np.eye(q.numel()))
-    return ca.mtimes(ca.DM(linear), q) if len(linear) else ca.SX(0, 1)
 
 
 def _draws(ranges: Any, joints: int, base: int, modes: int) -> int:

@@ -172,6 +172,7 @@ class Signals:
     def _bending(self, at: Mapping[str, int]) -> list[Function]:
         """`settle(w)`, a step to the equilibrium under gravity, and `bend(w)` of straight links.
 
+        The actuators follow the roots of the bent links.
         Links too soft for an equilibrium that the model can follow start straight.
         """
         import casadi as ca
@@ -180,13 +181,17 @@ class Signals:
             return []
         inputs = [at[name] for name in ("Q", "REST", "PARAMETERS")]
         settle = traced("settle", settling(self.model.traced), inputs, at["REST"])
-        sizes = {"Q": self.model.n, "REST": len(self.bent), "UNSETTLED": 1, "ELAPSED": 1}
-        symbols = q, rest, unsettled, elapsed = [ca.SX.sym(*size) for size in sizes.items()]
-        begun = (elapsed < 0.0) * (unsettled < SETTLED)
-        outputs = ca.vertcat(q[self.bent] + begun * rest, ca.fmax(elapsed, 0.0))
+        sizes = {"Q": self.model.n, "REST": len(self.bent), "UNSETTLED": 1, "ELAPSED": 1,
+                 "ACTUATOR": self.memory["actuator"]}  # fmt: skip
+        symbols = q, rest, unsettled, elapsed, actuator = [ca.SX.sym(*x) for x in sizes.items()]
+        bow = ca.SX(self.model.n, 1)
+        bow[self.bent] = (elapsed < 0.0) * (unsettled < SETTLED) * rest
+        relaxed = actuator + self.actuation.rest(bow) if self.actuation else actuator
+        outputs = ca.vertcat((q + bow)[self.bent], ca.fmax(elapsed, 0.0), relaxed)
         graph = ca.Function("bend", symbols, [outputs])
         inputs = [at[name] for name in sizes]
-        slots = [*(at["Q"] + i for i in self.bent), at["ELAPSED"]]
+        states = (at["ACTUATOR"] + k for k in range(self.memory["actuator"]))
+        slots = [*(at["Q"] + i for i in self.bent), at["ELAPSED"], *states]
         return [settle, traced("bend", graph, inputs, slots)]
 
     @property

@@ -191,6 +191,19 @@ def test_piston_and_arm_are_coupled_in_second_order() -> None:
     assert np.abs(follow(env, [0.0] * 50)[1]).max() < 1e-12
 
 
+@pytest.mark.parametrize("kind", ["pinned-free", "hierarchical"])
+def test_the_spring_of_a_piston_starts_relaxed_on_a_link_that_gravity_bends(kind: str) -> None:
+    """Pinned-free shapes turn the root, on which the piston acts."""
+    link = Link(
+        length=0.6, rho_A=0.3, EIz=8.0, tip_mass=0.2, damping_ratio=0.02,
+        modes=(Mode(kind=kind, index=1, direction="y"),), joint=Joint(rotor_inertia=0.05),
+    )  # fmt: skip
+    env = gym.make(ENV, arm=Arm(links=(link,), gravity=(0.0, -9.81, 0.0)), actuator="ralf-1")
+    _, info = env.reset(seed=1)
+    assert abs(env.unwrapped.core.q[0, 1]) > 1e-3
+    assert info["torque"] == pytest.approx([0.0], abs=1e-9)
+
+
 def test_torque_changes_no_faster_than_its_rate_limit() -> None:
     """A torque of straight pieces; the joint's rate is its exact impulse."""
     rate, limit = 7.0, 0.5
