@@ -40,6 +40,7 @@ class DifferentiableBatch:
         recomputed: bool,
     ) -> None:
         self._batch, self._derivatives, self._recomputed = batch, derivatives, recomputed
+        self._core = core
         self._n, self._names = core.n_env, core.signals.info
         self._padded = batch.padded()
         self.detach()
@@ -61,7 +62,7 @@ class DifferentiableBatch:
         """Advance all by one control step; ended episodes restart."""
         n = self._n
         after, obs, info, flags = _Step.apply(
-            self._derivatives, self._recomputed, self._padded, actions
+            self._derivatives, self._core, self._recomputed, self._padded, actions
         )
         last, begun = obs, self._batch.restarted(after.detach(), flags)
         if begun is not None:
@@ -93,6 +94,7 @@ class _Step(torch.autograd.Function):
     def forward(
         ctx: Any,
         derivatives: HostDerivatives | DeviceDerivatives,
+        core: Core,
         recomputed: bool,
         state: torch.Tensor,
         actions: torch.Tensor,
@@ -100,7 +102,7 @@ class _Step(torch.autograd.Function):
         """Step and keep what the way back needs."""
         state, actions = state.detach(), actions.detach()
         after, obs, info, flags, stack = derivatives.record(state, actions)
-        ctx.derivatives = derivatives
+        ctx.derivatives, ctx.core, ctx.numbers = derivatives, core, _numbers(core)
         ctx.save_for_backward(state, actions, flags, *(() if recomputed else (stack,)))
         ctx.mark_non_differentiable(flags)
         return after, obs, info, flags
@@ -109,9 +111,19 @@ class _Step(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *bars: torch.Tensor) -> tuple[Any, ...]:
         """Cotangents of the state and of the actions; zero where the simulation diverged."""
+        if _numbers(ctx.core) != ctx.numbers:
+            raise RuntimeError(
+                "The reward or the integration step of the batch changed after this step was "
+                "taken; take its gradients before you set reward or randomize."
+            )
         state, actions, flags, *stack = ctx.saved_tensors
         if not stack:
             *_, recorded = ctx.derivatives.record(state, actions)
             stack = [recorded]
         given = (state, actions, *stack, *bars[:3])
-        return None, None, *ctx.derivatives.pull_back(flags[DIVERGED], *given)
+        return None, None, None, *ctx.derivatives.pull_back(flags[DIVERGED], *given)
+
+
+def _numbers(core: Core) -> tuple[dict[str, float], int]:
+    """What derivatives depend on of the keywords that may change."""
+    return core.settings.weights, core.substeps

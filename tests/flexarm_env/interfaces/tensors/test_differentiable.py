@@ -145,6 +145,24 @@ def test_recomputed_gradients_are_the_same_and_keep_no_stack(kernels: bool) -> N
     assert kept[0] - kept[1] >= len(actions) * N * (fixed + per_substep)
 
 
+@pytest.mark.parametrize("kind", [True, "recomputed"])
+@pytest.mark.parametrize(
+    ("name", "value"), [("reward", {"tracking": 5.0}), ("randomize", {"stiffness": (0.9, 16.0)})]
+)
+def test_gradients_after_a_change_of_the_step_are_refused(
+    kind: bool | str, name: str, value: Any
+) -> None:
+    """They would be those of other weights, or of more substeps than were recorded."""
+    envs = batch(differentiable=kind, randomize={"stiffness": (0.9, 1.1)})
+    envs.reset(seed=0)
+    reward = envs.step(drawn(8, N, 1).requires_grad_())[1].sum()
+    envs.envs.deflection_limit = 0.09
+    reward.backward(retain_graph=True)
+    setattr(envs.envs, name, value)
+    with pytest.raises(RuntimeError, match="before you set reward or randomize"):
+        reward.backward()
+
+
 def test_what_has_no_gradients_is_refused_with_the_remedy() -> None:
     """Goals, and `detach` of a batch without gradients."""
     with pytest.raises(ValueError, match="differentiable must be True, False or 'recomputed'"):
