@@ -355,7 +355,7 @@ def test_result_files_hold_every_episode_of_every_controller(tmp_path: Path) -> 
     }
     write_results(tmp_path, pair, range(7, 9), {"env": "toy"})
     text = (tmp_path / "evaluation.json").read_text()
-    assert text.startswith('{\n  "note": ')
+    assert text.startswith('{\n "note": ')
     data = json.loads(text)
     assert (data["env"], data["seeds"], list(data["controllers"])) == ("toy", [7, 8], ["a", "b"])
     assert data["controllers"]["b"]["summary"]["score"] == 5.5

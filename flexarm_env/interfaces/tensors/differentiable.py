@@ -125,5 +125,5 @@ class _Step(torch.autograd.Function):
 
 
 def _numbers(core: Core) -> tuple[dict[str, float], int]:
-    """What derivatives depend on of the keywords that may change."""
+    """Weights of the reward and substeps: changeable settings on which derivatives depend."""
     return core.settings.weights, core.substeps
