@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.controllers.models.memory import fresh_of
 from agents.policy import Controller
 from dynamics.types import AnyArray
 
@@ -72,6 +73,7 @@ class Late:
         action, inner = self.controller.predict(observation, inner, episode_start, deterministic)
         new = np.asarray(action, np.float64)
         count, most = len(new), int(self.steps.max()) + 1
+        fresh = fresh_of(state, episode_start, count)
         if state is None:
             state = _Waiting(
                 inner,
@@ -80,7 +82,6 @@ class Late:
                 held=np.zeros_like(new),
                 step=np.zeros(count, np.int64),
             )
-        fresh = np.zeros(count, bool) if episode_start is None else np.asarray(episode_start, bool)
         step = np.where(fresh, 0, state.step)
         held = np.where(fresh[:, None], 0.0, state.held)
         due = np.where(fresh, np.iinfo(np.int64).max, state.due)
