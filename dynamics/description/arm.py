@@ -5,12 +5,12 @@ Every description validates itself on construction.
 
 import math
 from dataclasses import MISSING, dataclass, field, fields, replace
-from itertools import takewhile
 from typing import Any
 
 import numpy as np
 
 from dynamics.description import parallel_drive, validate
+from dynamics.description.carried import carried
 from dynamics.description.link import Body, Link, Payload, about_origin
 from dynamics.description.mode_rule import AUTO, ModesByRule
 from dynamics.description.rotations import Quaternion, to_rotation_vector
@@ -153,10 +153,9 @@ class Arm:
             raise ValueError("Arm.links must hold at least one link on a fixed base, got [].")
         for i, link in enumerate(links):
             validate.instance(link, f"Arm.links[{i}]", Link)
-        beyond = [links[i:] for i in range(1, len(links) + 1)]
         links = tuple(
-            link.by_rule(welded_inertia(others), bool(others))
-            for link, others in zip(links, beyond, strict=True)
+            link.by_rule(beyond.turned_inertia(), link is not links[-1])
+            for link, beyond in zip(links, carried(links), strict=True)
         )
         count = sum(link.n for link in links)
         if count > MOST_COORDINATES:
@@ -264,21 +263,6 @@ class Arm:
     def to_dict(self) -> dict[str, Any]:
         """Description as plain lists, numbers and text without defaults; `load_arm` reads it."""
         return _plain(self)
-
-
-def welded_inertia(links: tuple[Link, ...]) -> float:
-    """[kg m^2] int r^2 dm about a tip, of the first of the links beyond that are welded to it."""
-    place, R, total = np.zeros(3), np.eye(3), 0.0
-    for link in takewhile(lambda link: link.joint.welds, links):
-        place, R = place + R @ np.array(link.joint.offset), R @ np.array(link.joint.rotation)
-        root, line = place + R @ np.array(link.joint.root), link.beam.line_mass
-        place = root + link.length * R[:, 0]
-        total += line.mass * (root @ root) + 2.0 * line.first * (root @ R[:, 0]) + line.second
-        total += link.tip_mass * (place @ place) + 0.5 * float(np.trace(link.tip_inertia))
-        if link.body is not None:
-            com = root + R @ np.array(link.body.com)
-            total += link.body.mass * (com @ com) + 0.5 * float(np.trace(link.body.inertia))
-    return total
 
 
 def _joint_inertia(links: tuple[Link, ...], payload: Payload | None) -> float:

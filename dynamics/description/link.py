@@ -3,6 +3,7 @@
 import logging
 import warnings
 from collections import Counter
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -145,7 +146,7 @@ class Link:
             validate.positive(self.length, "Link.length", "m")
             validate.positive(self.mean("rho_A"), "Link.rho_A", "kg/m")
         if automatic:
-            clean(self, modes=self._by_rule())
+            clean(self, modes=self._by_rule({}, False))
         for name in ("damping_beta", "damping_beta_torsion"):
             if self.damping_ratio > 0.0 and getattr(self, name):
                 raise ValueError(
@@ -193,25 +194,25 @@ class Link:
                 )
         clean(self, length=total)
 
-    def _by_rule(self, welded: float = 0.0, carries: bool = False) -> ModesByRule:
+    def _by_rule(self, turned: Mapping[str, float], carries: bool) -> ModesByRule:
         return mode_rule.modes_by_rule(
             self.beam,
             self.joint,
             self.stiffnesses,
             self.segments,
             self.body is None,
-            welded,
+            turned,
             carries,
             self.lumped,
         )
 
-    def by_rule(self, welded: float, carries: bool) -> "Link":
-        """The link, whose modes by rule suit an inertia [kg m^2] welded to its tip.
+    def by_rule(self, turned: Mapping[str, float], carries: bool) -> "Link":
+        """The link, whose modes by rule suit the inertia [kg m^2] that its tip turns as it bends.
 
-        It `carries` other links if it is not the last.
+        It has one along "y" and one along "z". The link `carries` others if it is not the last.
         """
         by_rule = isinstance(self.modes, ModesByRule)
-        modes = self._by_rule(welded, carries) if by_rule else self.modes
+        modes = self._by_rule(turned, carries) if by_rule else self.modes
         if modes == self.modes:
             return self
         words = mode_rule.in_words(modes, self.stiffnesses)

@@ -8,7 +8,7 @@ A bending direction with a stiffness gets two modes. Their family suits both end
 | any other                                        | with or without it | clamped-tip-mass |
 | any other                                        | a very heavy body  | hierarchical     |
 | any, of a link in segments                       | any                | hierarchical     |
-| any                                              | a long weld        | hierarchical     |
+| any                                              | turns others       | hierarchical     |
 
 A light joint has less than LIGHT of the link's inertia: `python -m benchmarks.stability` finds two
 pinned shapes, which span the same bending as unconstrained ones, closer than two clamped ones up to
@@ -19,18 +19,19 @@ stretching gets none, its frequencies are far above those of bending. A lumped l
 along a direction in which its tip has no inertia.
 
 Segments are welded, and a weld carries moment and shear. Shapes of a beam whose tip is free of
-them make a link in segments too stiff, however many segments it has. They also suit a link no
-longer to whose tip others are welded that turn with more than LADEN of its inertia.
+them make a link in segments too stiff, however many segments it has. Nor do they suit a link whose
+tip turns more than LADEN of its inertia with it: what is welded to it, what a joint across its
+bending carries, or what a geared joint couples through its rotor (carried.py).
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from dynamics.description.joint import Joint
 from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, shape
 
 AUTO = "auto"
 BENDING = 2  # modes per bending direction
-LADEN = 0.03  # [-] inertia welded to the tip over the link's: above it hierarchical shapes err less
+LADEN = 0.03  # [-] inertia a tip turns over its link's: above it hierarchical shapes err less
 LIGHT = 0.005  # [-] joint inertia over the link's, up to which pinned shapes suit
 TWISTED = 0.38  # [-] polar inertia at the tip over the link's: from it linear twist errs less
 _REMEDY = 'list modes, or write "auto" (shapes by a rule) or [] (a rigid link)'
@@ -50,21 +51,25 @@ def modes_by_rule(
     stiffnesses: Collection[str],
     segments: int,
     bare_root: bool,
-    welded: float = 0.0,
-    carries: bool = False,
+    turned: Mapping[str, float],
+    carries: bool,
     lumped: bool = False,
 ) -> ModesByRule:
     """Modes for the directions whose stiffness is among `stiffnesses`, names of Link fields.
 
-    `bare_root` is false where a body is fixed to the root; `welded` [kg m^2] turns with the tip,
-    at which the link `carries` others if it is not the last. The tip of a `lumped` link, where its
-    mass is, carries a second mode only if it has an inertia.
+    `bare_root` is false where a body is fixed to the root. A tip that bends along a direction turns
+    an inertia `turned` [kg m^2] of the links that it `carries`. The tip of a `lumped` link, where
+    its mass is, carries a second mode only if it has an inertia.
     """
     modes: list[Mode] = []
     for direction in "yz":
         if STIFFNESS[direction] in stiffnesses:
-            welds = segments > 1 or welded > LADEN * beam.line_mass.second
-            kind = "hierarchical" if welds else _bending(beam, joint, direction, bare_root)
+            laden = turned.get(direction, 0.0) > LADEN * beam.line_mass.second
+            kind = (
+                "hierarchical"
+                if laden or segments > 1
+                else _bending(beam, joint, direction, bare_root)
+            )
             axis = "zy".index(direction) + 1  # about which the link bends
             single = lumped and not beam.tip_inertia[axis][axis]
             modes += _first(1 if single else BENDING, kind, direction)

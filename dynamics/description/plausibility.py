@@ -20,10 +20,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from dynamics.description.arm import Arm, welded_inertia
+from dynamics.description.arm import Arm
 from dynamics.description.beams.piecewise import PieceShape
 from dynamics.description.beams.sections import rate
 from dynamics.description.beams.uniform import BeamShape
+from dynamics.description.carried import carried
 from dynamics.description.deflection import BENDING
 from dynamics.description.link import Link
 from dynamics.description.mode_rule import LADEN, ModesByRule
@@ -72,9 +73,9 @@ def warn_if_implausible(arm: Arm, stacklevel: int) -> None:
 
 def _warn_of_welds(arm: Arm, stacklevel: int) -> None:
     """Warn of listed shapes that are too stiff for the links welded to their tip."""
-    for i, link in enumerate(arm.links, 1):
+    for i, (link, beyond) in enumerate(zip(arm.links, carried(arm.links), strict=True), 1):
         listed = link.segments == 1 and not isinstance(link.modes, ModesByRule)
-        if listed and welded_inertia(arm.links[i:]) > LADEN * link.beam.line_mass.second:
+        if listed and beyond.welded[-1] > LADEN * link.beam.line_mass.second:
             stiff = stiff_end(f"Link {i}", link.modes, link.beam)
             if stiff:
                 warnings.warn(stiff, StiffSegmentsWarning, stacklevel=stacklevel + 1)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.description.arm import FOURTH_ORDER, Arm
-from dynamics.description.beam_integrals import BeamIntegrals, beam_integrals
+from dynamics.description.beams.integrals import BeamIntegrals, beam_integrals
 from dynamics.description.beams.sections import cut
 from dynamics.description.deflection import TILT
 from dynamics.description.joint import Joint

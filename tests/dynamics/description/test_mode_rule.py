@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 import pickle
 import warnings
 from dataclasses import replace
@@ -133,6 +134,37 @@ def test_the_family_suits_what_is_welded_to_the_tip(
     alone = Link(**BEAM, joint=HEAVY_HUB, modes="auto")
     assert kinds(Arm(links=(alone, welded)).links[0])[0][0] == family
     assert kinds(Arm(links=Arm(links=(alone, welded)).links[:1]).links[0]) == kinds(alone)
+
+
+@pytest.mark.parametrize(
+    ("changes", "turns", "family"),
+    [
+        ({"rotor_inertia": 0.1}, 0.1 * 0.05 / 0.15, "hierarchical"),  # a geared drive
+        ({"rotor_inertia": 1e-4}, 1e-4, "clamped-tip-mass"),
+        ({"rotor_inertia": 1e-4, "rotation": {"rpy": (math.pi / 2, 0, 0)}}, 0.05, "hierarchical"),
+        ({"rotor_inertia": 1e-4, "type": "prismatic"}, 0.05, "hierarchical"),
+    ],
+)
+def test_the_family_suits_what_the_tip_turns_through_a_joint(
+    changes: dict[str, Any], turns: float, family: str
+) -> None:
+    """A body on a joint, whose centre is at the tip, with all joints free; the root hardly turns.
+
+    The joint lets the tip turn the rotor and the body in series, or the body alone across its axis.
+    """
+    inertia = (0.05 * np.eye(3)).tolist()
+    body = Link(length=0.0, body=Body(mass=1.0, inertia=inertia), joint=Joint(**changes))
+    exact = beam_frequencies(1.0, 0.6, 20.0, tip_mass=1.0, tip_inertia=turns)[:2]
+
+    def error(modes: Any) -> float:
+        arm = Arm(links=(Link(**BEAM, joint=Joint(rotor_inertia=1e6), modes=modes), body))
+        found = Model(arm).frequencies(np.zeros(arm.n), joints="free")
+        return float(np.sum(found[:2] / exact - 1.0))
+
+    other = {"clamped-tip-mass": "hierarchical", "hierarchical": "clamped-tip-mass"}[family]
+    assert 0.0 <= error("auto") < error([Mode(kind=other, index=k, direction="y") for k in (1, 2)])
+    arm = Arm(links=(Link(**BEAM, joint=HEAVY_HUB, modes="auto"), body))
+    assert kinds(arm.links[0])[0][0] == family
 
 
 def test_torsion_needs_inertia_and_stretching_gets_no_mode() -> None:
