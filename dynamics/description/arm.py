@@ -149,7 +149,8 @@ class Arm:
 
     def __post_init__(self) -> None:
         links: tuple[Any, ...] = tuple(validate.sequence(self.links, "Arm.links", MOST_LINKS))
-        if not links and not (isinstance(self.base, Base) and self.base.n):
+        grounded = not (isinstance(self.base, Base) and self.base.n)
+        if not links and grounded:
             raise ValueError("Arm.links must hold at least one link on a fixed base, got [].")
         for i, link in enumerate(links):
             validate.instance(link, f"Arm.links[{i}]", Link)
@@ -162,6 +163,11 @@ class Arm:
             raise ValueError(
                 f"Arm.links must have at most {MOST_COORDINATES} coordinates (joints, springs, "
                 f"modes of every segment), got {count}; use fewer Link.segments or Link.modes."
+            )
+        if not count and grounded:
+            raise ValueError(
+                "Arm.links must have a coordinate on a fixed base, got only fixed joints and links "
+                'without modes; give Joint.type another than "fixed", or Link.modes.'
             )
         if self.foreshortening != FOURTH_ORDER:
             validate.boolean(self.foreshortening, f"Arm.foreshortening (or {FOURTH_ORDER!r})")

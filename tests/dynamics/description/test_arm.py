@@ -208,6 +208,9 @@ def test_a_bad_link_is_refused_with_a_sentence_that_says_where(sentence: str) ->
 
 REFUSED_ARMS = {
     "links must hold at least one": {"links": []},
+    "must have a coordinate on a fixed base, got only fixed joints": {
+        "links": [{"length": 1.0, "rho_A": 1.0, "joint": {"type": "fixed"}}]
+    },
     "links must be a list": {"links": {}},
     r"links\[0\] must be a mapping": {"links": [3]},
     "rotation must be one of .*got 'euler'": {"rotation": "euler"},
