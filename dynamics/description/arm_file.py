@@ -94,6 +94,7 @@ def _base(data: object) -> Base:
         if "quaternion" in values:
             raise ValueError("base: euler and quaternion exclude each other; give one.")
         angles = validate.vector(values.pop("euler"), "base.euler", "rad")
+        validate.radians(angles, "base.euler")
         values["quaternion"] = from_euler(angles)
     base: Base = _build(Base, values, "base")
     return base

@@ -46,6 +46,8 @@ class Row:
         for name, unit in (("a", "m"), ("d", "m"), ("alpha", "rad"), ("theta", "rad")):
             value = validate.number(getattr(self, name), f"Row.{name}", unit)
             object.__setattr__(self, name, value)
+        for name in ("alpha", "theta"):
+            validate.radians([getattr(self, name)], f"Row.{name}")
 
 
 def rows(data: object, where: str = "denavit_hartenberg") -> tuple[Row, ...]:

@@ -1,7 +1,7 @@
 """The joint at the root of a link."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
 
@@ -123,21 +123,11 @@ def _matrix(value: object, name: str) -> Matrix3:
     return validate.rotation(value, name)
 
 
-def _check_radians(angles: Sequence[float], name: str) -> None:
-    """Refuse angles of more than a turn, which are degrees."""
-    for angle in angles:
-        if abs(angle) > 2.0 * math.pi:
-            raise ValueError(
-                f"{name} must be in radians, at most a turn, got {angle:g}; {angle:g} degrees are "
-                f"{math.radians(angle):.6g}."
-            )
-
-
 def _turned(value: Mapping[object, object], name: str) -> Matrix3:
     given = validate.mapping(value, name, ("rpy", "axis", "angle"))
     if set(given) == {"rpy"}:
         roll, pitch, yaw = validate.vector(given["rpy"], f"{name}.rpy", "rad")
-        _check_radians((roll, pitch, yaw), f"{name}.rpy")
+        validate.radians((roll, pitch, yaw), f"{name}.rpy")
         turn = from_euler((yaw, pitch, roll))
     elif set(given) == {"axis", "angle"}:
         axis = validate.vector(given["axis"], f"{name}.axis", "-")
@@ -145,7 +135,7 @@ def _turned(value: Mapping[object, object], name: str) -> Matrix3:
         if not length > 0.0:
             raise ValueError(f"{name}.axis must have a direction, got {validate.shown(axis)}.")
         angle = validate.number(given["angle"], f"{name}.angle", "rad")
-        _check_radians((angle,), f"{name}.angle")
+        validate.radians((angle,), f"{name}.angle")
         turn = from_rotation_vector([angle * (x / length) for x in axis])
     else:
         raise ValueError(f"{name} must hold rpy, or axis and angle, got {sorted(map(str, given))}.")

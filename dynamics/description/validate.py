@@ -4,7 +4,7 @@ import difflib
 import math
 import reprlib
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Integral, Real
 from typing import TypeVar
@@ -25,6 +25,7 @@ _LARGEST = 1e30  # in any SI unit; above it, or for a length below 1 / _LARGEST,
 _ORTHONORMAL = 1e-9  # [-] largest entry of R'R - 1 of a mounting rotation
 _ROUND_OFF = 1e-15  # [-] error of a quaternion's length that is left as it is
 _UNIT = 1e-6  # [-] largest error of a quaternion's length
+_TURN = 6.3  # [rad] a turn, rounded up
 _SYMMETRIC = 1e-9  # [-] largest asymmetry of an inertia, relative to its largest entry
 
 
@@ -208,6 +209,16 @@ def solid(value: Matrix3, name: str) -> None:
             f"{name} must be positive definite, no principal moment above the sum of the others, "
             f"got the moments {least:.6g}, {middle:.6g}, {most:.6g}. Unit: [kg m^2]."
         )
+
+
+def radians(angles: Iterable[float], name: str) -> None:
+    """Refuse angles of more than a turn, which are degrees."""
+    for angle in angles:
+        if abs(angle) > _TURN:
+            raise ValueError(
+                f"{name} must be in radians, at most a turn, got {angle:g}; {angle:g} degrees are "
+                f"{math.radians(angle):.6g}."
+            )
 
 
 def quaternion(value: object, name: str) -> tuple[float, float, float, float]:

@@ -234,6 +234,7 @@ def _joint(element: Element, links: Collection[str]) -> UrdfJoint:
 def _origin(element: Element, where: str) -> Pose:
     zeros = (0.0, 0.0, 0.0)
     roll, pitch, yaw = _numbers(element, "origin", "rpy", 3, where, zeros)
+    validate.radians((roll, pitch, yaw), f"{where}: rpy of <origin>")
     rotation = rotation_matrix(from_euler((yaw, pitch, roll)))
     return Pose(np.array(rotation), np.array(_numbers(element, "origin", "xyz", 3, where, zeros)))
 

@@ -231,6 +231,7 @@ REFUSED_ARMS = {
     "euler and quaternion exclude each other": {
         "base": {**FREE, "euler": [0, 0, 0], "quaternion": [1, 0, 0, 0]}
     },
+    "base.euler must be in radians, .*, got 90": {"base": {**FREE, "euler": [0, 90, 0]}},
     "'speed' in base; nearest known": {"base": {**FREE, "speed": 1.0}},
     "Base.mass .2.0. needs a free base": {"base": {"mass": 2.0}},
     "Arm.payload .* needs a link": {"base": FREE, "links": [], "payload": {"mass": 1.0}},

@@ -74,6 +74,8 @@ REFUSED: dict[str, Any] = {
     r"denavit_hartenberg\[0\].mass is missing": [{"a": 1.0}],
     r"Unknown key 'beta' in denavit_hartenberg\[1\]": [{"mass": 1.0}, {"beta": 2.0, "mass": 1.0}],
     r"Row.alpha .rad. must be a number, got the text '90'": [{"alpha": "90", "mass": 1.0}],
+    r"Row.alpha must be in radians, .*, got 90; .* are 1.5708": [{"alpha": 90.0, "mass": 1.0}],
+    r"Row.theta must be in radians, .*, got -45; .* are -0.7853": [{"theta": -45.0, "mass": 1.0}],
     r"Joint.type must be one of .* got 'screw'": [{"type": "screw", "mass": 1.0, "a": 1.0}],
     r"last row's a must not be negative, got -1.0": [{"a": -1.0, "mass": 1.0}],
     r"Body.mass must not be negative, got -1.0": [{"mass": -1.0}],

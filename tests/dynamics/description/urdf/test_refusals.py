@@ -50,6 +50,9 @@ REFUSED = {
     "joint 'ROD': <axis> must not be zero": one_rod(content='<axis xyz="0 0 0"/>'),
     "joint 'ROD': xyz of <axis> must be 3 numbers, got '0 1'": one_rod(content='<axis xyz="0 1"/>'),
     "joint 'ROD': rpy of <origin> must be 3 numbers, got '0 0 up'": one_rod(rpy="0 0 up"),
+    "joint 'ROD': rpy of <origin> must be in radians, .*, got 90; .* are 1.5708": one_rod(
+        rpy="0 90 0"
+    ),
     "joint 'ROD': xyz of <origin> must be a finite number, got nan": one_rod(xyz="0 0 nan"),
     "joint 'ROD': damping of <dynamics> must not be negative, got -1.0": one_rod(
         content='<axis xyz="0 0 1"/><dynamics damping="-1"/>'
