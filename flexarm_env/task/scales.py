@@ -19,6 +19,7 @@ from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.formulations.damping import damped_chain
 from dynamics.formulations.gibbs_appell import mass_matrix
+from dynamics.formulations.kinematics import outward, poses
 from dynamics.formulations.linearized import damping, friction
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
@@ -41,7 +42,7 @@ SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequ
 SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # largest dt omega by a method's order, omega of the first
 # joint-free mode: moves excite it, and a step must follow it to 1e-3 of the reach
 BY_RULE = ("rk4", "midpoint")  # SMOOTH is not enough for Numerov's method: it has to be measured
-_UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not excite
+_UNMOVED = 1e-9  # [-] of the largest peak: a mode that torques do not excite; of the reach: a tip
 _SAMPLES = 200  # per period of the first joint-free mode
 
 
@@ -105,6 +106,7 @@ def _derived(arm: Arm) -> Scales:
     home = home_posture(arm.n_joint)
     q = np.zeros(arm.n)
     q[list(arm.joint_index)] = home
+    _refuse_still_tip(model, q)
     joints = [i - base for i in arm.joint_index]
     n = arm.n - base
     modal = [i for i in range(n) if i not in joints]
@@ -149,6 +151,19 @@ def _derived(arm: Arm) -> Scales:
         vibration_rate=tuple(map(tuple, vibration[1].tolist())),
         base=_recoil(whole, base, list(arm.joint_index)),
     )
+
+
+def _refuse_still_tip(model: Model, q: Array) -> None:
+    """Refuse an arm whose tip lies on the axes of all joints: they turn about it in any posture."""
+    rates = np.eye(model.n)[list(model.arm.joint_index)]
+    moved = [poses(outward(model.chain, q.tolist(), v.tolist()))[-1].tip_velocity for v in rates]
+    if np.abs(np.array(moved)).max() <= _UNMOVED * model.arm.reach:
+        last = model.arm.links[-1]
+        raise ValueError(
+            "Environments take arms with a tip that a joint moves, got one on the axes of all "
+            f"joints; give the last link a length (Link.length is {last.length!r}) or a "
+            f"Joint.root (is {last.joint.root!r}), or of a URDF file another tip."
+        )
 
 
 def _without_base(M: Array, base: int) -> Array:

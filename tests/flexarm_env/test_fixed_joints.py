@@ -48,6 +48,19 @@ def test_an_arm_without_a_moving_joint_is_refused() -> None:
         gym.make("FlexArm/OneLink-Reach-v0", arm=still, control_dt=0.02)
 
 
+@pytest.mark.parametrize("height", [0.0, 0.3])
+def test_an_arm_whose_tip_no_joint_moves_is_refused(height: float) -> None:
+    """Its tip is on the axes of all joints: of a wheel, of an arm that ends at its wrist."""
+    wheel = {"length": 0.0, "body": {"mass": 1.0, "com": [0.1, 0.0, 0.0]}}
+    turned = {"rpy": [0.5, 0.3, 0.0]}
+    first = {**wheel, "joint": {"offset": [0.0, 0.0, height]}}
+    arm = {"links": [first, {**wheel, "joint": {"rotation": turned}}]}
+    with pytest.raises(
+        ValueError, match=r"one on the axes of all joints; .* \(Link.length is 0.0\)"
+    ):
+        gym.make("FlexArm/TwoLink-Reach-v0", arm=arm, control_dt=0.02)
+
+
 def test_a_payload_is_a_share_of_the_body_that_a_last_link_carries() -> None:
     """Laboratories draw it, and it drops in mid-episode."""
     carried = Link(length=0.0, body=Body(mass=0.5, com=(0.03, 0.0, 0.0)), joint=Joint(type="fixed"))
