@@ -29,6 +29,7 @@ from dynamics.types import Array
 
 GRAVITY = [0.0, 0.0, -9.81]  # [m/s^2]: z is up in a URDF
 FLEXIBLE_KEYS = [x.name for x in fields(Link) if x.name not in ("length", "joint", "body")]
+MASS = {"rho_A", "sections"}  # keys of a flexible link, either of which states its mass
 END = "tip"  # key of a flexible link that is not one of `Link`
 SLIGHT = 0.01  # [-] sine of the angle from which two directions span a plane
 PERPENDICULAR = 1e-12  # [-] cosine up to which a beam is perpendicular to its joint's axis
@@ -73,7 +74,8 @@ def convert(path: Path, tip: str | None = None, flexible: Flexible | None = None
     ----------
     tip : the link whose origin is the arm's tip; None: the only link without a joint beyond.
     flexible : fields of `Link` by name of a link that is to bend: stiffnesses, damping, modes
-        ("auto" unless given). `rho_A` and `rho_Ip` replace those from the link's mass and inertia.
+        ("auto" unless given). `rho_A` and `rho_Ip`, or `sections`, replace those from the link's
+        mass and inertia.
         The key "tip", (3,) [m] in the link's frame, is the end of a last link with no frame there.
 
     Raises
@@ -104,8 +106,10 @@ def convert(path: Path, tip: str | None = None, flexible: Flexible | None = None
 def _beam(name: str, values: object) -> Plain:
     where = f"flexible[{name!r}]"
     given = validate.mapping(values, where, [*FLEXIBLE_KEYS, END])
-    if not set(STIFFNESS.values()).intersection(given):
-        raise ValueError(f"{where} must have a stiffness: EIz, EIy, GJ [N m^2] or EA [N].")
+    if not {*STIFFNESS.values(), "sections"}.intersection(given):
+        raise ValueError(
+            f"{where} must have a stiffness, EIz, EIy, GJ [N m^2] or EA [N], or sections."
+        )
     if END in given:
         given[END] = validate.vector(given[END], f"{where}: {END}", "m")
     return given
@@ -121,7 +125,7 @@ def _refuse_massless(parts: list[Part], beams: Mapping[str, Plain]) -> None:
     for group in groups:
         joint = group[0].joint
         heavy = any(body.mass > 0.0 for part in group for body in (part.own, *part.fixed))
-        if not (heavy or joint.fixed or any("rho_A" in beams.get(x.name, {}) for x in group)):
+        if not (heavy or joint.fixed or any(MASS & {*beams.get(x.name, {})} for x in group)):
             raise ValueError(
                 f"link {joint.child!r} behind joint {joint.name!r} must have a mass, got none; "
                 "give it an <inertial> with a positive <mass> [kg]."
@@ -159,7 +163,7 @@ def _add_beam(links: _Links, part: Part, beyond: Part | None, given: Plain) -> s
     near = [body for body in part.fixed if x @ body.com < 0.5 * length]
     far = [body for body in part.fixed if x @ body.com >= 0.5 * length]
     source, link = _source(part), {"length": length, "modes": AUTO}
-    if part.own.mass:
+    if part.own.mass and "sections" not in given:
         polar = float(x @ np.array(part.own.inertia) @ x)
         link |= {"rho_A": part.own.mass / length, "rho_Ip": max(0.0, polar) / length}
     if not part.joint.fixed and abs(part.joint.axis @ x) > PERPENDICULAR:
@@ -181,7 +185,7 @@ def _add_beam(links: _Links, part: Part, beyond: Part | None, given: Plain) -> s
         body = _body(placed(together(far), Pose(A.T, -A.T @ end)))
         weld = {"length": 0.0, "body": body, "joint": {"type": "fixed"}}
         links.add(f"fixed to the tip of {part.name}", weld, links.end)
-    return _not_kept(part, length, x, "rho_A" in values)
+    return _not_kept(part, length, x, sorted(MASS & {*values}))
 
 
 def _end(part: Part, beyond: Part | None, given: Any) -> Array:
@@ -201,12 +205,12 @@ def _end(part: Part, beyond: Part | None, given: Any) -> Array:
     return end
 
 
-def _not_kept(part: Part, length: float, x: Array, stated: bool) -> str:
+def _not_kept(part: Part, length: float, x: Array, stated: list[str]) -> str:
     com = np.array(part.own.com)
     along = float(x @ com)
     off = float(np.linalg.norm(com - along * x))
     mass = f"the mass of {part.own.mass:g} kg"
-    spread = f"{mass} is replaced by rho_A" if stated else f"{mass} is spread evenly"
+    spread = f"{mass} is replaced by {stated[0]}" if stated else f"{mass} is spread evenly"
     return (
         f"link {part.name!r} is a beam of {length:g} m: {spread}, its centre is the beam's (it was "
         f"{along:g} m along it and {off:g} m beside it), and the inertia is the beam's"

@@ -154,6 +154,17 @@ def test_fields_of_a_link_replace_those_of_the_file(tmp_path: Path) -> None:
     assert beam.modes == ()
 
 
+@pytest.mark.parametrize("own", [ROD, ""])
+def test_sections_replace_the_mass_of_the_file(own: str, tmp_path: Path) -> None:
+    sections = [
+        {"length": 0.5, "rho_A": 1.0, "EIz": 6.0},
+        {"length": 0.3, "rho_A": [0.8, 0.4], "EIz": [4.0, 1.0]},
+    ]
+    text = one_rod().replace(ROD, own)
+    arm = loaded(tmp_path, text, flexible={"rod": {"sections": sections}})
+    assert arm == load_arm({**arm.to_dict(), "links": [{"modes": "auto", "sections": sections}]})
+
+
 @pytest.mark.parametrize(("place", "links"), [("0.1 0.05 0", 1), ("0.7 0.05 0", 2)])
 def test_a_body_beside_the_chain_is_fixed_to_the_nearer_end(
     place: str, links: int, tmp_path: Path
