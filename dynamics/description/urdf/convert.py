@@ -9,6 +9,7 @@ line is not perpendicular to the joint's axis, a hub without mass turns, and the
 it. Links that are fixed to a flexible one are fixed to the nearer end of the beam.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
@@ -99,7 +100,10 @@ def convert(path: Path, tip: str | None = None, flexible: Flexible | None = None
             notes.append(_add_beam(links, part, beyond, beams[part.name]))
         else:
             _add_body(links, part, last=beyond is None)
-    arm = arm_from_dict({"name": robot.name, "gravity": GRAVITY, "links": links.data})
+    try:
+        arm = arm_from_dict({"name": robot.name, "gravity": GRAVITY, "links": links.data})
+    except ValueError as error:
+        raise ValueError(_in_the_file(str(error), links.sources)) from None
     return Conversion(arm, tuple(links.sources), tuple(notes))
 
 
@@ -258,6 +262,11 @@ def _plain(values: Array) -> Any:
     """Lists of numbers, without the round-off of right angles."""
     whole = np.round(values)
     return (np.where(np.abs(values - whole) < ROUND_OFF, whole, values) + 0.0).tolist()
+
+
+def _in_the_file(sentence: str, sources: list[str]) -> str:
+    """A sentence about a link of the arm, with its source in place of its number."""
+    return re.sub(r"^links\[(\d+)\]", lambda found: sources[int(found[1])], sentence)
 
 
 def _source(part: Part) -> str:

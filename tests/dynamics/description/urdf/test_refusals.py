@@ -94,7 +94,9 @@ CHOICES: dict[str, dict[str, Any]] = {
     "Unknown key 'EI' in flexible.'rod'.; nearest known: 'EIz'": {"flexible": {"rod": {"EI": 1.0}}},
     "flexible.'rod'. must have a stiffness, .* or sections": {"flexible": {"rod": {"rho_A": 1.0}}},
     "flexible must be a mapping of links to their fields": {"flexible": ["rod"]},
-    "EIz must not be negative, got -1.0": {"flexible": {"rod": {"EIz": -1.0}}},
+    "rod behind ROD .revolute.: Link.EIz must not be negative, got -1.0": {
+        "flexible": {"rod": {"EIz": -1.0}}
+    },
     "flexible.'rod'.: tip is that of a last link without a frame": {
         "flexible": {"rod": {"EIz": 1.0, "tip": [1, 0, 0]}}
     },
