@@ -100,7 +100,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add("--gauge", nargs="+", default=[], metavar="COLUMN",
         help="strain, curvature, or an angle of a bent link")  # fmt: skip
     add("--gauge-at", nargs="+", default=[], metavar="LINK:X[:DISTANCE]",
-        help="of every gauge: link from 1, metres from the joint, and of strain metres from the "
+        help="of every gauge: link from 1, metres from its root, and of strain metres from the "
         "neutral axis; of an angle LINK:angle (of the tip about the root) or LINK:slope (of the "
         "tip)")  # fmt: skip
     add("--titles", nargs="+", default=[], metavar="TITLE",

@@ -92,7 +92,7 @@ class Link:
     length may be zero. The body of a flexible link moves with its root, as the housing of a motor.
     """
 
-    length: float = _UNSTATED  # [m] joint axis to tip
+    length: float = _UNSTATED  # [m] root to tip
     rho_A: float = 0.0  # [kg/m] mass per unit length
     EIz: float | None = None  # [N m^2] flexural rigidity for deflection along y
     EIy: float | None = None  # [N m^2] flexural rigidity for deflection along z

@@ -18,7 +18,7 @@ class Gauge:
     """A strain gauge that reads the bending of a link in its x-y plane."""
 
     link: int  # counted from 0
-    x: float  # [m] from the joint
+    x: float  # [m] from the root of the link
     distance: float = 1.0  # [m] from the neutral axis; 1 for a log of curvatures [1/m]
 
     def __post_init__(self) -> None:
