@@ -27,6 +27,10 @@ from tests.dynamics.random_arms import (
 CASES = [(seed, 2 + seed % 4, seed % 4) for seed in range(8)]  # seed, links, most modes per link
 EXACT = {"integrator": "dop853", "rtol": 1e-11}
 any_arm = pytest.mark.parametrize("case", CASES, ids=str)
+TOOL = {"length": 0.0, "body": {"mass": 0.3, "com": [0.2, 0.1, 0.0], "inertia": np.eye(3).tolist()}}
+ROOTED: dict[str, list[dict[str, Any]]] = {  # links beyond one with a root, by what they change
+    "nothing": [], "bending": [{**TOOL, "joint": {"type": "fixed"}}], "torsion": [TOOL],
+}  # fmt: skip
 
 
 def built_up(seed: int, n_link: int, n_mode: int) -> Arm:
@@ -237,17 +241,18 @@ def test_a_payload_beyond_the_tip_has_the_frequencies_of_the_exact_beam(
     assert_allclose(exact, hertz, rtol=2e-3)
 
 
-def test_a_root_beside_the_joint_is_a_hub_of_that_radius() -> None:
+@pytest.mark.parametrize("beyond", ROOTED)
+def test_a_root_beside_the_joint_is_a_hub_of_that_radius(beyond: str) -> None:
     """A rigid link without mass in front, to which the beam is welded, does not change it."""
-    joint = {"rotor_inertia": 0.02}
-    link = {**BEAM, "modes": "auto"}
-    hub = load_arm({"links": [{**link, "joint": {**joint, "root": [0.05, 0.0, 0.0]}}]})
+    joint, others = {"rotor_inertia": 0.02}, ROOTED[beyond]
+    link = {**BEAM, "GJ": 4.0, "rho_Ip": 1e-4, "modes": "auto"}
+    hub = load_arm({"links": [{**link, "joint": {**joint, "root": [0.05, 0.0, 0.0]}}, *others]})
     tiny = {"length": 0.05, "body": {"mass": 1e-12}, "joint": joint}
-    welded = load_arm({"links": [tiny, {**link, "joint": {"type": "fixed"}}]})
+    welded = load_arm({"links": [tiny, {**link, "joint": {"type": "fixed"}}, *others]})
     for joints in ("locked", "free"):
         found = Model(hub).frequencies(joints=joints)
         assert_allclose(Model(welded).frequencies(joints=joints), found, rtol=1e-9)
-    assert welded.names == ("q1", "d2_1", "d2_2")
+    assert welded.names[:4] == ("q1", "d2_1", "d2_2", "d2_3")
     assert welded.reach == hub.reach == pytest.approx(0.85)
 
 
