@@ -43,6 +43,8 @@ def _faults(before: Link | None, link: Link) -> Iterator[tuple[str, str]]:
             f"Joint.stiffness {before.joint.stiffness!r} on the joint before",
             "no spring there",
         )
+    if any(before.joint.root):
+        yield f"Joint.root {before.joint.root!r} of the joint before", "Joint.root zero there"
     if before.segments > 1:
         yield f"Link.segments {before.segments!r} of the link before", "that link in one piece"
     for direction in ("z", "x"):

@@ -300,12 +300,14 @@ def bending(direction: str) -> Link:
          r"or Joint.offset zero, got Joint.offset \(0.0, 0.1, 0.0\)"),
         ((replace(SLAB, joint=Joint(stiffness=9.0, rotor_inertia=0.1)), DRIVEN),
          r"or no spring there, got Joint.stiffness 9.0 on the joint before"),
+        ((replace(SLAB, joint=Joint(root=(0.1, 0.0, 0.0))), DRIVEN),
+         r"or Joint.root zero there, got Joint.root \(0.1, 0.0, 0.0\) of the joint before"),
         ((replace(bending("y"), segments=2), DRIVEN),
          r"or that link in one piece, got Link.segments 2 of the link before"),
         ((bending("z"), DRIVEN), r'got Link.modes of the link before along "z"'),
         ((bending("x"), DRIVEN), r'got Link.modes of the link before along "x"'),
     ],
-    ids=range(9),
+    ids=range(10),
 )  # fmt: skip
 def test_it_is_refused_where_no_planar_parallelogram_can_be(
     links: tuple[Link, ...], message: str
