@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.description import parallel_drive, validate
-from dynamics.description.carried import carried
+from dynamics.description.carried import tip_loads
 from dynamics.description.link import Body, Link, Payload, about_origin
 from dynamics.description.mode_rule import AUTO, ModesByRule
 from dynamics.description.rotations import Quaternion, to_rotation_vector
@@ -154,10 +154,10 @@ class Arm:
             raise ValueError("Arm.links must hold at least one link on a fixed base, got [].")
         for i, link in enumerate(links):
             validate.instance(link, f"Arm.links[{i}]", Link)
-        links = tuple(
-            link.by_rule(beyond.turned_inertia(), link is not links[-1])
-            for link, beyond in zip(links, carried(links), strict=True)
-        )
+        if self.payload is not None:
+            validate.instance(self.payload, "Arm.payload", Payload)
+        loads = tip_loads(links, self.payload)
+        links = tuple(link.by_rule(load) for link, load in zip(links, loads, strict=True))
         count = sum(link.n for link in links)
         if count > MOST_COORDINATES:
             raise ValueError(
@@ -172,8 +172,6 @@ class Arm:
         if self.foreshortening != FOURTH_ORDER:
             validate.boolean(self.foreshortening, f"Arm.foreshortening (or {FOURTH_ORDER!r})")
         validate.instance(self.base, "Arm.base", Base)
-        if self.payload is not None:
-            validate.instance(self.payload, "Arm.payload", Payload)
         clean(
             self,
             links=links,

@@ -1,8 +1,8 @@
-"""Links beyond a tip, and how much of them turns with it when its link bends.
+"""Links and payload beyond a tip, and how much of them turns with it when its link bends.
 
-Links that are welded to a tip turn with it. A joint about the axis of the bending couples those
-behind it to the tip in series with its rotor alone; a joint about any other axis, or along one,
-does as a weld. The arm is taken at zero joint angles, and only its first such joint as free.
+A payload and links on fixed joints turn with a tip. A joint about the axis of the bending couples
+those behind it to the tip in series with its rotor alone; a joint about any other axis, or along
+one, does as a weld. The arm is taken at zero joint angles, and only its first joint as free.
 """
 
 from collections.abc import Sequence
@@ -11,18 +11,19 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.description.joint import Joint
-from dynamics.description.link import Link
+from dynamics.description.link import Body, Link, Payload, about_origin
+from dynamics.description.mode_rule import TipLoad
 from dynamics.types import Array
 
 BENDING_AXIS = {"y": 2, "z": 1}  # direction of bending -> axis about which the tip turns
 
 
 class Carried(NamedTuple):
-    """Links beyond a tip, in its end frame. Masses are int (1, x, y, z, r^2) dm about the tip."""
+    """Bodies beyond a tip, in its end frame. Masses are int (1, x, y, z, r^2) dm about the tip."""
 
     whole: Array  # (5,) [kg, kg m, kg m^2]
-    welded: Array  # (5,) of those that no joint or spring separates from the tip
-    joint: Joint | None  # the first that moves or gives
+    welded: Array  # (5,) of those that no moving joint separates from the tip
+    joint: Joint | None  # the first that moves
     axis: Array  # (3,) [-] of that joint
 
     def before(self, link: Link) -> "Carried":
@@ -33,7 +34,7 @@ class Carried(NamedTuple):
             _moved(_turned(_moved(own + _moved(masses, reach), root), turn), offset)
             for masses in (self.whole, self.welded)
         )
-        if joint.welds:
+        if not joint.moves:
             return Carried(whole, welded, self.joint, turn @ self.axis)
         return Carried(whole, np.zeros(5), joint, turn @ [0.0, 0.0, 1.0])
 
@@ -51,12 +52,23 @@ class Carried(NamedTuple):
         }
 
 
-def carried(links: Sequence[Link]) -> list[Carried]:
-    """Links that each link carries beyond its tip."""
-    result = [Carried(np.zeros(5), np.zeros(5), None, np.zeros(3))]
+def carried(links: Sequence[Link], payload: Payload | None = None) -> list[Carried]:
+    """Links that each link carries beyond its tip, and the payload of the last."""
+    last = np.zeros(5) if payload is None else _of_body(payload)
+    result = [Carried(last, last, None, np.zeros(3))]
     for link in reversed(links[1:]):
         result.append(result[-1].before(link))
     return result[::-1][: len(links)]
+
+
+def tip_loads(links: Sequence[Link], payload: Payload | None) -> list[TipLoad]:
+    """Load of each link's tip, which chooses its modes by rule."""
+    last = len(links) - 1
+    about_x = 0.0 if payload is None else float(about_origin(payload)[0][0])
+    return [
+        TipLoad(beyond.welded[0], beyond.turned_inertia(), about_x * (i == last), i < last)
+        for i, beyond in enumerate(carried(links, payload))
+    ]
 
 
 def _masses(link: Link) -> Array:
@@ -64,10 +76,13 @@ def _masses(link: Link) -> Array:
     line, tip = link.beam.line_mass, link.tip_mass
     first, second = line.first + tip * link.length, line.second + tip * link.length**2
     total = np.array([line.mass + tip, first, 0.0, 0.0, second + _polar(link.tip_inertia)])
-    if link.body is not None:
-        body = np.array([link.body.mass, 0.0, 0.0, 0.0, _polar(link.body.inertia)])
-        total += _moved(body, np.array(link.body.com))
-    return total
+    return total if link.body is None else total + _of_body(link.body)
+
+
+def _of_body(body: Body | Payload) -> Array:
+    """(5,) int (1, x, y, z, r^2) dm of a body about the origin of its frame."""
+    masses = np.array([body.mass, 0.0, 0.0, 0.0, _polar(body.inertia)])
+    return _moved(masses, np.array(body.com))
 
 
 def _polar(inertia: Sequence[Sequence[float]]) -> float:

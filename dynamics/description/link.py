@@ -3,7 +3,6 @@
 import logging
 import warnings
 from collections import Counter
-from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -14,7 +13,7 @@ from dynamics.description import mode_rule, validate
 from dynamics.description.beams import sections as along
 from dynamics.description.beams.sections import Sections
 from dynamics.description.joint import Joint
-from dynamics.description.mode_rule import ModesByRule, RigidLinkWarning
+from dynamics.description.mode_rule import ModesByRule, RigidLinkWarning, TipLoad
 from dynamics.description.mode_shapes import (
     FREE_ROOT,
     STIFFNESS,
@@ -146,7 +145,7 @@ class Link:
             validate.positive(self.length, "Link.length", "m")
             validate.positive(self.mean("rho_A"), "Link.rho_A", "kg/m")
         if automatic:
-            clean(self, modes=self._by_rule({}, False))
+            clean(self, modes=self._by_rule(TipLoad()))
         for name in ("damping_beta", "damping_beta_torsion"):
             if self.damping_ratio > 0.0 and getattr(self, name):
                 raise ValueError(
@@ -194,25 +193,21 @@ class Link:
                 )
         clean(self, length=total)
 
-    def _by_rule(self, turned: Mapping[str, float], carries: bool) -> ModesByRule:
+    def _by_rule(self, load: TipLoad) -> ModesByRule:
         return mode_rule.modes_by_rule(
             self.beam,
             self.joint,
             self.stiffnesses,
             self.segments,
             self.body is None,
-            turned,
-            carries,
+            load,
             self.lumped,
         )
 
-    def by_rule(self, turned: Mapping[str, float], carries: bool) -> "Link":
-        """The link, whose modes by rule suit the inertia [kg m^2] that its tip turns as it bends.
-
-        It has one along "y" and one along "z". The link `carries` others if it is not the last.
-        """
+    def by_rule(self, load: TipLoad) -> "Link":
+        """The link, whose modes by rule suit the bodies beyond its tip."""
         by_rule = isinstance(self.modes, ModesByRule)
-        modes = self._by_rule(turned, carries) if by_rule else self.modes
+        modes = self._by_rule(load) if by_rule else self.modes
         if modes == self.modes:
             return self
         words = mode_rule.in_words(modes, self.stiffnesses)

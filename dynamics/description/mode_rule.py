@@ -25,6 +25,8 @@ bending carries, or what a geared joint couples through its rotor (carried.py).
 """
 
 from collections.abc import Collection, Mapping
+from types import MappingProxyType
+from typing import NamedTuple
 
 from dynamics.description.joint import Joint
 from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, shape
@@ -41,6 +43,15 @@ class RigidLinkWarning(UserWarning):
     """A link with a stiffness is rigid because its description states no modes."""
 
 
+class TipLoad(NamedTuple):
+    """Bodies beyond the tip of a link: other links, or the payload of the last."""
+
+    fixed: float = 0.0  # [kg] to the tip
+    bending: Mapping[str, float] = MappingProxyType({})  # [kg m^2] turned with it, by direction
+    twisting: float = 0.0  # [kg m^2] that the payload turns about x
+    links: bool = False
+
+
 class ModesByRule(tuple[Mode, ...]):
     """Modes of a link that was described with `modes: auto`."""
 
@@ -51,25 +62,18 @@ def modes_by_rule(
     stiffnesses: Collection[str],
     segments: int,
     bare_root: bool,
-    turned: Mapping[str, float],
-    carries: bool,
-    lumped: bool = False,
+    load: TipLoad,
+    lumped: bool,
 ) -> ModesByRule:
     """Modes for the directions whose stiffness is among `stiffnesses`, names of Link fields.
 
-    `bare_root` is false where a body is fixed to the root. A tip that bends along a direction turns
-    an inertia `turned` [kg m^2] of the links that it `carries`. The tip of a `lumped` link, where
-    its mass is, carries a second mode only if it has an inertia.
+    `bare_root` is false where a body is fixed to the root. The tip of a `lumped` link, where its
+    mass is, carries a second mode only if it has an inertia.
     """
     modes: list[Mode] = []
     for direction in "yz":
         if STIFFNESS[direction] in stiffnesses:
-            laden = turned.get(direction, 0.0) > LADEN * beam.line_mass.second
-            kind = (
-                "hierarchical"
-                if laden or segments > 1
-                else _bending(beam, joint, direction, bare_root)
-            )
+            kind = _bending(beam, joint, direction, segments, bare_root, load)
             axis = "zy".index(direction) + 1  # about which the link bends
             single = lumped and not beam.tip_inertia[axis][axis]
             modes += _first(1 if single else BENDING, kind, direction)
@@ -77,7 +81,8 @@ def modes_by_rule(
         if segments > 1 and beam.rho_Ip > 0.0:
             modes += _first(2, "torsion-poly", "x")
         elif segments == 1 and beam.rho_Ip + beam.tip_inertia[0][0] > 0.0:
-            laden = carries or beam.tip_inertia[0][0] > TWISTED * beam.rho_Ip * beam.length
+            turned = beam.tip_inertia[0][0] + load.twisting
+            laden = load.links or turned > TWISTED * beam.rho_Ip * beam.length
             modes += _first(1, "torsion-poly" if laden else "torsion-fixed-free", "x")
     return ModesByRule(modes)
 
@@ -86,8 +91,12 @@ def _first(count: int, kind: str, direction: str) -> list[Mode]:
     return [Mode(kind=kind, index=k + 1, direction=direction) for k in range(count)]
 
 
-def _bending(beam: Beam, joint: Joint, direction: str, bare_root: bool) -> str:
-    loose = direction == "y" and bare_root and _is_loose(beam, joint)
+def _bending(
+    beam: Beam, joint: Joint, direction: str, segments: int, bare_root: bool, load: TipLoad
+) -> str:
+    if segments > 1 or load.bending.get(direction, 0.0) > LADEN * beam.line_mass.second:
+        return "hierarchical"
+    loose = direction == "y" and bare_root and not load.fixed and _is_loose(beam, joint)
     return "unconstrained" if loose else _clamped(beam, direction)
 
 
