@@ -55,7 +55,7 @@ class Arms(VecEnv):
         self._seen = self._observed(obs)
         ended = terminated | truncated
         self.episode_length_buf = torch.where(ended, 0, self.episode_length_buf + 1)
-        return self._seen, reward.float(), ended, {"time_outs": truncated.float()}
+        return self._seen, reward.float(), ended, {"time_outs": (truncated & ~terminated).float()}
 
     def _observed(self, obs: torch.Tensor) -> TensorDict:
         parts = {"seen": obs.clone(), "truth": self.envs.privileged()}

@@ -73,6 +73,21 @@ def test_an_example_of_another_library_trains_and_prints_its_result(
 
 
 @pytest.mark.slow
+def test_a_failure_in_the_last_step_is_no_time_out_for_rsl_rl(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    require("rsl_rl")
+    example = runpy.run_path(str(ROOT / "examples" / "rsl_rl_ppo.py"))
+    short = {"max_episode_steps": 1, "deflection_limit": 1e-6}
+    for keywords, late in (({"max_episode_steps": 1}, 1.0), (short, 0.0)):
+        monkeypatch.setitem(example["Arms"].__init__.__globals__, "KEYWORDS", keywords)
+        arms = example["Arms"]("cpu")
+        _, _, ended, extras = arms.step(torch.ones(arms.num_envs, 1))
+        assert ended.all()
+        assert (extras["time_outs"] == late).all()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_rl_zoo_trains_with_the_shipped_settings(algorithm: str, tmp_path: Path) -> None:
     require("rl_zoo3")
