@@ -73,28 +73,31 @@ def check_base(arm: Arm, base_torque: float | None) -> None:
 
 
 def ranges(given: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Checked ranges (low, high) of free parameters by name."""
+    """Checked ranges (low, high) of free parameters by name, of the keyword `randomize`."""
     if not isinstance(given, Mapping):
         raise ValueError(
             "randomize must be a dict of (low, high) by free parameter, got "
             f"{validate.shown(given)}."
         )
-    result = {}
-    for name, pair in given.items():
+    for name in given:
         validate.known(name, "randomize", FREE_PARAMETERS)
-        low, high = validate.numbers(pair, f"randomize[{name!r}]", 2)
-        if not 0.0 <= low <= high <= MOST_DRAWN:
-            raise ValueError(
-                f"randomize[{name!r}] must be (low, high) with 0 <= low <= high <= "
-                f"{MOST_DRAWN:g}, got {validate.shown(pair)}."
-            )
-        if name == "stiffness" and not high:
-            raise ValueError(
-                "The factor on every stiffness must be above 0 at the upper end of its range, got "
-                f"{validate.shown(pair)}; links without stiffness are no arm."
-            )
-        result[name] = (low, high)
-    return result
+    return {name: drawn(name, pair, f"randomize[{name!r}]") for name, pair in given.items()}
+
+
+def drawn(name: str, pair: tuple[float, float], what: str) -> tuple[float, float]:
+    """Checked range (low, high) of a free parameter, which errors call `what`."""
+    low, high = validate.numbers(pair, what, 2)
+    if not 0.0 <= low <= high <= MOST_DRAWN:
+        raise ValueError(
+            f"{what} must be (low, high) with 0 <= low <= high <= {MOST_DRAWN:g}, got "
+            f"{validate.shown(pair)}."
+        )
+    if name == "stiffness" and not high:
+        raise ValueError(
+            f"{what}, a factor on every stiffness, must be above 0 at the upper end of its range, "
+            f"got {validate.shown(pair)}; links without stiffness are no arm."
+        )
+    return low, high
 
 
 def within(name: str, value: object, least: float, most: float, unit: str) -> float:

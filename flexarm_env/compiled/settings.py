@@ -55,7 +55,7 @@ class Settings:
 def settings(task: Task, spread: Mapping[str, Range], given: Mapping[str, Any]) -> Settings:
     """Settings from the keywords `given` to `core.Core`, in which ranges replace those of `spread`.
 
-    `spread` has the ranges of the hardware.
+    `spread` has the ranges of the hardware or of the event.
     """
     reward, randomize = given["reward"], given["randomize"]
     if given["obs"] == "goal" and reward is not None:
@@ -71,7 +71,11 @@ def settings(task: Task, spread: Mapping[str, Range], given: Mapping[str, Any]) 
         max_steps=validate.integer(
             given["max_steps"], "max_episode_steps", 0, arguments.MOST_STEPS
         ),
-        ranges=arguments.ranges(spread) | arguments.ranges({} if randomize is None else randomize),
+        ranges={
+            name: arguments.drawn(name, pair, f"{name} by hardware or event")
+            for name, pair in spread.items()
+        }
+        | arguments.ranges({} if randomize is None else randomize),
     )
 
 

@@ -164,6 +164,8 @@ def test_a_dict_changes_numbers_of_a_preset() -> None:
         ({"payload": (-1.0, 1.0)}, "hardware.payload"),
         ({"stiffness": (1.1, 0.9)}, "hardware.stiffness"),
         ({"stiffness": 3}, "hardware.stiffness"),
+        ({"stiffness": (0.0, 0.0)}, "stiffness by hardware.*above 0"),
+        ({"payload": (0.0, 1e9)}, "payload_mass by hardware.*1e.06"),
     ],
 )
 def test_bad_hardware_is_refused(hardware: Any, words: str) -> None:
