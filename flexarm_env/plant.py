@@ -115,9 +115,9 @@ def plan(
     if ranges and tolerance is not None:
         raise ValueError(
             f"tolerance ({validate.shown(tolerance)} m) covers the arm as described, not "
-            f"parameters drawn by randomize, got {sorted(ranges)}. Leave out one of the two, "
-            "or choose with dynamics.choose_model for the arm at the ends of the ranges, and pass "
-            "the richest choice as arm, integrator and substeps."
+            f"parameters that randomize, hardware or event draws, got {sorted(ranges)}. Leave out "
+            "tolerance or what draws them, or choose with dynamics.choose_model for the arm at the "
+            "ends of the ranges, and pass the richest choice as arm, integrator and substeps."
         )
     control_dt = arguments.within("control_dt", control_dt, *arguments.CONTROL_DT, "s")
     arguments.check_base(described, base_torque)

@@ -132,9 +132,16 @@ def test_fidelity_changes_the_model_and_not_the_task() -> None:
             gym.make(ENV_ID, **bad)  # type: ignore[arg-type]
 
 
-def test_drawn_parameters_have_no_tolerance() -> None:
-    with pytest.raises(ValueError, match=r"tolerance \(0.01 m\) covers the arm as described.*ends"):
-        gym.make(ENV_ID, randomize={"payload_mass": (0.0, 0.1)}, tolerance=0.01)
+@pytest.mark.parametrize(
+    "keyword",
+    [{"randomize": {"payload_mass": (0.0, 0.1)}}, {"hardware": "laboratory"}, {"event": "drop"}],
+    ids=lambda keyword: next(iter(keyword)),
+)
+def test_drawn_parameters_have_no_tolerance(keyword: dict[str, Any]) -> None:
+    name = next(iter(keyword))
+    words = rf"tolerance \(0.01 m\) covers the arm as described.*{name}.* draw.*ends"
+    with pytest.raises(ValueError, match=words):
+        gym.make(ENV_ID, **keyword, tolerance=0.01)
 
 
 def test_a_tolerance_that_nothing_meets_is_refused(caplog: pytest.LogCaptureFixture) -> None:
