@@ -192,7 +192,7 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         if isinstance(seed, Integral):
             first = whole_seed(seed) or 0
             return [first + i for i in range(self.num_envs)]
-        seeds = validate.sequence(seed, "seed")
+        seeds = validate.sequence(seed, "seed, if it is not an int,")
         if len(seeds) != self.num_envs:
             raise ValueError(
                 f"seed must hold {self.num_envs} seeds (one per environment), got {len(seeds)}."

@@ -265,6 +265,8 @@ def test_bad_batch_arguments_are_refused_with_a_sentence() -> None:
         envs.step(np.array([[0.0], [np.nan]]))
     with pytest.raises(ValueError, match=r"seed must hold 2 seeds .*, got 3"):
         envs.reset(seed=[1, 2, 3])
+    with pytest.raises(ValueError, match=r"seed, if it is not an int, must be a list, got 1.5"):
+        envs.reset(seed=1.5)
 
 
 @pytest.mark.parametrize("row", [0, 39])
