@@ -287,7 +287,10 @@ PRESENT = {  # observation: (scale, where it is present); its meaning comes from
     "base_rate": ("base turn times rate scale", "on a floating base"),
     "modal_amplitude": ("modal scale", '`obs="state"`'),
     "modal_rate": ("modal scale", '`obs="state"`'),
-    "tip_error": (f"{MOVE:g} reach", '`obs="state"`; directions in which it can differ from zero'),
+    "tip_error": (
+        f"{MOVE:g} reach",
+        '`obs="state"`; directions in which the tip moves; with one joint, across the link alone',
+    ),
     "root_curvature": ("that of a tip force at 10 % deflection", '`obs="sensors"`'),
     "tip_acceleration": ("acceleration scale", "with `accelerometer_noise` in `hardware`"),
     "target_position": ("reach", '`obs="sensors"` on a floating base'),
