@@ -51,7 +51,7 @@ class Conditions:
         for name, (low, high) in self.ranges.items():
             known = measured.ranges.get(name)
             if known is None or low < known[0] - ROUND_OFF or high > known[1] + ROUND_OFF:
-                return f"{name} drawn from {low:g} to {high:g} by randomize"
+                return f"{name} drawn from {low:g} to {high:g} at resets"
         for name in sorted(measured.ranges.keys() - self.ranges.keys()):
             low, high = measured.ranges[name]
             if not low - ROUND_OFF <= FREE_PARAMETERS[name].nominal <= high + ROUND_OFF:

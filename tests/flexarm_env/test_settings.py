@@ -169,7 +169,7 @@ def test_parameters_that_are_left_out_are_those_of_the_hardware_or_nominal() -> 
     assert set(drawn["damping"]) == {1.0}
     assert set(drawn["payload_mass"]) == {0.0}
     assert base.certificate is None
-    assert "by randomize" in base.uncertified
+    assert "at resets" in base.uncertified
 
 
 def test_a_change_reaches_every_thread(monkeypatch: pytest.MonkeyPatch) -> None:
