@@ -306,6 +306,7 @@ def _step(
         raise ValueError(
             f"control_dt ({control_dt:g} s) would take {count} steps of {name!r}, more "
             f"than {arguments.MOST_BY_RULE}, for an arm of {scales(fastest).fastest:.3g} rad/s; "
-            "leave out modes of its stiffest links, take fidelity='rigid', or set substeps."
+            "leave out modes of its stiffest links, take fidelity='rigid', raise coulomb_speed of "
+            "its joints if they have friction, or set substeps."
         )
     return name, count

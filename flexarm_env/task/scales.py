@@ -23,6 +23,7 @@ from dynamics.formulations.kinematics import outward, poses
 from dynamics.formulations.linearized import damping, friction
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
+from dynamics.simulation import step_limits
 from dynamics.simulation.statics import held, sag
 from dynamics.types import Array
 
@@ -39,6 +40,7 @@ LINEAR = 0.97  # share of validity in the bang-bang test, which is linear: bent 
 LEAST_MOTION = 0.3  # of validity: left to motion however far gravity bends the links
 SLOW = 10.0  # frequency over the first of the slow natural modes, which Damp excites
 SAFE = 0.75  # of a method's stability limit: a pose may raise the highest frequency
+POSTURES = 6  # of the tasks in which a step by rule is stable, besides home and stretched
 SMOOTH = {1: 0.003, 2: 0.03, 4: 0.5}  # largest dt omega by a method's order, omega of the first
 # joint-free mode: moves excite it, and a step must follow it to 1e-3 of the reach
 BY_RULE = ("rk4", "midpoint")  # SMOOTH is not enough for Numerov's method: it has to be measured
@@ -311,7 +313,8 @@ def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> t
     """Integrator and substeps per control step that keep the tip within 1e-3 of the reach.
 
     A rule for arms whose steps were never measured (see flexarm_env/certify). Without `integrator`
-    it takes the method of BY_RULE with the fewest evaluations of the accelerations.
+    it takes the method of BY_RULE with the fewest evaluations of the accelerations. The steps are
+    stable in postures of the tasks, friction of the joints included.
     """
     found = scales(arm)
     first = min(found.free, default=RIGID_RATE)
@@ -322,5 +325,23 @@ def integration(arm: Arm, control_dt: float, integrator: str | None = None) -> t
         return max(1, math.ceil(control_dt * max(stable, first / SMOOTH[method.order]) - 1e-9))
 
     names = BY_RULE if integrator is None else (integrator,)
-    counts = {name: steps(name) for name in names}
+    counts = {name: stable_steps(arm, control_dt, name, steps(name)) for name in names}
     return min(counts.items(), key=lambda item: INTEGRATORS[item[0]].evaluations(item[1]))
+
+
+@lru_cache(maxsize=64)
+def stable_steps(arm: Arm, control_dt: float, integrator: str, least: int) -> int:
+    """Steps per control step, at least `least`, that are stable for small motions about rest.
+
+    Looked at are the home posture, the stretched one and POSTURES others of the tasks. Where
+    `least` steps are not stable there, more leave the margin SAFE.
+    """
+    model, home, joints = Model(arm), np.array(home_posture(arm.n_joint)), list(arm.joint_index)
+    others = np.random.default_rng(0).uniform(-EXTENT, EXTENT, (POSTURES, arm.n_joint))
+    longest = control_dt / least
+    for angles in (home, 0.0 * home, *(home + others)):
+        q = np.zeros(arm.n)
+        q[joints] = angles
+        longest = step_limits.largest_step(model, q, integrator, longest)
+    stable = longest == control_dt / least
+    return least if stable else math.ceil(control_dt / (SAFE * longest))

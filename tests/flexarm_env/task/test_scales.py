@@ -1,0 +1,49 @@
+"""Steps by rule: stable wherever the tasks lead, with friction of the joints."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dynamics import Arm, load_arm
+from dynamics.model import Model
+from dynamics.simulation.step_limits import largest_step
+from flexarm_env.task.scales import EXTENT, integration, scales
+
+CONTROL_DT = 0.02  # [s]
+BEAM = {
+    "rho_A": 0.2,
+    "EIz": 50.0,
+    "modes": [{"kind": "clamped-tip-mass", "index": 1, "direction": "y"}],
+}
+
+
+def arm(*links: dict[str, Any]) -> Arm:
+    return load_arm({"links": [BEAM | link for link in links]})
+
+
+STICKING = arm(
+    {"length": 0.8, "EIz": 6.0, "tip_mass": 0.15, "joint": {"rotor_inertia": 5e-4, "coulomb": 0.5}}
+)
+FASTEST_STRETCHED = arm(  # 2.3 times as fast as at home
+    {"length": 1.0, "joint": {"rotor_inertia": 0.1}},
+    {"length": 0.3, "tip_mass": 1.0, "joint": {"rotor_inertia": 1.0}},
+)
+
+
+@pytest.mark.parametrize("arm", [STICKING, FASTEST_STRETCHED])
+@pytest.mark.parametrize("integrator", [None, "rk4", "numerov"])
+def test_steps_by_rule_are_stable_in_all_postures(arm: Arm, integrator: str | None) -> None:
+    name, substeps = integration(arm, CONTROL_DT, integrator)
+    model, home, dt = Model(arm), np.array(scales(arm).home), CONTROL_DT / substeps
+    for angle in np.linspace(-EXTENT, EXTENT, 9):
+        q = np.zeros(arm.n)
+        q[list(arm.joint_index)] = home + angle
+        assert largest_step(model, q, name, dt) == dt
+
+
+@pytest.mark.parametrize("integrator", ["midpoint", "numerov"])
+def test_a_margin_is_left_where_the_rule_had_to_find_the_limit(integrator: str) -> None:
+    _, substeps = integration(STICKING, CONTROL_DT, integrator)
+    model, q, dt = Model(STICKING), np.zeros(STICKING.n), CONTROL_DT / substeps
+    assert largest_step(model, q, integrator, 1.2 * dt) == 1.2 * dt
