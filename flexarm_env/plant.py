@@ -15,7 +15,7 @@ from dynamics.description.parameters import with_parameters
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import ArmSource, load_arm
 from dynamics.simulation.statics import held
-from dynamics.simulation.validity import LARGEST_RATE
+from dynamics.simulation.validity import LARGEST_RATE, loses_stiffness
 from dynamics.types import Array
 from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import (
@@ -83,7 +83,7 @@ class Plant:
     @property
     def rate_limit(self) -> float:
         """Joint rate [rad/s] beyond which linear modes lose much of their stiffness."""
-        if self.arm.foreshortening or not self.scales.locked:
+        if not loses_stiffness(self.arm):
             return UNLIMITED_RATE
         return LARGEST_RATE * min(self.scales.locked)
 

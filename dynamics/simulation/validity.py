@@ -3,6 +3,8 @@
 import numpy as np
 
 from dynamics.description import validate
+from dynamics.description.arm import Arm
+from dynamics.description.deflection import BENDING
 from dynamics.model import Model
 from dynamics.simulation.trajectory import Trajectory
 from dynamics.validity import bending
@@ -21,9 +23,18 @@ def limits(model: Model, trajectory: Trajectory) -> tuple[str, ...]:
     )
 
 
+def loses_stiffness(arm: Arm) -> bool:
+    """True for an arm whose bending modes soften where it turns fast: those without foreshortening.
+
+    Springs of joints and torsion do not.
+    """
+    bends = any(link.in_direction(direction) for link in arm.links for direction in BENDING)
+    return bends and not arm.foreshortening
+
+
 def _rates(model: Model, trajectory: Trajectory) -> list[str]:
     joints = list(model.arm.joint_index)
-    if model.arm.foreshortening or model.n == model.n_joint + model.arm.base.n:
+    if not loses_stiffness(model.arm):
         return []
     first = float(model.frequencies(trajectory.q[0]).min())
     fastest = np.abs(trajectory.v[:, joints]).max(axis=0)

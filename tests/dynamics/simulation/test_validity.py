@@ -40,3 +40,12 @@ def test_limits_name_every_assumption_that_a_motion_violates() -> None:
     assert limits(stiffening, moved(2.0 * first, 0.0)) == ()
     with pytest.warns(ValidityWarning, match="Joint 1 turns"):
         simulate(model, [0.0, 0.0], [0.51 * first, 0.0], None, [0.0, 1e-3])
+
+
+def test_springs_of_joints_and_torsion_lose_no_stiffness_where_an_arm_spins() -> None:
+    twisting = Mode(kind="torsion-fixed-free", index=1, direction="x")
+    joint = Joint(rotor_inertia=0.01, stiffness=50.0)
+    link = replace(S1.links[0], GJ=10.0, rho_Ip=1e-4, modes=(twisting,), joint=joint)
+    model = compiled(replace(S1, links=(link,)))
+    q, v = np.zeros((2, 3)), np.array([[0.0, 0.0, 0.0], [1e3, 0.0, 0.0]])
+    assert limits(model, Trajectory(np.array([0.0, 1.0]), q, v, np.zeros((2, 3)))) == ()
