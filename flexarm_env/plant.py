@@ -154,7 +154,7 @@ def plan(
         substeps,
         entry or alike(measured, conditions),
         actuation,
-        _fastest(fitted.arm, conditions.ranges) if entry is None or integrator else fitted.arm,
+        fastest_drawn(fitted.arm, conditions.ranges) if entry is None or integrator else fitted.arm,
     )
     uncertified = None
     if entry and by_step(entry["certificate"], control_dt, name, count):
@@ -269,7 +269,7 @@ def _uncertified(measured: Sequence[Entry], conditions: Conditions, entry: Entry
     )
 
 
-def _fastest(arm: Arm, ranges: Ranges) -> Arm:
+def fastest_drawn(arm: Arm, ranges: Ranges) -> Arm:
     """The stiffest, lightest and most damped of the plants that may be drawn."""
     ends = {name: low if name == "payload_mass" else high for name, (low, high) in ranges.items()}
     return with_parameters(arm, ends)

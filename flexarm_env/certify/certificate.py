@@ -24,7 +24,8 @@ from flexarm_env.accuracy.certificates import reference
 from flexarm_env.accuracy.motions import KINDS
 from flexarm_env.certify.episodes import SHARE, Distances, Episodes, Trace, environment
 from flexarm_env.core import Core
-from flexarm_env.task.scales import DEFLECTION_LIMIT, RIGID_PERIOD, SAFE, scales
+from flexarm_env.plant import fastest_drawn
+from flexarm_env.task.scales import DEFLECTION_LIMIT, RIGID_PERIOD, SAFE, scales, stable_steps
 
 EPISODES = 64  # of each kind
 CHECKED = 16  # of each kind, by a finer reference
@@ -81,6 +82,7 @@ class Certifier:
         self.model, self.control_dt, self.reach = base.arm, base.control_dt, arm.reach
         self.episodes = Episodes.drawn(base, kinds, count, steps)
         self._fine = converged_steps(arm, self.control_dt)
+        self._ranges = base.randomize
         self.line.stage("reference")
         self.reference = self._converged(reference(arm))
         self.line.stage("model")
@@ -159,15 +161,22 @@ class Certifier:
         self, model: str | Fidelity, some: Episodes | None = None, finer: int = 1
     ) -> Trace:
         """The episodes of a model with fine steps, of a stable explicit method if they diverge."""
-        trace = self._played(model, METHOD, finer * self._fine, some=some)
+        arm = model.arm(self.model) if isinstance(model, Fidelity) else self.model
+        trace = self._played(model, METHOD, finer * self._fine_steps(arm), some=some)
         if trace.diverged.mean() <= 1.0 - SHARE:
             return trace
-        arm = model.arm(self.arm) if isinstance(model, Fidelity) else self.model
         limit = SAFE * INTEGRATORS[EXPLICIT].limit
         stable = max(self._fine, ceil(self.control_dt * scales(arm).fastest / limit))
         if stable > MOST_FINE:
             return trace
         return self._played(model, EXPLICIT, finer * stable, some=some)
+
+    def _fine_steps(self, arm: Arm) -> int:
+        """Steps of METHOD per control step, which takes Coulomb friction explicitly."""
+        if not any(link.joint.coulomb for link in arm.links):
+            return self._fine
+        drawn = fastest_drawn(arm, self._ranges)
+        return stable_steps(drawn, self.control_dt, METHOD, self._fine)
 
     def _played(
         self,
