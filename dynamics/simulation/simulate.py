@@ -121,7 +121,7 @@ def _state(model: Model, x: ArrayLike, base: tuple[float, ...], name: str) -> Ar
 def _signal(
     model: Model, torque: TorqueSignal | ArrayLike | None
 ) -> tuple[Signal | Array, list[float]]:
-    """Torque as a function or a constant, and the times [s] of its jumps."""
+    """Torque as a function or a constant, and the increasing times [s] of its jumps."""
     if torque is None:
         return np.zeros(model.n_torque), []
     numbers = partial(validate.array, shape=(model.n_torque,))
@@ -134,7 +134,7 @@ def _signal(
     jumps = validate.numbers(
         list(getattr(torque, "breakpoints", ())), "torque.breakpoints", unit="s"
     )
-    return checked, list(jumps)
+    return checked, sorted(set(jumps))
 
 
 class _ErrorControlled:
@@ -155,7 +155,7 @@ class _ErrorControlled:
         self.model, self.signal, self.times, self.rtol = model, signal, times, rtol
         q = quaternion_state.with_quaternion(start[0]) if model.arm.base.spatial else start[0]
         self.start = np.concatenate([q, start[1]])
-        between = sorted(t for t in jumps if times[0] < t < times[-1])
+        between = [t for t in jumps if times[0] < t < times[-1]]
         self.knots = [float(times[0]), *between, float(times[-1])]
         self._program = model.program(1, "rk4")
         self._w, self._out = model.workspace(self._program), np.empty((1, model.n))
@@ -267,7 +267,7 @@ def _fixed_steps(
     rows = np.empty((times.size, 2 * model.n))
     rows[0] = np.concatenate(start)
     for k, (begin, end) in enumerate(pairwise(times), 1):
-        knots = [begin, *(t for t in sorted(jumps) if begin < t < end), end]
+        knots = [begin, *(t for t in jumps if begin < t < end), end]
         for left, right in pairwise(knots):
             _march(stepper, signal, left, right, largest)
         rows[k, : model.n], rows[k, model.n :] = stepper.q[0], stepper.v[0]

@@ -120,7 +120,7 @@ class Jump:
 
     def __init__(self, told: bool) -> None:
         if told:
-            self.breakpoints = [self.time]
+            self.breakpoints = [self.time, self.time]  # as of two joints
 
     def __call__(self, t: float) -> Array:
         return TORQUE if t < self.time else -TORQUE
