@@ -102,9 +102,9 @@ def fewest_steps(
 
 
 def given_step(certifier: Certifier, integrator: str, substeps: int) -> Step:
-    """A step of the user's choice; a ValueError if an episode diverges by it."""
+    """A step of the user's choice; a ValueError if episodes diverge by it, not by the model."""
     error = certifier.error(integrator, substeps).worst_share / certifier.reach
-    if not math.isfinite(error):
+    if not math.isfinite(error) and math.isfinite(certifier.model_error().worst_share):
         raise ValueError(
             f"{integrator!r} with {substeps} substeps diverges in these episodes; give more "
             "substeps, or leave both out."

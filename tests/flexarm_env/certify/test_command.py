@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
@@ -11,7 +12,7 @@ import pytest
 from dynamics import load_arm
 from flexarm_env.accuracy.certificates import stored
 from flexarm_env.certify import run as command
-from flexarm_env.certify.search import TIME_PER_DECADE, best_first
+from flexarm_env.certify.search import TIME_PER_DECADE, best_first, given_step
 from flexarm_env.pages.environments import page
 from flexarm_env.registration import SCENES
 
@@ -111,6 +112,12 @@ def test_what_cannot_be_certified_is_one_sentence_and_a_status(
     assert sentence in shown.err
     assert len([line for line in shown.err.splitlines() if "certify" in line]) == 1
     assert shown.out == ""
+
+
+def test_a_given_step_is_not_blamed_for_a_model_that_diverges() -> None:
+    lost = SimpleNamespace(worst_share=math.inf)
+    certifier: Any = SimpleNamespace(error=lambda *_: lost, model_error=lambda: lost, reach=1.0)
+    assert given_step(certifier, "rk4", 4)["error"] == math.inf
 
 
 @pytest.mark.parametrize("given", ["payload=1", "hardware", "randomize={"])
