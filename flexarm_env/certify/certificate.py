@@ -19,6 +19,7 @@ from dynamics.accuracy.progress import Progress
 from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.types import Array
+from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import REFERENCE_METHOD as METHOD
 from flexarm_env.accuracy.certificates import reference
 from flexarm_env.accuracy.motions import KINDS
@@ -152,7 +153,9 @@ class Certifier:
         count: int,
         wider: float = 1.0,
     ) -> Core:
-        limit = wider * self.keywords.get("deflection_limit", DEFLECTION_LIMIT)
+        limit = self.keywords.get("deflection_limit", DEFLECTION_LIMIT)
+        least, most = arguments.DEFLECTION_LIMITS
+        limit = min(wider * arguments.within("deflection_limit", limit, least, most, "-"), most)
         steps = {"integrator": integrator, "substeps": substeps}
         keywords = {**self.keywords, **steps, "fidelity": model, "deflection_limit": limit}
         return environment(self.arm, count, keywords)

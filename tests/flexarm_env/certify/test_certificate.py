@@ -12,7 +12,7 @@ from benchmarks.episode_errors import independent, solved
 from dynamics import load_arm
 from flexarm_env.accuracy.certificates import entries, reference, stored
 from flexarm_env.accuracy.motions import KINDS
-from flexarm_env.certify.certificate import Certifier, interval
+from flexarm_env.certify.certificate import WIDER, Certifier, interval
 from flexarm_env.certify.episodes import Distances, Episodes, Trace, environment
 from flexarm_env.certify.run import conditions
 from flexarm_env.certify.search import TIP_ERROR
@@ -126,6 +126,12 @@ def test_a_reference_sticks_where_its_joint_does() -> None:
     finer = certifier._converged(reference(certifier.arm), finer=2)
     found = Distances.between(certifier.reference, finer, certifier.episodes.kinds)
     assert found.worst_share < 1e-5 * certifier.reach
+
+
+def test_the_largest_deflection_limit_of_an_environment_is_that_of_wider_models_too() -> None:
+    certifier = Certifier.__new__(Certifier)
+    certifier.arm, certifier.keywords = load_arm("slim"), {"deflection_limit": 1.0}
+    assert certifier._core("auto", "rk4", 4, 1, WIDER).settings.deflection_limit == 1.0
 
 
 def test_what_diverges_in_one_model_alone_has_an_infinite_error() -> None:

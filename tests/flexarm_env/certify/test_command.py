@@ -100,6 +100,7 @@ def test_an_environment_finds_what_the_command_measured(
         (["slim", "--set", "hardware=lab"], "lab"),
         (["slim", "--set", "integrator=euler", "--set", "substeps=1"], "diverges"),
         (["--store", "slimm"], "must be one of"),
+        (["slim", "--set", "deflection_limit=much"], "deflection_limit [-] must be a number"),
     ],
 )
 def test_what_cannot_be_certified_is_one_sentence_and_a_status(
