@@ -34,8 +34,22 @@ def test_the_stored_gif_is_that_of_the_shipped_policy_and_the_stored_gains(
     for name, latest in (("trained policy", 0.8), ("joint PD", 1.6)):
         (settled,) = episode_metrics(seen[name].recording)["settling_time"]
         assert settled < latest
-    with pytest.raises(SystemExit, match=r"No policy of one_link_reach_laboratory_ppo .*--gif"):
-        film_shipped(load_config(ROOT / "configs" / "one_link_reach_laboratory_ppo.yaml"), tmp_path)
+    with pytest.raises(SystemExit, match=r"No policy of one_link_reach_tqc .*--gif"):
+        film_shipped(load_config(ROOT / "configs" / "one_link_reach_tqc.yaml"), tmp_path)
+
+
+def test_a_film_shows_the_policy_that_its_own_experiment_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a policy of the same algorithm, on the same track, without the base."""
+    name = "one_link_reach_ppo_ahead"
+    (tmp_path / f"{name}.json").write_bytes((RESULTS / f"{name}.json").read_bytes())
+    seen: list[Any] = []
+    monkeypatch.setattr(
+        "benchmarks.training.write_film", lambda config, pair, out: seen.append(pair)
+    )
+    film_shipped(load_config(ROOT / "configs" / f"{name}.yaml"), tmp_path)
+    assert seen[0]["trained policy"].policy.about["config"] == name
 
 
 def test_a_kept_run_is_not_trained_again(tmp_path: Path) -> None:
