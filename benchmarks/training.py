@@ -18,8 +18,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-
 from agents.comparison import beginning, titled
 from agents.config import Config, load_config
 from agents.controllers import joint_pd, tune_pd
@@ -80,11 +78,13 @@ def run_seed(config: Config, work: Path, seed: int) -> tuple[RunFolder, float]:
 def faster_pd(env_id: str, kwargs: Mapping[str, Any], tasks: Sequence[int]) -> dict[str, float]:
     """Summary of joint PD at FASTER times the control rate, with the best gains for that rate."""
     env = make_batch(env_id, 1, kwargs)
-    control_dt = env.unwrapped.control_dt / FASTER
+    core = env.unwrapped.core
+    fast = {
+        **kwargs,
+        "control_dt": core.control_dt / FASTER,
+        "max_episode_steps": FASTER * core.max_steps,
+    }
     env.close()
-    steps = gym.spec(env_id).max_episode_steps
-    assert steps is not None
-    fast = {**kwargs, "control_dt": control_dt, "max_episode_steps": FASTER * steps}
     tuned = tune_pd(env_id, fast)
     envs = make_batch(env_id, len(tasks), fast)
     pd = joint_pd(envs, tuned.frequency_ratio, tuned.damping_ratio)

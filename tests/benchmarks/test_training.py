@@ -8,10 +8,10 @@ import pytest
 
 from agents.config import load_config
 from agents.figures import Film
-from agents.metrics import episode_metrics
+from agents.metrics import episode_metrics, make_batch
 from benchmarks.output import RESULTS
-from benchmarks.training import film_shipped, run_seed
-from tests.agents.tiny import write_config
+from benchmarks.training import faster_pd, film_shipped, run_seed
+from tests.agents.tiny import ENV_ID, write_config
 from tests.paths import ROOT
 
 
@@ -61,3 +61,15 @@ def test_a_kept_run_is_not_trained_again(tmp_path: Path) -> None:
     assert (run.rows(), run.policy.joinpath("weights.npz").read_bytes()) == before
     with pytest.raises(SystemExit, match="seed3 holds a run of another experiment"):
         run_seed(replace(config, total_steps=512), tmp_path, 3)
+
+
+def test_a_faster_joint_pd_has_episodes_as_long_as_the_experiments(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def length(env_id: str, kwargs: Any) -> Any:
+        core = make_batch(env_id, 1, kwargs).unwrapped.core
+        raise LookupError(core.max_steps * core.control_dt)
+
+    monkeypatch.setattr("benchmarks.training.tune_pd", length)
+    with pytest.raises(LookupError, match=r"^1\.0$"):
+        faster_pd(ENV_ID, {"max_episode_steps": 50}, [0])
