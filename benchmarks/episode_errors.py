@@ -16,6 +16,7 @@ import numpy as np
 from benchmarks.output import (
     RESULTS,
     argument_parser,
+    count,
     provenance,
     save_figure,
     save_results,
@@ -199,7 +200,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Command line."""
     parser = argument_parser("episode_errors", __doc__)
     parser.add_argument("--scenes", nargs="+", choices=list(SCENES), default=list(SCENES))
-    parser.add_argument("--episodes", type=int, default=32, help="of each kind")
+    parser.add_argument("--episodes", type=count, default=32, help="of each kind")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     scenes, paths = {}, {}

@@ -16,7 +16,7 @@ from agents.controllers import CONTROLLERS
 from agents.leaderboard.run import built, names
 from agents.leaderboard.tracks import HARDER, designed_for, keywords
 from agents.metrics import Recording, episode_metrics, make_batch, record
-from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
 from flexarm_env.core import Core
 from flexarm_env.task.events import TIME
 
@@ -176,7 +176,7 @@ better memory could gain.
 def main() -> None:
     """Meet all harder tasks."""
     parser = argument_parser("harder", __doc__)
-    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--episodes", type=count, default=100)
     options = parser.parse_args()
     seeds = range(SEED, SEED + options.episodes)
     tasks = {x: {track: study(x, track, seeds) for track in TRACKS} for x in HARDER}

@@ -27,6 +27,7 @@ from agents.tuned import parameters_of
 from benchmarks.output import (
     RESULTS,
     argument_parser,
+    count,
     provenance,
     save_figure,
     save_results,
@@ -157,8 +158,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Command line."""
     parser = argument_parser("knowledge", __doc__)
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS, metavar="ID")
-    parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--episodes", type=count, default=100)
+    parser.add_argument("--jobs", type=count, default=os.cpu_count())
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     seeds = range(10_000, 10_000 + options.episodes)

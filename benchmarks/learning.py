@@ -14,7 +14,7 @@ from typing import Any
 
 from agents.config import Config, load_config
 from agents.training import build_model
-from benchmarks.output import RESULTS, ROOT, argument_parser, provenance, save_results, table
+from benchmarks.output import RESULTS, ROOT, argument_parser, count, provenance, save_results, table
 
 CONFIG = ROOT / "configs" / "one_link_reach_ppo.yaml"
 CASES: dict[str, tuple[int, dict[str, int]]] = {  # threads, other keywords of the learner
@@ -83,7 +83,7 @@ def profiled(config: Config, threads: int) -> dict[str, float]:
 def main() -> None:
     """Profile the experiment and write the page."""
     parser = argument_parser("learning", __doc__)
-    parser.add_argument("--steps", type=int, default=500_000)
+    parser.add_argument("--steps", type=count, default=500_000)
     parser.add_argument("--out", type=Path, default=RESULTS / "learning.json")
     a = parser.parse_args()
     config = replace(load_config(CONFIG), total_steps=a.steps)

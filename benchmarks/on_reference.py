@@ -24,6 +24,7 @@ from agents.metrics import episode_metrics, make_batch, record
 from benchmarks.output import (
     RESULTS,
     argument_parser,
+    count,
     provenance,
     save_figure,
     save_results,
@@ -176,8 +177,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Command line."""
     parser = argument_parser("on_reference", __doc__)
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS, metavar="ID")
-    parser.add_argument("--episodes", type=int, default=32)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--episodes", type=count, default=32)
+    parser.add_argument("--jobs", type=count, default=os.cpu_count())
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     ranking = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))

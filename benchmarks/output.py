@@ -56,6 +56,14 @@ def make_place(place: Path, option: str, usual: Path | None) -> None:
     folder.mkdir(parents=True, exist_ok=True)
 
 
+def count(text: str) -> int:
+    """Whole number of an option, 1 or more."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"it must be 1 or more, got {number}")
+    return number
+
+
 def argument_parser(name: str, doc: str | None) -> Parser:
     """Parser of `python -m benchmarks.NAME`, described by the first line of a docstring."""
     description = (doc or "").splitlines()[0]

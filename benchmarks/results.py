@@ -23,7 +23,7 @@ from agents.experiments import shipped_experiments
 from agents.learners.algorithms import ON_TENSORS
 from agents.metrics import write_json
 from benchmarks.harder import REACH as WIDE
-from benchmarks.output import RESULTS, ROOT, argument_parser, table
+from benchmarks.output import RESULTS, ROOT, argument_parser, count, table
 from benchmarks.studies import STUDIES
 from dynamics.description import validate
 
@@ -108,7 +108,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line; the exit status is that of the first step that fails."""
     parser = argument_parser("results", __doc__)
     parser.add_argument("--only", nargs="+", metavar="PART")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--jobs", type=count, default=os.cpu_count() or 1)
     parser.add_argument("--keep", type=Path, default=KEEP)
     parser.add_argument("--list", action="store_true", help="show the steps, run none")
     options = parser.parse_args(arguments)

@@ -34,6 +34,7 @@ from benchmarks.output import (
     RESULTS,
     ROOT,
     argument_parser,
+    count,
     provenance,
     save_figure,
     save_results,
@@ -346,9 +347,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argument_parser("studies", __doc__)
     parser.add_argument("study", choices=sorted(STUDIES))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--steps", type=int, help="of each training")
-    parser.add_argument("--episodes", type=int, default=100)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--steps", type=count, help="of each training")
+    parser.add_argument("--episodes", type=count, default=100)
+    parser.add_argument("--jobs", type=count, default=os.cpu_count())
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     study = STUDIES[options.study]

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.comparison import beginning, titled
-from agents.config import Config, load_config
+from agents.config import Config, ConfigError, load_config
 from agents.controllers import joint_pd, tune_pd
 from agents.figures import film, plot_recordings, write_gif
 from agents.hybrid.controller import acting
@@ -37,9 +37,10 @@ from agents.metrics import (
 from agents.policy import Controller, load_policy
 from agents.run_folder.folder import RunFolder, versions
 from agents.run_folder.lock import folder_lock
-from agents.training import learn
+from agents.sentences import one_line
+from agents.training import learn, with_overrides
 from benchmarks.experiments import COLUMNS, FASTER, cells, summarise_experiments
-from benchmarks.output import RESULTS, argument_parser, command
+from benchmarks.output import RESULTS, argument_parser, command, count
 
 # A policy wins if its medians are at most these shares of joint PD's; the rules state it in words.
 SETTLING = {"settling_time": 1.0 / 3.0, "residual_vibration": 1.0 / 10.0}
@@ -213,19 +214,20 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     parser.add_argument("--gif", action="store_true", help="film the first seed and joint PD")
     parser.add_argument(
-        "--jobs", type=int, default=1, help="seeds that are trained, and judged, side by side"
+        "--jobs", type=count, default=1, help="seeds that are trained, and judged, side by side"
     )
-    parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
+    parser.add_argument("--steps", type=count, help="replaces the experiment's total_steps")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
     parser.add_argument("--ship", action="store_true", help="keep the policies in agents/policies")
     a = parser.parse_args()
+    try:
+        config = with_overrides(load_config(a.film or a.config), None, a.steps)
+    except ConfigError as error:
+        parser.error(one_line(error))
     if a.film:
-        film_shipped(load_config(a.film), a.out)
+        film_shipped(config, a.out)
         return
-    config = load_config(a.config)
-    if a.steps is not None:
-        config = replace(config, total_steps=a.steps)
     with tempfile.TemporaryDirectory() as temporary:
         work = a.keep or Path(temporary)
         # a process per seed: what a training leaves behind would fill the memory of the next

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numba.extending import register_jitable
 
-from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
 from dynamics.backends.numba_llvm import lanes, plain_code, vector_code
 from dynamics.runtime import thread_pool, work_queue
 from dynamics.runtime.jit import aligned_zeros
@@ -229,7 +229,7 @@ def _range(ratios: list[float]) -> str:
 def main() -> None:
     """Run the command line."""
     parser = argument_parser("tricks", __doc__)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=count, default=5)
     parser.add_argument("--only", nargs="+", choices=TRICKS, default=list(TRICKS))
     parser.add_argument("--out", type=Path, default=RESULTS / "tricks.json")
     parser.add_argument("--child", help=argparse.SUPPRESS)

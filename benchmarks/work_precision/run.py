@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.output import RESULTS, argument_parser, provenance
+from benchmarks.output import RESULTS, argument_parser, count, provenance
 from benchmarks.work_precision import charts as precision_charts
 from benchmarks.work_precision.scenes import GOOD, SETTINGS, Level, Setting
 from benchmarks.work_precision.stored import STORED, store, stored_results
@@ -329,7 +329,7 @@ def main() -> None:
     parser.add_argument("--truth", action="store_true", help="only recompute the truths")
     parser.add_argument("--charts", action="store_true", help="only draw the stored results")
     parser.add_argument("--only", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
-    parser.add_argument("--jobs", type=int, default=2, help="number of compiling processes")
+    parser.add_argument("--jobs", type=count, default=2, help="number of compiling processes")
     parser.add_argument("--out", type=Path, default=STORED)
     parser.add_argument("--images", type=Path, default=RESULTS)
     options = parser.parse_args()

@@ -33,6 +33,35 @@ def test_help_names_the_command(
     assert name in usage
 
 
+@pytest.mark.parametrize(
+    ("name", "arguments", "words"),
+    [
+        *((name, [f"--{option}", "0"], f"argument --{option}: it must be 1 or more, got 0")
+          for name, option in (
+              ("harder", "episodes"), ("results", "jobs"), ("learning", "steps"),
+              ("cluster", "trials"), ("tricks", "rounds"), ("work_precision", "jobs"),
+          )),
+        ("training", ["--config", "no.yaml"], "no.yaml: there is no such file."),
+        ("training", ["--film", "no.yaml"], "no.yaml: there is no such file."),
+        (
+            "training",
+            ["--config", str(ROOT / "configs" / "one_link_reach_sac.yaml"), "--steps", "9"],
+            "must be below total_steps (9)",
+        ),
+    ],
+)  # fmt: skip
+def test_numbers_and_files_that_no_benchmark_can_use_are_refused(
+    name: str, arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.setattr(sys, "argv", [name, *arguments])
+    monkeypatch.delitem(sys.modules, f"benchmarks.{name}", raising=False)
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module(f"benchmarks.{name}", run_name="__main__")
+    assert ended.value.code == 2
+    assert words in capsys.readouterr().err.splitlines()[-1]
+
+
 @pytest.mark.parametrize("module", ["benchmarks.cost", "benchmarks.peers.__main__"])
 def test_the_command_is_that_of_the_process(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
     main = SimpleNamespace(__spec__=SimpleNamespace(name=module))
