@@ -9,6 +9,7 @@ makes NAME.gif with the shipped policy.
 """
 
 import json
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -56,9 +57,14 @@ def verdict(
     error is compared instead of settling time and residual vibration.
     """
     limits = FOLLOWING if following else SETTLING
-    shares = {name: policy[name] / pd[name] for name in limits}
+    shares = {name: share(policy[name], pd[name]) for name in limits}
     better = all(share <= limits[name] for name, share in shares.items())
     return {"shares": shares, "passed": better and policy["success_rate"] >= pd["success_rate"]}
+
+
+def share(value: float, of: float) -> float:
+    """A median over another one; 0 of a zero, such as the vibration of a rigid arm, is 0."""
+    return value / of if of else math.inf if value else 0.0
 
 
 def run_seed(config: Config, work: Path, seed: int) -> tuple[RunFolder, float]:

@@ -1,5 +1,6 @@
 """Film of a shipped policy, and runs that are kept."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from agents.config import load_config
 from agents.figures import Film
 from agents.metrics import episode_metrics, make_batch
 from benchmarks.output import RESULTS
-from benchmarks.training import faster_pd, film_shipped, run_seed
+from benchmarks.training import faster_pd, film_shipped, run_seed, verdict
 from tests.agents.tiny import ENV_ID, write_config
 from tests.paths import ROOT
 
@@ -73,3 +74,22 @@ def test_a_faster_joint_pd_has_episodes_as_long_as_the_experiments(
     monkeypatch.setattr("benchmarks.training.tune_pd", length)
     with pytest.raises(LookupError, match=r"^1\.0$"):
         faster_pd(ENV_ID, {"max_episode_steps": 50}, [0])
+
+
+@pytest.mark.parametrize(
+    ("settling", "vibration", "passed"),
+    [
+        ((0.4, 1.6), (0.0, 0.0), True),  # of a rigid arm
+        ((0.4, 1.6), (0.1, 0.0), False),
+        ((math.inf, math.inf), (0.0, 0.0), False),
+        ((0.0, 0.0), (0.1, 1.0), True),
+    ],
+)
+def test_a_verdict_is_made_where_joint_pd_has_a_median_of_zero(
+    settling: tuple[float, float], vibration: tuple[float, float], passed: bool
+) -> None:
+    policy, pd = (
+        {"success_rate": 1.0, "settling_time": s, "residual_vibration": v}
+        for s, v in zip(settling, vibration, strict=True)
+    )
+    assert verdict(policy, pd, following=False)["passed"] is passed
