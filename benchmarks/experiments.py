@@ -102,9 +102,14 @@ def curves_title(data: Mapping[str, Any]) -> str:
 
 
 def band(curves: Mapping[str, Mapping[str, Any]]) -> tuple[AnyArray, AnyArray]:
-    """(k,) steps, and (3, k) least, median and largest return over the training seeds."""
+    """(k,) steps, and (3, k) least, median and largest return over the training seeds.
+
+    None, k = 0, if no episode of a seed has ended.
+    """
     known = [[(x, y) for x, y in zip(c["steps"], c["return"], strict=True) if y is not None]
              for c in curves.values()]  # fmt: skip
+    if not all(known):
+        return np.empty(0), np.empty((3, 0))
     lines = [np.array(points).T for points in known]
     steps = lines[0][0]
     returns = [np.interp(steps, *line) for line in lines]
@@ -257,6 +262,8 @@ def main() -> None:
     parser = argument_parser("experiments", __doc__)
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results")
     out = parser.parse_args().out
+    if not stored(out):
+        parser.error(f"--out: {out} has no results of benchmarks.training")
     summarise_experiments(out)
     if out.resolve() == RESULTS:
         state_expected(stored(out))

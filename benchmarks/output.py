@@ -38,6 +38,8 @@ class Parser(argparse.ArgumentParser):
                     make_place(place, option, self.get_default(name))
                 except ValueError as error:
                     self.exit(2, f"{speaker(self.prog)}: {one_line(error)}\n")
+        if getattr(options, "charts", False) and not options.out.is_file():
+            self.error(f"--charts draws stored results, but there is no {options.out}")
         return options
 
 

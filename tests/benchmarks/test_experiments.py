@@ -33,6 +33,15 @@ def test_band_is_the_median_and_the_range_of_the_seeds() -> None:
     assert found.tolist() == [[-1.0, -1.0, -1.0], [1.0, 2.0, 3.0], [2.0, 4.0, 6.0]]
 
 
+def test_a_seed_of_which_no_episode_has_ended_has_no_band() -> None:
+    curves = {"a": {"steps": [1, 2], "return": [None, -1.0]},
+              "b": {"steps": [1, 2], "return": [None, None]}}  # fmt: skip
+    steps, returns = band(curves)
+    assert (steps.shape, returns.shape) == ((0,), (3, 0))
+    figure = learning_curves([{"name": "short", "curves": curves, "runs": [{}, {}]}])
+    assert figure.axes[0].get_title().startswith("short")
+
+
 def test_every_experiment_has_its_curve() -> None:
     experiments = stored(RESULTS)
     assert len(experiments) > 5

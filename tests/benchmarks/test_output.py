@@ -41,6 +41,11 @@ def test_help_names_the_command(
               ("harder", "episodes"), ("results", "jobs"), ("learning", "steps"),
               ("cluster", "trials"), ("tricks", "rounds"), ("work_precision", "jobs"),
           )),
+        *((name, ["--charts", "--out", f"no{suffix}"], f"there is no no{suffix}")
+          for name, suffix in (
+              ("cost", ".json"), ("rigid_arms", ".json"), ("stability", ".json.bz2")
+          )),
+        ("experiments", ["--out", "empty"], "empty has no results of benchmarks.training"),
         ("training", ["--config", "no.yaml"], "no.yaml: there is no such file."),
         ("training", ["--film", "no.yaml"], "no.yaml: there is no such file."),
         (
@@ -51,9 +56,10 @@ def test_help_names_the_command(
     ],
 )  # fmt: skip
 def test_numbers_and_files_that_no_benchmark_can_use_are_refused(
-    name: str, arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch,
+    name: str, arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [name, *arguments])
     monkeypatch.delitem(sys.modules, f"benchmarks.{name}", raising=False)
     with pytest.raises(SystemExit) as ended:
