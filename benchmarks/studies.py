@@ -181,7 +181,12 @@ def measured(name: str, config: Config, options: Namespace, work: Path) -> dict[
             row |= {x: figures(one, [job.result()]) for x, job in others.items()}
             print(row, flush=True)
             rows.append(row)
-    return {"rows": rows, "steps": config.total_steps, "seeds": options.seeds}
+    return {
+        "rows": rows,
+        "steps": config.total_steps,
+        "episodes": config.evaluation.episodes,
+        "seeds": options.seeds,
+    }
 
 
 def percent(found: Mapping[str, Any]) -> str:
@@ -205,10 +210,10 @@ def limits_page(data: Mapping[str, Any]) -> str:
 Made by `{data["command"]}`.
 
 Regret on FlexArm/OneLink-Reach-v0 and FlexArm/OneLink-ReachAgile-v0 with the sensors of
-`hardware="laboratory"`, IQM over 100 test episodes [95 %], and the success of every training seed
-where an episode is missed. PPO sees its latest four observations and was trained on each row
-({data["steps"]:,} steps, {len(data["seeds"])} seeds). The model-based controllers have filters for
-what the row draws, and the parameters that were tuned in the laboratory.
+`hardware="laboratory"`, IQM over {data["episodes"]} test episodes [95 %], and the success of every
+training seed where an episode is missed. PPO sees its latest four observations and was trained on
+each row ({data["steps"]:,} steps, {len(data["seeds"])} seeds). The model-based controllers have
+filters for what the row draws, and the parameters that were tuned in the laboratory.
 
 {table(["torque limit", "payload and stiffness", "delay", *names], rows, "lll")}
 
@@ -231,8 +236,8 @@ Made by `{data["command"]}`.
 
 PPO on FlexArm/OneLink-Reach-v0, trained with more or less realistic sensors and with more or fewer
 stacked observations ({data["steps"]:,} steps, {len(data["seeds"])} seeds), all judged with
-`hardware="laboratory"`: success of every training seed; regret of all (IQM, 100 test episodes,
-400 % where an episode never settles).
+`hardware="laboratory"`: success of every training seed; regret of all (IQM,
+{data["episodes"]} test episodes, 400 % where an episode never settles).
 
 {table(header, rows)}
 
@@ -256,8 +261,8 @@ Made by `{data["command"]}`.
 
 PPO of rsl_rl on FlexArm/OneLink-Reach-v0 with `hardware="laboratory"`
 (`configs/{RECIPE.name}`), and with one part left out at a time: {data["steps"]:,} steps,
-{seeds} seeds. Scores are means over 100 test episodes. Differences below the spread of the seeds
-say nothing.
+{seeds} seeds. Scores are means over {data["episodes"]} test episodes. Differences below the spread
+of the seeds say nothing.
 
 {table(header, rows, "lrll")}
 
@@ -352,6 +357,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--jobs", type=count, default=os.cpu_count())
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
+    if options.episodes < 2:
+        parser.error("argument --episodes: a regret with its interval needs 2 or more, got 1")
     study = STUDIES[options.study]
     config = replace(load_config(study.learner), total_steps=options.steps or study.steps)
     config = replace(config, evaluation=replace(config.evaluation, episodes=options.episodes))

@@ -76,7 +76,9 @@ def run_seed(config: Config, work: Path, seed: int) -> tuple[RunFolder, float]:
     run.path.mkdir(parents=True, exist_ok=True)
     with folder_lock(run.path):
         if run.config.exists() and run.read_config() != config:
-            raise SystemExit(f"{run.path} holds a run of another experiment; give another --keep.")
+            raise SystemExit(
+                f"{run.path} holds a run of another experiment; remove it, or keep runs elsewhere."
+            )
         run.write_config(config)
         learn(run, config)
     return run, run.curve()[-1]["seconds"]

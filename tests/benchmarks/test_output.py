@@ -45,6 +45,7 @@ def test_help_names_the_command(
           for name, suffix in (
               ("cost", ".json"), ("rigid_arms", ".json"), ("stability", ".json.bz2")
           )),
+        ("studies", ["limits", "--episodes", "1"], "a regret with its interval needs 2 or more"),
         ("experiments", ["--out", "empty"], "empty has no results of benchmarks.training"),
         ("training", ["--config", "no.yaml"], "no.yaml: there is no such file."),
         ("training", ["--film", "no.yaml"], "no.yaml: there is no such file."),

@@ -79,3 +79,4 @@ def test_the_stored_page_is_that_of_the_stored_figures(name: str) -> None:
     assert (RESULTS / f"study_{name}.md").read_text("utf-8") == study.page(data)
     assert len(data["rows"]) == len(study.trainings(load_config(study.learner)))
     study.chart(data)
+    assert "7 test episodes" in study.page(data | {"episodes": 7})
