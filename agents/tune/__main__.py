@@ -63,6 +63,10 @@ def main(arguments: list[str] | None = None) -> int:
         validate.integer(options.trials, "--trials", 1, 100_000)
         validate.integer(options.episodes, "--episodes", 1, 100_000)
         experiments = _placed(options.experiments or ())
+        if not experiments and not _searched(options):
+            raise ValueError(
+                f"None of {options.controllers} has parameters to search on these tasks and tracks."
+            )
         check_folder(options.out.parent)
         check_folder(options.keep, "--keep")
     except (ValueError, ConfigError) as error:
@@ -84,20 +88,27 @@ def main(arguments: list[str] | None = None) -> int:
 
 def tune_controllers(options: argparse.Namespace) -> None:
     """Tune the controllers of the command line where they take part."""
-    for env_id in options.tasks:
-        for track in options.tracks:
-            for name in options.controllers:
-                if not takes_part(name, env_id, track) or not CONTROLLERS[name].ranges:
-                    continue
-                before = read(options.out).get(env_id, {}).get(track, {}).get(name, {})
-                found = tune(
-                    name, env_id, keywords(name, track), trials=options.trials,
-                    episodes=options.episodes, stored=before.get("parameters"),
-                    keep=_folder(options.keep, env_id, track, name),
-                )  # fmt: skip
-                print(f"{env_id}, {track}, {name}: {_line(found)}", flush=True)
-                store(options.out, env_id, track, name, found)
-                rmtree(_folder(options.keep, env_id, track, name))
+    for env_id, track, name in _searched(options):
+        before = read(options.out).get(env_id, {}).get(track, {}).get(name, {})
+        found = tune(
+            name, env_id, keywords(name, track), trials=options.trials,
+            episodes=options.episodes, stored=before.get("parameters"),
+            keep=_folder(options.keep, env_id, track, name),
+        )  # fmt: skip
+        print(f"{env_id}, {track}, {name}: {_line(found)}", flush=True)
+        store(options.out, env_id, track, name, found)
+        rmtree(_folder(options.keep, env_id, track, name))
+
+
+def _searched(options: argparse.Namespace) -> list[Place]:
+    """Places of the controllers of the command line that take part and have parameters."""
+    return [
+        (env_id, track, name)
+        for env_id in options.tasks
+        for track in options.tracks
+        for name in options.controllers
+        if takes_part(name, env_id, track) and CONTROLLERS[name].ranges
+    ]
 
 
 def tune_experiments(experiments: Mapping[Place, Config], options: argparse.Namespace) -> None:

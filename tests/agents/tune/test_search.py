@@ -200,3 +200,13 @@ def test_a_place_that_cannot_be_written_to_is_refused_first(
     assert "is not a writable folder" in sentence
     assert f"choose another {option}" in sentence
     assert [x.name for x in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("name", ["zero", "nmpc"])
+def test_a_search_of_nothing_says_so(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without parameters, or on a task in which the controller takes no part."""
+    command = ["--controllers", name, "--tasks", "FlexArm/OneLink-Track-v0"]
+    assert main([*command, "--out", str(tmp_path / "tuned.json"), "--keep", str(tmp_path)]) == 2
+    assert f"None of ['{name}'] has parameters to search" in capsys.readouterr().err
