@@ -153,12 +153,18 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
 class Film:
     """One episode: pictures, measured quantities, and the arm's form at every control step."""
 
-    frames: list[AnyArray]  # (height, W, 3) every GIF_SECONDS_PER_FRAME
+    frames: list[AnyArray]  # (height, W, 3) every `frame_time`
     recording: Recording
     bent: AnyArray  # (N, links, points, 3) [m] centre lines
     straight: AnyArray  # (N, links, 2, 3) [m] ends of the links of the rigid arm
     target: AnyArray  # (N, 3) [m]
     planar: bool
+
+    @property
+    def frame_time(self) -> float:
+        """Time from one picture to the next [s]."""
+        control_dt = float(self.recording.time[1])
+        return steps_per_frame(control_dt) * control_dt
 
 
 def film(
@@ -220,9 +226,9 @@ def film(
 
 
 def drawn(env: Any, renderer: Renderer, actions: Sequence[AnyArray], seed: int) -> list[AnyArray]:
-    """Pictures of the episode of these actions, every GIF_SECONDS_PER_FRAME."""
+    """Pictures of the episode of these actions, every `steps_per_frame`."""
     core = env.unwrapped.core
-    every = max(1, round(GIF_SECONDS_PER_FRAME / env.unwrapped.control_dt))
+    every = steps_per_frame(core.control_dt)
     env.reset(seed=seed)
     renderer.clear()
     renderer.follow(core)
@@ -235,15 +241,21 @@ def drawn(env: Any, renderer: Renderer, actions: Sequence[AnyArray], seed: int) 
     return frames
 
 
+def steps_per_frame(control_dt: float) -> int:
+    """Control steps from one picture to the next: about GIF_SECONDS_PER_FRAME."""
+    return max(1, round(GIF_SECONDS_PER_FRAME / control_dt))
+
+
 SAMPLED = ("tip_error", "tip_deflection", "root_curvature", "torque")
 
 
 def write_gif(path: Path, films: Mapping[str, Film], title: str) -> None:
     """Write a GIF: arms side by side, with strips of tip error and root curvature and a cursor.
 
-    A terminal shows a bar of progress.
+    It plays in real time. A terminal shows a bar of progress.
     """
     n_frames = max(len(film.frames) for film in films.values())
+    seconds = next(iter(films.values())).frame_time
     pictures = {name: [*map(Image.fromarray, film.frames)] for name, film in films.items()}
     width = sum(frames[0].width for frames in pictures.values())
     strips, to_pixel = draw_strips(
@@ -261,12 +273,12 @@ def write_gif(path: Path, films: Mapping[str, Film], title: str) -> None:
             pen.text((left + 10, 8), name, fill=COLOURS[k % len(COLOURS)], font=font)
             left += frames[0].width
         canvas.paste(strips, (0, GIF_HEIGHT))
-        x = to_pixel(i * GIF_SECONDS_PER_FRAME)
+        x = to_pixel(i * seconds)
         ImageDraw.Draw(canvas).line((x, GIF_HEIGHT, x, canvas.height), fill="#444444")
         images.append(canvas)
         bar.update()
     bar.close()
-    save_gif(path, images)
+    save_gif(path, images, seconds)
 
 
 def save_gif(

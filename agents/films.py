@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from agents.controllers import CONTROLLERS
 from agents.evaluate import classical
-from agents.figures import GIF_SECONDS_PER_FRAME, film, save_gif
+from agents.figures import film, save_gif
 from agents.files import FolderError, check_folder
 from agents.hybrid.controller import acting
 from agents.leaderboard.shipped import shipped
@@ -62,8 +62,7 @@ def write(path: Path, name: str, env_id: str) -> None:
         picture = Image.fromarray(frame)
         ImageDraw.Draw(picture).text((10, 8), name, fill="#263238", font=font)
         pictures.append(picture)
-    seconds = max(GIF_SECONDS_PER_FRAME, taken.recording.duration / (len(taken.frames) - 1)) * every
-    save_gif(path, pictures, seconds, COLOURS)
+    save_gif(path, pictures, taken.frame_time * every, COLOURS)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -3,11 +3,20 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from agents import films
-from agents.figures import save_gif
+from agents.figures import (
+    GIF_HEIGHT,
+    Film,
+    draw_strips,
+    save_gif,
+    steps_per_frame,
+    write_gif,
+)
+from agents.metrics import Recording
 
 ID = "FlexArm/OneLink-Reach-v0"
 GROUND, DOT = (250, 250, 248), (200, 30, 30)
@@ -29,6 +38,30 @@ def test_a_film_lasts_as_long_as_its_episode(tmp_path: Path) -> None:
         frames: Any = film
         assert frames.size == (360, films.HEIGHT)
         assert (frames.n_frames - 1) * frames.info["duration"] == pytest.approx(3000)
+
+
+@pytest.mark.parametrize("control_dt", [0.02, 0.05])
+def test_film_and_cursor_of_a_comparison_end_with_the_episode(
+    control_dt: float, tmp_path: Path
+) -> None:
+    time = control_dt * np.arange(21)
+    ones = np.ones((21, 1))
+    recording = Recording(
+        time=time, tip_error=ones, tip_deflection=ones, root_curvature=ones[..., None],
+        torque=ones[..., None], action=ones[..., None], failed=np.array([False]), reach=1.0,
+        duration=time[-1], moving=False,
+    )  # fmt: skip
+    frames = [np.full((GIF_HEIGHT, 400, 3), GROUND, np.uint8)] * (20 // steps_per_frame(control_dt))
+    form = np.zeros((21, 1, 2, 3))
+    taken = Film([frames[0], *frames], recording, form, form, form[:, 0, 0], planar=True)
+    write_gif(tmp_path / "a.gif", {"pd": taken}, "title")
+    _, to_pixel = draw_strips({"pd": recording}, 400, "title")
+    with Image.open(tmp_path / "a.gif") as gif:
+        film: Any = gif
+        film.seek(film.n_frames - 1)
+        assert (film.n_frames - 1) * film.info["duration"] == pytest.approx(1000 * time[-1])
+        last: Any = film.convert("RGB").getpixel((to_pixel(time[-1]), film.height - 1))
+    assert max(last) < 100
 
 
 def test_an_unknown_id_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
