@@ -230,7 +230,6 @@ def drawn(env: Any, renderer: Renderer, actions: Sequence[AnyArray], seed: int) 
     core = env.unwrapped.core
     every = steps_per_frame(core.control_dt)
     env.reset(seed=seed)
-    renderer.clear()
     renderer.follow(core)
     frames = [renderer.draw(core)]
     for step, action in enumerate(actions, start=1):

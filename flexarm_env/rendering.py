@@ -80,15 +80,11 @@ class Renderer:
             self.scale = scale
             self.centre = corner + free / 2 - scale * (low + high) / 2
 
-    def clear(self) -> None:
-        """Clear the trail and the deflections, for a new episode."""
-        self.trail.clear()
-        self.bent.clear()
-
     def follow(self, core: Core, row: int = 0) -> None:
-        """Record the present tip of environment `row`."""
-        if core.elapsed(row) <= 1:
-            self.clear()
+        """Record the present tip of environment `row`, alone at the start of its episode."""
+        if not core.elapsed(row):
+            self.trail.clear()
+            self.bent.clear()
         tip = core.model.tip(core.q[row])
         rigid = core.model.tip(_straight(core, row))
         self.trail.append(tip.copy())

@@ -215,10 +215,7 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
             info = out.described(out.values.tolist(), out.marks.tolist())
         finally:
             self.core.busy = False
-        if self._renderer is not None:
-            self._renderer.clear()
-        if self.render_mode == "human":
-            self.render()
+        self._follow()
         return observation, info
 
     def step(

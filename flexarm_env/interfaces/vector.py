@@ -222,8 +222,8 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
             self._keep(out)
         finally:
             self.core.busy = False
-        if self._renderer is not None:
-            self._renderer.clear()
+        if self._renderer is not None and 0 in rows:
+            self._renderer.follow(self.core)
         if self.render_mode == "human":
             self.render()
         info = out.marked() if mask is None else self._masked_info(out, mask)

@@ -138,6 +138,26 @@ def test_the_library_of_films_is_an_extra_that_the_tested_set_names() -> None:
     assert '-e ".[video]"' in common_page()
 
 
+@pytest.mark.parametrize("batch", [False, True])
+def test_the_strip_begins_with_the_bending_at_the_start_of_every_episode(batch: bool) -> None:
+    """A reset of other environments of a batch leaves it."""
+    kwargs: Any = {"num_envs": 2, "autoreset_mode": "Disabled"} if batch else {}
+    make: Any = gym.make_vec if batch else gym.make
+    env = make("FlexArm/OneLink-Reach-v0", render_mode="rgb_array", **kwargs)
+    for _ in range(2):
+        q = np.linspace(0.0, 0.03, env.unwrapped.arm.n)
+        _, info = env.reset(seed=0, options={"state": {"q": q}})
+        env.render()
+        renderer = env.unwrapped._renderer
+        np.testing.assert_allclose(np.abs(renderer.bent), np.ravel(info["tip_deflection"])[:1])
+        assert renderer.bent != [0.0]
+        env.step(0.0 * env.action_space.sample())
+        assert len(renderer.trail) == len(renderer.bent) == 2
+    if batch:
+        env.reset(options={"reset_mask": np.array([False, True])})
+        assert len(renderer.trail) == len(renderer.bent) == 2
+
+
 def test_batches_render_one_picture_per_environment() -> None:
     envs: Any = gym.make_vec("FlexArm/OneLink-Reach-v0", num_envs=3, render_mode="rgb_array")
     envs.reset(seed=0)
