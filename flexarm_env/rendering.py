@@ -59,6 +59,8 @@ class Renderer:
         base = 0.24 if self.planar else 0.4  # [-] of the width: home postures point to the right
         base = 0.5 if arm.base.n else base  # but not from a base at any angle
         self.centre = np.array([base * SIZE[0], (0.5 if self.planar else 0.64) * room + 4])
+        self.place = np.array(arm.base.position)  # [m] of the base, as described
+        self.centre -= self.place @ self.view.T * self.scale * (1.0, -1.0)
         self.trail: list[Array] = []
         self.bent: list[float] = []  # [m] elastic tip displacement, signed where planar
         self._window: Any = None
@@ -199,10 +201,11 @@ class Renderer:
         angles = np.linspace(0.0, 2.0 * math.pi, 121)
         ring = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
         for k in range(1, count + 1):
-            pen.line(self.pixels(k * step * ring), fill=GRID, width=round(self.fine))
+            circle = self.place + k * step * ring
+            pen.line(self.pixels(circle), fill=GRID, width=round(self.fine))
         for axis in np.eye(3)[: 2 if self.planar else 3]:
             ends = np.array([-axis if axis[2] == 0.0 else 0.0 * axis, axis]) * reach
-            pen.line(self.pixels(ends), fill=GRID, width=round(self.fine))
+            pen.line(self.pixels(self.place + ends), fill=GRID, width=round(self.fine))
 
     def _draw_shadow(self, pen: ImageDraw.ImageDraw, lines: list[Array], goal: Array) -> None:
         """Shadow of the links on the floor, and plumb lines of tip and target."""

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -136,6 +137,18 @@ def test_the_library_of_films_is_an_extra_that_the_tested_set_names() -> None:
     (library,) = project["optional-dependencies"]["video"]
     assert "moviepy==" + library.partition(">=")[2] in (ROOT / "constraints.txt").read_text("utf-8")
     assert '-e ".[video]"' in common_page()
+
+
+def test_a_floating_base_is_drawn_where_the_view_is_whatever_its_place() -> None:
+    """Pictures of one posture at two places are equal."""
+    arm = ARMS["free-flyer"]
+    far = replace(arm, base=replace(arm.base, position=(30.0, -20.0, 0.0)))
+    cores = [Core(task="Reach", arm=x) for x in (arm, far)]
+    for core in cores:
+        core.q[0, :2] = core.arm.base.position[:2]
+        core.state[core.signals.state.slices["anchor"], 0] = core.q[0, :3]
+    pictures = [Renderer(core).draw(core) for core in cores]
+    assert np.mean(pictures[0] != pictures[1]) < 0.001
 
 
 @pytest.mark.parametrize("batch", [False, True])
