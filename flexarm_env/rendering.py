@@ -154,8 +154,9 @@ class Renderer:
         bent = self.shapes(core, core.q[0], 1.0)
         straight = self.shapes(core, _straight(core, 0), 0.0)
         beams = [self._beam(core, k, line) for k, line in enumerate(bent)]
-        even = [line[np.linspace(0, len(line) - 1, POINTS).round().astype(int)] for line in beams]
-        ends = [self._beam(core, k, line)[[0, -1]] for k, line in enumerate(straight)]
+        rigid = [self._beam(core, k, line) for k, line in enumerate(straight)]
+        even = [_evenly(line, still) for line, still in zip(beams, rigid, strict=True)]
+        ends = [line[[0, -1]] for line in rigid]
         return np.array(even), np.array(ends), core.goal(0).copy()
 
     def _beam(self, core: Core, k: int, line: Array) -> Array:
@@ -367,6 +368,13 @@ def _straight(core: Core, row: int) -> Array:
     straight = core.model.rigid(q)
     straight[:base] = q[:base]
     return straight
+
+
+def _evenly(line: Array, straight: Array) -> Array:
+    """(POINTS, 3) [m] of a line, at even distances along the straight link."""
+    along = np.linalg.norm(straight - straight[0], axis=1)
+    places = np.linspace(0.0, along[-1], POINTS)
+    return np.stack([np.interp(places, along, values) for values in line.T], axis=1)
 
 
 def _rotation(theta: Array) -> Array:

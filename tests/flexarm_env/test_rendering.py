@@ -151,6 +151,16 @@ def test_a_floating_base_is_drawn_where_the_view_is_whatever_its_place() -> None
     assert np.mean(pictures[0] != pictures[1]) < 0.001
 
 
+@pytest.mark.parametrize("segments", [1, 4])
+def test_forms_have_their_points_at_even_distances(segments: int) -> None:
+    """A replay exaggerates their distances from the same points of the straight link."""
+    rod = {"length": 0.4, "rho_A": 0.5, "EIz": 2.0, "segments": segments}
+    modes = [{"kind": "hierarchical", "index": k, "direction": "y"} for k in (1, 2)]
+    core = Core(task="Reach", arm={"links": [{**rod, "modes": modes}]})
+    (line,), (ends,), _ = Renderer(core).forms(core)
+    np.testing.assert_allclose(line, np.linspace(*ends, len(line)), atol=1e-15)
+
+
 @pytest.mark.parametrize("batch", [False, True])
 def test_the_strip_begins_with_the_bending_at_the_start_of_every_episode(batch: bool) -> None:
     """A reset of other environments of a batch leaves it."""
