@@ -1,5 +1,6 @@
 """README and start page: short, true, and with a way to every page."""
 
+import math
 import re
 import subprocess
 import sys
@@ -7,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from flexarm_env.accuracy.certificates import stored
+from flexarm_env.accuracy.motions import KINDS
 from tests.paths import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -51,6 +54,21 @@ def test_the_numbers_of_a_promise_are_on_the_page_that_it_names(bullet: str) -> 
     numbers = r"\b\d+ of \d+\b|\b\d[\d.]*\d? million\b|\b\d[\d.]*\d\b|\bthousandth\b|\bv0\b"
     for number in re.findall(numbers, words):
         assert number in text, number
+
+
+def test_the_promised_accuracy_is_that_of_the_certificates() -> None:
+    """One link, two links and the free flyer under all conditions; six links at their own."""
+    shares, until = [], []
+    for arm, found in stored().items():
+        for k, entry in enumerate(found["measured"]):
+            for name, kind in entry["certificate"]["episodes"]["kinds"].items():
+                if arm != "six-link":
+                    shares.append(kind["share"])
+                elif k == 0 and not KINDS[name].shaken and kind["until"][0]:
+                    until.append(kind["until"][0])
+    (promise,) = [bullet for bullet in bullets() if "Accuracy" in bullet]
+    assert f"{math.ceil(1e4 * max(shares)) / 10} thousandths" in promise
+    assert f"{math.floor(10 * min(until)) / 10} s from rest" in promise
 
 
 @pytest.mark.parametrize("name", ["README.md", "docs/index.md"])
