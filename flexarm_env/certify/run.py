@@ -5,9 +5,9 @@ page. For every method in `search.METHODS` this finds the fewest substeps that k
 TIP_ERROR of the reach in 95 of 100 episodes of each kind in `motions.KINDS`, or within SLACK times
 the model's own error where that is larger, and on a floating base the momentum within
 MOMENTUM_ERROR. Of these it takes the method with the least CPU time, allowing a tenth more time for
-a tenth of the error. `gym.make` of the same arm and keywords finds what this measured. With no ARM
-it measures the registered environments under all conditions in `conditions`, and writes
-certificates.json. Run nothing else on the machine meanwhile.
+a tenth of the error. `gym.make` of the same arm and keywords finds what this measured. `--store`
+measures registered environments under all conditions in `conditions`, and writes
+certificates.json, from which ids take their steps. Run nothing else on the machine meanwhile.
 """
 
 import argparse
@@ -42,6 +42,7 @@ PERIOD_SHARE = 0.15  # [-] control step over the first joint-free period of an o
 ROUND = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # [s] its control step
 OWN_STEPS = 150  # control steps of its episodes
 STEP = ("integrator", "substeps")
+ALL = "all"  # registered scenes, for --store
 KEYWORDS = (
     "torque_limit", "base_torque", "actuator", "hardware", "randomize", "deflection_limit", "event",
     *STEP,
@@ -113,10 +114,10 @@ def described(source: str, control_dt: float | None) -> tuple[Fitted, float, int
     return fit(arm, dt, "auto", None), dt, steps, keywords
 
 
-def measure_all(line: Progress, only: str | None = None) -> None:
+def measure_all(line: Progress, only: str = ALL) -> None:
     """Measure the registered scenes under all their conditions, and write certificates.json."""
     for scene, (arm, dt, steps) in SCENES.items():
-        if only not in (None, arm):
+        if only not in (ALL, arm):
             continue
         measured = []
         for keywords in conditions(scene):
@@ -155,9 +156,8 @@ def main(given: list[str] | None = None, prog: str = "python -m flexarm_env.cert
     """Measure the named arms and print their tables; the exit status."""
     parser = argparse.ArgumentParser(prog=prog, description="Measure the errors of arms.")
     parser.add_argument(
-        "arms", nargs="*", metavar="ARM",
-        help="preset, arm file (.json, .yaml) or id; default: all registered scenes, stored",
-    )  # fmt: skip
+        "arms", nargs="*", metavar="ARM", help="preset, arm file (.json, .yaml) or id"
+    )
     parser.add_argument(
         "--control-dt", type=float, metavar="S",
         help="time between actions [s]; default: that of the registered environment, else "
@@ -167,13 +167,18 @@ def main(given: list[str] | None = None, prog: str = "python -m flexarm_env.cert
         "--set", type=setting, action="append", default=[], metavar="KEY=VALUE",
         help=f"keyword of the environment, the value in YAML: {', '.join(KEYWORDS)}",
     )  # fmt: skip
-    parser.add_argument("--store", metavar="PRESET", help="measure and store one registered scene")
+    parser.add_argument(
+        "--store", metavar="PRESET",
+        help=f"for developers: measure one registered scene, or {ALL}, and replace its steps",
+    )  # fmt: skip
     options = parser.parse_args(given)
+    if not options.arms and options.store is None:
+        parser.error("an ARM is missing, such as slim, my_arm.yaml or FlexArm/OneLink-Reach-v0")
     try:
         if options.store is not None:
-            validate.choice(options.store, "--store", [arm for arm, _, _ in SCENES.values()])
+            validate.choice(options.store, "--store", [ALL, *(x[0] for x in SCENES.values())])
         with Progress(None) as line:
-            if options.store or not options.arms:
+            if options.store:
                 measure_all(line, options.store)
             for source in options.arms:
                 fitted, dt, steps, keywords = described(source, options.control_dt)

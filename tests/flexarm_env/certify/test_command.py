@@ -130,6 +130,21 @@ def test_a_keyword_that_is_none_is_refused_by_the_parser(
     assert "--set" in capsys.readouterr().err
 
 
+def test_certificates_of_ids_are_replaced_by_store_alone(
+    unmeasured: list[tuple[Any, ...]],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(command, "STORE", tmp_path / "certificates.json")
+    with pytest.raises(SystemExit):
+        command.main([])
+    assert "an ARM is missing" in capsys.readouterr().err
+    assert not unmeasured
+    assert command.main(["--store", "all"]) == 0
+    assert list(json.loads(command.STORE.read_text())) == [arm for arm, _, _ in SCENES.values()]
+
+
 def test_an_arm_that_no_method_follows_needs_a_shorter_control_step(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
