@@ -152,13 +152,14 @@ def _forces(traced: TracedArm) -> Any:
     bent = bent_coordinates(traced.arm)
     x, angles, share = ca.SX.sym("x", len(bent) + m), ca.SX.sym("angles", m), ca.SX.sym("share")
     q: list[Any] = traced.n * [None]
-    for places, values in ((bent, x[: len(bent)]), (joints, angles)):
+    bend, torques = ca.vertsplit(x, [0, len(bent), x.numel()])
+    for places, values in ((bent, bend), (joints, angles)):
         for place, value in zip(places, ca.vertsplit(values), strict=True):
             q[place] = value
     gravity: Any = tuple(share * g if g else 0.0 for g in traced.arm.gravity)
     h = traced.formed.equations.bias(replace(traced.chain, gravity=gravity), q, traced.n * [0.0])
     B = inputs(traced.chain)
-    residual, still = ca.vertcat(*h) - ca.mtimes(ca.DM(B), x[len(bent) :]), ca.DM(null_space(B.T))
+    residual, still = ca.vertcat(*h) - ca.mtimes(ca.DM(B), torques), ca.DM(null_space(B.T))
     stiffness = ca.mtimes([still.T, ca.jacobian(ca.vertcat(*h), ca.vertcat(*q)), still])
     results = [residual, ca.jacobian(residual, x), stiffness]
     return ca.Function("statics", [x, angles, share], results)

@@ -112,13 +112,22 @@ def test_the_torques_hold_the_arm_at_rest(seed: int) -> None:
     assert np.abs(a).max() < 1e-8 * np.abs(fallen).max()
 
 
-def test_a_clamped_beam_without_a_joint_has_its_equilibrium() -> None:
-    held = Model(horizontal()).equilibrium(np.zeros(1))
+@pytest.mark.parametrize("shapes", [SHAPES, SHAPES[:1]], ids=len)
+def test_a_clamped_beam_without_a_joint_has_its_equilibrium(shapes: tuple[Mode, ...]) -> None:
+    held = Model(horizontal(modes=shapes)).equilibrium(np.zeros(1))
 
-    clamped = Model(horizontal(joint=Joint(type="fixed"))).equilibrium(np.zeros(0))
+    clamped = Model(horizontal(modes=shapes, joint=Joint(type="fixed"))).equilibrium(np.zeros(0))
 
     assert_allclose(clamped.q, held.q[1:], rtol=1e-10)
     assert clamped.torque.shape == (0,)
+
+
+def test_a_rigid_link_is_held_by_the_moment_of_its_weight() -> None:
+    rest = Model(horizontal(modes=())).equilibrium(np.zeros(1))
+
+    assert_allclose(rest.q, [0.0], atol=0.0)
+    weight = 0.5 * BEAM["rho_A"] * BEAM["length"] + BEAM["tip_mass"]
+    assert_allclose(rest.torque, [weight * BEAM["length"] * G], rtol=1e-12)
 
 
 def test_an_arm_that_starts_at_rest_stays_there() -> None:
