@@ -200,6 +200,15 @@ class Arm:
                     "Link.tip_inertia[0][0] = 0.0; give rho_Ip [kg m], of a round bar "
                     "rho_A r^2 / 2, or leave torsion modes out."
                 )
+            for direction, axis in (("y", 2), ("z", 1)):
+                several = link.lumped and len(link.in_direction(direction)) > 1
+                if several and not _bends_inertia(links[i:], self.payload, axis):
+                    raise ValueError(
+                        f"Link {i + 1} is lumped and has two modes along {direction!r}, but "
+                        "nothing that its tip turns (the mass matrix would be singular), got "
+                        f"Link.tip_inertia[{axis}][{axis}] = 0.0; give inertia, one mode, or leave "
+                        "lumped out."
+                    )
 
     @property
     def n(self) -> int:
@@ -311,6 +320,22 @@ def _twists_inertia(links: tuple[Link, ...], payload: Payload | None) -> bool:
         if link.mean("rho_Ip") or link.tip_inertia[0][0] or body:
             return True
     return payload is not None and float(about_origin(payload)[0, 0]) > 0.0
+
+
+def _bends_inertia(links: tuple[Link, ...], payload: Payload | None, axis: int) -> bool:
+    """True if the tip of the first of the links turns an inertia about its axis y (1) or z (2).
+
+    A joint on that axis turns the next link as well as the tip does, and leaves it the rotor.
+    """
+    if links[0].tip_inertia[axis][axis]:
+        return True
+    if len(links) == 1:
+        return payload is not None and float(about_origin(payload)[axis, axis]) > 0.0
+    joint = links[1].joint
+    on_axis = not any(x for k, x in enumerate(joint.offset) if k != axis)
+    on_axis = on_axis and abs(joint.rotation[axis][2]) >= IN_LINE and joint.type != "prismatic"
+    free = joint.elastic or (joint.moves and joint.rotor_inertia == 0.0)
+    return not (joint.parallel or (on_axis and free))
 
 
 def _plain(value: Any) -> Any:

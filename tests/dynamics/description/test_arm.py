@@ -206,10 +206,20 @@ def test_a_bad_link_is_refused_with_a_sentence_that_says_where(sentence: str) ->
     assert "\n" not in str(caught.value)
 
 
+LUMPED = {
+    "length": 1.0, "rho_A": 1.0, "EIz": 9.0, "lumped": True,
+    "modes": [{"kind": "hierarchical", "index": k, "direction": "y"} for k in (1, 2)],
+}  # fmt: skip
 REFUSED_ARMS = {
     "links must hold at least one": {"links": []},
     "must have a coordinate on a fixed base, got only fixed joints": {
         "links": [{"length": 1.0, "rho_A": 1.0, "joint": {"type": "fixed"}}]
+    },
+    r"Link 1 is lumped and has two modes along 'y', .*got Link.tip_inertia\[2\]\[2\] = 0.0": {
+        "links": [LUMPED]
+    },
+    "Link 1 is lumped and has two modes along 'y', but nothing that its tip turns": {
+        "links": [LUMPED, {"length": 1.0, "rho_A": 1.0}]
     },
     "links must be a list": {"links": {}},
     r"links\[0\] must be a mapping": {"links": [3]},
