@@ -9,14 +9,17 @@ from typing import Any
 import gymnasium as gym
 import pytest
 
-from dynamics import load_arm
+from dynamics import Arm, load_arm
 from flexarm_env.accuracy.certificates import stored
+from flexarm_env.accuracy.scene import scene
+from flexarm_env.certify import choice
 from flexarm_env.certify import run as command
 from flexarm_env.certify.search import TIME_PER_DECADE, best_first, given_step
 from flexarm_env.pages.environments import page
+from flexarm_env.plant import Plant, plan
 from flexarm_env.registration import SCENES
 
-OWN = {
+OWN: dict[str, Any] = {
     "name": "own",
     "links": [
         {
@@ -87,6 +90,44 @@ def test_an_environment_finds_what_the_command_measured(
     assert 0.0 < after.certificate["error"] < 0.05 * after.reach
     wider: Any = gym.make("FlexArm/OneLink-Reach-v0", arm=str(path), control_dt=0.02).unwrapped
     assert wider.certificate is None
+
+
+@pytest.mark.parametrize("keywords", [{}, {"torque_limit": 9.0}])
+def test_certificates_of_models_for_modes_auto_are_found(
+    keywords: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path / "cache"))
+    path = tmp_path / "own.json"
+    path.write_text(json.dumps({"name": "own", "links": [{**OWN["links"][0], "modes": "auto"}]}))
+
+    def chosen(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
+        return {
+            "arm": arm.with_listed_modes().to_dict(), "integrator": "midpoint", "dt": control_dt,
+            "error": tolerance, "tolerance": tolerance, "reason": "Enough.",
+            "holds": scene(arm, control_dt)[1].to_dict(),
+        }  # fmt: skip
+
+    def planned(tolerance: float | None = None) -> Plant:
+        given = {"torque_limit": None, "actuator": None} | keywords
+        return plan(arm=str(path), control_dt=0.02, integrator=None, substeps=None, fidelity="auto",
+                    tolerance=tolerance, ranges={}, deflection_limit=0.05, **given)  # fmt: skip
+
+    def entry(*_: object) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(json.dumps(stored()["slim"]["measured"][0]))
+        dt = 0.02 / found["steps"][0]["substeps"]
+        found["certificate"] |= {"dt": dt, "holds": planned().conditions.to_dict()}
+        again: dict[str, Any] = json.loads(json.dumps(found))
+        return again
+
+    monkeypatch.setattr(choice, "chosen", chosen)
+    monkeypatch.setattr(command, "entry", entry)
+    options = [
+        x for key, value in keywords.items() for x in ("--set", f"{key}={json.dumps(value)}")
+    ]
+    assert command.main([str(path), "--control-dt", "0.02", *options]) == 0
+    assert planned().certificate == entry()["certificate"]
+    if not keywords:
+        assert planned(0.01).integrator == "midpoint"  # the step of that tolerance
 
 
 @pytest.mark.parametrize(
