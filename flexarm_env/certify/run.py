@@ -15,6 +15,7 @@ import json
 import math
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import yaml
@@ -35,6 +36,7 @@ from flexarm_env.certify.search import (
     sufficient_steps,
     timed,
 )
+from flexarm_env.hardware.actuators import load_actuators, mounted
 from flexarm_env.registration import AGILE, HARDER, IDS, SCENES, registered
 from flexarm_env.task.scales import scales
 
@@ -98,8 +100,13 @@ def entry(
     return {"steps": best, "certificate": certificate}
 
 
-def described(source: str, control_dt: float | None) -> tuple[Fitted, float, int, dict[str, Any]]:
-    """Model, control step [s], steps per episode and keywords of an id, a preset or an arm file."""
+def described(
+    source: str, control_dt: float | None, given: Mapping[str, Any]
+) -> tuple[Fitted, float, int, dict[str, Any]]:
+    """Model, control step [s], steps per episode and keywords of an id, a preset or an arm file.
+
+    The model is that of the arm with its motors, which are left to the keywords.
+    """
     keywords: dict[str, Any] = {}
     known = {arm: (dt, steps) for arm, dt, steps in SCENES.values()}
     if source.removeprefix("flexarm_env:").startswith("FlexArm/"):
@@ -111,7 +118,15 @@ def described(source: str, control_dt: float | None) -> tuple[Fitted, float, int
     if control_dt is not None or dt is None:
         dt = default_control_dt(arm) if control_dt is None else control_dt
     dt = arguments.within("--control-dt", dt, *arguments.CONTROL_DT, "s")
-    return fit(arm, dt, "auto", None), dt, steps, keywords
+    keywords |= given
+    fitted = fit(_with_motors(arm, keywords), dt, "auto", None)
+    pairs = zip(fitted.arm.links, arm.links, strict=True)
+    links = tuple(replace(link, joint=own.joint) for link, own in pairs)
+    return replace(fitted, arm=replace(fitted.arm, links=links)), dt, steps, keywords
+
+
+def _with_motors(arm: Arm, keywords: Mapping[str, Any]) -> Arm:
+    return mounted(arm, load_actuators(keywords.get("actuator"), arm.n_joint))
 
 
 def measure_all(line: Progress, only: str = ALL) -> None:
@@ -181,13 +196,13 @@ def main(given: list[str] | None = None, prog: str = "python -m flexarm_env.cert
             if options.store:
                 measure_all(line, options.store)
             for source in options.arms:
-                fitted, dt, steps, keywords = described(source, options.control_dt)
-                keywords |= dict(options.set)
+                changes = dict(options.set)
+                fitted, dt, steps, keywords = described(source, options.control_dt, changes)
                 _report(f"{source}: {EPISODES} episodes of each kind, control step {dt:g} s")
                 found = entry(fitted, dt, steps, keywords, line)
-                keep(fitted.arm, dt, found)
+                keep(_with_motors(fitted.arm, keywords), dt, found)
                 print(f"# {source}, control step {dt:g} s\n")
-                print(accuracy(found, command(source, dict(options.set), options.control_dt)))
+                print(accuracy(found, command(source, changes, options.control_dt)))
     except (ValueError, TypeError, RuntimeError) as error:
         _report(f"{prog.removeprefix('python -m ')}: {' '.join(str(error).split())}")
         return 2

@@ -29,6 +29,10 @@ OWN: dict[str, Any] = {
         }
     ],
 }  # fmt: skip
+MOTOR = {
+    "type": "dc-motor", "resistance": 2.6, "torque_constant": 0.05, "back_emf": 0.05,
+    "voltage_limit": 10.0, "gear": 10.0, "rotor_inertia": 0.0005,
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -92,13 +96,17 @@ def test_an_environment_finds_what_the_command_measured(
     assert wider.certificate is None
 
 
-@pytest.mark.parametrize("keywords", [{}, {"torque_limit": 9.0}])
-def test_certificates_of_models_for_modes_auto_are_found(
-    keywords: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize(
+    ("modes", "keywords"),
+    [("auto", {}), ("auto", {"torque_limit": 9.0}), ("auto", {"actuator": MOTOR}),
+     (OWN["links"][0]["modes"], {"actuator": MOTOR})],
+)  # fmt: skip
+def test_certificates_of_models_for_modes_auto_and_of_arms_with_motors_are_found(
+    modes: Any, keywords: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("FLEXARM_CACHE", str(tmp_path / "cache"))
     path = tmp_path / "own.json"
-    path.write_text(json.dumps({"name": "own", "links": [{**OWN["links"][0], "modes": "auto"}]}))
+    path.write_text(json.dumps({"name": "own", "links": [{**OWN["links"][0], "modes": modes}]}))
 
     def chosen(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
         return {
