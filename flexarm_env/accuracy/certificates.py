@@ -30,6 +30,7 @@ FIDELITIES = ("rigid", "auto", "reference")
 AUTO_TOLERANCE = 1e-3  # [of the reach] tip error of the model that `modes: auto` gives
 REFERENCE_MODES = (3, 2)  # per segment: of bending, of torsion
 REFERENCE_METHOD = "extrapolated-midpoint"
+MEASURING = ("accuracy", "certify", "compiled", "hardware", "task")  # rooms that play episodes
 _chooser: list[Chooser] = []
 
 
@@ -80,8 +81,9 @@ def _name(arm: Arm, control_dt: float) -> str:
 @lru_cache(maxsize=1)
 def _measuring() -> str:
     """Hash of the sources that measure errors."""
-    folder = Path(__file__).parents[1] / "certify"
-    return hash_of_files([*sources(("accuracy", "simulation")), *folder.glob("*.py")])
+    package = Path(__file__).parents[1]
+    own = [path for room in MEASURING for path in (package / room).rglob("*.py")]
+    return hash_of_files([*sources(("accuracy", "simulation")), *own])
 
 
 def covering(measured: Sequence[Entry], conditions: Conditions) -> Entry | None:

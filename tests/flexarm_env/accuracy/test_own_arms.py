@@ -8,6 +8,7 @@ import gymnasium as gym
 import pytest
 
 from dynamics import Arm, load_arm
+from flexarm_env.accuracy import certificates
 from flexarm_env.accuracy.certificates import AUTO_TOLERANCE, fit
 from flexarm_env.accuracy.scene import scene
 from flexarm_env.certify import choice
@@ -59,6 +60,18 @@ def test_an_automatic_arm_is_measured_to_a_thousandth_of_its_reach_and_cached(
     assert found[0].entry is not None
     assert found[0].entry["steps"] == [{"integrator": "midpoint", "substeps": 2}]
     assert "modes: auto of own: One mode suffices." in caplog.text
+
+
+@pytest.mark.parametrize("room", ["accuracy", "certify", "compiled", "hardware", "task"])
+def test_what_is_cached_belongs_to_the_sources_that_measured_it(
+    room: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of the motions, the reference, the actuators and the torques too."""
+    monkeypatch.setattr(
+        certificates, "hash_of_files", lambda paths: {path.parent for path in paths}
+    )
+    folder = Path(certificates.__file__).parents[1] / room
+    assert folder in certificates._measuring.__wrapped__()
 
 
 def test_a_tolerance_or_fidelity_replaces_the_choice_of_auto(searched: list[float]) -> None:
