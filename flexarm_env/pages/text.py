@@ -277,7 +277,11 @@ TERMINOLOGY = (
 
 PRESENT = {  # observation: (scale, where it is present); its meaning comes from the layout
     "joint_error": ("angle scale", "always"),
-    "joint_sin": ("1", "joint 2 and later; joint 1 only under gravity or on a floating base"),
+    "joint_sin": (
+        "1",
+        "joint 2 and later; joint 1 only under gravity, on a floating base or behind a fixed link "
+        "that bends",
+    ),
     "joint_cos": ("1", "as `joint_sin`"),
     "joint_rate": ("rate scale", "always"),
     "base_position": ("0.1 reach", "on a floating base"),

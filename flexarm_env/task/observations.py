@@ -137,8 +137,8 @@ def observation_layout(
     joints, columns = range(arm.n_joint), curvature_columns(arm)
     modal, actions = _modal(arm), range(arm.n_torque)
     axes = [k for k in range(3) if (k or arm.n_joint > 1) and (k != 2 or not is_planar(arm))]
-    # the first joint's angle matters only under gravity, or where it turns the base
-    turned = joints if any(arm.gravity) or arm.base.n else joints[1:]
+    # the first joint's angle matters only under gravity, or where what carries the joint can move
+    turned = joints if any(arm.gravity) or arm.joint_index[0] else joints[1:]
     every = [
         _part("joint_error", "joint angle minus target joint angle", "rad", joints, MOVE),
         _part("joint_sin", "sine of the joint angle", "-", turned, 1.0, 1.0),

@@ -6,9 +6,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dynamics import ARMS, Arm, Body, Joint, Link
+from dynamics import ARMS, Arm, Body, Joint, Link, load_arm
+from flexarm_env import TASKS
 from flexarm_env.hardware.sensors import load_hardware
 from flexarm_env.rendering import Renderer
+from flexarm_env.task.observations import observation_layout
+from flexarm_env.task.scales import scales
 
 BEND = {"kind": "clamped-tip-mass", "index": 1, "direction": "y"}
 LINK = {"length": 0.4, "rho_A": 0.12, "EIz": 6.0, "modes": [BEND]}
@@ -40,6 +43,19 @@ def test_an_environment_moves_and_draws_links_on_a_fixed_joint() -> None:
     lines = Renderer(core).shapes(core, q, 1.0)
     assert lines[-1][-1] == pytest.approx(core.model.tip(q), abs=1e-12)
     assert info["root_curvature"].shape == (3,)
+
+
+@pytest.mark.parametrize("stiffness", [None, 40.0], ids=["welded", "a clamp that gives"])
+@pytest.mark.parametrize("modes", [[], [BEND]], ids=["rigid", "bends"])
+def test_the_first_angle_is_observed_where_what_carries_the_joint_moves(
+    modes: list[dict[str, object]], stiffness: float | None
+) -> None:
+    """Otherwise an arm without gravity moves alike at every angle of its first joint."""
+    ground = {**LINK, "modes": modes, "joint": {"type": "fixed", "stiffness": stiffness}}
+    arm = load_arm({"links": [ground, {**LINK, "joint": {"rotor_inertia": 0.02}}]})
+    for obs in ("state", "sensors"):
+        slices = observation_layout(arm, TASKS["Reach"], obs, scales(arm), 1.0).slices
+        assert ("joint_sin" in slices) == bool(modes or stiffness)
 
 
 def test_an_arm_without_a_moving_joint_is_refused() -> None:

@@ -117,10 +117,7 @@ class LinearModels:
         return _shared(arm, core.control_dt, drawn)
 
     def at(self, posture: Array, plant: int | None = None) -> LinearModel:
-        """Model at joint angles (m,) [rad], of the middle plant if none is named.
-
-        Without gravity the first angle does not matter.
-        """
+        """Model at joint angles (m,) [rad], of the middle plant if none is named."""
         return self._model(place_of(posture), self.middle if plant is None else plant)
 
     def _linear_model(self, place: tuple[float, ...], plant_index: int) -> LinearModel:
@@ -212,8 +209,8 @@ def usual(ranges: Mapping[str, Range]) -> dict[str, float]:
 
 
 def place_of(posture: Array, decimals: int = ROUND) -> tuple[float, ...]:
-    """Joint angles [rad] by which models are kept: the first is zero, the others are rounded."""
-    return (0.0, *[round(angle, decimals) for angle in posture[1:].tolist()])
+    """Joint angles [rad] by which models are kept, rounded."""
+    return tuple(round(angle, decimals) for angle in posture.tolist())
 
 
 def _plants(arm: Arm, payloads: list[float], stiffnesses: list[float]) -> tuple[Plant, ...]:

@@ -123,7 +123,7 @@ def _forces(models: LinearModels, model: Model, course: Course, moving: AnyArray
 
 
 def posture_of(read: Reading, x: AnyArray) -> Array:
-    """(N, m) [rad] target angles; the first, which does not matter without gravity, is zero."""
+    """(N, m) [rad] target angles; the first is zero where it does not matter: not observed."""
     error = read(x, "joint_error")
     posture = np.zeros_like(error)
     if "joint_sin" in read:

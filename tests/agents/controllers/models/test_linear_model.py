@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from agents.controllers.models import linear_model
-from agents.controllers.models.linear_model import LinearModels
+from agents.controllers.models.linear_model import FASTEST, LinearModels
+from agents.controllers.models.reading import Reading
+from agents.controllers.models.reference import posture_of
 from agents.metrics import make_batch
-from dynamics import ARMS, Stepper, compile_arm
+from dynamics import ARMS, Arm, Joint, Stepper, compile_arm
 from tests.agents.toys import light_hub
 
 REACH = "FlexArm/OneLink-Reach-v0"
@@ -74,6 +76,22 @@ def test_readings_follow_torques_that_bend_what_is_left_out() -> None:
         gaps.append(reading - model.C @ state - model.D @ torque[0])
         sizes.append(model.D @ torque[0])
     assert np.std(gaps, axis=0)[1] < 0.5 * np.std(sizes, axis=0)[1]
+
+
+def test_the_first_angle_matters_where_a_fixed_link_before_it_bends() -> None:
+    """Poles against those of the model linearized at the posture that is observed."""
+    link = ARMS["two-link"].links[1]
+    arm = Arm(links=(replace(link, joint=Joint(type="fixed")), link))
+    envs = make_batch(REACH, 1, {"arm": arm, "obs": "state", "integrator": "rk4"})
+    observation, _ = envs.reset(seed=0, options={"target": np.array([1.2])})
+    models, read = LinearModels.of(envs), Reading.of(envs)
+    found = models.at(posture_of(read, observation)[0])
+    assert found.rest[models.joints] == pytest.approx([1.2], abs=1e-4)
+    rest = np.zeros(arm.n)
+    A, _ = models.model.linearize(found.rest, rest, np.zeros(1))
+    slow = np.abs(np.linalg.eigvals(A)) < FASTEST / models.control_dt
+    poles = np.exp(np.linalg.eigvals(A)[slow] * models.control_dt)
+    np.testing.assert_allclose(np.poly(found.A), np.poly(poles), atol=1e-6)
 
 
 def test_a_floating_base_is_refused() -> None:
