@@ -56,8 +56,8 @@ class Recording:
     tip_error: AnyArray  # (T, N) [m]
     tip_deflection: AnyArray  # (T, N) [m]
     root_curvature: AnyArray  # (T, N, n_curvature) [1/m]
-    torque: AnyArray  # (T, N, n_joint) [N m]; the first sample is zero
-    action: AnyArray  # (T, N, n_joint) [-]; the first sample is zero
+    torque: AnyArray  # (T, N, n_torque) [N m]; the first sample is zero
+    action: AnyArray  # (T, N, n_torque) [-]; the first sample is zero
     failed: AnyArray  # (N,) bool: terminated before the time limit
     reach: float  # [m]
     duration: float  # [s] of an episode that does not fail
@@ -92,7 +92,7 @@ def record(
     observation, info = envs.reset(seed=list(seeds))
     n_env = envs.num_envs
     base = envs.unwrapped
-    action = np.zeros((n_env, base.n_joint))
+    action = np.zeros(envs.action_space.shape)
     samples = {name: [np.array(info[name], float)] for name in ("tip_error", "tip_deflection")}
     samples["root_curvature"] = [np.array(info["root_curvature"], float).reshape(n_env, -1)]
     samples["torque"], samples["action"] = [np.zeros_like(action)], [action]

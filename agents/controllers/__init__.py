@@ -121,8 +121,8 @@ CONTROLLERS: dict[str, Kind] = {
     "nmpc-extended": Kind(
         build=ExtendedNMPC, ranges=_MPC | _FILTER, obs=("sensors",), tasks=_RESTING, model=True
     ),
-    "zero": Kind(build=lambda env: Zero(n_joint=env.unwrapped.n_joint)),
-    "random": Kind(build=lambda env: Random(env.unwrapped.n_joint)),
+    "zero": Kind(build=lambda env: Zero(n_torque=env.unwrapped.torque_limit.size)),
+    "random": Kind(build=lambda env: Random(env.unwrapped.torque_limit.size)),
 }  # fmt: skip
 
 

@@ -30,6 +30,7 @@ class JointPD:
     torque_limit: AnyArray  # (n_joint,) [N m]
     slices: Mapping[str, slice]  # where the observation holds "joint_error" and "joint_rate"
     scales: Mapping[str, AnyArray]  # physical value = observation x scale
+    idle: int = 0  # actions beyond those of the joints, of a torque on the base, which stay zero
 
     def predict(
         self,
@@ -39,13 +40,21 @@ class JointPD:
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
         """Actions from the measured joint angles and rates."""
+        return self.whole(self.of_joints(observation)), state
+
+    def whole(self, action: AnyArray) -> AnyArray:
+        """All actions, from those of the joints (..., n_joint)."""
+        return np.concatenate([action, np.zeros((*action.shape[:-1], self.idle))], axis=-1)
+
+    def of_joints(self, observation: AnyArray) -> AnyArray:
+        """Actions (..., n_joint) of the joints."""
         x = np.asarray(observation, float)
         error = x[..., self.slices["joint_error"]] * self.scales["joint_error"]
         rate = x[..., self.slices["joint_rate"]] * self.scales["joint_rate"]
         if "target_rate" in self.slices:  # a moving target: damp the relative motion
             rate = rate - x[..., self.slices["target_rate"]] * self.scales["target_rate"]
         torque = -self.stiffness * error - self.damping * rate
-        return np.clip(torque / self.torque_limit, -1.0, 1.0), state
+        return np.asarray(np.clip(torque / self.torque_limit, -1.0, 1.0))
 
 
 def joint_pd(
@@ -62,7 +71,7 @@ def joint_pd(
     rest = np.zeros(model.n)
     inertia = np.diag(model.mass_matrix(rest))[list(model.arm.joint_index)]
     locked = np.asarray(model.frequencies(rest, joints="locked"))
-    limit = np.asarray(base.torque_limit, float)
+    limit = np.asarray(base.torque_limit, float)[: model.n_joint]
     # A rigid arm has no bending frequency: w then uses the full torque at one radian.
     w = float(locked[0]) if locked.size else float(np.sqrt(np.min(limit / inertia)))
     bandwidth = np.asarray(frequency_ratio, float) * w
@@ -72,6 +81,7 @@ def joint_pd(
         torque_limit=limit,
         slices=base.observation_slices,
         scales=base.observation_scales,
+        idle=base.torque_limit.size - limit.size,
     )
 
 

@@ -12,7 +12,7 @@ from dynamics.types import AnyArray
 class Zero:
     """Zero torque, as a baseline."""
 
-    n_joint: int
+    n_torque: int
 
     def predict(
         self,
@@ -22,14 +22,14 @@ class Zero:
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
         """Zero actions."""
-        return np.zeros((*np.shape(observation)[:-1], self.n_joint)), state
+        return np.zeros((*np.shape(observation)[:-1], self.n_torque)), state
 
 
 class Random:
     """Uniformly random actions, determined by the seed."""
 
-    def __init__(self, n_joint: int, seed: int = 0) -> None:
-        self.n_joint = n_joint
+    def __init__(self, n_torque: int, seed: int = 0) -> None:
+        self.n_torque = n_torque
         self.rng = np.random.default_rng(seed)
 
     def predict(
@@ -40,4 +40,4 @@ class Random:
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
         """Actions drawn from [-1, 1]."""
-        return self.rng.uniform(-1.0, 1.0, (*np.shape(observation)[:-1], self.n_joint)), state
+        return self.rng.uniform(-1.0, 1.0, (*np.shape(observation)[:-1], self.n_torque)), state

@@ -45,10 +45,10 @@ class PID:
         error = self.read(x, "joint_error")
         before = resumed(state, episode_start, error.shape)
         gain, moved = self.pd.stiffness / self.pd.torque_limit, before + self.share * error
-        action = self.pd.predict(x)[0]
+        action = self.pd.of_joints(x)
         free = np.abs(action - gain * moved) < 1.0
         integral = np.where(free, moved, before)
-        action = np.clip(action - gain * integral, -1.0, 1.0)
+        action = self.pd.whole(np.clip(action - gain * integral, -1.0, 1.0))
         return action.reshape(*np.shape(observation)[:-1], -1), integral
 
 
@@ -72,8 +72,8 @@ class StrainFeedback:
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
         """Actions from angles, rates and curvatures."""
-        action = self.pd.predict(observation)[0] + self.gain * self.chords(observation)
-        return np.clip(action, -1.0, 1.0), state
+        action = self.pd.of_joints(observation) + self.gain * self.chords(observation)
+        return self.pd.whole(np.clip(action, -1.0, 1.0)), state
 
 
 class FilteredBending:
@@ -100,7 +100,8 @@ class FilteredBending:
         chord = self.chords(x)
         before = resumed(state, episode_start, (len(x), len(self.step), chord.shape[1]))
         after = self.step @ np.concatenate([before, chord[:, None]], axis=1)
-        action = np.clip(self.pd.predict(x)[0] + self.gain * after[:, 0], -1.0, 1.0)
+        action = np.clip(self.pd.of_joints(x) + self.gain * after[:, 0], -1.0, 1.0)
+        action = self.pd.whole(action)
         return action.reshape(*np.shape(observation)[:-1], -1), after
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.controllers import JointPD, joint_pd, tune_pd
+from agents.controllers import JointPD, controller, joint_pd, tune_pd
 from agents.metrics import episode_metrics, make_batch, record
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
@@ -35,6 +35,19 @@ def test_joint_pd_follows_its_law_within_the_limits() -> None:
     # joint 1: -(2 * 1.0) - 0.5 * (0.1 - 0.3) = -1.9 of 4;  joint 2: -(3 * 1.0) + 0.1 beyond -1
     np.testing.assert_allclose(action, [-1.9 / 4.0, -1.0], atol=1e-12)
     np.testing.assert_allclose(pd.predict(np.stack([observation] * 3))[0], [action] * 3)
+
+
+@pytest.mark.parametrize("name", ["pd", "pid", "strain", "ppf", "irc", "zero"])
+def test_joint_control_leaves_a_torque_on_the_base_at_zero(name: str) -> None:
+    """What it does on an arm whose base nothing turns."""
+    driven, free = (
+        make_batch("FlexArm/FreeFlyer-Reach-v0", 2, {"obs": "sensors", **keywords})
+        for keywords in ({"base_torque": 0.5}, {})
+    )
+    found, alone = (record(controller(name, envs), envs, [0, 1]) for envs in (driven, free))
+    assert found.action.shape[2] == alone.action.shape[2] + 1
+    np.testing.assert_allclose(found.action[..., :-1], alone.action, atol=1e-5)
+    assert not np.nan_to_num(found.action[..., -1]).any()
 
 
 def test_dimensionless_gains_give_their_frequency_and_damping(envs: Any) -> None:
