@@ -42,6 +42,11 @@ class Reading:
                 f"{controller} reads strain gauges, of which this arm has none: its links are "
                 "rigid, or have pinned-free modes."
             )
+        if "modal_amplitude" in missing and "tip_error" in self:
+            raise ValueError(
+                f"{controller} takes an arm that bends, but this one has neither modes nor joint "
+                "springs; use pd."
+            )
         if missing:
             kind = "state" if "modal_amplitude" in names else "sensors"
             raise ValueError(

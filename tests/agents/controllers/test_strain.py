@@ -95,12 +95,17 @@ def test_strain_is_not_among_exact_states(name: str) -> None:
         CONTROLLERS[name].build(envs, **CONTROLLERS[name].middle)
 
 
-@pytest.mark.parametrize("name", ["strain", "lqg"])
-def test_an_arm_without_gauges_is_refused_as_such(name: str) -> None:
-    arm = ARMS["slim"]
+NO_GAUGES, STRAIGHT = "reads strain gauges, of which this arm has none", "takes an arm that bends"
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"), [("strain", NO_GAUGES), ("lqg", NO_GAUGES), ("mpc", STRAIGHT)]
+)
+def test_an_arm_that_does_not_bend_is_refused_as_such(name: str, sentence: str) -> None:
+    arm, (obs,) = ARMS["slim"], CONTROLLERS[name].obs
     rigid = replace(arm, links=(replace(arm.links[0], modes=(), damping_ratio=0.0),))
-    envs = make_batch("FlexArm/OneLink-Reach-v0", 1, {"obs": "sensors", "arm": rigid})
-    with pytest.raises(ValueError, match=f"{name} reads strain gauges, of which this arm has none"):
+    envs = make_batch("FlexArm/OneLink-Reach-v0", 1, {"obs": obs, "arm": rigid})
+    with pytest.raises(ValueError, match=f"{name} {sentence}"):
         CONTROLLERS[name].build(envs, **CONTROLLERS[name].middle)
 
 
