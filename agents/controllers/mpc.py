@@ -2,10 +2,12 @@
 
 Every control step solves a quadratic program over a horizon, behind which LQR's cost-to-go counts:
 deviations of the torques from the reference's are held for BLOCKS of control steps, and no link may
-bend beyond a share of its limit, which yields at a price where that cannot be kept (soft rows; see
-Maciejowski, Predictive Control with Constraints, 2002, section 3.4). Where the target moves, what
-`preview.py` knows of its path leaves each block its share of the torque. DAQP solves the program to
-rounding error by an active-set method, so that no torque depends on what was solved before.
+bend beyond a share of its limit along y or along z, which yields at a price where that cannot be
+kept (soft rows; see Maciejowski, Predictive Control with Constraints, 2002, section 3.4). A link
+that bends in both planes at once may bend by up to 1.41 times the share. Where the target moves,
+what `preview.py` knows of its path leaves each block its share of the torque. DAQP solves the
+program to rounding error by an active-set method, so that no torque depends on what was solved
+before.
 """
 
 from dataclasses import dataclass

@@ -9,7 +9,7 @@ nonlinear arm; it may be none. So the linearization may be coarse: where the mot
 integration steps, and the method stands any step, it takes a single one.
 
 Behind the horizon LQR's cost-to-go counts, torques change in the blocks of linear predictive
-control, and no link may bend beyond a share of its limit, which yields at a price.
+control, and no link may bend beyond a share of its limit along y or z, which yields at a price.
 """
 
 import math

@@ -56,9 +56,10 @@ class TimedMoves(Planner):
     """Every joint goes smoothly to its target, all in the same time.
 
     The time is the least in which no joint takes more than a share `load` of its torque limit, and
-    no link bends beyond that share of its own limit: both fall with its square (Hollerbach, Dynamic
-    scaling of manipulator trajectories, ASME J. Dynamic Systems, Measurement, and Control 106,
-    1984). The torques are those of the straight arm's inverse dynamics with the middle plant.
+    no link bends beyond that share of its own limit along y or z: both fall with its square
+    (Hollerbach, Dynamic scaling of manipulator trajectories, ASME J. Dynamic Systems, Measurement,
+    and Control 106, 1984). The torques are those of the straight arm's inverse dynamics with the
+    middle plant.
     """
 
     def __init__(self, env: Any, models: LinearModels, load: float) -> None:
