@@ -11,7 +11,7 @@ import pytest
 from agents.controllers.models.reading import Reading
 from agents.export.c_header import header
 from agents.export.signals import Signals, signals_of
-from agents.leaderboard.shipped import shipped
+from agents.leaderboard.shipped import named_policy, shipped
 from agents.metrics import make_batch
 from agents.policy import Policy
 from dynamics.types import AnyArray
@@ -118,10 +118,13 @@ def test_a_trained_policy_gives_the_torques_of_its_environment(tmp_path: Path) -
 def test_the_loop_of_the_page_turns_counts_into_the_torques_of_the_environment(
     tmp_path: Path,
 ) -> None:
-    """Whole counts of encoder and gauge of an episode with late, noisy, biased readings."""
+    """Whole counts of encoder and gauge of an episode with late, noisy, biased readings.
+
+    The policy is the one that the page exports.
+    """
     env_id, kwargs = "FlexArm/OneLink-Reach-v0", {"hardware": "laboratory"}
     page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
-    policy = shipped(env_id, "laboratory")["ppo-stacked"][1]
+    policy = named_policy(page.partition("runs/")[2].partition("/")[0], 0)
     envs = make_batch(env_id, 1, kwargs)
     core, reading = envs.unwrapped.core, Reading.of(envs)
     text = header(policy, signals_of(policy, env_id, core), "policy")
