@@ -47,7 +47,7 @@ from dynamics.types import AnyArray
 LEARNER = ROOT / "configs" / "one_link_reach_laboratory_ppo.yaml"
 RECIPE = ROOT / "configs" / "one_link_reach_laboratory_rsl_ppo.yaml"
 MODEL_BASED = ("mpc-kalman", "lqg")
-TORQUES = {"0.98 N m": "FlexArm/OneLink-Reach-v0", "3 N m": "FlexArm/OneLink-ReachAgile-v0"}
+TORQUES = {"0.95 N m": "FlexArm/OneLink-Reach-v0", "3 N m": "FlexArm/OneLink-ReachAgile-v0"}
 PLANTS = {  # payload and stiffness: fields of `hardware`, and the track whose bounds hold
     "known": ({"payload": [0.0, 0.0], "stiffness": [1.0, 1.0]}, "state"),
     "drawn": ({}, "laboratory"),

@@ -26,7 +26,7 @@ CONFIG = load_config(LEARNER)
 
 
 def test_bounds_are_those_of_the_plants_that_are_judged() -> None:
-    """Start, target, payload and stiffness are the track's, episode by episode."""
+    """Start, target, payload and stiffness are the track's; the torque limit is the named one."""
     for training in limits(CONFIG):
         found = []
         plain = {} if training.track == "state" else {"hardware": "laboratory"}
@@ -36,6 +36,7 @@ def test_bounds_are_those_of_the_plants_that_are_judged() -> None:
             base = envs.unwrapped
             drawn = base.core.parameters if base.core.parameters.size else np.full((4, 2), [0, 1])
             found.append(np.hstack([base.core.q, base.joint_target(), drawn]))
+            assert training.place[0] == f"{base.torque_limit[0]:g} N m"
             envs.close()
         np.testing.assert_array_equal(*found)
 
@@ -77,6 +78,7 @@ def test_the_stored_page_is_that_of_the_stored_figures(name: str) -> None:
     data: dict[str, Any] = json.loads((RESULTS / f"study_{name}.json").read_text("utf-8"))
     study = STUDIES[name]
     assert (RESULTS / f"study_{name}.md").read_text("utf-8") == study.page(data)
-    assert len(data["rows"]) == len(study.trainings(load_config(study.learner)))
+    trainings = study.trainings(load_config(study.learner))
+    assert [tuple(row["place"]) for row in data["rows"]] == [one.place for one in trainings]
     study.chart(data)
     assert "7 test episodes" in study.page(data | {"episodes": 7})
