@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from agents.experiments import shipped_experiments
 from agents.films import FILMED
 from dynamics import Body, Joint, Link, Mode, Payload, Section
 from dynamics.description.arm import Base
@@ -82,6 +83,15 @@ def test_the_commands_of_a_page_run(page: str, tmp_path: Path) -> None:
         words = shlex.split(command.replace("train.py", str(ROOT / "train.py")))
         own = {"python": [], "flexarm": ["-m", "flexarm"]}[words[0]]
         run([sys.executable, *own, *words[1:]], tmp_path)
+
+
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda x: x.name
+)
+def test_experiments_that_a_page_names_are_shipped(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    named = re.findall(r"(?:flexarm train |configs/)([a-z]\w+)(?:\.yaml| )", text)
+    assert [name for name in named if name not in shipped_experiments()] == []
 
 
 @pytest.mark.parametrize("section", KEYS)
