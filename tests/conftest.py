@@ -34,6 +34,7 @@ QUICK = {
     "dynamics/arms/test_presets.py",
     "dynamics/backends/test_block_text.py",
     "dynamics/description/test_arm.py",
+    "dynamics/description/test_carried.py",
     "dynamics/description/test_mode_rule.py",
     "dynamics/description/test_rotations.py",
     "dynamics/description/test_welds.py",

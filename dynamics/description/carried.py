@@ -1,8 +1,9 @@
 """Links and payload beyond a tip, and how much of them turns with it when its link bends.
 
 A payload and links on fixed joints turn with a tip. A joint about the axis of the bending couples
-those behind it to the tip in series with its rotor alone; a joint about any other axis, or along
-one, does as a weld. The arm is taken at zero joint angles, and only its first joint as free.
+its hub and those behind it to the tip in series with its rotor alone; a joint about any other axis,
+or along one, does as a weld. The arm is taken at zero joint angles, and only the first joint beyond
+the tip as free.
 """
 
 from collections.abc import Sequence
@@ -43,8 +44,8 @@ class Carried(NamedTuple):
         welded, behind = self.welded[4], self.whole[4] - self.welded[4]
         if self.joint is None or self.joint.parallel:
             return dict.fromkeys(BENDING_AXIS, welded)
-        rotor = self.joint.rotor_inertia
-        series = rotor * behind / (rotor + behind) if rotor else 0.0
+        rotor, driven = self.joint.rotor_inertia, behind + self.joint.hub_inertia
+        series = rotor * driven / (rotor + driven) if rotor else 0.0
         about = self.axis**2 if self.joint.type != "prismatic" else np.zeros(3)
         return {
             direction: welded + (1.0 - about[axis]) * behind + about[axis] * series
