@@ -75,6 +75,7 @@ def drawn_targets(arm: Arm, count: int) -> Array:
     return envs.joint_target()
 
 
+@pytest.mark.compiles
 def test_every_drawn_target_can_be_held_by_the_default_torques(arm: Arm) -> None:
     """The torques of the bent arm, from the equilibrium of its own nonlinear model."""
     model, limit = Model(arm), np.array(scales(arm).torque_limit)
@@ -116,6 +117,7 @@ def settled(arm: Arm, task: str = "Reach", **keywords: Any) -> FlexArmVectorEnv:
     return envs
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("name", ["own", "two in a vertical plane", "mamedov-3dof"])
 def test_episodes_start_at_the_equilibrium_under_gravity(name: str) -> None:
     arm = HEAVY[name]
@@ -132,6 +134,7 @@ def test_episodes_start_at_the_equilibrium_under_gravity(name: str) -> None:
     assert [core.elapsed(row) for row in range(4)] == [0, 0, 0, 0]
 
 
+@pytest.mark.compiles
 def test_links_too_soft_for_an_equilibrium_start_straight() -> None:
     (link,) = load_arm(OWN).links
     soft = replace(load_arm(OWN), links=(replace(link, EIz=0.1), replace(link, EIz=0.1)))
@@ -140,6 +143,7 @@ def test_links_too_soft_for_an_equilibrium_start_straight() -> None:
     assert np.isfinite(core.q).all()
 
 
+@pytest.mark.compiles
 def test_drawn_parameters_bend_the_arm_at_the_start() -> None:
     arm = HEAVY["two in a vertical plane"]
     ranges = {"stiffness": (0.5, 2.0), "payload_mass": (0.0, 0.1)}
@@ -152,6 +156,7 @@ def test_drawn_parameters_bend_the_arm_at_the_start() -> None:
         assert np.linalg.norm(tip - envs.core.model.tip(q)) < 1e-5 * arm.reach
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("stiffness", [6.0, 0.1])  # of links that settle, and too soft ones
 def test_episodes_of_a_certificate_start_as_those_of_the_environment(stiffness: float) -> None:
     (link,) = load_arm(OWN).links
@@ -164,6 +169,7 @@ def test_episodes_of_a_certificate_start_as_those_of_the_environment(stiffness: 
         assert np.array_equal(straight, q) == (stiffness < 1.0)
 
 
+@pytest.mark.compiles
 def test_torques_that_hold_the_start_keep_it_there() -> None:
     arm = HEAVY["own"]
     envs, model = settled(arm), Model(arm)
@@ -174,6 +180,7 @@ def test_torques_that_hold_the_start_keep_it_there() -> None:
     assert np.abs(envs.core.q - start).max() < 1e-5  # torques are rounded to single precision
 
 
+@pytest.mark.compiles
 def test_links_vibrate_about_the_equilibrium() -> None:
     arm = HEAVY["own"]
     model, shapes = Model(arm), np.array(scales(arm).vibration)
@@ -184,6 +191,7 @@ def test_links_vibrate_about_the_equilibrium() -> None:
         assert left.max(initial=0.0) < 1e-18
 
 
+@pytest.mark.compiles
 def test_a_given_state_stays_as_it_is() -> None:
     envs = settled(HEAVY["own"])
     given = np.tile((0.1, 0.002, -0.001), (4, 1))
@@ -191,6 +199,7 @@ def test_a_given_state_stays_as_it_is() -> None:
     np.testing.assert_array_equal(envs.core.q, given)
 
 
+@pytest.mark.compiles
 def test_an_episode_that_follows_another_starts_at_the_equilibrium() -> None:
     arm = HEAVY["own"]
     envs = settled(arm, max_episode_steps=2)
@@ -201,6 +210,7 @@ def test_an_episode_that_follows_another_starts_at_the_equilibrium() -> None:
         np.testing.assert_allclose(q, equilibrium(model, q[:1])[0], atol=1e-9)
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("name", ["own", "two in a vertical plane"])
 def test_targets_are_held_in_motion_against_a_push(name: str) -> None:
     """Joint PD and the static torque bring the arm back to rest from 0.03 rad beside the target."""
@@ -258,6 +268,7 @@ def test_torques_that_hold_no_level_target_are_refused(
         gym.make("FlexArm/OneLink-Reach-v0", arm=OWN, **keywords)
 
 
+@pytest.mark.compiles
 def test_drawn_payloads_that_are_too_heavy_to_hold_warn() -> None:
     heavy = {"randomize": {"payload_mass": (0.0, 1.0)}}
     with pytest.warns(GravityWarning, match=r"A payload_mass of 1 kg, .* joint 1 .* torque_limit"):
@@ -271,6 +282,7 @@ def test_drawn_payloads_that_are_too_heavy_to_hold_warn() -> None:
         light.unwrapped.randomize = heavy["randomize"]  # type: ignore[attr-defined]
 
 
+@pytest.mark.compiles
 def test_a_link_that_gravity_bends_beyond_its_limit_warns() -> None:
     with pytest.warns(
         GravityWarning, match=r"Gravity alone bends a link by 0\.11 .* is 0\.1\. Give"

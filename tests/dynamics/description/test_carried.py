@@ -1,4 +1,4 @@
-"""What a tip carries, beside an arm on a free base by brute force."""
+"""Masses beyond a tip, beside an arm on a free base by brute force."""
 
 import numpy as np
 import pytest

@@ -7,6 +7,12 @@ import pytest
 
 from dynamics import Arm, Body, Joint, Link, Mode, Payload, Section, Stepper, compile_arm
 from dynamics.description.parameters import with_parameters
+from dynamics.formulations.free_parameters import FREE_PARAMETERS
+from dynamics.formulations.gibbs_appell import mass_matrix
+from dynamics.formulations.kinematics import Chain
+from dynamics.formulations.linearized import damping, friction, stiffness
+from dynamics.model import Model
+from dynamics.types import Array
 
 VALUES = {
     "stiffness": 1.7, "damping": 0.6, "friction": 1.4, "payload_mass": 0.3,
@@ -35,6 +41,25 @@ ARM = Arm(
 )  # fmt: skip
 
 
+def test_an_arm_described_anew_has_the_matrices_of_the_chain_with_the_parameters() -> None:
+    """Of a damping of 0.6, for one: every coefficient, of springs too, is 0.6 times as large."""
+
+    def inertia(chain: Chain) -> Array:
+        return np.array(mass_matrix(chain, [0.1] * ARM.n))
+
+    for name, value in VALUES.items():
+        described = Model(with_parameters(ARM, {name: value})).chain
+        applied = FREE_PARAMETERS[name].apply(Model(ARM).chain, value)
+        for matrix in (stiffness, damping, friction, inertia):
+            expected = matrix(applied)
+            size = np.abs(expected).max()
+            np.testing.assert_allclose(matrix(described), expected, rtol=0.0, atol=1e-9 * size)
+    plain, scaled = (Model(with_parameters(ARM, {"damping": x})).chain for x in (1.0, 0.6))
+    modal = np.ix_(*[[k for k in range(ARM.n) if k not in ARM.joint_index]] * 2)
+    np.testing.assert_allclose(damping(scaled)[modal], 0.6 * damping(plain)[modal], rtol=1e-9)
+
+
+@pytest.mark.compiles
 @pytest.mark.parametrize(
     "names", [list(VALUES), *[[name] for name in VALUES]], ids=["all", *VALUES]
 )

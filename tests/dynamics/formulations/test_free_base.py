@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
 
-from dynamics import Arm
+from dynamics import ARMS, Arm
 from dynamics.description.rotations import from_rotation_vector
 from dynamics.formulations import articulated_body, free_base, gibbs_appell
 from dynamics.formulations.kinematics import energies
@@ -12,6 +13,7 @@ from dynamics.types import Array
 from tests.dynamics import brute_force
 from tests.dynamics.random_arms import (
     compiled,
+    floats,
     flying,
     random_arm,
     random_state,
@@ -102,3 +104,30 @@ def test_momentum_is_that_of_all_bodies(case: tuple[int, int, int]) -> None:
     about_base = angular - np.cross(q[:3], linear)
     own = free_base.local(about_base.tolist(), plain.turn)
     assert_allclose(own, moment, rtol=0.0, atol=1e-11 * np.abs(angular).max())
+
+
+def test_a_planar_base_is_carried_along_at_zero_momentum() -> None:
+    """Against an integration of the rates for which the momentum is zero, over 1.3 rad."""
+    arm = ARMS["free-flyer"]
+    chain, joints = compiled(arm).chain, list(arm.joint_index)
+    q = np.zeros(arm.n)
+    q[:3], q[joints] = (0.3, -0.2, 0.7), (0.4, 0.9)
+    target = np.array([-0.6, 2.2])
+    move = target - q[joints]
+
+    def rates(share: float, base: Array) -> Array:
+        x = q.copy()
+        x[:3], x[joints] = base, q[joints] + share * move
+        columns = []
+        for v in (*np.eye(arm.n)[:3], np.eye(arm.n)[joints].T @ move):
+            linear, angular = free_base.momentum(chain, floats(x), floats(v))
+            columns.append([*linear[:2], angular[2]])
+        *base_moves, joints_move = np.array(columns)
+        return np.linalg.solve(np.transpose(base_moves), -joints_move)
+
+    expected = solve_ivp(rates, (0.0, 1.0), q[:3], "DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+
+    found = free_base.carried(chain, joints, floats(q), floats(target))
+
+    assert abs(expected[2] - q[2]) > 0.1
+    assert_allclose(found, expected, rtol=0.0, atol=1e-8)

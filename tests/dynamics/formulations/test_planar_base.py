@@ -5,16 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp
 
 from dynamics import Arm, Base, Joint, Link, Stepper, compile_arm, simulate
 from dynamics.arms import ARMS
 from dynamics.description.rotations import from_rotation_vector, to_rotation_vector
-from dynamics.formulations.free_base import carried
 from dynamics.types import Array
 from tests.dynamics.random_arms import (
     compiled,
-    floats,
     random_arm,
     random_state,
     random_torque,
@@ -99,32 +96,6 @@ def test_the_linearization_is_the_slope_of_the_accelerations(seed: int) -> None:
     unit = np.append(np.zeros(arm.n_joint), 1.0)
     change = model.accelerations(q, v, tau + unit) - model.accelerations(q, v, tau)
     assert_allclose(B[arm.n :, -1], change, rtol=0.0, atol=1e-9 * np.abs(change).max())
-
-
-def test_the_base_is_carried_along_at_zero_momentum() -> None:
-    """Against an integration of the rates for which `Model.momentum` is zero, over 1.3 rad."""
-    model, joints = compiled(FLYER), list(FLYER.joint_index)
-    q = np.zeros(FLYER.n)
-    q[:3], q[joints] = (0.3, -0.2, 0.7), (0.4, 0.9)
-    target = np.array([-0.6, 2.2])
-    move = target - q[joints]
-
-    def rates(share: float, base: Array) -> Array:
-        x = q.copy()
-        x[:3], x[joints] = base, q[joints] + share * move
-        columns = []
-        for k in range(3):
-            linear, angular = model.momentum(x, np.eye(FLYER.n)[k])
-            columns.append([*linear[:2], angular[2]])
-        linear, angular = model.momentum(x, np.eye(FLYER.n)[joints].T @ move)
-        return np.linalg.solve(np.transpose(columns), [-linear[0], -linear[1], -angular[2]])
-
-    expected = solve_ivp(rates, (0.0, 1.0), q[:3], rtol=1e-11, atol=1e-13).y[:, -1]
-
-    found = carried(model.chain, joints, floats(q), floats(target))
-
-    assert abs(expected[2] - q[2]) > 0.1
-    assert_allclose(found, expected, rtol=0.0, atol=1e-8)
 
 
 def test_a_motion_keeps_momentum_and_tells_the_pose() -> None:

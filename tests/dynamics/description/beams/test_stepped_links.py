@@ -238,6 +238,7 @@ def test_a_link_of_sections_is_the_chain_of_its_welded_parts(joints: str) -> Non
     assert_allclose(found[:5], wanted[:5], rtol=2e-5)
 
 
+@pytest.mark.compiles
 @pytest.mark.filterwarnings("ignore::dynamics.ThickLinkWarning")
 def test_a_stepped_arm_moves_as_the_chain_of_its_welded_parts() -> None:
     """A pulse under gravity: the tips stay together, and far from a mean uniform link's."""
