@@ -59,6 +59,7 @@ QUICK = {
     "dynamics/tracing/test_differentiated.py",
     "dynamics/tracing/test_recorded_steps.py",
     "dynamics/tracing/test_statements.py",
+    "flexarm_env/task/test_events.py",
     "flexarm_env/task/test_reward_terms.py",
     "flexarm_env/task/test_tasks.py",
     "test_layers.py",

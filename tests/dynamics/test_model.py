@@ -362,6 +362,8 @@ def test_an_invalid_argument_is_refused_with_its_name_and_shape() -> None:
         (lambda: model.strain(q, 1, 0.0), "link must be between 0 and 0, got 1"),
         (lambda: model.strain(q, 0, 2.0), "x must be within the link, 0 to 1.2192 m, got 2.0"),
         (lambda: model.frequencies(q, joints="loose"), "joints must be .* got 'loose'"),
+        (lambda: simulate(model, q, q, None, []), "times must be at least one number"),
+        (lambda: simulate(model, q, q, None, [0.0, 1.0, 1.0]), "times must .* strictly increasing"),
     ):
         with pytest.raises(ValueError, match=sentence):
             call()

@@ -139,6 +139,16 @@ def test_shapes_with_a_free_tip_do_not_warn_in_one_piece_or_beside_one_that_bear
         Link(**BEAM, modes=both, segments=4)
 
 
+def test_the_warning_is_of_the_direction_whose_shapes_bear_no_moment() -> None:
+    shapes = [Mode(kind=k, index=1, direction=d) for k, d in (("clamped-free", "z"), ("poly", "y"))]
+    told = []
+    for modes in (shapes, shapes[:1]):
+        with pytest.warns(StiffSegmentsWarning, match="has clamped-free modes along 'z'") as caught:
+            Link(**BEAM, modes=modes, segments=4)
+        told.append(str(caught[0].message))
+    assert told[0] == told[1]
+
+
 def test_torsion_in_segments_without_an_inertia_of_its_own_is_refused() -> None:
     link = Link(**BEAM, modes=(Mode(kind="torsion-poly", index=1, direction="x"),), segments=3)
     with pytest.raises(ValueError, match=r"Link\.rho_Ip must be positive for 3 torsion modes"):

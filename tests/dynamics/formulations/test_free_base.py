@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from dynamics import ARMS, Arm
 from dynamics.description.rotations import from_rotation_vector
@@ -104,6 +105,22 @@ def test_momentum_is_that_of_all_bodies(case: tuple[int, int, int]) -> None:
     about_base = angular - np.cross(q[:3], linear)
     own = free_base.local(about_base.tolist(), plain.turn)
     assert_allclose(own, moment, rtol=0.0, atol=1e-11 * np.abs(angular).max())
+
+
+def test_a_renewed_attitude_is_turned_by_the_rotation_vector() -> None:
+    """And near zero rotation the rates of the vector are those of a body that turns as it does."""
+    rng = np.random.default_rng(0)
+    attitude = from_rotation_vector(rng.normal(0.0, 1.0, 3).tolist())
+    six, rates = rng.normal(0.0, 1.0, (2, 6)).tolist()
+    at = Rotation.from_quat(np.roll(attitude, -1)) * Rotation.from_rotvec(six[3:])
+    fresh = free_base.renewed(six, rates, attitude)[2]
+    assert_allclose(Rotation.from_quat(np.roll(fresh, -1)).as_matrix(), at.as_matrix(), atol=1e-12)
+    step, turn, omega = 1e-4, Rotation.from_rotvec(1e-4 * np.array(six[3:])), np.array(rates[3:])
+    ends = [(turn * Rotation.from_rotvec(x * step * omega)).as_rotvec() for x in (-1.0, 1.0)]
+    small = [*six[:3], *turn.as_rotvec()]
+    assert_allclose(free_base.own_rates(small, rates)[:3], rates[:3], rtol=0.0, atol=0.0)
+    found = free_base.own_rates(small, rates)[3:]
+    assert_allclose(found, (ends[1] - ends[0]) / (2.0 * step), rtol=0.0, atol=1e-7)
 
 
 def test_a_planar_base_is_carried_along_at_zero_momentum() -> None:

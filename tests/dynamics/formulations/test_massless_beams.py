@@ -33,12 +33,13 @@ def test_hierarchical_shapes_span_the_powers_with_a_diagonal_stiffness() -> None
 
 def test_a_straight_lumped_link_keeps_its_inertia() -> None:
     modes = (Mode(kind="hierarchical", index=1, direction="y"),)
-    link = Link(length=0.7, rho_A=0.9, EIz=6.0, tip_mass=0.3, modes=modes)
+    link = Link(length=0.7, rho_A=0.9, rho_Ip=0.02, EIz=6.0, tip_mass=0.3, modes=modes)
     rigid = []
     for lumped in (False, True):
         c = link_constants(replace(link, lumped=lumped))
         tip = c.tip_mass * 0.7
         rigid.append([c.mass + c.tip_mass, c.first_moment[0] + tip, c.C0[2][2] + tip * 0.7])
+        rigid[-1].append(c.C0[0][0] + c.tip_inertia[0][0])
 
     assert_allclose(rigid[0], rigid[1], rtol=1e-14)
     assert np.count_nonzero(c.s) == np.count_nonzero(c.epsilon) == 0

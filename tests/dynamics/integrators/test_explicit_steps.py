@@ -9,6 +9,7 @@ from dynamics.formulations.linearized import (
     linear_arm,
 )
 from dynamics.integrators.newmark import SAFE
+from dynamics.integrators.table import INTEGRATORS
 from dynamics.simulation.step_limits import amplification
 from tests.dynamics.integrators.test_integrators import FASTEST, TWO_LINK, planar
 from tests.dynamics.random_arms import compiled
@@ -28,6 +29,12 @@ def test_numerov_stays_stable_far_beyond_its_own_limit() -> None:
         dt = share * np.sqrt(6.0) / FASTEST
         assert (amplification(own, "numerov", dt) < 1.0 + 1e-6) == (share < 1.0)
         assert amplification(arm, "numerov", dt) < 1.0 + 1e-6
+
+
+@pytest.mark.parametrize("name", INTEGRATORS)
+def test_a_short_step_of_every_method_neither_grows_nor_decays(name: str) -> None:
+    arm = linear_arm(compiled(TWO_LINK).chain, np.zeros(6))
+    assert amplification(arm, name, 1e-3 / FASTEST) == pytest.approx(1.0, abs=2e-6)
 
 
 def test_coupled_coordinates_become_fast_together() -> None:
