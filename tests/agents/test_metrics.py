@@ -161,7 +161,7 @@ class Batch:
     """
 
     num_envs = 2
-    n_joint, control_dt, reach = 2, 0.1, 1.5
+    action_space, control_dt, reach = SimpleNamespace(shape=(2, 2)), 0.1, 1.5
     core = SimpleNamespace(task=SimpleNamespace(moving=False), max_steps=3)
 
     def __init__(self) -> None:
