@@ -66,7 +66,7 @@ def test_an_automatic_arm_is_measured_to_a_thousandth_of_its_reach_and_cached(
 def test_what_is_cached_belongs_to_the_sources_that_measured_it(
     room: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those of the motions, the reference, the actuators and the torques too."""
+    """Motions, the reference, actuators and torques are among them."""
     monkeypatch.setattr(
         certificates, "hash_of_files", lambda paths: {path.parent for path in paths}
     )
