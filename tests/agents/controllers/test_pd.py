@@ -39,7 +39,7 @@ def test_joint_pd_follows_its_law_within_the_limits() -> None:
 
 @pytest.mark.parametrize("name", ["pd", "pid", "strain", "ppf", "irc", "zero"])
 def test_joint_control_leaves_a_torque_on_the_base_at_zero(name: str) -> None:
-    """What it does on an arm whose base nothing turns."""
+    """Actions on an arm whose base nothing turns."""
     driven, free = (
         make_batch("FlexArm/FreeFlyer-Reach-v0", 2, {"obs": "sensors", **keywords})
         for keywords in ({"base_torque": 0.5}, {})
