@@ -75,7 +75,9 @@ EVENING = {  # long files, of quick ones what compiles; .ci/run takes them after
     "agents/controllers/observers/test_kalman.py",
     "agents/controllers/test_controllers.py",
     "agents/controllers/test_inverse.py",
+    "agents/controllers/test_mpc.py",
     "agents/controllers/test_nmpc.py",
+    "agents/controllers/test_strain.py",
     "agents/export/test_c_header.py",
     "agents/hybrid/test_hybrid.py",
     "agents/leaderboard/test_run.py",
@@ -85,16 +87,30 @@ EVENING = {  # long files, of quick ones what compiles; .ci/run takes them after
     "agents/learners/test_export.py",
     "agents/learners/test_normalization.py",
     "agents/learners/test_privileged.py",
+    "agents/learners/test_recurrent.py",
+    "agents/learners/test_rsl.py",
     "agents/learners/test_runs.py",
+    "agents/learners/test_warm_start.py",
+    "agents/run_folder/test_folder.py",
     "agents/test_canaries.py",
+    "agents/test_films.py",
     "agents/test_fit.py",
+    "agents/test_training.py",
+    "agents/tune/test_learners.py",
+    "benchmarks/test_distilled.py",
+    "benchmarks/test_experiments.py",
+    "benchmarks/test_gpu.py",
     "benchmarks/test_knowledge.py",
     "benchmarks/test_learning.py",
     "benchmarks/test_results.py",
+    "benchmarks/test_rigid_arms.py",
     "benchmarks/test_scenarios.py",
     "benchmarks/test_soak.py",
     "benchmarks/test_standings.py",
+    "benchmarks/test_style.py",
+    "benchmarks/test_training.py",
     "benchmarks/test_work_precision.py",
+    "docs/test_door.py",
     "dynamics/accuracy/test_kinds_of_arms.py",
     "dynamics/accuracy/test_model_choice.py",
     "dynamics/accuracy/test_rollout.py",
@@ -140,6 +156,8 @@ EVENING = {  # long files, of quick ones what compiles; .ci/run takes them after
     "flexarm_env/test_plant.py",
     "flexarm_env/test_rendering.py",
     "flexarm_env/test_settings.py",
+    "flexarm_env/test_specs.py",
+    "test_commands.py",
 }
 FIRST = (  # long files; what the first one compiles is shared, and the second needs none of it
     "flexarm_env/test_digests.py",
@@ -157,6 +175,13 @@ NIGHT = yaml.safe_load((ROOT / "tests" / "night.yaml").read_text("utf-8"))
 def name_of(item: pytest.Item) -> str:
     """File of a test, from the folder of tests on."""
     return Path(item.path).relative_to(ROOT / "tests").as_posix()
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave the files of the evening alone by day, for the time that their imports take."""
+    by_day = config.option.markexpr == "day"
+    late = (ROOT / "tests" / name for name in EVENING - QUICK)
+    return True if by_day and collection_path in late else None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
