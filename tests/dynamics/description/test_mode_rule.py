@@ -88,10 +88,12 @@ def test_evaluating_a_case_without_modes_is_rigid_and_warns_beside_the_result(
     [
         ({}, "unconstrained"),
         ({"joint": HEAVY_HUB}, "clamped-tip-mass"),
+        ({"joint": Joint(hub_inertia=HEAVY_HUB.rotor_inertia)}, "clamped-tip-mass"),
         ({"tip_mass": 0.1}, "clamped-tip-mass"),
         ({"segments": 2}, "hierarchical"),
         ({"segments": 3, "joint": HEAVY_HUB, "tip_mass": 1e5}, "hierarchical"),
         ({"joint": Joint(type="prismatic")}, "clamped-tip-mass"),
+        ({"joint": Joint(root=(0.1, 0.0, 0.0))}, "clamped-tip-mass"),
         ({"joint": Joint(stiffness=10.0, rotor_inertia=1e-6)}, "clamped-tip-mass"),
         ({"tip_mass": 1e5}, "hierarchical"),
     ],
@@ -191,6 +193,7 @@ def test_torsion_needs_inertia_and_stretching_gets_no_mode() -> None:
     assert kinds(Link(**stiff)) == bending
     assert kinds(Link(**stiff, rho_Ip=1e-3)) == [*bending, ("torsion-fixed-free", 1, "x")]
     heavy = ((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3))  # too few for every segment
+    assert kinds(Link(**stiff, tip_inertia=heavy)) == [*bending, ("torsion-poly", 1, "x")]
     welded = [("hierarchical", k, d) for d in "yz" for k in (1, 2)]
     assert kinds(Link(**stiff, tip_inertia=heavy, segments=2)) == welded
     twisting = [("torsion-poly", k, "x") for k in (1, 2)]
@@ -206,13 +209,21 @@ def test_torsion_by_rule_has_the_frequency_of_a_bar_with_what_its_tip_turns(
     ratio: float, beyond: str
 ) -> None:
     """b tan b = rho_Ip l / J, w = b / l sqrt(GJ / rho_Ip); one mode errs by 3 % at most."""
-    size, J = 1e-3 * BEAM["length"], ratio * 1e-3 * BEAM["length"]
+    length = 0.5
+    size, J = 1e-3 * length, ratio * 1e-3 * length
     low, high = 0.0, 0.5 * np.pi
     for _ in range(60):
         b = 0.5 * (low + high)
         low, high = (low, b) if J * b * np.tan(b) > size else (b, high)
-    exact = low / BEAM["length"] * np.sqrt(5.0 / 1e-3)
-    bar: dict[str, Any] = {**BEAM, "EIz": None, "GJ": 5.0, "rho_Ip": 1e-3, "modes": "auto"}
+    exact = low / length * np.sqrt(5.0 / 1e-3)
+    bar: dict[str, Any] = {
+        **BEAM,
+        "length": length,
+        "EIz": None,
+        "GJ": 5.0,
+        "rho_Ip": 1e-3,
+        "modes": "auto",
+    }
     inertia = np.diag([J, 0.0, 0.0]).tolist()
     if beyond == "a payload":
         load = Payload(mass=1.0, inertia=np.diag([J, 0.5 * J, 0.5 * J]).tolist())

@@ -11,6 +11,7 @@ from scipy.integrate import solve_bvp
 
 from dynamics import ARMS, Arm, Base, Joint, Link, Mode, Model, Stepper, ValidityWarning, simulate
 from dynamics.formulations import articulated_body
+from dynamics.tracing.equilibrium import settled
 from dynamics.types import Array
 from tests.dynamics.random_arms import floats, random_arm, random_state
 
@@ -110,6 +111,16 @@ def test_the_torques_hold_the_arm_at_rest(seed: int) -> None:
         model.chain, floats(straight), arm.n * [0.0], floats(rest.torque)
     )
     assert np.abs(a).max() < 1e-8 * np.abs(fallen).max()
+
+
+@pytest.mark.parametrize("angle", [0.0, 2.5])
+def test_a_few_steps_find_the_equilibrium_of_many_postures_at_once(angle: float) -> None:
+    """The link hangs to either side of its axis."""
+    model = Model(horizontal(modes=SHAPES[:1]))
+    straight = np.zeros((2, model.n))
+    straight[:, 0] = angle, 0.3
+    expected = [model.equilibrium(q[:1]).q for q in straight]
+    assert_allclose(settled(model.traced, straight), expected, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("shapes", [SHAPES, SHAPES[:1]], ids=len)
