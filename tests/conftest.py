@@ -57,6 +57,7 @@ QUICK = {
     "flexarm_env/test_holding.py",
     "dynamics/tracing/test_adjoint.py",
     "dynamics/tracing/test_differentiated.py",
+    "dynamics/tracing/test_measure.py",
     "dynamics/tracing/test_recorded_steps.py",
     "dynamics/tracing/test_statements.py",
     "flexarm_env/task/test_events.py",
