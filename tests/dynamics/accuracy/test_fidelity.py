@@ -157,7 +157,7 @@ def test_a_rigid_body_yields_in_no_direction() -> None:
 
 def test_lumped_models_lump_flexible_links_and_say_so() -> None:
     rigid_link = replace(OWN, EIz=None, EIy=None, modes=(), damping_ratio=0.0)
-    arm = Arm(links=(OWN, rigid_link))
+    arm = Arm(links=(DAMPED, rigid_link))
     fidelity = Fidelity(
         counts=((2, 1, 0), (0, 0, 0)), segments=(1, 1), polynomial=True, lumped=True,
         foreshortening=True,
