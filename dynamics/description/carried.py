@@ -12,50 +12,56 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.description.joint import Joint
-from dynamics.description.link import Body, Link, Payload, about_origin
+from dynamics.description.link import Link, Payload, about_origin
 from dynamics.description.mode_rule import TipLoad
-from dynamics.types import Array
+from dynamics.types import Array, Matrix3, Vector3
 
 BENDING_AXIS = {"y": 2, "z": 1}  # direction of bending -> axis about which the tip turns
 
 
 class Carried(NamedTuple):
-    """Bodies beyond a tip, in its end frame. Masses are int (1, x, y, z, r^2) dm about the tip."""
+    """Bodies beyond a tip, in its end frame.
 
-    whole: Array  # (5,) [kg, kg m, kg m^2]
-    welded: Array  # (5,) of those that no moving joint separates from the tip
+    Masses are int p p^T dm with p = (x, y, z, 1) from the tip: a place T moves them to T m T^T.
+    """
+
+    whole: Array  # (4, 4) [kg m^2, kg m, kg]
+    welded: Array  # (4, 4) of those that no moving joint separates from the tip
     joint: Joint | None  # the first that moves
     axis: Array  # (3,) [-] of that joint
 
     def before(self, link: Link) -> "Carried":
         """Links that the one before carries: `link`, and these at its tip."""
-        own, reach, joint = _masses(link), np.array([link.length, 0.0, 0.0]), link.joint
-        root, turn, offset = (np.array(x) for x in (joint.root, joint.rotation, joint.offset))
+        own, tip, joint = _masses(link), _place((link.length, 0.0, 0.0)), link.joint
+        root = _place(joint.offset, joint.rotation) @ _place(joint.root)
         whole, welded = (
-            _moved(_turned(_moved(own + _moved(masses, reach), root), turn), offset)
-            for masses in (self.whole, self.welded)
+            root @ (own + tip @ masses @ tip.T) @ root.T for masses in (self.whole, self.welded)
         )
+        turn = root[:3, :3]
         if not joint.moves:
             return Carried(whole, welded, self.joint, turn @ self.axis)
-        return Carried(whole, np.zeros(5), joint, turn @ [0.0, 0.0, 1.0])
+        return Carried(whole, np.zeros((4, 4)), joint, turn @ [0.0, 0.0, 1.0])
 
     def turned_inertia(self) -> dict[str, float]:
         """[kg m^2] that turns with the tip, by the direction along which its link bends."""
-        welded, behind = self.welded[4], self.whole[4] - self.welded[4]
+        return {direction: self._turned(axis) for direction, axis in BENDING_AXIS.items()}
+
+    def _turned(self, axis: int) -> float:
+        whole, welded = (float(np.trace(m[:3, :3]) - m[axis, axis]) for m in self[:2])
         if self.joint is None or self.joint.parallel:
-            return dict.fromkeys(BENDING_AXIS, welded)
-        rotor, driven = self.joint.rotor_inertia, behind + self.joint.hub_inertia
+            return welded
+        behind, rotor = whole - welded, self.joint.rotor_inertia
+        driven = behind + self.joint.hub_inertia
         series = rotor * driven / (rotor + driven) if rotor else 0.0
-        about = self.axis**2 if self.joint.type != "prismatic" else np.zeros(3)
-        return {
-            direction: welded + (1.0 - about[axis]) * behind + about[axis] * series
-            for direction, axis in BENDING_AXIS.items()
-        }
+        about = 0.0 if self.joint.type == "prismatic" else float(self.axis[axis]) ** 2
+        return welded + (1.0 - about) * behind + about * series
 
 
 def carried(links: Sequence[Link], payload: Payload | None = None) -> list[Carried]:
     """Links that each link carries beyond its tip, and the payload of the last."""
-    last = np.zeros(5) if payload is None else _of_body(payload)
+    last = np.zeros((4, 4))
+    if payload is not None:
+        last = _of_body(payload.mass, payload.com, payload.inertia)
     result = [Carried(last, last, None, np.zeros(3))]
     for link in reversed(links[1:]):
         result.append(result[-1].before(link))
@@ -67,36 +73,33 @@ def tip_loads(links: Sequence[Link], payload: Payload | None) -> list[TipLoad]:
     last = len(links) - 1
     about_x = 0.0 if payload is None else float(about_origin(payload)[0][0])
     return [
-        TipLoad(beyond.welded[0], beyond.turned_inertia(), about_x * (i == last), i < last)
+        TipLoad(beyond.welded[3, 3], beyond.turned_inertia(), about_x * (i == last), i < last)
         for i, beyond in enumerate(carried(links, payload))
     ]
 
 
 def _masses(link: Link) -> Array:
-    """(5,) int (1, x, y, z, r^2) dm of a link about its root, in its frame."""
-    line, tip = link.beam.line_mass, link.tip_mass
-    first, second = line.first + tip * link.length, line.second + tip * link.length**2
-    total = np.array([line.mass + tip, first, 0.0, 0.0, second + _polar(link.tip_inertia)])
-    return total if link.body is None else total + _of_body(link.body)
+    """(4, 4) masses of a link about its root, in its frame."""
+    line = link.beam.line_mass
+    result = _of_body(link.tip_mass, (link.length, 0.0, 0.0), link.tip_inertia)
+    result[np.ix_([0, 3], [0, 3])] += [[line.second, line.first], [line.first, line.mass]]
+    if link.body is not None:
+        result += _of_body(link.body.mass, link.body.com, link.body.inertia)
+    return result
 
 
-def _of_body(body: Body | Payload) -> Array:
-    """(5,) int (1, x, y, z, r^2) dm of a body about the origin of its frame."""
-    masses = np.array([body.mass, 0.0, 0.0, 0.0, _polar(body.inertia)])
-    return _moved(masses, np.array(body.com))
+def _of_body(mass: float, com: Vector3, inertia: Matrix3) -> Array:
+    """(4, 4) masses of a body about the origin of its frame."""
+    result, place = np.zeros((4, 4)), _place(com)
+    result[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - np.array(inertia)
+    result[3, 3] = mass
+    return place @ result @ place.T
 
 
-def _polar(inertia: Sequence[Sequence[float]]) -> float:
-    """Int r^2 dm [kg m^2] about the point to which an inertia belongs."""
-    return 0.5 * float(np.trace(inertia))
-
-
-def _moved(masses: Array, place: Array) -> Array:
-    """The masses about a point from which the present one is at `place`."""
-    mass, first, second = masses[0], masses[1:4], masses[4]
-    moved = second + 2.0 * (place @ first) + mass * (place @ place)
-    return np.array([mass, *(first + mass * place), moved])
-
-
-def _turned(masses: Array, rotation: Array) -> Array:
-    return np.array([masses[0], *(rotation @ masses[1:4]), masses[4]])
+def _place(offset: Vector3, rotation: Matrix3 | None = None) -> Array:
+    """(4, 4) homogeneous transform of a frame at `offset` [m]."""
+    result = np.eye(4)
+    result[:3, 3] = offset
+    if rotation is not None:
+        result[:3, :3] = rotation
+    return result

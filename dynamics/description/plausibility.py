@@ -75,7 +75,8 @@ def _warn_of_welds(arm: Arm, stacklevel: int) -> None:
     """Warn of listed shapes that are too stiff for the links welded to their tip."""
     for i, (link, beyond) in enumerate(zip(arm.links, carried(arm.links), strict=True), 1):
         listed = link.segments == 1 and not isinstance(link.modes, ModesByRule)
-        if listed and beyond.welded[-1] > LADEN * link.beam.line_mass.second:
+        turned = np.trace(beyond.welded[:3, :3])  # int r^2 dm
+        if listed and turned > LADEN * link.beam.line_mass.second:
             stiff = stiff_end(f"Link {i}", link.modes, link.beam)
             if stiff:
                 warnings.warn(stiff, StiffSegmentsWarning, stacklevel=stacklevel + 1)

@@ -38,13 +38,16 @@ def random_body(rng: np.random.Generator) -> Body:
 
 
 def on_a_base(links: tuple[Link, ...], payload: Payload | None) -> Array:
-    """(5,) int (1, x, y, z, r^2) dm about a base of 1 kg and 1 kg m^2 that the links are on."""
+    """(4, 4) int p p^T dm, p = (x, y, z, 1), about a base of 1 kg and 1 kg m^2 with the links."""
     if not links:
-        return np.zeros(5)
+        return np.zeros((4, 4))
     arm = Arm(links=links, payload=payload, base=Base(type="free", mass=1.0, inertia=UNIT))
     M = brute_force.mass_matrix(arm, np.zeros(arm.n))[:6, :6]
     first = M[1, 5], M[2, 3], M[0, 4]
-    return np.array([M[0, 0] - 1.0, *first, 0.5 * (np.trace(M[3:, 3:]) - 3.0)])
+    inertia, result = M[3:, 3:] - np.eye(3), np.empty((4, 4))
+    result[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    result[3] = result[:, 3] = *first, M[0, 0] - 1.0
+    return result
 
 
 @pytest.mark.parametrize(
@@ -58,8 +61,8 @@ def test_a_tip_carries_what_a_base_in_its_place_would_move(types: list[str]) -> 
         moving = next((k for k, link in enumerate(links) if k >= i and link.joint.moves), None)
         held = links[i:] if moving is None else links[i:moving]
         welded = on_a_base(held, payload if moving is None else None)
-        np.testing.assert_allclose(beyond.whole, on_a_base(links[i:], payload), rtol=1e-9)
-        np.testing.assert_allclose(beyond.welded, welded, rtol=1e-9)
+        np.testing.assert_allclose(beyond.whole, on_a_base(links[i:], payload), rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(beyond.welded, welded, rtol=0.0, atol=1e-9)
         assert beyond.joint == (None if moving is None else links[moving].joint)
         if moving is not None:
             turns = [np.array(link.joint.rotation) for link in links[i : moving + 1]]
@@ -76,7 +79,7 @@ def test_the_inertia_that_a_tip_turns_is_what_a_free_joint_leaves_of_it(
     """By elimination of the joint from the mass matrix of the tip's turn and the joint's."""
     joint = Joint(**changes, rotor_inertia=rotor, hub_inertia=hub)  # type: ignore[arg-type]
     axis = np.array([0.48, 0.64, 0.6])
-    welded, whole = np.array([1.0, 0.0, 0.0, 0.0, 0.3]), np.array([2.0, 0.0, 0.0, 0.0, 0.8])
+    welded, whole = np.diag([0.15, 0.15, 0.15, 1.0]), np.diag([0.4, 0.4, 0.4, 2.0])
     beyond = Carried(whole, welded, joint, axis)
     for direction, along in {"y": axis[2], "z": axis[1]}.items():
         turn = 0.0 if joint.type == "prismatic" else along  # of the hub with the tip

@@ -169,6 +169,15 @@ def test_the_family_suits_what_the_tip_turns_through_a_joint(
     assert kinds(arm.links[0])[0][0] == family
 
 
+def test_a_beam_along_the_axis_of_the_bending_does_not_turn_with_it() -> None:
+    """Bending along y leaves it pointing along z; bending along z turns it."""
+    across = Joint(type="fixed", rotation={"rpy": (0.0, -math.pi / 2, 0.0)})  # type: ignore[arg-type]
+    first = Link(**{**BEAM, "EIy": 20.0}, joint=HEAVY_HUB, modes="auto")  # type: ignore[arg-type]
+    arm = Arm(links=(first, Link(length=0.8, rho_A=0.6, joint=across)))
+    families = [family for family, _, _ in kinds(arm.links[0])]
+    assert families == 2 * ["clamped-tip-mass"] + 2 * ["hierarchical"]
+
+
 @pytest.mark.parametrize("mass", [0.05, 1.0])
 @pytest.mark.parametrize("fixed", ["payload", "link"])
 def test_a_body_beyond_the_tip_of_a_link_on_a_light_joint_is_no_free_tip(
