@@ -1,7 +1,6 @@
 """Command line and output of every benchmark: provenance, JSON, Markdown tables, figures."""
 
 import argparse
-import json
 import os
 import platform
 import sys
@@ -15,6 +14,7 @@ from llvmlite.binding import get_host_cpu_name
 
 from agents import figures
 from agents.files import FolderError, check_folder
+from agents.metrics import write_json
 from agents.run_folder.folder import revision
 from agents.sentences import one_line, speaker
 
@@ -123,9 +123,9 @@ def filled(page: str, blocks: Mapping[str, str]) -> str:
 
 
 def save_results(results: dict[str, Any], text: str, path: Path) -> None:
-    """Write the results as JSON to `path`, and the Markdown page `text` beside it."""
+    """Write the results as strict JSON to `path`, and the Markdown page `text` beside it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    write_json(path, results)
     path.with_suffix(".md").write_text(text, encoding="utf-8")
 
 

@@ -1,14 +1,17 @@
 """Command lines, provenance and Markdown tables of the benchmarks."""
 
+import json
+import math
 import runpy
 import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from benchmarks.output import Parser, argument_parser, command, table
+from benchmarks.output import Parser, argument_parser, command, save_results, table
 from dynamics.extras import installation
 from tests.paths import ROOT
 
@@ -140,3 +143,18 @@ def test_a_table_aligns_columns_and_repeats_the_last_alignment() -> None:
         "| x | 1 | 2 |",
         "| y |  | 3 |",
     ]
+
+
+def test_results_are_strict_json(tmp_path: Path) -> None:
+    """Of a motion that never settles too: parsers beside Python's refuse NaN and Infinity."""
+    save_results({"settles": [math.inf, 1.0], "later": math.nan}, "# Page\n", tmp_path / "x.json")
+    assert strict(tmp_path / "x.json") == {"settles": [None, 1.0], "later": None}
+    for path in (ROOT / "docs").rglob("*.json"):
+        strict(path)
+
+
+def strict(path: Path) -> Any:
+    def refused(text: str) -> None:
+        raise AssertionError(f"{path} holds {text}")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refused)
