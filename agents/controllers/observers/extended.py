@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.controllers.models.linear_model import LinearModel
 from agents.controllers.models.nonlinear import PlantSteppers
 from agents.controllers.models.plan import Planner
 from agents.controllers.observers.exact import NEVER
@@ -43,6 +44,10 @@ class ExtendedFilters(KalmanFilters):
     def told(self, belief: Belief, torque: Array) -> None:
         """Note other torques (N, m) [N m] of the coming step."""
         belief.torque[:, -1] = torque[:, None]
+
+    def _bent(self, models: list[LinearModel]) -> Array:
+        """(P, y, m) zeros: the arm that predicts has all its modes."""
+        return np.zeros_like(super()._bent(models))
 
     def _start(self, belief: Belief, i: int, error: Array) -> None:
         belief.state[i][:, self.models.joints] = belief.plan.target.posture[i] + error

@@ -245,11 +245,15 @@ class KalmanFilters:
     def _at(self, posture: Array) -> _Bank:
         return self._bank(place_of(posture, SHARED))
 
+    def _bent(self, models: list[LinearModel]) -> Array:
+        """(P, y, m) readings of what torques bend at once, of modes that the filters leave out."""
+        return np.array([model.D for model in models])
+
     def _stacked(self, place: tuple[float, ...]) -> _Bank:
         """Filters at joint angles: gains, precisions and bulks of the first readings."""
         models = [self.models.at(np.array(place), plant) for plant in self.plants]
         A, B, C, P = self._with_biases(models)
-        D = np.array([model.D for model in models])
+        D = self._bent(models)
         disturbed, quantum = np.diag((self.disturbance * self.limit) ** 2), self.sensors.quantum
         W = B @ disturbed @ _turned(B)
         V = np.diag(self.sensors.noise**2) + D @ disturbed @ _turned(D)
