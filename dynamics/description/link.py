@@ -54,7 +54,8 @@ class Body:
 class Payload:
     """Rigid body fixed to the last link's tip, in the deformed end frame.
 
-    It is added to that link's tip mass and tip inertia; mode shapes do not depend on it.
+    It is added to that link's tip mass and tip inertia. Mode shapes do not depend on it, but their
+    family by rule does.
     """
 
     mass: float  # [kg]

@@ -112,10 +112,9 @@ def _on_root(
     fixed = Joint(type="fixed", offset=link.joint.root)
     carrier = Link(length=0.0, body=Body(mass=0.0), joint=replace(link.joint, root=(0.0, 0.0, 0.0)))
     pieces = [first]
-    if any(
-        link.joint.root
-    ):  # the modes are those of the link in its arm, not the rule's for a part
-        pieces = [carrier, replace(first, joint=fixed, modes=tuple(first.modes))]
+    if any(link.joint.root):
+        listed = tuple(first.modes)  # of the link in its arm, not the rule's of a part
+        pieces = [carrier, replace(first, joint=fixed, modes=listed)]
     last = len(pieces) + len(others) - 1
     return tuple(
         link_constants(
