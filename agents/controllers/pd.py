@@ -43,18 +43,18 @@ class JointPD:
         return self.whole(self.of_joints(observation)), state
 
     def whole(self, action: AnyArray) -> AnyArray:
-        """All actions, from those of the joints (..., n_joint)."""
-        return np.concatenate([action, np.zeros((*action.shape[:-1], self.idle))], axis=-1)
+        """All actions within the limits, from what the joints (..., n_joint) ask for."""
+        idle = np.zeros((*action.shape[:-1], self.idle))
+        return np.concatenate([np.clip(action, -1.0, 1.0), idle], axis=-1)
 
     def of_joints(self, observation: AnyArray) -> AnyArray:
-        """Actions (..., n_joint) of the joints."""
+        """Actions (..., n_joint) that the joints ask for, also beyond the limits."""
         x = np.asarray(observation, float)
         error = x[..., self.slices["joint_error"]] * self.scales["joint_error"]
         rate = x[..., self.slices["joint_rate"]] * self.scales["joint_rate"]
         if "target_rate" in self.slices:  # a moving target: damp the relative motion
             rate = rate - x[..., self.slices["target_rate"]] * self.scales["target_rate"]
-        torque = -self.stiffness * error - self.damping * rate
-        return np.asarray(np.clip(torque / self.torque_limit, -1.0, 1.0))
+        return np.asarray((-self.stiffness * error - self.damping * rate) / self.torque_limit)
 
 
 def joint_pd(

@@ -48,7 +48,7 @@ class PID:
         action = self.pd.of_joints(x)
         free = np.abs(action - gain * moved) < 1.0
         integral = np.where(free, moved, before)
-        action = self.pd.whole(np.clip(action - gain * integral, -1.0, 1.0))
+        action = self.pd.whole(action - gain * integral)
         return action.reshape(*np.shape(observation)[:-1], -1), integral
 
 
@@ -73,7 +73,7 @@ class StrainFeedback:
     ) -> tuple[AnyArray, Any]:
         """Actions from angles, rates and curvatures."""
         action = self.pd.of_joints(observation) + self.gain * self.chords(observation)
-        return self.pd.whole(np.clip(action, -1.0, 1.0)), state
+        return self.pd.whole(action), state
 
 
 class FilteredBending:
@@ -100,8 +100,7 @@ class FilteredBending:
         chord = self.chords(x)
         before = resumed(state, episode_start, (len(x), len(self.step), chord.shape[1]))
         after = self.step @ np.concatenate([before, chord[:, None]], axis=1)
-        action = np.clip(self.pd.of_joints(x) + self.gain * after[:, 0], -1.0, 1.0)
-        action = self.pd.whole(action)
+        action = self.pd.whole(self.pd.of_joints(x) + self.gain * after[:, 0])
         return action.reshape(*np.shape(observation)[:-1], -1), after
 
 

@@ -58,6 +58,27 @@ def test_pid_does_not_wind_up_at_the_torque_limit(envs: Any) -> None:
     assert state[0, 0] == 0.0
 
 
+@pytest.mark.parametrize(
+    ("subject", "extra", "state"),
+    [
+        (PID, {"reset": 1e9}, [[1.0, 1.0]]),
+        (StrainFeedback, {"yielding": -1.0}, None),
+        (IntegralResonant, {"gain": 1e-9, "corner_ratio": 1e-9}, [[[-1.0, -1.0]]]),
+    ],
+)
+def test_torques_are_limited_once_all_terms_are_added(
+    envs: Any, subject: Any, extra: dict[str, float], state: Any
+) -> None:
+    """Joint PD asks for 1.6 times the limit of the first joint, and the other term for -1.0."""
+    pd, shape = joint_pd(envs, *GAINS.values()), Chords(envs, "x")
+    unit = pd.torque_limit / pd.stiffness
+    bent = np.linalg.solve(shape.turn.T, unit * [1.0, 0.0])
+    x = observed(envs, joint_error=-1.6 * unit * [1.0, 0.0], root_curvature=bent)
+    before = None if state is None else state * (unit * [1.0, 0.0])
+    found, _ = subject(envs, **GAINS, **extra).predict(x, before, np.zeros(1, bool))
+    assert found[0] == pytest.approx([0.6, 0.0], abs=1e-6)
+
+
 def test_chords_turn_as_beams_under_a_tip_force(envs: Any) -> None:
     """A force F bends to F l / EI at the root, and deflects the tip by F l^3 / 3 EI."""
     links = envs.unwrapped.core.arm.links
