@@ -123,10 +123,16 @@ def environment_source(arm: str, env_id: str, backend: str) -> str:
 
 
 def evaluate(case: Case) -> dict[str, Any]:
-    """Results that a case requests, as plain lists and numbers."""
+    """Results that a case requests, as plain lists and numbers.
+
+    They follow from the positions: with `rotation` "linear" Book's Lagrangian differentiates
+    1 + theta~, where the arm has nothing that his formulation lacks.
+    """
+    from dynamics.formulations.table import why_not
     from dynamics.model import compile_arm
 
-    model = compile_arm(case.arm)
+    printed = case.arm.rotation == "exp" or why_not(case.arm, "book")
+    model = compile_arm(case.arm, formulation="gibbs_appell" if printed else "book")
     q = np.zeros(model.n)
     q[list(case.arm.joint_index)] = case.joint_angles
     result: dict[str, Any] = {"names": list(model.names), "states": []}

@@ -77,3 +77,23 @@ def test_a_motion_that_diverges_ends_with_status_3_and_writes_nothing(
     assert (status, out) == (3, "")
     assert err.count("\n") == 1
     assert not (tmp_path / "out.json").exists()
+
+
+@pytest.mark.parametrize("word", ["linear", "skew"])
+def test_a_case_with_the_linear_rotation_follows_from_its_positions(
+    word: str, tmp_path: Path
+) -> None:
+    """Without torques and damping the energy of the positions stays what it was."""
+    case = json.loads((REFERENCE / "spatial_two_link_torsion.json").read_text())
+    case |= {"rotation": word, "t_end": 0.1, "n_out": 101}
+    for link in case["links"]:
+        link["damping_ratio"] = link["joint"]["viscous"] = link["joint"]["coulomb"] = 0.0
+    case["torque"] = [None] * len(case["links"])
+    case["initial"] = {key: case["expected"]["states"][0][key] for key in ("q", "qd")}
+    (tmp_path / "case.json").write_text(json.dumps(case))
+    out = tmp_path / "out.json"
+    assert main(["evaluate", str(tmp_path / "case.json"), "--out", str(out)]) == 0
+    motion = json.loads(out.read_text())["motion"]
+    energy = np.add(motion["T"], motion["V"])
+    assert np.ptp(motion["T"]) > 0.1 * max(motion["T"])
+    assert_allclose(energy, energy[0], rtol=ENERGY)
