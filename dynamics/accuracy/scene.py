@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from dynamics.description import validate
 from dynamics.description.arm import Arm
-from dynamics.simulation.case_file import Numbers, PiecewiseConstant, Torque
+from dynamics.simulation.case_file import Numbers, PiecewiseConstant, Torque, jump_times
 
 TorqueSignal = Callable[[float], ArrayLike]  # (n_joint,) [N m], [N]; jumps listed in `.breakpoints`
 
@@ -44,6 +44,7 @@ class JointMotion:
                 "JointMotion.torque must be a function of time or None, "
                 f"got {validate.shown(self.torque)}."
             )
+        jump_times(self.torque)  # raises ValueError if they are no list of times
         validate.boolean(self.settled, "JointMotion.settled")
         if self.hold is not None:
             hold = validate.positive(self.hold, "JointMotion.hold", "s")
@@ -59,8 +60,8 @@ class JointMotion:
     @property
     def knots(self) -> Numbers:
         """Start, torque jumps and end [s]; the torque is smooth between them."""
-        jumps = {float(t) for t in getattr(self.torque, "breakpoints", ())}
-        return (0.0, *sorted(t for t in jumps if 0.0 < t < self.t_end), self.t_end)
+        jumps = jump_times(self.torque)
+        return (0.0, *(t for t in jumps if 0.0 < t < self.t_end), self.t_end)
 
 
 @dataclass(frozen=True, kw_only=True)

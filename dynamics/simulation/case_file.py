@@ -73,6 +73,12 @@ class Torque:
         return tuple(sorted({time for step in steps for time in step.times}))
 
 
+def jump_times(torque: object) -> Numbers:
+    """Increasing times [s] of the jumps that a torque lists in its attribute `breakpoints`."""
+    listed = getattr(torque, "breakpoints", ())
+    return tuple(sorted(set(validate.numbers(listed, "torque.breakpoints", unit="s"))))
+
+
 @dataclass(frozen=True, kw_only=True)
 class State:
     """A state at which M, h and the accelerations are evaluated."""

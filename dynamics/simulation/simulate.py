@@ -13,6 +13,7 @@ from dynamics.description import validate
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.model import Model
 from dynamics.simulation import quaternion_state, step_limits
+from dynamics.simulation.case_file import jump_times
 from dynamics.simulation.stepper import Stepper
 from dynamics.simulation.trajectory import Trajectory
 from dynamics.simulation.validity import FARTHEST, limits
@@ -131,10 +132,7 @@ def _signal(
     def checked(t: float) -> Array:
         return numbers(torque(t), f"torque({t:.6g} s)")
 
-    jumps = validate.numbers(
-        list(getattr(torque, "breakpoints", ())), "torque.breakpoints", unit="s"
-    )
-    return checked, sorted(set(jumps))
+    return checked, list(jump_times(torque))
 
 
 class _ErrorControlled:

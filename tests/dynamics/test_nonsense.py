@@ -62,6 +62,16 @@ def motion(torque: Any, integrator: str = "auto", **more: Any) -> Any:
     return simulate(MODEL, REST, REST, torque, [0.0, 0.01], integrator=integrator, **more)
 
 
+def jumping(breakpoints: Any) -> Callable[[float], Any]:
+    """A torque that lists `breakpoints`."""
+
+    def torque(t: float) -> Any:
+        return [0.0]
+
+    torque.breakpoints = breakpoints  # type: ignore[attr-defined]
+    return torque
+
+
 CALLS: dict[str, Callable[[Any], Any]] = {
     "load_arm": load_arm,
     "compile_arm": compile_arm,
@@ -99,6 +109,7 @@ CALLS: dict[str, Callable[[Any], Any]] = {
     "simulate torque": motion,
     "simulate torque function": lambda x: motion(lambda t: x),
     "simulate torque function, fixed steps": lambda x: motion(lambda t: x, "rk4"),
+    "simulate torque breakpoints": lambda x: motion(jumping(x)),
     "simulate times": lambda x: simulate(MODEL, REST, REST, None, x),
     "simulate integrator": lambda x: motion(None, x),
     "simulate dt": lambda x: motion(None, "rk4", dt=x),
@@ -115,6 +126,9 @@ CALLS: dict[str, Callable[[Any], Any]] = {
     "bang_bang pulse": lambda x: bang_bang((0.1,), x, 1.0),
     "cycloid": lambda x: cycloid((0.1,), x, 1.0),
     "release": lambda x: release(x, 1.0),
+    "JointMotion torque breakpoints": lambda x: (
+        JointMotion(joint_angles=(0.0,), joint_rates=(0.0,), t_end=1.0, torque=jumping(x)).knots
+    ),
     **described(Scene, motions=SCENE.motions),
     **described(JointMotion, joint_angles=(0.0,), joint_rates=(0.0,), t_end=1.0),
     **described(Link, length=1.0, rho_A=1.0),
