@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
                 f"{len(a.gauge_at)} places for {len(a.gauge)} columns."
             )
         gauges = [
-            _sensor(place, columns.unit(name, "gauge"), arm.n_joint)
+            _sensor(place, columns.unit(name, "gauge"), len(arm.links))
             for place, name in zip(a.gauge_at, a.gauge, strict=True)
         ]
         held = dict(_held(text, arm.n_joint) for text in a.held)

@@ -66,20 +66,25 @@ def named(sensors: Sequence[Sensor]) -> list[str]:
 
 
 def check(sensors: Sequence[Sensor], arm: Arm, readings: Array) -> None:
-    """Refuse places that the arm does not have, and gauges that would roll a link up."""
+    """Refuse links that the arm lacks or that do not bend, and gauges that would roll one up."""
     if readings.shape[1] != len(sensors):
         raise ValueError(
             f"Every gauge column needs a place, got {readings.shape[1]} columns and "
             f"{len(sensors)} places."
         )
     spans = np.nanmax(readings, axis=0, initial=0.0) - np.nanmin(readings, axis=0, initial=0.0)
-    for k, (sensor, span) in enumerate(zip(sensors, spans.tolist(), strict=True), 1):
+    for name, sensor, span in zip(named(sensors), sensors, spans.tolist(), strict=True):
         validate.integer(sensor.link, f"{type(sensor).__name__}.link", 0, len(arm.links) - 1)
+        if not arm.links[sensor.link].in_direction("y"):
+            raise ValueError(
+                f"{name} reads bending along y, which link {sensor.link + 1} "
+                "lacks; name another link, or give this one modes along y (Link.modes)."
+            )
         if not isinstance(sensor, Gauge):
             continue
         if span > abs(sensor.distance) * ROLLED_UP / arm.links[sensor.link].length:
             raise ValueError(
-                f"gauge {k} reads a change of curvature of {span / abs(sensor.distance):.3g} 1/m, "
+                f"{name} reads a change of curvature of {span / abs(sensor.distance):.3g} 1/m, "
                 f"which would roll link {sensor.link + 1} up; check the gauge's unit and its "
                 "distance from the neutral axis."
             )

@@ -106,6 +106,24 @@ def test_bad_command_lines_end_with_one_sentence(
     assert not out.exists()
 
 
+def test_places_of_gauges_count_links_behind_fixed_joints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A hub with a beam in a clamp that gives: two links and one joint."""
+    links = [{"length": 0, "body": {"mass": 1.0}, "joint": {"rotor_inertia": 0.01}},
+             {"length": 0.4, "rho_A": 0.1, "EIz": 1.0, "modes": "auto", "damping_ratio": 0.01,
+              "joint": {"type": "fixed", "stiffness": 40.0}}]  # fmt: skip
+    (tmp_path / "arm.json").write_text(json.dumps({"links": links}))
+    for place, sentence in (
+        ("3:0.02:0.0004", "link must be between 1 and 2, the arm's links"),
+        ("2:0.5:0.0004", "x must be within the link, 0 to 0.4 m, got 0.5"),
+        ("1:0.0:0.0004", "gauge 1 reads bending along y, which link 1 lacks"),
+    ):
+        changed = ["--arm", str(tmp_path / "arm.json"), "--gauge-at", place]
+        assert main([LOG, *COMMAND, *changed, "--out", str(tmp_path / "out")]) == 2
+        assert sentence in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("wrong", "sentences"),
     [

@@ -10,7 +10,7 @@ from scipy.signal import lsim
 
 from benchmarks.measured_data import GAUGE, PRESET, STIFFER, clean_log, noisy, rig, truth
 from dynamics import Arm, Stepper, compile_arm, load_arm
-from dynamics.measured.fit import BOUNDS, Fit, LinkAngle, TipSlope, fit
+from dynamics.measured.fit import BOUNDS, Fit, Gauge, LinkAngle, TipSlope, fit
 from dynamics.measured.log_file import Log
 from dynamics.measured.motion import LoggedMotion
 from dynamics.measured.readings import Readings, delayed, low_passed
@@ -225,6 +225,7 @@ def test_the_time_constant_of_a_filtered_gauge_is_fitted(clean: Log) -> None:
         ([GAUGE], {"bounds": {"viscous_2": (0.0, 1.0)}}, "Unknown parameter 'viscous_2'"),
         ([GAUGE], {"bounds": {"delay_gauge_2": (0.0, 1.0)}}, "did you mean 'delay_gauge_1'"),
         ([TipSlope(link=1)], {}, "TipSlope.link must be between 0 and 0, got 1"),
+        ([TipSlope(link=0), Gauge(link=0, x=0.02, distance=1e-6)], {}, "^gauge 1 reads a change"),
         ([GAUGE] * 3, {"start": "measured"}, "got 2 modes and 3 gauges"),
     ],
 )

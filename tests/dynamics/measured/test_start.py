@@ -277,6 +277,7 @@ MASS = {"stiffness": (0.5, 2.0), "damping": (0.0, 5.0), "payload_mass": (0.0, 0.
         (decay(0), PRESET, {"held": {1: None}}, "held joint .*must be between 0 and 0, got 1"),
         (decay(0), PRESET, {"held": {0: float("nan")}}, "angle of a held joint"),
         (decay(0), PRESET, {"gauges": []}, "got 1 columns and 0 places"),
+        (decay(0), sideways(), {}, "gauge 1 reads bending along y, which link 1 lacks"),
         (log_of(T, noise(0)), PRESET, {"gauges": []}, "needs a gauge, or an encoder"),
         (decay(0), PRESET, {"gauges": [Gauge(link=0, x=0.02, distance=1e-6)]}, "roll link 1 up"),
         (decay(0), one_mode(), {"bounds": MASS}, "do not tell .* apart"),
@@ -291,10 +292,10 @@ def test_a_fit_that_cannot_be_says_why(
         fit(arm, log, **given)  # type: ignore[arg-type]
 
 
-def test_a_gauge_that_no_bending_reaches_cannot_tell_a_stiffness() -> None:
-    sentence = "stiffness has no effect on these signals: they do not read"
+def test_an_encoder_that_no_bending_reaches_cannot_tell_a_stiffness() -> None:
+    log, sentence = clean_log(rig()), "stiffness has no effect on these signals: they do not read"
     with pytest.raises(ValueError, match=sentence):
-        fit(sideways(), clean_log(rig()), [GAUGE], bounds=STIFFNESS, held={})
+        fit(sideways(), replace(log, gauge=log.gauge[:, :0]), bounds=STIFFNESS, held={})
 
 
 def test_a_gauge_on_the_neutral_axis_is_refused() -> None:
