@@ -231,7 +231,8 @@ def frequencies(arm: Any, found: Fit) -> str:
     first = float(compile_arm(arm).frequencies()[0]) / (2.0 * np.pi)
     values = dict(zip(found.bounds, found.values.tolist(), strict=True))
     root = values["stiffness"] ** 0.5
-    sentence = f"First frequency, joints locked: {first:.4g} Hz as described, {first * root:.4g} Hz"
+    locked = "joints locked, without gravity" if any(arm.gravity) else "joints locked"
+    sentence = f"First frequency, {locked}: {first:.4g} Hz as described, {first * root:.4g} Hz"
     if "damping" in values:
         sentence += f"; damping ratios: {values['damping'] / root:.4g} times those described"
     return sentence + "."
@@ -251,6 +252,13 @@ def doubts(found: Fit, driven: bool = True) -> list[str]:
         for name in found.untold
     ]
     chance = CHANCE / np.sqrt(np.isfinite(found.measured).sum(axis=0))
+    arm = found.arm
+    bends = "stiffness" in found.bounds and any(link.modes for link in arm.links)
+    if bends and any(arm.gravity) and not arm.foreshortening:
+        result.append(
+            "Gravity along a link, which stiffens one that hangs and softens one that stands, acts "
+            "in an arm with foreshortening: true; in this one the fitted stiffness has its part."
+        )
     coloured = [
         name for name, rho, least in zip(found.signals, found.correlation, chance, strict=True)
         if abs(rho) > max(WHITE, least)

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import flexarm_env  # noqa: F401
-from agents.fit import EXAMPLE, PLUCK_EXAMPLE, _parser, doubts, main
+from agents.fit import EXAMPLE, PLUCK_EXAMPLE, _parser, doubts, frequencies, main
 from benchmarks.measured_data import COMMAND, PLUCK_COMMAND, page_table
 from benchmarks.output import RESULTS
 from dynamics import load_arm
 from dynamics.measured.fit import Fit
+from dynamics.types import Vector3
 from tests.paths import ROOT
 
 LOG = str(RESULTS / "measured_data.csv")
@@ -170,6 +171,29 @@ def test_an_unexplained_encoder_suggests_a_clamp() -> None:
         "If a joint was clamped, say so: --held 2.",
     ]
     assert doubts(replace(found, fitted=found.measured)) == []
+
+
+@pytest.mark.parametrize(
+    ("gravity", "foreshortening", "is_told"),
+    [
+        ((0.0, -9.81, 0.0), False, True),
+        ((0.0, -9.81, 0.0), True, False),
+        ((0.0,) * 3, False, False),
+    ],
+)
+def test_a_fit_in_gravity_tells_what_its_links_lack(
+    gravity: Vector3, foreshortening: bool, is_told: bool
+) -> None:
+    """A link that hangs or stands has another frequency; the printed one is without gravity."""
+    t = np.arange(300.0)[:, None]
+    arm = replace(load_arm("slim"), gravity=gravity, foreshortening=foreshortening)
+    found = Fit(
+        bounds={"stiffness": (0.2, 5.0)}, values=np.ones(1), intervals=np.ones((1, 2)),
+        covariance=np.eye(1), signals=("gauge 1",), measured=t, nominal=t, fitted=t,
+        correlation=np.zeros(1), start={}, arm=arm,
+    )  # fmt: skip
+    assert any("with foreshortening: true" in sentence for sentence in doubts(found)) == is_told
+    assert ("locked, without gravity:" in frequencies(arm, found)) == any(gravity)
 
 
 @pytest.mark.parametrize(("readings", "is_told"), [(60, False), (300, True)])
