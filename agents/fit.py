@@ -227,8 +227,13 @@ def table(found: Fit) -> str:
 
 
 def frequencies(arm: Any, found: Fit) -> str:
-    """Sentence about the first frequency; all frequencies grow with the root of the stiffness."""
-    first = float(compile_arm(arm).frequencies()[0]) / (2.0 * np.pi)
+    """Sentence about the first frequency in the posture at the start of the log.
+
+    All frequencies grow with the root of the stiffness.
+    """
+    model = compile_arm(arm)
+    posture = np.array([found.start[name][0] for name in model.names])
+    first = float(model.frequencies(posture)[0]) / (2.0 * np.pi)
     values = dict(zip(found.bounds, found.values.tolist(), strict=True))
     root = values["stiffness"] ** 0.5
     locked = "joints locked, without gravity" if any(arm.gravity) else "joints locked"

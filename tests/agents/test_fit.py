@@ -14,7 +14,7 @@ import flexarm_env  # noqa: F401
 from agents.fit import EXAMPLE, PLUCK_EXAMPLE, _parser, doubts, frequencies, main
 from benchmarks.measured_data import COMMAND, PLUCK_COMMAND, page_table
 from benchmarks.output import RESULTS
-from dynamics import load_arm
+from dynamics import compile_arm, load_arm
 from dynamics.measured.fit import Fit
 from dynamics.types import Vector3
 from tests.paths import ROOT
@@ -190,10 +190,24 @@ def test_a_fit_in_gravity_tells_what_its_links_lack(
     found = Fit(
         bounds={"stiffness": (0.2, 5.0)}, values=np.ones(1), intervals=np.ones((1, 2)),
         covariance=np.eye(1), signals=("gauge 1",), measured=t, nominal=t, fitted=t,
-        correlation=np.zeros(1), start={}, arm=arm,
+        correlation=np.zeros(1), start=dict.fromkeys(arm.names, (0.0, 0.0)), arm=arm,
     )  # fmt: skip
     assert any("with foreshortening: true" in sentence for sentence in doubts(found)) == is_told
     assert ("locked, without gravity:" in frequencies(arm, found)) == any(gravity)
+
+
+def test_the_frequency_is_that_of_the_posture_at_the_start() -> None:
+    """Folded, the second link adds less to the inertia about the first joint."""
+    t, arm = np.arange(300.0)[:, None], load_arm("two-link")
+    start = dict.fromkeys(arm.names, (0.0, 0.0)) | {"q2": (2.5, 0.0)}
+    found = Fit(
+        bounds={"stiffness": (0.2, 5.0)}, values=np.full(1, 4.0), intervals=np.ones((1, 2)),
+        covariance=np.eye(1), signals=("gauge 1",), measured=t, nominal=t, fitted=t,
+        correlation=np.zeros(1), start=start, arm=arm,
+    )  # fmt: skip
+    q = np.array([start[name][0] for name in arm.names])
+    first = compile_arm(arm).frequencies(q)[0] / (2.0 * np.pi)
+    assert f": {first:.4g} Hz as described, {2.0 * first:.4g} Hz." in frequencies(arm, found)
 
 
 @pytest.mark.parametrize(("readings", "is_told"), [(60, False), (300, True)])
