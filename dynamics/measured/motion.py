@@ -101,7 +101,8 @@ class LoggedMotion:
         if start == "estimated":
             rates = {k: _fastest(log.time, encoder[:, k]) for k in free}
             period = float(np.median(np.diff(log.time)))
-            rows += unknowns.start(self.model, self.start, rotors, rates, period)
+            waits = log.time[np.isfinite(encoder[:, free]).argmax(axis=0)] - log.time[0]
+            rows += unknowns.start(self.model, self.start, rotors, rates, waits, period)
         elif start == "measured":
             rows += unknowns.zeros(self.names, self.deviation, len(free))
             self._read_states(free, rotors, len(gauges))

@@ -3,7 +3,8 @@
 The state at the start is not the user's question, but the motion depends on it. Bending starts as a
 sum of the arm's natural modes with its joints locked, as many as the samples can show. Their
 amplitudes and rates are known to no more than the size of the arm. Angles of joints start at the
-first reading of the encoder, which is as noisy as the others.
+first reading of the encoder, which is as noisy as the others, or within what a joint may have
+turned until a first reading that is later than the first sample.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -129,7 +130,7 @@ def without_friction(arm: Arm, names: Iterable[str]) -> Arm:
 
 
 def start(
-    model: Model, q: Array, rotors: Array, rates: Mapping[int, float], period: float
+    model: Model, q: Array, rotors: Array, rates: Mapping[int, float], waits: Array, period: float
 ) -> list[Unknown]:
     """The state at the start.
 
@@ -138,14 +139,16 @@ def start(
     q : (n,) the straight arm at its first readings.
     rotors : (n_joint, n) angle of every rotor by q.
     rates : largest rate in the log of every free joint, in the order of the first signals.
+    waits : [s] from the first sample to the first reading of every such signal.
     period : [s] between samples.
     """
     unit = np.eye(model.n)[list(model.arm.joint_index)]
     result = []
     for signal, (joint, rate) in enumerate(rates.items()):
-        turn, name = unit[joint], f"q{joint + 1}"
+        turn, name, wait = unit[joint], f"q{joint + 1}", float(waits[signal])
+        read = {"deviation": rate * wait} if wait else {"reading": signal}
         result += [
-            Unknown(name=name, into="q", direction=turn, size=1.0, reading=signal),
+            Unknown(name=name, into="q", direction=turn, size=1.0, **read),
             Unknown(name=f"{name} rate", into="v", direction=turn, size=rate, deviation=rate),
         ]
     shapes, omegas = locked_modes(model, q, rotors[list(rates)])

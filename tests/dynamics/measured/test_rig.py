@@ -96,6 +96,21 @@ def test_a_slower_encoder_is_compared_at_its_readings(clean: Log) -> None:
     assert np.isfinite(found.fitted).all()
 
 
+def test_a_late_first_reading_tells_the_start_within_what_the_joint_may_have_turned(
+    clean: Log,
+) -> None:
+    """As a reading does not, whose noise is all that parts it from the angle at its own time."""
+    weights, found = np.array([1e6, 1.0]), []
+    for first in (0, 60):
+        encoder = clean.encoder.copy()
+        encoder[:first] = np.nan
+        table = LoggedMotion(PRESET, replace(clean, encoder=encoder), [GAUGE], BOUNDS).unknowns
+        found.append(table.precision(weights)[table.names.index("q1")])
+    turned = abs(clean.encoder[60, 0] - clean.encoder[0, 0])
+    assert found[0] == 1e6
+    assert 0.01 < turned * found[1] < 1.0
+
+
 def test_a_measured_start_is_the_state_of_the_rig(clean: Log) -> None:
     """Readings and their rates at all points of the log without noise, by their neighbours."""
     motion = LoggedMotion(PRESET, clean, [GAUGE], BOUNDS, start="measured", shooting=0.5)
