@@ -301,7 +301,8 @@ def draw(path: Path, log: Log, found: Fit, units: list[str], title: str) -> None
     every = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)
     every, rest = every[:, 0], every[driven:, 0]
     for k, command in enumerate(log.command.T):
-        every[0].step(log.time, command, where="post", color=COLOURS[k], linewidth=1.0)
+        colour = COLOURS[k % len(COLOURS)]
+        every[0].step(log.time, command, where="post", color=colour, linewidth=1.0)
         every[0].set_ylabel("command\n[N m]")
     every[0].set_title(title, loc="left", fontsize=10)
     for k, (axes, unit) in enumerate(zip(rest, units, strict=True)):

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import flexarm_env  # noqa: F401
-from agents.fit import EXAMPLE, PLUCK_EXAMPLE, _parser, doubts, frequencies, main
+from agents.fit import EXAMPLE, PLUCK_EXAMPLE, _parser, doubts, draw, frequencies, main
 from benchmarks.measured_data import COMMAND, PLUCK_COMMAND, page_table
 from benchmarks.output import RESULTS
 from dynamics import compile_arm, load_arm
 from dynamics.measured.fit import Fit
+from dynamics.measured.log_file import Log
 from dynamics.types import Vector3
 from tests.paths import ROOT
 
@@ -208,6 +209,23 @@ def test_the_frequency_is_that_of_the_posture_at_the_start() -> None:
     q = np.array([start[name][0] for name in arm.names])
     first = compile_arm(arm).frequencies(q)[0] / (2.0 * np.pi)
     assert f": {first:.4g} Hz as described, {2.0 * first:.4g} Hz." in frequencies(arm, found)
+
+
+def test_an_arm_of_more_joints_than_colours_is_drawn(tmp_path: Path) -> None:
+    x = np.sin(np.outer(0.01 * np.arange(50.0), np.arange(1.0, 10.0)))
+    found = Fit(
+        bounds={"stiffness": (0.2, 5.0)}, values=np.ones(1), intervals=np.ones((1, 2)),
+        covariance=np.eye(1), signals=("encoder 1",), measured=x, nominal=x, fitted=x,
+        correlation=np.zeros(1), start={}, arm=load_arm("slim"),
+    )  # fmt: skip
+    draw(
+        tmp_path / "overlay.png",
+        Log(0.01 * np.arange(50.0), x, x, x[:, :0]),
+        found,
+        ["[rad]"],
+        "nine joints",
+    )
+    assert (tmp_path / "overlay.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(("readings", "is_told"), [(60, False), (300, True)])
