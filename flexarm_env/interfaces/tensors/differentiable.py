@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
-from torch.autograd.function import once_differentiable
 
 from dynamics.backends.cuda.kernel_text import RESTART, START
 from flexarm_env.core import DIVERGED, Core
@@ -108,9 +107,13 @@ class _Step(torch.autograd.Function):
         return after, obs, info, flags
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, *bars: torch.Tensor) -> tuple[Any, ...]:
         """Cotangents of the state and of the actions; zero where the simulation diverged."""
+        if torch.is_grad_enabled():  # create_graph=True
+            raise RuntimeError(
+                "A step has no second derivatives: take its gradients with create_graph=False, and "
+                "for a Hessian differences of them."
+            )
         if _numbers(ctx.core) != ctx.numbers:
             raise RuntimeError(
                 "The reward or the integration step of the batch changed after this step was "

@@ -164,7 +164,7 @@ def test_gradients_after_a_change_of_the_step_are_refused(
 
 
 def test_what_has_no_gradients_is_refused_with_the_remedy() -> None:
-    """Goals, and `detach` of a batch without gradients."""
+    """Goals, `detach` of a batch without gradients, and second derivatives."""
     with pytest.raises(ValueError, match="differentiable must be True, False or 'recomputed'"):
         batch(differentiable="stack")
     with pytest.raises(ValueError, match="obs must be 'state' or 'sensors' with differentiable"):
@@ -176,6 +176,9 @@ def test_what_has_no_gradients_is_refused_with_the_remedy() -> None:
     envs.reset()
     with pytest.raises(ValueError, match="finite"):
         envs.step(torch.full((N, 1), torch.nan))
+    actions = drawn(9, N, 1).requires_grad_()
+    with pytest.raises(RuntimeError, match="no second derivatives"):
+        torch.autograd.grad(envs.step(actions)[1].sum(), actions, create_graph=True)
 
 
 def moving(name: str, dtype: str) -> tuple[Any, torch.Tensor, torch.Tensor]:
