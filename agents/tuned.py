@@ -12,6 +12,7 @@ from typing import Any
 from agents.controllers import CONTROLLERS
 from agents.files import atomic_write
 from agents.leaderboard.tracks import TRACKS, designed_for
+from dynamics.description import validate
 
 STORE = Path(__file__).with_name("tuned.json")
 
@@ -44,7 +45,7 @@ def parameters_of(name: str, env_id: str, track: str) -> dict[str, float]:
 def _stored(env_id: str, track: str) -> Mapping[str, Any]:
     """Results of the conditions for which controllers are designed, by name."""
     found: Mapping[str, Any] = tuned().get(designed_for(env_id), {})
-    return found.get(TRACKS[track].design, {})
+    return found.get(TRACKS[validate.known(track, "track", TRACKS)].design, {})
 
 
 def read(path: Path) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from agents.controllers.shaped import ShapedPD, ei, zv, zvd
 from agents.controllers.simple import Random, Zero
 from agents.controllers.strain import PID, IntegralResonant, PositivePosition, StrainFeedback
 from agents.policy import Controller
+from dynamics.description import validate
 from flexarm_env import TASKS
 
 __all__ = ["CONTROLLERS", "JointPD", "Kind", "controller", "joint_pd", "tune_pd"]
@@ -128,5 +129,5 @@ CONTROLLERS: dict[str, Kind] = {
 
 def controller(name: str, env: Any, parameters: Mapping[str, float] | None = None) -> Controller:
     """A controller for an environment; without parameters in the middle of its ranges."""
-    kind = CONTROLLERS[name]
+    kind = CONTROLLERS[validate.known(name, "controller", CONTROLLERS)]
     return kind.build(env, **(kind.middle if parameters is None else parameters))

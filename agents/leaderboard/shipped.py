@@ -9,6 +9,7 @@ from agents.config import Config, ConfigError, load_config
 from agents.experiments import shipped_experiments
 from agents.leaderboard.tracks import TRACKS, designed_for, is_spread, track_of
 from agents.policy import Policy, PolicyError, load_policy, save_policy
+from dynamics.description import validate
 
 FOLDER = Path(__file__).parents[1] / "policies"
 LINKS = {"residual": "on", "advised": "advised-by", "alone": "watching", "reference": "ahead-of"}
@@ -59,6 +60,7 @@ def ship(policy: Policy, env_id: str, track: str) -> None:
 @cache
 def shipped(env_id: str, track: str) -> dict[str, list[Policy]]:
     """Policies of a task and track: one per training seed, by name."""
+    validate.known(track, "track", TRACKS)
     found: dict[str, list[Policy]] = {}
     for folder in sorted(place(designed_for(env_id), track).glob("*/seed*")):
         found.setdefault(folder.parent.name, []).append(load_policy(folder))

@@ -9,6 +9,7 @@ from scipy.linalg import solve_discrete_are
 
 from agents.controllers import CONTROLLERS, controller, lqr
 from agents.controllers.models.linear_model import LinearModels
+from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import RANKED, keywords, takes_part
 from agents.metrics import episode_metrics, make_batch, record
 from agents.tuned import parameters_of
@@ -184,3 +185,13 @@ def test_a_controller_names_itself_and_the_observation_that_it_needs(name: str) 
     obs = {"state": "sensors", "sensors": "state"}[wanted]
     with pytest.raises(ValueError, match=f"{name} needs obs='{wanted}'"):
         controller(name, make_batch(IDS[0], 1, {"obs": obs}))
+
+
+def test_names_that_are_in_no_table_are_refused_with_those_that_are() -> None:
+    """Of controllers and of tracks, from Python as on the command line."""
+    envs = make_batch(IDS[0], 1)
+    with pytest.raises(ValueError, match="Unknown controller 'lqrr'; did you mean 'lqr'"):
+        controller("lqrr", envs)
+    for asked in (lambda: parameters_of("lqr", IDS[0], "lab"), lambda: shipped(IDS[0], "lab")):
+        with pytest.raises(ValueError, match="Unknown track 'lab'"):
+            asked()
