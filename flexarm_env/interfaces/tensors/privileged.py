@@ -13,7 +13,7 @@ from flexarm_env.task.scales import EXTENT, MOVE
 
 NAMES = (
     "joint_angle", "joint_rate", "modal_amplitude", "modal_rate", "base_position", "base_velocity",
-    "base_turn", "joint_error", "elapsed", "parameters", "event", "delay",
+    "base_turn", "target_now", "elapsed", "parameters", "event", "delay",
     "gauge_bias",
 )  # fmt: skip
 
@@ -86,7 +86,7 @@ class Privileged:
         scaled = (state[rows.to(state.device)] - centre.to(state)) * factor.to(state)
         parts = dict(zip(self._lengths, scaled.split(list(self._lengths.values())), strict=True))
         q = state[self._rows["q"]]
-        parts["joint_error"] = (state[self._rows["target"]] - q[self._joints]) / MOVE
+        parts["target_now"] = (state[self._rows["target"]] - q[self._joints]) / MOVE
         if core.arm.base.n:
             parts["base_turn"] = torch.cat([torch.sin(q[2:3]), torch.cos(q[2:3])])
         if core.happening:

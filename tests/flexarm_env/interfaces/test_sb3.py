@@ -42,13 +42,13 @@ def test_a_critic_sees_what_it_sees_of_the_batch_of_tensors() -> None:
 
 def test_a_critic_sees_the_targets_of_episodes_that_were_placed() -> None:
     envs = SB3VecEnv(ENV_ID, 2, privileged=True, hardware="laboratory")
-    at = TorchVecEnv(ENV_ID, 1, hardware="laboratory").privileged_slices["joint_error"]
+    at = TorchVecEnv(ENV_ID, 1, hardware="laboratory").privileged_slices["target_now"]
     envs.reset()
     envs.set_options([{"target": [0.5]}, {}])
     seen: Any = envs.reset()
-    error = (envs.core.joint_target() - envs.core.joint_state()[0]) / 0.5
+    ahead = (envs.core.joint_target() - envs.core.joint_state()[0]) / 0.5
     assert envs.core.joint_target()[0] == 0.5
-    np.testing.assert_allclose(seen["privileged"][:, at], error, **CLOSE)
+    np.testing.assert_allclose(seen["privileged"][:, at], ahead, **CLOSE)
 
 
 def test_a_part_for_the_critic_is_asked_for_by_a_truth_and_not_of_goals() -> None:

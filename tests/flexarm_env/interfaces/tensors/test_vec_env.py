@@ -119,8 +119,8 @@ def test_numbers_of_a_critic_are_those_of_the_state() -> None:
     assert found.shape == (64, sum(s.stop - s.start for s in at.values()))
     assert found.dtype == torch.float32
     q, v = core.joint_state()
-    error = (core.joint_target() - q) / 0.5
-    np.testing.assert_allclose(found[:, at["joint_error"]], error, rtol=1e-5, atol=1e-6)
+    ahead = (core.joint_target() - q) / 0.5
+    np.testing.assert_allclose(found[:, at["target_now"]], ahead, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(found[:, at["joint_rate"]], v / core.rate_scale, rtol=1e-5)
     angle, bent = (q - core.scales.home) / 1.3, core.q[:, 1:] / core.scales.modal_scale
     np.testing.assert_allclose(found[:, at["joint_angle"]], angle, rtol=1e-5, atol=1e-6)
