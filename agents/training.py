@@ -261,16 +261,16 @@ def judge(run: RunFolder, config: Config) -> None:
     trained, untrained = (acting(load_policy(x), env) for x in (run.policy, run.untrained))
     controllers: dict[str, Controller] = {"trained policy": trained, "joint PD": pd}
     controllers[beginning(config)] = untrained
-    if config.base is not None and config.base.learned == DISTILLED:
-        name = config.base.controller
-        about = base_description(config.base, config.env)
-        controllers[name] = controller(name, env, about["parameters"])
     track = track_of(config.agent.name, env_id, kwargs)
     episodes, seed = config.evaluation.episodes, config.evaluation.seed
     best = None
     if track is not None:
         controllers |= classical(env, env_id, track)
         best = best_of(env_id, track, range(seed, seed + episodes))
+    if config.base is not None and config.base.learned == DISTILLED:
+        name = config.base.controller
+        about = base_description(config.base, config.env)
+        controllers[name] = controller(name, env, about["parameters"])
     env.close()
     print("Evaluating ...", flush=True)
     compare(

@@ -1,6 +1,7 @@
 """Policies distilled from a classical controller, which act without it."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -8,16 +9,18 @@ import pytest
 import torch
 import yaml
 
+from agents import training
 from agents.config import ConfigError, config_from_dict
 from agents.controllers import CONTROLLERS, controller
 from agents.hybrid.controller import acting, base_of
 from agents.hybrid.environment import HybridVecEnv
 from agents.leaderboard.shipped import name_of
 from agents.learners.dagger import misses
+from agents.learners.export import export_policy
 from agents.metrics import make_batch
-from agents.policy import load_policy
+from agents.policy import load_policy, save_policy
 from agents.run_folder.folder import RunFolder
-from agents.training import base_description, build_model
+from agents.training import about_policy, base_description, build_model
 from agents.training import main as train
 from flexarm_env import SB3VecEnv
 from tests.agents.tiny import ENV_ID
@@ -102,6 +105,25 @@ def test_a_distilled_policy_is_stored_without_its_expert(
     assert acting(policy, envs) is policy
     state = np.load(sorted(run.checkpoints.iterdir())[-1] / "arrays.npz")
     assert len(state["replay/actions"]) == 1600 / 8
+
+
+def test_a_policy_is_compared_with_its_expert_where_the_ranking_has_other_parameters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, run = config_from_dict(experiment("lqr", 800)), RunFolder(tmp_path)
+    beside: dict[str, Any] = {}
+    model = build_model(config)
+    for folder in (run.policy, run.untrained):
+        save_policy(export_policy(model, about_policy(config)), folder)
+    gains = SimpleNamespace(frequency_ratio=1.0, damping_ratio=1.0)
+    monkeypatch.setattr(training, "tune_pd", lambda *given: gains)
+    monkeypatch.setattr(
+        training, "compare", lambda controllers, *_, **__: beside.update(controllers)
+    )
+    training.judge(run, config)
+    env = make_batch(ENV_ID, 1)
+    expert, seen = controller("lqr", env, CONTROLLERS["lqr"].middle), 0.01 * env.reset(seed=[0])[0]
+    np.testing.assert_array_equal(beside["lqr"].predict(seen)[0], expert.predict(seen)[0])
 
 
 @pytest.mark.parametrize(
