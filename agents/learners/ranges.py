@@ -59,10 +59,11 @@ def at_random(rng: np.random.Generator) -> Draw:
         if "among" in table:
             return table["among"][rng.integers(len(table["among"]))]
         (low, high), whole, log = span(table)
+        high += whole
         if log:
             number = math.exp(rng.uniform(math.log(low), math.log(high)))
         else:
-            number = rng.uniform(low, high + whole)
+            number = rng.uniform(low, high)
         return int(number) if whole else number
 
     return draw

@@ -38,12 +38,14 @@ def test_drawn_values_lie_in_their_ranges_and_fill_them(source: Any) -> None:
     ranges = {
         "learning_rate": {"between": [1e-4, 1e-2], "log": True},
         "n_epochs": {"between": [2, 4]},
+        "n_steps": {"between": [2, 4], "log": True},
         "batch_size": {"among": [32, 64]},
         "gamma": {"between": [0.9, 0.99]},
     }
     draw = source()
     found = [drawn(ranges, {}, draw) for _ in range(400)]
-    assert {x["n_epochs"] for x in found} == {2, 3, 4}
+    for whole in ("n_epochs", "n_steps"):
+        assert {x[whole] for x in found} == {2, 3, 4}
     assert {x["batch_size"] for x in found} == {32, 64}
     rates = np.array([x["learning_rate"] for x in found])
     assert 1e-4 <= rates.min() < 1.2e-4
