@@ -27,6 +27,7 @@ from agents.files import FolderError, check_folder
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.policy import PolicyError
 from agents.sentences import one_line
+from agents.training import TrainingError
 from agents.tune.controllers import tune
 from agents.tune.search import EPISODES, TRIALS
 from agents.tuned import STORE, read, store
@@ -77,7 +78,7 @@ def main(arguments: list[str] | None = None) -> int:
             tune_experiments(experiments, options)
         else:
             tune_controllers(options)
-    except (ConfigError, FolderError, PolicyError, ModuleNotFoundError) as error:
+    except (ConfigError, FolderError, PolicyError, TrainingError, ModuleNotFoundError) as error:
         print(f"agents.tune: {one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

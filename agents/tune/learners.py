@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.config import Config, config_from_dict
+from agents.config import Config, ConfigError, config_from_dict
 from agents.hybrid.controller import acting
 from agents.leaderboard.shipped import name_made_by
 from agents.leaderboard.tracks import track_of
@@ -16,8 +16,15 @@ from agents.learners.algorithms import settings
 from agents.learners.export import export_policy
 from agents.learners.ranges import DEFAULTS, drawn, suggested
 from agents.metrics import episode_metrics, make_batch, record
-from agents.policy import Policy
-from agents.training import about_policy, begin_warm, build_model
+from agents.policy import Policy, PolicyError
+from agents.sentences import one_line
+from agents.training import (
+    TrainingError,
+    about_policy,
+    begin_warm,
+    build_model,
+    refuse_divergence,
+)
 from agents.tune.search import EPISODES, SEED, TRIALS, kept_study, objective, searched
 
 REDUCTION = 3  # of so many trials one goes on
@@ -26,6 +33,9 @@ NINTHS = REDUCTION * RUNGS[-1]
 SCALE = "scale"  # field of an experiment's base, among the keywords of the learner
 SCALES = {"between": [0.03, 1.0], "log": True}
 SCALED = ("residual", "reference")  # parts whose scale is searched; others span all torques
+# Errors of keywords that exclude each other, and of a training that diverges
+UNUSABLE = (ConfigError, PolicyError, TrainingError)
+LOST = {"score": 0.0, "success": 0.0, "objective": -1.0}  # of a training that diverges in the final
 FINALISTS, SEEDS = 3, 3  # best trials beside the experiment itself; seeds of each in the final
 
 
@@ -53,6 +63,7 @@ def tune_experiment(
     """Best keywords of an experiment's learner, their mean score, and that of its own.
 
     With a folder `keep`, a search that was interrupted goes on. `report` is told of each training.
+    A trial that diverges, or whose keywords exclude each other, is ended early.
     """
     scaled = config.base is not None and config.base.learned in SCALED
     ranges = ranges_of(config) | ({SCALE: SCALES} if scaled else {})
@@ -68,17 +79,33 @@ def tune_experiment(
             trial.report(judge(policy)["objective"], rung)
             return bool(trial.should_prune())
 
-        policy = trained(changed(config, found), poor)
-        if policy is None:
+        try:
+            policy = trained(changed(config, found), poor)
+            means = None if policy is None else judge(policy)
+        except UNUSABLE as error:
+            if not found:
+                raise
+            report(one_line(error))
+            means = None
+        if means is None:
             from optuna import TrialPruned
 
             raise TrialPruned
-        trial.set_user_attr("means", judge(policy))
+        trial.set_user_attr("means", means)
         return float(trial.user_attrs["means"]["objective"])
 
     def ended(count: int, value: float | None) -> None:
         what = "ended early" if value is None else f"objective {value:.4f}"
         report(f"trial {count} of {trials}: {what}")
+
+    def finally_judged(own: Config) -> dict[str, float]:
+        try:
+            policy = trained(own)
+            assert policy is not None
+            return judge(policy)
+        except UNUSABLE as error:
+            report(one_line(error))
+            return LOST
 
     def final(study: Any, trial: Any) -> dict[str, float]:
         """Means over the seeds of a trial that is in the final."""
@@ -87,9 +114,7 @@ def tune_experiment(
         for k in range(config.seed + 1, config.seed + SEEDS):
             key = f"trial {trial.number}, seed {k}"
             if key not in study.user_attrs:
-                policy = trained(replace(own, seed=k))
-                assert policy is not None
-                study.set_user_attr(key, judge(policy))
+                study.set_user_attr(key, finally_judged(replace(own, seed=k)))
             means.append(study.user_attrs[key])
             report(f"final, {key}: objective {means[-1]['objective']:.4f}")
         return {name: float(np.mean([x[name] for x in means])) for name in means[0]}
@@ -132,7 +157,12 @@ def changed(config: Config, found: dict[str, Any]) -> Config:
 def trained(
     config: Config, poor: Callable[[Policy, int], bool] = lambda policy, rung: False
 ) -> Policy | None:
-    """The policy after a training; None if `poor`, asked at a rung, has ended it."""
+    """The policy after a training; None if `poor`, asked at a rung, has ended it.
+
+    Raises
+    ------
+    TrainingError : if it diverges.
+    """
     from stable_baselines3.common.callbacks import BaseCallback
 
     gc.collect()  # a learner and its environments form a cycle: those of the last training go first
@@ -155,7 +185,11 @@ def trained(
     halving = Halving()
     try:
         model.learn(config.total_steps, halving, log_interval=None)
+        refuse_divergence(model)
         return None if halving.ended else policy()
+    except ValueError:
+        refuse_divergence(model)
+        raise
     finally:
         model.env.close()
 

@@ -16,7 +16,7 @@ from agents.experiments import shipped_experiments
 from agents.leaderboard.tracks import RANKED
 from agents.learners.export import export_policy
 from agents.policy import Policy, save_policy
-from agents.training import build_model
+from agents.training import TrainingError, build_model
 from agents.tune.__main__ import main
 from agents.tune.learners import NINTHS, judged, place_of, trained, tune_experiment
 from agents.tune.search import SEED
@@ -129,6 +129,52 @@ def test_the_best_mean_over_seeds_wins(tmp_path: Path, monkeypatch: pytest.Monke
         config.agent.kwargs | found["parameters"]
     )
     assert 0.03 <= trials[3].base.scale <= 1.0
+
+
+def test_a_training_that_diverges_is_told(tmp_path: Path) -> None:
+    config = experiment(tmp_path)
+    kwargs = config.agent.kwargs | {"learning_rate": 10.0, "max_grad_norm": 1.0e6, "n_epochs": 9}
+    with pytest.raises(TrainingError, match="the training has diverged"):
+        trained(replace(config, agent=replace(config.agent, kwargs=kwargs), total_steps=100_000))
+
+
+def test_a_search_outlives_trials_that_diverge_and_keywords_that_exclude_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Config] = []
+    told: list[str] = []
+
+    def train(config: Config, poor: Any = None) -> Config:
+        seen.append(config)
+        if len(seen) == 2 or config.seed == 2:
+            raise TrainingError("it has diverged.")
+        return config
+
+    monkeypatch.setattr("agents.tune.learners.trained", train)
+    monkeypatch.setattr(
+        "agents.tune.learners.judged", lambda *given: {"score": 1.0, "objective": 1.0}
+    )
+    sweep = {"batch_size": {"among": [64, 100]}, "gamma": {"between": [0.9, 0.99]}}
+    config = replace(experiment(tmp_path), sweep=sweep)
+    found = tune_experiment(config, trials=9, episodes=2, report=told.append)
+    assert (found["trials"], found["untuned"]) == (9, (1.0 + 1.0 + 0.0) / 3.0)
+    finalists = sum("seed 2" in line for line in told)
+    assert told.count("it has diverged.") == 1 + finalists  # a trial, and a seed of each
+    assert finalists > 1
+    assert "must divide" in " ".join(told)
+
+
+def test_an_experiment_that_diverges_itself_ends_its_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def train(*given: Any) -> None:
+        raise TrainingError("it has diverged.")
+
+    monkeypatch.setattr("agents.tune.learners.trained", train)
+    path = str(write_config(tmp_path, "ppo", STEPS))
+    arguments = ["--experiments", path, "--out", str(tmp_path / "t"), "--keep", str(tmp_path / "k")]
+    assert main(arguments) == 2
+    assert "it has diverged." in one_sentence(capsys)
 
 
 def test_a_command_stores_what_it_finds_where_the_policy_is_ranked(
