@@ -1,10 +1,12 @@
-"""Handling of Ctrl-C and SIGTERM, so that work ends where it can be resumed."""
+"""Handling of Ctrl-C and SIGTERM, so that work ends where it can be resumed, with its workers."""
 
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
+from multiprocessing import get_context, parent_process
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -61,3 +63,23 @@ def signals_to(handler: Handler) -> Iterator[None]:
     finally:
         for number, old in before.items():
             signal.signal(number, old)
+
+
+def workers(count: int) -> ProcessPoolExecutor:
+    """Pool of new processes, which end with this one however it ends."""
+    context = get_context("spawn")
+    return ProcessPoolExecutor(count, mp_context=context, initializer=end_with_parent)
+
+
+def end_with_parent() -> None:
+    """Let a worker end without a word at Ctrl-C, and when the process that started it has ended."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+
+def _follow_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

@@ -18,10 +18,8 @@ actions through the environment and compares.
 """
 
 import argparse
-import multiprocessing
 import sys
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -37,6 +35,7 @@ from agents.leaderboard.motions import Episode, Motion, plant
 from agents.leaderboard.tracks import RANKED
 from agents.metrics import Best
 from agents.sentences import one_line
+from agents.signals import workers
 from agents.tuned import parameters_of
 from dynamics.description import validate
 from dynamics.types import Array
@@ -285,8 +284,7 @@ def compute(
     wanted = [seed for seed in seeds if again or seed not in there]
     before = [there[seed][1] if seed in there else None for seed in wanted]
     names = (*STARTS, "stored")
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    with workers(jobs) as pool:
         results = pool.map(partial(_searched, env_id, track), wanted, before)
         for done, (seed, (motion, starts)) in enumerate(zip(wanted, results, strict=True), 1):
             add(env_id, track, seed, motion, starts, folder)

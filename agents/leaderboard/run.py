@@ -10,10 +10,8 @@ policy has.
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import chain
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +42,7 @@ from agents.leaderboard.users import UsersControllerError, users_controller
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
 from agents.sentences import one_line, speaker
+from agents.signals import workers
 from agents.tuned import is_tuned, parameters_of
 from dynamics.description import validate
 from dynamics.types import AnyArray
@@ -255,7 +254,7 @@ def _rank(
 ) -> Results:
     """Results of all tasks, beside former entries, which are written after every task."""
     results = _compared(before)
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+    with workers(options.jobs) as pool:
         run = map if options.jobs == 1 else pool.map
         for env_id in options.tasks:
             places = _places(options, env_id, seeds, bounds)

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +18,7 @@ from agents.run_folder.folder import RunFolder
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, one_sentence, train_py, wait_for_steps, write_config
+from tests.paths import ROOT
 
 
 @pytest.fixture(autouse=True)
@@ -146,3 +149,27 @@ def test_an_ignored_signal_stays_ignored() -> None:
             assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+WORKING = """
+import os, time
+from agents.signals import workers
+with workers(1) as pool:
+    print(pool.submit(os.getpid).result(), flush=True)
+    pool.submit(time.sleep, 60).result()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_the_process_that_started_them(number: signal.Signals) -> None:
+    """They have its output, which is open until the last of them has ended."""
+    command = [sys.executable, "-c", WORKING]
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=ROOT)
+    assert process.stdout is not None
+    worker = int(process.stdout.readline())
+    process.send_signal(number)
+    if number == signal.SIGINT:  # which a terminal sends to all
+        os.kill(worker, number)
+    _, said = process.communicate(timeout=20.0)
+    assert said.count("Traceback") == (number == signal.SIGINT)
