@@ -19,7 +19,7 @@ import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
 from agents.figures import save_figure
-from agents.files import check_folder
+from agents.files import FolderError, check_folder
 from agents.hybrid.controller import acting
 from agents.leaderboard import stored
 from agents.leaderboard.bound import PLANTS, best_of, compute
@@ -49,16 +49,7 @@ from dynamics.types import AnyArray
 
 SEED, EPISODES = 10_000, 100
 LEFT_OUT = (UsersControllerError, ModuleNotFoundError)  # of one controller; others are ranked
-RANKING = (
-    "tasks",
-    "tracks",
-    "controllers",
-    "seed",
-    "episodes",
-    "beside",
-    "bound",
-    "jobs",
-)  # options
+RANKING = ("tasks", "tracks", "controllers", "seed", "episodes", "beside", "bound", "jobs")
 
 
 def built(name: str, env: Any, env_id: str, track: str) -> Iterator[Controller]:
@@ -159,9 +150,20 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     seeds = list(range(options.seed, options.seed + options.episodes))
     bounds = options.out / "bounds" if options.bound else None
     failures = Failures(prog)
-    if options.redraw or options.times:
-        given = [name for name in RANKING if getattr(options, name) != parser.get_default(name)]
-        return redraw(options.out, given, failures, options.times)
+    try:
+        if options.redraw or options.times:
+            given = [name for name in RANKING if getattr(options, name) != parser.get_default(name)]
+            return redraw(options.out, given, failures, options.times)
+        return rank(options, seeds, bounds, failures)
+    except OSError as error:
+        failures.tell(FolderError(f"writing to {options.out} failed ({error.strerror or error})."))
+        return 1
+
+
+def rank(
+    options: argparse.Namespace, seeds: Sequence[int], bounds: Path | None, failures: "Failures"
+) -> int:
+    """Check the options, rank, and write; the exit status."""
     options.untuned, options.tracks = options.tracks is not None, options.tracks or list(TRACKS)
     try:
         places = _check(options)

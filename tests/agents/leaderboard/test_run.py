@@ -2,6 +2,7 @@
 
 import bz2
 import csv
+import errno
 import json
 import re
 from dataclasses import replace
@@ -166,6 +167,19 @@ def test_a_place_that_cannot_be_written_to_is_refused_first(
     (tmp_path / "file").touch()
     assert main([*HERE, "zero", "--out", str(tmp_path / "file" / "out")]) == 2
     assert "is not a writable folder; choose another --out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("step", ["write", "save_figure"])
+def test_a_full_disk_ends_a_ranking_with_a_message(
+    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*given: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(f"agents.leaderboard.run.{step}", full)
+    assert main([*HERE, "zero", "--episodes", "2", "--out", str(tmp_path)]) == 1
+    error = capsys.readouterr().err
+    assert error.endswith(f"writing to {tmp_path} failed (No space left on device).\n")
 
 
 def test_every_ranked_controller_was_tuned_where_it_acts() -> None:
