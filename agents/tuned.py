@@ -12,6 +12,7 @@ from typing import Any
 from agents.controllers import CONTROLLERS
 from agents.files import atomic_write
 from agents.leaderboard.tracks import TRACKS, designed_for
+from agents.sentences import one_line
 from dynamics.description import validate
 
 STORE = Path(__file__).with_name("tuned.json")
@@ -49,11 +50,16 @@ def _stored(env_id: str, track: str) -> Mapping[str, Any]:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Contents of a file of results, empty if there is none."""
+    """Contents of a file of results, empty if there is none; a ValueError if it has none."""
     if not path.exists():
         return {}
-    result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return result
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path}: has no results of agents.tune ({one_line(error)}).") from None
+    if not isinstance(found, dict):
+        raise ValueError(f"{path}: must be a table by task, got {validate.shown(found)}.")
+    return found
 
 
 def store(path: Path, env_id: str, track: str, name: str, found: Mapping[str, Any]) -> None:

@@ -69,6 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
                 f"None of {options.controllers} has parameters to search on these tasks and tracks."
             )
         check_folder(options.out.parent)
+        read(options.out)
         check_folder(options.keep, "--keep")
     except (ValueError, ConfigError) as error:
         print(f"agents.tune: {one_line(error)}", file=sys.stderr)

@@ -202,6 +202,25 @@ def test_a_place_that_cannot_be_written_to_is_refused_first(
     assert [x.name for x in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("cut.json", "has no results of agents.tune"),
+        ("list.json", "must be a table by task, got [1]"),
+        ("", "has no results"),
+    ],
+)
+def test_another_file_of_results_is_refused_before_the_search(
+    name: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "cut.json").write_text('{"FlexArm')
+    (tmp_path / "list.json").write_text("[1]")
+    command = ["--tasks", ENV_ID, "--controllers", "pd", "--keep", str(tmp_path / "keep")]
+    assert main([*command, "--out", str(tmp_path / name)]) == 2
+    assert words in one_sentence(capsys)
+    assert not (tmp_path / "keep").exists()
+
+
 @pytest.mark.parametrize("name", ["zero", "nmpc"])
 def test_a_search_of_nothing_says_so(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
