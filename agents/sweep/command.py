@@ -37,6 +37,7 @@ RETRIES = 3  # of a trial whose worker was lost
 REDUCTION = 3  # ASHA goes on with this part of the trials at each of its steps
 SNAPSHOT_SECONDS = "2"  # between Ray Tune's notes of which trials are done
 RESULTS, BEST, TUNE, CONFIG = "sweep.json", "best.yaml", "tune", "config.yaml"
+INTERRUPTED = 130  # exit status, as a shell has it: Ctrl-C
 CONNECT_SECONDS = 5.0  # within which something at the address of a cluster must answer
 LOCAL = "local"  # without an address Ray joins any cluster that happens to run here
 RAYS_OWN = ("auto", LOCAL)  # addresses that name no machine
@@ -80,6 +81,9 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.sweep
     except ConnectionError as error:
         print(f"{speaker(prog)}: no cluster at {a.address} ({one_line(error)}).", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print(f"{speaker(prog)}: interrupted; go on by --resume with its folder.", file=sys.stderr)
+        return INTERRUPTED
     return 0
 
 
@@ -213,6 +217,7 @@ def run(
 
     os.environ.setdefault("RAY_AIR_NEW_OUTPUT", "0")
     os.environ.setdefault("TUNE_GLOBAL_CHECKPOINT_S", SNAPSHOT_SECONDS)
+    os.environ.setdefault("TUNE_DISABLE_SIGINT_HANDLER", "1")  # which ends as if all were done
     address = address or os.environ.get("RAY_ADDRESS", LOCAL)
     more = {"include_dashboard": False} if address == LOCAL else {}
     ray.init(address=address, log_to_driver=False, logging_level="ERROR", **more)

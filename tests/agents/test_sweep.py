@@ -151,6 +151,17 @@ def test_workers_in_other_folders_find_the_arm_and_the_warm_start(
         assert located(warm).agent.warm_start == found
 
 
+def test_an_interrupted_sweep_says_how_it_goes_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*given: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("agents.sweep.command.start", interrupt)
+    assert main(["one_link_reach_ppo"]) == 130
+    assert "interrupted; go on by --resume" in one_sentence(capsys)
+
+
 def test_a_missing_ray_is_named_with_the_remedy(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
