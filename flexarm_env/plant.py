@@ -142,6 +142,7 @@ def plan(
         ranges=met(event, ranges),
         actuators=repr(actuators) if actuators else "",
         push=impulse * EVENTS[event].size[1] if event == "push" else 0.0,
+        drop=event == "drop",
     )
     measured = [fitted.entry] if fitted.entry else []
     if tolerance is None:  # first what `flexarm certify` measured of a model for `modes: auto`

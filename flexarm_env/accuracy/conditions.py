@@ -12,13 +12,14 @@ ROUND_OFF = 1e-9  # [-] of a limit
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """Torques, drawn parameters, actuators, bending and pushes of an environment's episodes."""
+    """Torques, drawn parameters, actuators, bending and events of an environment's episodes."""
 
     torque_limit: tuple[float, ...]  # [N m] of each action
     deflection_limit: float  # [-]
     ranges: Mapping[str, Range] = field(default_factory=dict)  # of parameters drawn at a reset
     actuators: str = ""  # their description; empty for ideal torque sources
     push: float = 0.0  # [N s] largest impulse at the tip
+    drop: bool = False  # whether a payload is let go of in mid-episode
 
     @classmethod
     def from_dict(cls, stored: Mapping[str, Any]) -> "Conditions":
@@ -30,12 +31,13 @@ class Conditions:
             ranges=ranges,
             actuators=stored["actuators"],
             push=stored.get("push", 0.0),
+            drop=stored.get("drop", False),
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON numbers and text; a push that there is."""
+        """JSON numbers and text; an event that there is."""
         found = asdict(self) | {"ranges": {name: list(x) for name, x in self.ranges.items()}}
-        return found if self.push else {key: x for key, x in found.items() if key != "push"}
+        return {key: x for key, x in found.items() if x or key not in ("push", "drop")}
 
     def beyond(self, measured: "Conditions") -> str | None:
         """Words for a part of these conditions that measured ones do not cover, or None."""
@@ -48,6 +50,8 @@ class Conditions:
                 return f"torques above {', '.join(f'{x:g}' for x in measured.torque_limit)} N m"
         if self.push > measured.push * (1.0 + ROUND_OFF):
             return f"pushes at the tip of up to {self.push:.3g} N s"
+        if self.drop and not measured.drop:
+            return "a payload that is dropped in mid-episode"
         for name, (low, high) in self.ranges.items():
             known = measured.ranges.get(name)
             if known is None or low < known[0] - ROUND_OFF or high > known[1] + ROUND_OFF:

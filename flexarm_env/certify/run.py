@@ -44,6 +44,8 @@ PERIOD_SHARE = 0.15  # [-] control step over the first joint-free period of an o
 ROUND = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # [s] its control step
 OWN_STEPS = 150  # control steps of its episodes
 STEP = ("integrator", "substeps")
+# steps of ids with an event, which are older than the measurement of its errors
+FROZEN: dict[str, dict[str, Any]] = {"drop": {"integrator": "exponential-4", "substeps": 2}}
 ALL = "all"  # registered scenes, for --store
 KEYWORDS = (
     "torque_limit", "base_torque", "actuator", "hardware", "randomize", "deflection_limit", "event",
@@ -65,8 +67,8 @@ def default_control_dt(arm: Arm) -> float:
 def conditions(scene: str) -> list[dict[str, Any]]:
     """Keywords under which a registered scene is measured."""
     agile = [{"torque_limit": list(AGILE[scene])}] if scene in AGILE else []
-    pushed = {"event": "push"}
-    met = [pushed] if any(x[0] == scene and HARDER[x] == pushed for x in HARDER) else []
+    events = [HARDER[x].get("event") for x in HARDER if x[0] == scene]
+    met = [{"event": x, **FROZEN.get(x, {})} for x in ("push", "drop") if x in events]
     return [{}, *agile, {"hardware": "laboratory"}, *met]
 
 

@@ -18,7 +18,7 @@ from flexarm_env.accuracy.table import CERTIFICATE, accuracy, kinds, sentence, s
 from flexarm_env.accuracy.table import markdown as _table
 from flexarm_env.certify.certificate import DISTURBANCE
 from flexarm_env.certify.certificate import EPISODES as COUNT
-from flexarm_env.certify.run import command
+from flexarm_env.certify.run import FROZEN, command
 from flexarm_env.certify.search import BATCH, MOMENTUM_ERROR, SHAKEN, SLACK, TIP_ERROR
 from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core
@@ -236,7 +236,8 @@ def _accuracy(env_id: str, core: Core) -> str:
     laboratory = gym.make(env_id.replace("Goal", ""), hardware="laboratory").unwrapped
     assert isinstance(laboratory, FlexArmEnv)
     drawn = covering(measured, laboratory.core.conditions)
-    text = accuracy(own, command(env_id, {}))
+    event = core.happening.name if core.happening else ""
+    text = accuracy(own, command(env_id, FROZEN.get(event, {})))
     if drawn is None:
         return f'{text}\n\nWith `hardware="laboratory"`: {laboratory.core.uncertified}'
     c = drawn["certificate"]

@@ -195,7 +195,7 @@ def test_free_parameters_are_drawn_at_every_reset_and_move_the_arm() -> None:
     assert (envs.unwrapped.core.parameters != first).all()
     core = gym.make_vec(env_id, num_envs=2).unwrapped.core
     drawn = envs.unwrapped.core
-    usual, _, laboratory, _ = (x["steps"][0] for x in stored()["slim"]["measured"])
+    usual, _, laboratory, *_ = (x["steps"][0] for x in stored()["slim"]["measured"])
     for own, step in ((core, usual), (drawn, laboratory)):  # that of the laboratory is like it
         assert (own.integrator, own.substeps) == (step["integrator"], step["substeps"])
 

@@ -1,5 +1,7 @@
 """Conditions that measured errors cover, and the sentence of a certificate."""
 
+from dataclasses import replace
+
 import pytest
 
 from flexarm_env.accuracy.conditions import Conditions
@@ -17,6 +19,14 @@ def test_errors_of_other_plants_alone_do_not_cover_the_described_one() -> None:
     heavy = conditions(payload_mass=(0.2, 0.4), stiffness=(0.9, 1.1))
     assert conditions(stiffness=(1.0, 1.0)).beyond(heavy) == "the described payload_mass"
     assert conditions().beyond(conditions(payload_mass=(0.0, 0.4), stiffness=(0.9, 1.1))) is None
+
+
+def test_errors_with_a_payload_for_good_do_not_cover_one_that_is_dropped() -> None:
+    carried = conditions(payload_mass=(0.0, 0.4))
+    dropped = replace(carried, drop=True)
+    assert dropped.beyond(carried) == "a payload that is dropped in mid-episode"
+    assert dropped.beyond(Conditions.from_dict(dropped.to_dict())) is None
+    assert carried.beyond(dropped) is None
 
 
 @pytest.mark.parametrize(

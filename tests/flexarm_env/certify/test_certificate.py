@@ -34,11 +34,12 @@ def test_every_environment_has_the_certificate_of_its_own_step(
     core = gym.make(env_id, **keywords).unwrapped.core  # type: ignore[attr-defined]
     certificate = core.certificate
     if certificate is None:  # beyond the laboratory's certificate
-        beyond = {"Agile": "torques above", "Push": "pushes at the tip"}
+        beyond = {"Agile": "torques above", "Push": "pushes at the tip", "Drop": "is dropped"}
         assert any(x in env_id and words in core.uncertified for x, words in beyond.items())
         return
     assert certificate["integrator"] == core.integrator
     assert certificate["dt"] == pytest.approx(core.control_dt / core.substeps)
+    assert certificate["holds"].get("drop", False) == ("Drop" in env_id)
     assert certificate["holds"]["torque_limit"] == core.torque_limit.tolist()
     assert core.uncertified is None
     other = gym.make(env_id, substeps=50, **keywords).unwrapped
@@ -49,6 +50,8 @@ def test_every_environment_has_the_certificate_of_its_own_step(
 def test_arms_of_few_links_keep_a_thousandth_of_the_reach_in_whole_episodes(scene: str) -> None:
     """And a little more at agile torques, and with the payloads of the laboratory."""
     for k, entry in enumerate(stored()[SCENES[scene][0]]["measured"]):
+        if entry["certificate"]["holds"].get("drop"):
+            continue  # the tip's fast vibration at that moment turns the arm for good
         for kind, found in entry["certificate"]["episodes"]["kinds"].items():
             assert found["share"] <= TIP_ERROR * (1.5 if k else 1.0), kind
 
