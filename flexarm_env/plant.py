@@ -159,11 +159,12 @@ def plan(
         actuation,
         fastest_drawn(fitted.arm, conditions.ranges) if entry is None or integrator else fitted.arm,
     )
-    uncertified = None
-    if entry and by_step(entry["certificate"], control_dt, name, count):
+    certificate, uncertified = None, None
+    part = conditions.part(Conditions.from_dict(entry["certificate"]["holds"])) if entry else None
+    if entry and not part and by_step(entry["certificate"], control_dt, name, count):
         certificate = entry["certificate"]
     else:
-        certificate, uncertified = None, _uncertified(measured, conditions, entry)
+        uncertified = _uncertified(measured, conditions, entry, part)
     fitted_arm = fitted.arm
     if base_torque is not None:
         fitted_arm = replace(fitted_arm, base=replace(fitted_arm.base, driven=True))
@@ -251,14 +252,16 @@ def warn_of_gravity(plant: Plant, ranges: Ranges, deflection_limit: float) -> No
         )  # fmt: skip
 
 
-def _uncertified(measured: Sequence[Entry], conditions: Conditions, entry: Entry | None) -> str:
+def _uncertified(
+    measured: Sequence[Entry], conditions: Conditions, entry: Entry | None, part: str | None
+) -> str:
     """Sentence that says why no certificate holds for an environment, and the remedy."""
     remedy = "measure them with `flexarm certify`, or give a tolerance."
     if not measured:
         return (
             f"No certificate holds: errors of this arm and control_dt were never measured; {remedy}"
         )
-    if entry:
+    if entry and not part:
         return (
             "No certificate holds for this integrator and substeps: errors were measured for "
             f"{entry['certificate']['integrator']!r}; leave both out, or measure them with "
@@ -267,8 +270,8 @@ def _uncertified(measured: Sequence[Entry], conditions: Conditions, entry: Entry
     nearest = alike(measured, conditions) or measured[0]
     beyond = conditions.beyond(Conditions.from_dict(nearest["certificate"]["holds"]))
     return (
-        f"No certificate holds for {beyond}, which errors were not measured with; measure them "
-        "with `flexarm certify` and the keywords of the environment."
+        f"No certificate holds for {part or beyond}, which errors were not measured with; measure "
+        "them with `flexarm certify` and the keywords of the environment."
     )
 
 

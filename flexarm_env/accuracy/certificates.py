@@ -87,11 +87,13 @@ def _measuring() -> str:
 
 
 def covering(measured: Sequence[Entry], conditions: Conditions) -> Entry | None:
-    """First entry whose conditions cover those of an environment."""
+    """First entry whose conditions cover those of an environment, of plants drawn alike if any."""
+    found = []
     for entry in measured:
-        if not conditions.beyond(Conditions.from_dict(entry["certificate"]["holds"])):
-            return entry
-    return None
+        known = Conditions.from_dict(entry["certificate"]["holds"])
+        if not conditions.beyond(known):
+            found.append((conditions.part(known) is not None, entry))
+    return min(found, key=lambda x: x[0])[1] if found else None
 
 
 def alike(measured: Sequence[Entry], conditions: Conditions) -> Entry | None:

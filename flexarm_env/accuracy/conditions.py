@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 
 Range = tuple[float, float]
@@ -62,4 +64,16 @@ class Conditions:
                 return f"the described {name}"
         if self.deflection_limit > measured.deflection_limit * (1.0 + ROUND_OFF):
             return f"deflections above {measured.deflection_limit:g} of a link's length"
+        return None
+
+    def part(self, measured: "Conditions") -> str | None:
+        """Words for a parameter drawn otherwise than under conditions that cover these, or None.
+
+        What 95 of 100 plants keep, the 95 of 100 of a part of them need not.
+        """
+        for name in sorted({*self.ranges, *measured.ranges}):
+            nominal = (FREE_PARAMETERS[name].nominal,) * 2
+            own, known = (np.array(x.ranges.get(name, nominal)) for x in (self, measured))
+            if np.abs(own - known).max() > ROUND_OFF:
+                return f"{name} drawn from {own[0]:g} to {own[1]:g} at resets"
         return None

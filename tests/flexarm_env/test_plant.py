@@ -28,7 +28,7 @@ def test_step_and_certificate_follow_what_is_drawn() -> None:
     env: Any = made().unwrapped
     env.reset(seed=0)
     env.step(np.ones(1, np.float32))
-    assert env.certificate is not None
+    assert "payload_mass drawn from 0 to 0" in env.uncertified  # a part of the laboratory's plants
     for factor in (100.0, 1.0):
         env.randomize = DRAWN | {"stiffness": (factor, factor)}
         assert env.core.substeps == 15  # of the running episode, too

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from flexarm_env.accuracy.certificates import covering
 from flexarm_env.accuracy.conditions import Conditions
 from flexarm_env.accuracy.table import sentence
 
@@ -19,6 +20,19 @@ def test_errors_of_other_plants_alone_do_not_cover_the_described_one() -> None:
     heavy = conditions(payload_mass=(0.2, 0.4), stiffness=(0.9, 1.1))
     assert conditions(stiffness=(1.0, 1.0)).beyond(heavy) == "the described payload_mass"
     assert conditions().beyond(conditions(payload_mass=(0.0, 0.4), stiffness=(0.9, 1.1))) is None
+
+
+def test_errors_of_many_plants_do_not_hold_for_a_part_of_them() -> None:
+    """An entry of the same plants comes first; without one the steps are those of the many."""
+    many = conditions(payload_mass=(0.0, 0.4), stiffness=(0.9, 1.1))
+    heavy = conditions(payload_mass=(0.4, 0.4), stiffness=(0.9, 1.1))
+    assert heavy.beyond(many) is None
+    assert heavy.part(many) == "payload_mass drawn from 0.4 to 0.4 at resets"
+    assert conditions().part(many) == "payload_mass drawn from 0 to 0 at resets"
+    assert many.part(many) is None
+    entries = [{"certificate": {"holds": x.to_dict()}} for x in (many, heavy)]
+    assert covering(entries, heavy) == entries[1]
+    assert covering(entries[:1], heavy) == entries[0]
 
 
 def test_errors_with_a_payload_for_good_do_not_cover_one_that_is_dropped() -> None:

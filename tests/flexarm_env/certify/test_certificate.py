@@ -173,6 +173,7 @@ def test_an_entry_covers_what_it_measured_and_less() -> None:
         ({"torque_limit": 9.0}, "torques above"),
         ({"actuator": {"type": "limited"}}, "these actuators"),
         ({"randomize": {"payload_mass": (0.0, 9.0)}}, "payload_mass drawn from 0 to 9"),
+        ({"randomize": {"payload_mass": (0.1, 0.1)}}, "payload_mass drawn from 0.1 to 0.1"),
         ({"deflection_limit": 0.3}, "deflections above"),
         ({"deflection_limit": 0.3, "hardware": "laboratory"}, "deflections above"),
         ({"integrator": "rk4"}, "for this integrator and substeps"),
