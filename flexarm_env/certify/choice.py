@@ -25,9 +25,10 @@ from flexarm_env.accuracy.scene import scene
 from flexarm_env.certify.certificate import DISTURBANCE, Certifier, summary
 from flexarm_env.certify.episodes import SHARE, Distances
 from flexarm_env.certify.search import ALONE
+from flexarm_env.registration import SCENES
 
 EPISODES = 16  # of each kind
-LENGTH = 150  # control steps
+LENGTH = max(steps for *_, steps in SCENES.values())  # control steps: errors grow with them
 SEARCHES = 3
 MORE = 3  # times the steps of the search, tried before another search
 MARGIN = 0.8  # of the tolerance that a new search aims at

@@ -17,6 +17,7 @@ from flexarm_env.accuracy.motions import KINDS, bang_bang, held, sines, white
 from flexarm_env.accuracy.scene import scene
 from flexarm_env.certify import choice
 from flexarm_env.certify.certificate import Certifier
+from flexarm_env.registration import IDS
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 
@@ -44,6 +45,11 @@ def searching(monkeypatch: pytest.MonkeyPatch, errors: dict[float, float]) -> li
     monkeypatch.setattr(choice, "choose_model", search)
     monkeypatch.setattr(choice, "_in_episodes", lambda found, *_: {"error": errors[found["of"]]})
     return wanted
+
+
+def test_episodes_of_a_search_are_as_long_as_those_of_any_id() -> None:
+    """Errors grow in time: of two links eightfold from 150 to 240 control steps."""
+    assert max(spec["max_episode_steps"] for spec in IDS.values()) <= choice.LENGTH
 
 
 def test_the_best_of_what_misses_a_tolerance_is_taken_with_a_warning(
