@@ -58,6 +58,10 @@ class Published:
     multiplications: Formula
     additions: Formula
 
+    def pair(self, n: int, f: int, m: int) -> tuple[float, float]:
+        """Multiplications and additions."""
+        return self.multiplications(n, f, m), self.additions(n, f, m)
+
 
 # Korayem & Shafei (2009), Table 2: their recursion, and Book's (1984)
 PUBLISHED = {
@@ -116,11 +120,8 @@ STEPS = (
 
 def published(name: str, case: Case) -> Counts:
     """Operations of a case by a published formula."""
-    formula, sizes = PUBLISHED[name], (case.n, case.n_flexible, case.m)
-    return {
-        "multiplications": round(formula.multiplications(*sizes)),
-        "additions": round(formula.additions(*sizes)),
-    }
+    pair = PUBLISHED[name].pair(case.n, case.n_flexible, case.m)
+    return dict(zip(("multiplications", "additions"), map(round, pair), strict=True))
 
 
 # ---- arms ----------------------------------------------------------------------------------------

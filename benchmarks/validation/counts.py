@@ -7,66 +7,29 @@ import json
 from collections.abc import Callable
 from math import nan
 
+from benchmarks.operations import PUBLISHED, STEPS
 from benchmarks.output import RESULTS
 from benchmarks.validation.entries import INCOMPARABLE, LOST, Number, Table, as_printed
 
-PUBLISHED = ("gibbs_appell", "book")  # formulations whose counts are in print
 COUNTED = RESULTS / "operations.json"
 CHAPTER = "Operation counts"
 NOTES = {CHAPTER: "The printed formulas evaluated; n joints, f flexible links of m modes each."}
-Formula = Callable[[int, int, int], float]
 Pair = tuple[float, float]
-
-STEPS: dict[str, tuple[Formula, Formula]] = {  # Korayem and Shafei, table 1
-    "1": (lambda n, f, m: 15 * n - 15, lambda n, f, m: 6 * n - 6),
-    "2": (lambda n, f, m: 60 * n - 60, lambda n, f, m: 55 * n - 55),
-    "3": (lambda n, f, m: 66 * n - 27, lambda n, f, m: 54 * n - 21),
-    "4": (lambda n, f, m: 24 * n - 24, lambda n, f, m: 24 * n - 24),
-    "5": (lambda n, f, m: 21 * f * m, lambda n, f, m: 17 * f * m),
-    "6": (lambda n, f, m: 15 * m * f - 15 * m, lambda n, f, m: n - 12 * m + 13 * m * f),
-    "7": (lambda n, f, m: 13.5 * n**2 - 40.5 * n + 27, lambda n, f, m: 9 * n**2 - 27 * n + 18),
-    "8": (lambda n, f, m: 4.5 * n**2 - 13.5 * n + 9, lambda n, f, m: 4.5 * n**2 - 13.5 * n + 9),
-    "9": (
-        lambda n, f, m: 457.5 * n**2 - 901.5 * n + 390,
-        lambda n, f, m: 328.5 * n**2 - 652.5 * n + 276,
-    ),
-    "10": (
-        lambda n, f, m: (
-            30 * m * f**2 - 30 * m * f - 60 * m**2 * f + 18 * m**2 + 42 * m**2 * f**2
-        ),
-        lambda n, f, m: (
-            9 * n**2 - 9 + 52.5 * m * f**2 - 79.5 * m * f + 18 * m - 89.5 * m**2 * f
-            + 18 * m**2 + 53.5 * m**2 * f**2
-        ),
-    ),
-}  # fmt: skip
 
 
 def gibbs_appell(n: int, f: int, m: int) -> Pair:
     """Korayem and Shafei, table 2, their method."""
-    return (
-        475.5 * n**2 - 790.5 * n + 300 - 15 * m + 6 * m * f + 18 * m**2 + 42 * m**2 * f**2
-        + 30 * m * f**2 - 60 * m**2 * f,
-        351 * n**2 - 553 * n + 188 + 6 * m - 49.5 * m * f + 18 * m**2 + 53.5 * m**2 * f**2
-        + 52.5 * m * f**2 - 89.5 * m**2 * f,
-    )  # fmt: skip
+    return PUBLISHED["gibbs_appell"].pair(n, f, m)
 
 
 def book(n: int, f: int, m: int) -> Pair:
     """Korayem and Shafei, table 2, Book's recursive Lagrangian."""
-    return (
-        6 * m**2 * f**2 + 17.5 * m**2 * f + 118 * m * f**2 + 74 * n * f * m + 137.5 * m * f
-        + 84 * n**2 + 86 * n * f + 279 * n + 126 * f - 57,
-        6.5 * m**2 * f**2 + 19 * m**2 * f + 115.5 * m * f**2 + 68 * n * f * m + 123 * m * f
-        + 85 * n**2 + 80 * n * f + 329 * n + 111 * f - 91,
-    )  # fmt: skip
+    return PUBLISHED["book"].pair(n, f, m)
 
 
 def _steps(n: int, f: int, m: int) -> Pair:
-    return (
-        sum(step(n, f, m) for step, _ in STEPS.values()),
-        sum(step(n, f, m) for _, step in STEPS.values()),
-    )
+    products, sums = zip(*(step.pair(n, f, m) for step in STEPS), strict=True)
+    return sum(products), sum(sums)
 
 
 RIGID: dict[str, tuple[Callable[[int], Pair], str]] = {  # Cyril, table 2.2: method, N = 6 printed
