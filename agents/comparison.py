@@ -1,6 +1,7 @@
 """Comparison of controllers on the same episodes, with result files, pictures and a table."""
 
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -67,13 +68,10 @@ def compare(
     """
     seeds = list(range(seed, seed + episodes))
     recordings: dict[str, Recording] = {}
-    envs = make_batch(env_id, episodes, kwargs)
-    try:
+    with closing(make_batch(env_id, episodes, kwargs)) as envs:
         for name, controller in controllers.items():
             recordings[name] = record(controller, envs, seeds, name)
         reach = float(envs.unwrapped.reach)
-    finally:
-        envs.close()
     results = {name: episode_metrics(r) for name, r in recordings.items()}
     header = {"env": env_id, "env_kwargs": dict(kwargs), "reach": reach} | dict(about or {})
     write_results(folder, results, seeds, header)

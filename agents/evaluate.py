@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -188,7 +189,7 @@ def make_controller(
     except REFUSALS as error:
         with_keywords = f" with {validate.shown(kwargs)}" if kwargs else ""
         raise UsageError(f"{env_id}{with_keywords}: {error}") from None
-    try:
+    with closing(env):
         if env.single_observation_space.shape is None:
             raise UsageError(
                 f"{env_id} has dicts as observations, with obs='goal'; controllers and stored "
@@ -207,8 +208,6 @@ def make_controller(
                 f"but {env_id} has {shapes[0][0]} and {shapes[1][0]}.{remedy}"
             )
         return Path(subject).name, acting_policy
-    finally:
-        env.close()
 
 
 def bounds_of(env_id: str, kwargs: dict[str, Any], seeds: Sequence[int]) -> Controller:

@@ -2,6 +2,7 @@
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from io import BytesIO
 from itertools import pairwise
@@ -182,7 +183,7 @@ def film(
     import flexarm_env  # noqa: F401  (registers the ids)
 
     env: Any = gym.make(env_id, **{name: x for name, x in kwargs.items() if name != "threads"})
-    try:
+    with closing(env):
         base: Any = env.unwrapped
         observation, info = env.reset(seed=seed)
         renderer = Renderer(base.core, height)
@@ -221,8 +222,6 @@ def film(
         )
         bent, straight, target = (np.array(x) for x in zip(*forms, strict=True))
         return Film(frames, recording, bent, straight, target, renderer.planar)
-    finally:
-        env.close()
 
 
 def drawn(env: Any, renderer: Renderer, actions: Sequence[AnyArray], seed: int) -> list[AnyArray]:

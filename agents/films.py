@@ -8,6 +8,7 @@ Ids with goals, events or a cost have the film of the id without.
 import argparse
 import json
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -43,13 +44,10 @@ def best(ranking: dict[str, Any], env_id: str) -> str:
 
 def named(name: str, env_id: str) -> Controller:
     """A controller of the table, or the shipped policy of that name with the first seed."""
-    env = make_batch(env_id, 1, keywords(name, TRACK))
-    try:
+    with closing(make_batch(env_id, 1, keywords(name, TRACK))) as env:
         if name in CONTROLLERS:
             return classical(name, env, env_id, keywords(name, TRACK))
         return acting(shipped(env_id, TRACK)[name][0], env)
-    finally:
-        env.close()
 
 
 def write(path: Path, name: str, env_id: str) -> None:

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -136,11 +137,8 @@ def evaluated(
 
     The controller may be any learner's model that has the method `predict`.
     """
-    envs = make_batch(env_id, episodes, kwargs)
-    try:
+    with closing(make_batch(env_id, episodes, kwargs)) as envs:
         return episode_metrics(record(controller, envs, range(seed, seed + episodes)))
-    finally:
-        envs.close()
 
 
 def never_empty(curvature: AnyArray) -> AnyArray:

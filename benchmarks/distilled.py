@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -114,7 +115,7 @@ def row(config: Config, base: BaseConfig, seeds: Sequence[int], work: Path) -> d
     env_id, kwargs = config.env.id, config.env.kwargs
     parameters = base_description(base, config.env)["parameters"]
     envs, single = (make_batch(env_id, n, kwargs) for n in (EPISODES, 1))
-    try:
+    with closing(envs), closing(single):
         expert = controller(base.controller, envs, parameters)
         theirs, *rest = (score(x, envs) for x in (expert, *policies, *warm))
         ours, starts = np.array(rest[: len(seeds)]), np.array(rest[len(seeds) :])
@@ -132,9 +133,6 @@ def row(config: Config, base: BaseConfig, seeds: Sequence[int], work: Path) -> d
             "policy_us": 1e3 * float(np.median(decision_times(policies[0], single, FIRST))),
             "c_us": in_c(policies[0], env_id, single.unwrapped.core),
         }
-    finally:
-        envs.close()
-        single.close()
 
 
 def score(subject: Controller, envs: Any) -> AnyArray:

@@ -9,6 +9,7 @@ docs/results/gradients.json and gradients.md. Run nothing else on the machine me
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,13 +20,11 @@ import numpy as np
 from agents.comparison import titled
 from agents.config import Config, load_config
 from agents.experiments import shipped_experiments
-from agents.hybrid.controller import acting
 from agents.learners.algorithms import DIFFERENTIATED
-from agents.metrics import episode_metrics, make_batch, record
-from agents.policy import load_policy
+from agents.metrics import episode_metrics
 from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
 from benchmarks.speed import timed_in_turn
-from benchmarks.training import run_seed
+from benchmarks.training import recorded, run_seed
 from flexarm_env import FlexArmVectorEnv
 from flexarm_env.derivatives import Derivatives
 
@@ -78,12 +77,8 @@ def pairs() -> list[tuple[Config, Config]]:
 def trained(config: Config, work: Path) -> dict[str, Any]:
     """A run of an experiment: steps, seconds, and means of test episodes."""
     run, seconds = run_seed(config, work / config.name, config.seed)
-    envs = make_batch(config.env.id, EPISODES, config.env.kwargs)
-    try:
-        episodes = range(FIRST, FIRST + EPISODES)
-        found = episode_metrics(record(acting(load_policy(run.policy), envs), envs, episodes))
-    finally:
-        envs.close()
+    test = replace(config.evaluation, seed=FIRST, episodes=EPISODES)
+    found = episode_metrics(recorded(replace(config, evaluation=test), run.policy))
     means = {name: float(np.nanmean(found[name])) for name in ("score", "settling_time", "success")}
     return {
         "env": titled(config.env.id, config.env.kwargs),

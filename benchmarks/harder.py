@@ -8,6 +8,7 @@ docs/results/harder.json and .md.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -36,17 +37,16 @@ def acting(env_id: str, track: str) -> list[str]:
 def met(name: str, env_id: str, track: str, seeds: Sequence[int]) -> dict[str, float]:
     """Means over test episodes of a controller, of a policy's first training seed."""
     kwargs = keywords(name, track)
-    design, envs = make_batch(env_id, 1, kwargs), make_batch(env_id, len(seeds), kwargs)
-    try:
+    with (
+        closing(make_batch(env_id, 1, kwargs)) as design,
+        closing(make_batch(env_id, len(seeds), kwargs)) as envs,
+    ):
         recording = record(next(built(name, design, env_id, track)), envs, seeds)
         found = {
             "score": float(episode_metrics(recording)["score"].mean()),
             "failed": float(recording.failed.mean()),
         }
         return found | costs(recording, envs.unwrapped.core)
-    finally:
-        design.close()
-        envs.close()
 
 
 def costs(recording: Recording, core: Core) -> dict[str, float]:

@@ -10,6 +10,7 @@ docs/results/knowledge.json, .md and .png.
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -86,14 +87,13 @@ def episode(env_id: str, seed: int, scene: Scene, column: str) -> dict[str, floa
     else:
         name = NAME
         met, known = scene.keywords("delay", "plant"), scene.keywords(*TOLD[column])
-    design, env = make_batch(env_id, 1, known), make_batch(env_id, 1, met)
-    try:
+    with (
+        closing(make_batch(env_id, 1, known)) as design,
+        closing(make_batch(env_id, 1, met)) as env,
+    ):
         subject = controller(name, design, parameters)
         found = episode_metrics(record(subject, env, [seed]))
         return {key: float(values[0]) for key, values in found.items()}
-    finally:
-        design.close()
-        env.close()
 
 
 def cell(env_id: str, column: str, seeds: Sequence[int]) -> dict[str, Any]:

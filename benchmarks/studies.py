@@ -15,6 +15,7 @@ import os
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -135,12 +136,11 @@ def trained(training: Training, seed: int, work: Path) -> dict[str, AnyArray]:
 def model_based(training: Training, name: str) -> dict[str, AnyArray]:
     """Metrics (episodes,) of a controller with the laboratory's parameters, on its own filters."""
     env_id = training.config.env.id
-    env = make_batch(env_id, 1, keywords(name, "laboratory") | dict(training.kwargs))
-    try:
+    with closing(
+        make_batch(env_id, 1, keywords(name, "laboratory") | dict(training.kwargs))
+    ) as env:
         subject = controller(name, env, parameters_of(name, env_id, "laboratory"))
         return judged(training, subject)
-    finally:
-        env.close()
 
 
 def judged(training: Training, subject: Any) -> dict[str, AnyArray]:

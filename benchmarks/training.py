@@ -13,6 +13,7 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
@@ -132,11 +133,8 @@ def write_film(config: Config, pair: Mapping[str, Controller], out: Path) -> Non
 def recorded(config: Config, policy: Path) -> Recording:
     """Test episodes of a stored policy."""
     episodes, first = config.evaluation.episodes, config.evaluation.seed
-    envs = make_batch(config.env.id, episodes, config.env.kwargs)
-    try:
+    with closing(make_batch(config.env.id, episodes, config.env.kwargs)) as envs:
         return record(acting(load_policy(policy), envs), envs, range(first, first + episodes))
-    finally:
-        envs.close()
 
 
 def benchmark(

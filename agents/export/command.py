@@ -6,6 +6,7 @@ The policy of a run becomes one C99 header, or an ONNX model.
 import argparse
 import re
 import sys
+from contextlib import closing
 from pathlib import Path
 
 from agents.environments import REFUSALS
@@ -62,10 +63,8 @@ def export(run: Path, form: str, out: Path | None = None) -> Path:
         env = make_batch(env_id, 1, kwargs)
     except REFUSALS as error:
         raise UsageError(f"{env_id} with {validate.shown(kwargs)}: {error}") from None
-    try:
+    with closing(env):
         signals = signals_of(policy, env_id, env.unwrapped.core)
-    finally:
-        env.close()
     content = serialised(form, policy, signals, name)
     out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(out) as path:

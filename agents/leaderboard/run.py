@@ -10,6 +10,7 @@ policy has.
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -78,9 +79,10 @@ def ranked(
     """
     if name == YARDSTICK:
         seeds = replayed(env_id, track, seeds, bounds)
-    design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
-    envs = make_batch(env_id, len(seeds), keywords(name, track))
-    try:
+    with (
+        closing(make_batch(env_id, 1, keywords(name, TRACKS[track].design))) as design,
+        closing(make_batch(env_id, len(seeds), keywords(name, track))) as envs,
+    ):
         if name == YARDSTICK:
             subjects: Iterator[Controller] = iter([optimal(env_id, track, seeds, bounds)])
         else:
@@ -107,18 +109,12 @@ def ranked(
         found |= decisions(times, envs.unwrapped.control_dt)
         found["judged_late"] = float(steps.mean())
         return Entry(found, metrics, spectrum(recordings), seeds)
-    finally:
-        for env in (design, envs):
-            env.close()
 
 
 def timed(subject: Controller, name: str, env_id: str, track: str, seed: int) -> AnyArray:
     """(T,) [ms] of a controller's decisions, in episodes from `seed` on."""
-    env = make_batch(env_id, 1, keywords(name, track))
-    try:
+    with closing(make_batch(env_id, 1, keywords(name, track))) as env:
         return decision_times(subject, env, seed)
-    finally:
-        env.close()
 
 
 def names(
@@ -345,14 +341,12 @@ def _works(name: str, env_id: str, track: str, failures: Failures) -> bool:
     """True unless a user's class fails under the track's design conditions, which is told."""
     if ":" not in name:
         return True
-    env = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
     try:
-        users_controller(name, env, SEED)
+        with closing(make_batch(env_id, 1, keywords(name, TRACKS[track].design))) as env:
+            users_controller(name, env, SEED)
     except UsersControllerError as error:
         failures.tell(error)
         return False
-    finally:
-        env.close()
     return True
 
 

@@ -1,6 +1,7 @@
 """Parameters of controllers, found on tuning episodes by `agents.tune`."""
 
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -50,11 +51,8 @@ def tune(
         "controller": name, "env": env_id, "kwargs": dict(kwargs), "first": first,
         "seeds": [seed, episodes],
     }  # fmt: skip
-    try:
-        with kept_study(keep, about) as study:
-            done = searched(study, judged, trials if ranges else 1, first)
-    finally:
-        envs.close()
+    with closing(envs), kept_study(keep, about) as study:
+        done = searched(study, judged, trials if ranges else 1, first)
     best = max(done, key=lambda trial: trial.value)
     return {
         "parameters": {key: float(f"{value:.{DIGITS}g}") for key, value in best.params.items()},

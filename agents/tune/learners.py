@@ -2,6 +2,7 @@
 
 import gc
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -183,25 +184,21 @@ def trained(
             return not self.ended
 
     halving = Halving()
-    try:
-        model.learn(config.total_steps, halving, log_interval=None)
-        refuse_divergence(model)
-        return None if halving.ended else policy()
-    except ValueError:
-        refuse_divergence(model)
-        raise
-    finally:
-        model.env.close()
+    with closing(model.env):
+        try:
+            model.learn(config.total_steps, halving, log_interval=None)
+            refuse_divergence(model)
+            return None if halving.ended else policy()
+        except ValueError:
+            refuse_divergence(model)
+            raise
 
 
 def judged(config: Config, policy: Policy, episodes: int, seed: int = SEED) -> dict[str, float]:
     """Mean score, success rate and objective of a policy on tuning episodes."""
-    envs = make_batch(config.env.id, episodes, config.env.kwargs)
-    try:
+    with closing(make_batch(config.env.id, episodes, config.env.kwargs)) as envs:
         seeds = range(seed, seed + episodes)
         metrics = episode_metrics(record(acting(policy, envs), envs, seeds))
         reach = float(envs.unwrapped.reach)
-    finally:
-        envs.close()
     means = {name: float(np.mean(metrics[name])) for name in ("score", "success")}
     return means | {"objective": objective(metrics, reach)}
