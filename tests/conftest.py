@@ -117,7 +117,6 @@ EVENING = {  # long files, of quick ones what compiles; .ci/run takes them after
     "benchmarks/test_work_precision.py",
     "docs/test_door.py",
     "docs/test_pages.py",
-    "dynamics/accuracy/test_certificate.py",
     "dynamics/accuracy/test_kinds_of_arms.py",
     "dynamics/accuracy/test_model_choice.py",
     "dynamics/accuracy/test_rollout.py",

@@ -220,3 +220,19 @@ def _link_list(links: list[int]) -> str:
 
 def _replaced(values: tuple[int, ...], place: int, value: int) -> tuple[int, ...]:
     return (*values[:place], value, *values[place + 1 :])
+
+
+def fidelity_of(arm: Arm) -> Fidelity:
+    """Fidelity of an arm as described, in the terms of `choose_model`."""
+    counts = tuple(
+        tuple(len(link.in_direction(d)) for d in DIRECTIONS[: len(possible)])
+        for link, possible in zip(arm.links, everything(arm, 1, 1), strict=True)
+    )
+    segments = tuple(link.segments for link in arm.links)
+    bending = [link for link in arm.links if link.modes]
+    return Fidelity(
+        counts=counts,
+        segments=segments,
+        foreshortening=bool(arm.foreshortening),
+        lumped=bool(bending) and all(link.lumped for link in bending),
+    )

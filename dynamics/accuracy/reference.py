@@ -49,20 +49,17 @@ class ModelErrors:
     def tips(self, fidelity: Fidelity) -> Tips:
         """Converged motions of a model; NaN if one diverges."""
         if fidelity not in self._tips:
-            found = self._tips[fidelity] = self.tips_of(self.rollout(fidelity))
+            try:
+                found = self._converged(self.rollout(fidelity))
+            except NotConverged:
+                found = [np.full_like(tip, np.nan) for tip in self.reference]
+            self._tips[fidelity] = found
             error = largest_distance(found, self.reference)
             _log.info("%s: %.2g m from the reference", fidelity, error)
             self.progress.result(
                 f"{error:.2g} m from the reference, {self.model_tolerance:.2g} m allowed"
             )
         return self._tips[fidelity]
-
-    def tips_of(self, rollout: Rollout) -> Tips:
-        """Converged motions of a rollout; NaN if one diverges."""
-        try:
-            return self._converged(rollout)
-        except NotConverged:
-            return [np.full_like(tip, np.nan) for tip in self.reference]
 
     def measured(self, fidelity: Fidelity) -> bool:
         """True if a model's motions have been computed."""

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dynamics import cache
-from dynamics.accuracy.certificate import fidelity_of
-from dynamics.accuracy.fidelity import Fidelity, divisible, everything, rigid
+from dynamics.accuracy.fidelity import Fidelity, divisible, everything, fidelity_of, rigid
 from dynamics.backends.numba_llvm.fingerprint import fingerprint, hash_of_files, sources
 from dynamics.description import validate
 from dynamics.description.arm import Arm

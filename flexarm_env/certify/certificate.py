@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom
 
-from dynamics.accuracy.certificate import fidelity_of
-from dynamics.accuracy.fidelity import Fidelity, everything, rigid
+from dynamics.accuracy.fidelity import Fidelity, everything, fidelity_of, rigid
 from dynamics.accuracy.progress import Progress
 from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS

@@ -34,7 +34,6 @@ from dynamics import (
     load_arm,
     simulate,
 )
-from dynamics.accuracy.certificate import certify
 from dynamics.accuracy.scene import bang_bang, cycloid, release
 from dynamics.description.arm import MOST_LINKS
 from dynamics.description.data_file import MOST_BYTES, MOST_NODES
@@ -119,9 +118,6 @@ CALLS: dict[str, Callable[[Any], Any]] = {
     "choose_model arm": lambda x: choose_model(x, SCENE, 0.1),
     "choose_model scene": lambda x: choose_model("slim", x, 0.1),
     "choose_model tolerance": lambda x: choose_model("slim", SCENE, x),
-    "certify integrator": lambda x: certify("slim", SCENE, x, 1e-3, 1e-3),
-    "certify dt": lambda x: certify("slim", SCENE, "rk4", x, 0.1),
-    "certify accuracy": lambda x: certify("slim", SCENE, "rk4", 1e-3, x),
     "bang_bang torques": lambda x: bang_bang(x, 0.1, 1.0),
     "bang_bang pulse": lambda x: bang_bang((0.1,), x, 1.0),
     "cycloid": lambda x: cycloid((0.1,), x, 1.0),

@@ -15,8 +15,7 @@ from dynamics import (
     Payload,
     simulate,
 )
-from dynamics.accuracy.certificate import fidelity_of
-from dynamics.accuracy.fidelity import Fidelity, everything
+from dynamics.accuracy.fidelity import Fidelity, everything, fidelity_of
 from dynamics.formulations import linearized
 from dynamics.model import Model
 from dynamics.types import Array
