@@ -345,13 +345,6 @@ def _framed(numbers: AnyArray, levels: Sequence[int]) -> Image.Image:
     return frame
 
 
-def scaled(frame: AnyArray, height: int = GIF_HEIGHT) -> Image.Image:
-    """A rendered frame, scaled to a height [px]."""
-    image = Image.fromarray(np.asarray(frame, np.uint8))
-    size = (round(image.width * height / image.height), height)
-    return image if image.size == size else image.resize(size, Image.Resampling.LANCZOS)
-
-
 def draw_strips(
     recordings: Mapping[str, Recording], width: int, title: str
 ) -> tuple[Image.Image, Any]:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -130,7 +131,7 @@ def about(policy: Policy, signals: Signals) -> list[str]:
         f"Arm: {signals.arm}. Control step: {signals.control_dt:g} s.",
         f"Simulated arm: {signals.accuracy}",
     ]
-    lines = [line for text in texts for line in wrapped(plain(text))]
+    lines = [line for text in texts for line in wrap(plain(text), LONGEST, break_on_hyphens=False)]
     for title, rows in (("Inputs", signals.input_rows()), ("Outputs", signals.output_rows())):
         lines += ["", f"{title}:", *map(plain, aligned([COLUMNS, *rows]))]
     return lines
@@ -140,16 +141,6 @@ def plain(text: str) -> str:
     """Text that ends no comment: ASCII on one line, without the end of a comment."""
     kept = "".join(c if c.isascii() and c.isprintable() else "?" for c in text)
     return kept.replace("*/", "* /").replace("/*", "/ *").replace("\\", "?")
-
-
-def wrapped(text: str) -> list[str]:
-    """Lines of a text."""
-    lines = [""]
-    for word in text.split():
-        if len(lines[-1]) + len(word) >= LONGEST:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return lines
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
