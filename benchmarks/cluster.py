@@ -130,7 +130,6 @@ def main() -> None:
         steps=a.steps, config=CONFIG, repeats=REPEATS, runner_steps=RUNNER_STEPS,
     )  # fmt: skip
     save_results(about | {"trials": a.trials, "steps": a.steps, "runs": runs}, text, a.out)
-    print(text)
 
 
 if __name__ == "__main__":

@@ -219,7 +219,6 @@ def main() -> None:
         rows = [kept.get(c.name) or row(c, base, a.seeds, work) for c, base in distilled()]
     results = {"rows": rows, "provenance": provenance("flexarm", "torch", "stable_baselines3")}
     save_results(results, page(results), a.out)
-    print(page(results))
 
 
 if __name__ == "__main__":

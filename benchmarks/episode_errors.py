@@ -13,15 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.output import (
-    RESULTS,
-    argument_parser,
-    count,
-    provenance,
-    save_figure,
-    save_results,
-    table,
-)
+from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
 from benchmarks.style import pyplot, series
 from dynamics import Arm, compile_arm, load_arm, simulate
 from dynamics.accuracy.fidelity import everything, rigid
@@ -212,9 +204,7 @@ def main(arguments: list[str] | None = None) -> None:
     data = {
         **provenance("scipy"), "count": options.episodes, "scenes": scenes, "second path": paths,
     }  # fmt: skip
-    path = options.out / "episode_errors.json"
-    save_results(data, page(data), path)
-    save_figure(chart(data), path)
+    save_results(data, page(data), options.out / "episode_errors.json", chart(data))
 
 
 if __name__ == "__main__":

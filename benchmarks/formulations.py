@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks.operations import Case, given_arm
 from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.work_precision.scenes import undamped
 from dynamics import ARMS, Arm, Mode, compile_arm, simulate
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.table import FORMULATIONS, why_not
@@ -36,16 +37,10 @@ CONVENTIONS = {
 
 def conservative(arm: Arm) -> Arm:
     """The arm without damping and friction, so that its energy is constant."""
-    return replace(
-        arm,
-        links=tuple(
-            replace(
-                link, damping_ratio=0.0, damping_beta=0.0,
-                joint=replace(link.joint, viscous=0.0, coulomb=0.0),
-            )
-            for link in arm.links
-        ),
-    )  # fmt: skip
+    arm = undamped(arm)
+    joints = [replace(link.joint, viscous=0.0, coulomb=0.0) for link in arm.links]
+    links = (replace(link, joint=x) for link, x in zip(arm.links, joints, strict=True))
+    return replace(arm, links=tuple(links))
 
 
 def planar_arm() -> Arm:
@@ -227,7 +222,6 @@ def main() -> None:
         "motion": list(motions()),
     }
     save_results(result, page(result), out)
-    print(page(result))
 
 
 if __name__ == "__main__":

@@ -320,10 +320,8 @@ def main(arguments: list[str] | None = None) -> None:
     results["multiply_adds"] = {dtype: multiply_adds(dtype) for dtype in DTYPES}
     results["forms"] = forms("cuda")
     results["training"] = trained(TRAINING)
-    text = page(results)
     slug = re.sub(r"\W+", "_", name).strip("_").lower()
-    save_results(results, text, RESULTS / f"gpu_{slug}.json")
-    print(text)
+    save_results(results, page(results), RESULTS / f"gpu_{slug}.json")
 
 
 if __name__ == "__main__":

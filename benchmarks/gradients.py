@@ -144,7 +144,6 @@ def main() -> None:
     about = provenance("flexarm", "numba", "torch", "stable_baselines3")
     results = {"costs": costs, "runs": runs, "provenance": about}
     save_results(results, page(results), a.out)
-    print(page(results))
 
 
 if __name__ == "__main__":

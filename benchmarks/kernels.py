@@ -23,7 +23,7 @@ from benchmarks.output import (
     RESULTS,
     ROOT,
     argument_parser,
-    filled,
+    fill,
     provenance,
     save_results,
     table,
@@ -312,8 +312,7 @@ def main(arguments: list[str] | None = None) -> None:
     page = "\n\n".join(["# Kernels", *(blocks.values())]) + "\n"
     save_results(results, page, options.out)
     if options.out == RESULTS / "kernels.json":
-        PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), blocks), encoding="utf-8")
-    print(page)
+        fill(PAGE, blocks)
 
 
 if __name__ == "__main__":

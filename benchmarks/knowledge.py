@@ -25,15 +25,7 @@ from agents.leaderboard.statistics import figures
 from agents.leaderboard.tracks import RANKED, keywords
 from agents.metrics import episode_metrics, make_batch, record
 from agents.tuned import parameters_of
-from benchmarks.output import (
-    RESULTS,
-    argument_parser,
-    count,
-    provenance,
-    save_figure,
-    save_results,
-    table,
-)
+from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
 from benchmarks.style import pyplot, series
 from dynamics.types import AnyArray
 from flexarm_env.hardware.sensors import PRESETS
@@ -174,9 +166,7 @@ def main(arguments: list[str] | None = None) -> None:
             tasks[env_id][column] = job.result()
             print(env_id, column, tasks[env_id][column]["score_iqm"], flush=True)
     data = {**provenance("daqp"), "episodes": options.episodes, "tasks": tasks}
-    path = options.out / "knowledge.json"
-    save_results(data, page(data), path)
-    save_figure(chart(data), path)
+    save_results(data, page(data), options.out / "knowledge.json", chart(data))
 
 
 if __name__ == "__main__":

@@ -105,7 +105,6 @@ def main() -> None:
         table=table(["part", *found], rows, "lrrr"),
     )  # fmt: skip
     save_results(about | {"steps": a.steps, "microseconds": found}, page, a.out)
-    print(page)
 
 
 if __name__ == "__main__":

@@ -254,7 +254,7 @@ def main() -> None:
             f"Reference: {choice.reference}. Verified error {verified:.2g} m of "
             f"{trial.tolerance:.2g} m allowed; {seconds:.1f} s.", "",
         ]  # fmt: skip
-        print("\n".join(text[-8:]), flush=True)
+        print(name, flush=True)
     save_results(made | {"trials": results}, "\n".join(text), options.out)
 
 

@@ -21,15 +21,7 @@ from scipy.stats import kendalltau
 from agents.leaderboard.run import built
 from agents.leaderboard.tracks import RANKED, keywords
 from agents.metrics import episode_metrics, make_batch, record
-from benchmarks.output import (
-    RESULTS,
-    argument_parser,
-    count,
-    provenance,
-    save_figure,
-    save_results,
-    table,
-)
+from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
 from benchmarks.style import pyplot, series
 from dynamics.accuracy.same_shape import transferred
 from dynamics.types import AnyArray
@@ -198,9 +190,7 @@ def main(arguments: list[str] | None = None) -> None:
         **provenance(), "tasks": tasks,
         "order": {env_id: order_of(found) for env_id, found in tasks.items()},
     }  # fmt: skip
-    path = options.out / "on_reference.json"
-    save_results(data, page(data), path)
-    save_figure(chart(data), path)
+    save_results(data, page(data), options.out / "on_reference.json", chart(data))
 
 
 if __name__ == "__main__":

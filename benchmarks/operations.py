@@ -335,7 +335,6 @@ def main() -> None:
         "presets": list(default_rows()),
     }
     save_results(result, page(result), out)
-    print(page(result))
 
 
 if __name__ == "__main__":

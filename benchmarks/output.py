@@ -111,6 +111,11 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = "l"
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
+def fill(page: Path, blocks: Mapping[str, str]) -> None:
+    """Fill the blocks of a stored page."""
+    page.write_text(filled(page.read_text(encoding="utf-8"), blocks), encoding="utf-8")
+
+
 def filled(page: str, blocks: Mapping[str, str]) -> str:
     """A page with these texts in its blocks `<!-- NAME --> ... <!-- /NAME -->`."""
     for name, text in blocks.items():
@@ -122,11 +127,17 @@ def filled(page: str, blocks: Mapping[str, str]) -> str:
     return page
 
 
-def save_results(results: dict[str, Any], text: str, path: Path) -> None:
-    """Write the results as strict JSON to `path`, and the Markdown page `text` beside it."""
+def save_results(results: dict[str, Any], text: str, path: Path, figure: Any = None) -> None:
+    """Write results as strict JSON to `path`, and beside it the Markdown page `text` and a chart.
+
+    The page is printed too; the chart is a figure of pyplot.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, results)
     path.with_suffix(".md").write_text(text, encoding="utf-8")
+    print(text)
+    if figure is not None:
+        save_figure(figure, path)
 
 
 def save_figure(figure: Any, path: Path) -> None:

@@ -11,7 +11,7 @@ from collections import Counter
 from typing import Any
 
 from agents.leaderboard.output import rivals
-from benchmarks.output import RESULTS, ROOT, argument_parser, filled, table
+from benchmarks.output import RESULTS, ROOT, argument_parser, fill, table
 from dynamics.load import load_arm
 from flexarm_env import registration
 from flexarm_env.accuracy.certificates import entries
@@ -166,7 +166,7 @@ def _verdicts(stored: dict[str, Any]) -> Counter[str]:
 def main() -> None:
     """Fill the blocks of the page."""
     argument_parser("paper", __doc__).parse_args()
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), blocks()), encoding="utf-8")
+    fill(PAGE, blocks())
 
 
 if __name__ == "__main__":

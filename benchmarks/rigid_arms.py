@@ -32,7 +32,6 @@ from dynamics.simulation.nominal_motion import Cycloidal, NominalTorque
 from dynamics.tracing.operation_counts import operations
 
 plt = style.pyplot()
-MARKED = 8  # markers of a drawn line
 SIXTY = np.pi / 3.0
 DURATION = 10.0  # [s] printed for both arms
 MOTIONS = {  # the Stanford arm's motion is printed (2.14); the PUMA's is lost and chosen here
@@ -151,24 +150,18 @@ def draw(trips: dict[str, dict[str, Any]], path: Path) -> None:
         for k, torque in enumerate(np.transpose(trip["torque"])):
             slides = ARMS[name].links[k].joint.type == "prismatic"
             axis.plot(
-                trip["torque t"], torque, **_look(k, trip["torque t"]),
+                trip["torque t"], torque, **style.marked(k, len(torque)), linewidth=1.8,
                 label=f"f{k + 1} [N]" if slides else f"τ{k + 1}",
             )  # fmt: skip
         axis.set(title=f"{name}: nominal torques", xlabel="t [s]", ylabel="[N m]")
         axis.legend(fontsize="small", ncols=2)
     for k, (name, trip) in enumerate(trips.items()):
         error = np.maximum(trip["error"], 1e-17)
-        axes[2].semilogy(trip["t"], error, **_look(k, trip["t"]), label=name)
+        axes[2].semilogy(trip["t"], error, **style.marked(k, len(error)), linewidth=1.8, label=name)
     axes[2].axhline(1e-9, color="0.6", linewidth=0.8, linestyle="--")
     axes[2].set(title="error of the return", xlabel="t [s]", ylabel="largest joint error [rad, m]")
     axes[2].legend(fontsize="small")
     save_figure(figure, path)
-
-
-def _look(k: int, times: list[float]) -> dict[str, Any]:
-    """Colour and marker of the k-th line, with about MARKED markers at places of its own."""
-    every = max(1, len(times) // MARKED)
-    return style.series(k) | {"markevery": (k * every // 6, every), "linewidth": 1.8}
 
 
 def main() -> None:
@@ -186,7 +179,6 @@ def main() -> None:
     data = {**provenance("numpy", "scipy", "casadi", "numba"), "counts": rows, "trips": trips}
     save_results(data, page(rows, trips), options.out)
     draw(trips, options.out)
-    print(page(rows, trips))
 
 
 if __name__ == "__main__":

@@ -283,7 +283,6 @@ def main() -> None:
         "provenance": provenance("numpy", "scipy", "numba"),
     }
     save_results(results, page(results), a.out)
-    print(page(results))
 
 
 if __name__ == "__main__":

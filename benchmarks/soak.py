@@ -135,9 +135,7 @@ def main() -> int:
     counts = {env_id: soak(env_id, each) for env_id in flexarm_env.IDS}
     results = {**provenance("numba", "numpy"), "seconds": time.perf_counter() - begin,
                "counts": counts}  # fmt: skip
-    text = page(results)
-    print(text)
-    save_results(results, text, options.out)
+    save_results(results, page(results), options.out)
     return int(any(row[name] for row in counts.values() for name in WRONG))
 
 

@@ -268,9 +268,7 @@ def main() -> None:
             **within_tolerance(f"FlexArm/{family}-Reach-v0", TOLERANCE, most_links),
             **compile_seconds(arm),
         }
-    text = page(results)
-    print(text)
-    save_results(results, text, options.out)
+    save_results(results, page(results), options.out)
 
 
 def page(results: dict[str, Any]) -> str:

@@ -17,7 +17,7 @@ from benchmarks.output import (
     RESULTS,
     ROOT,
     argument_parser,
-    filled,
+    fill,
     provenance,
     save_results,
     table,
@@ -277,8 +277,7 @@ def main(arguments: list[str] | None = None) -> None:
     text = page(results)
     save_results(results, f"# Splits of the six links' equations\n\n{text}\n", options.out)
     if options.out == RESULTS / "splits.json":
-        PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), {"splits": text}), "utf-8")
-    print(text)
+        fill(PAGE, {"splits": text})
 
 
 if __name__ == "__main__":

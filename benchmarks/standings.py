@@ -23,7 +23,7 @@ from agents.leaderboard.statistics import Figures
 from agents.leaderboard.tracks import TRACKS
 from agents.tune.learners import place_of
 from agents.tuned import tuned
-from benchmarks.output import RESULTS, ROOT, argument_parser, filled, table
+from benchmarks.output import RESULTS, ROOT, argument_parser, fill, table
 from benchmarks.results import stored_runs
 
 PAGE = ROOT / "docs" / "leaderboard.md"
@@ -201,7 +201,7 @@ def short(env_id: str) -> str:
 def main() -> None:
     """Fill the blocks of the page."""
     argument_parser("standings", __doc__).parse_args()
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), blocks()), encoding="utf-8")
+    fill(PAGE, blocks())
 
 
 if __name__ == "__main__":

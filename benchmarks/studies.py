@@ -31,16 +31,7 @@ from agents.leaderboard.tracks import keywords
 from agents.metrics import evaluated, make_batch, regrets
 from agents.policy import load_policy
 from agents.tuned import parameters_of
-from benchmarks.output import (
-    RESULTS,
-    ROOT,
-    argument_parser,
-    count,
-    provenance,
-    save_figure,
-    save_results,
-    table,
-)
+from benchmarks.output import RESULTS, ROOT, argument_parser, count, provenance, save_results, table
 from benchmarks.style import pyplot, series
 from benchmarks.training import run_seed
 from dynamics.types import AnyArray
@@ -365,8 +356,7 @@ def main(arguments: list[str] | None = None) -> None:
     found = measured(options.study, config, options, RUNS / f"study_{options.study}")
     data = {**provenance("torch", "stable-baselines3"), **found}
     path = options.out / f"study_{options.study}.json"
-    save_results(data, study.page(data), path)
-    save_figure(study.chart(data), path)
+    save_results(data, study.page(data), path, study.chart(data))
 
 
 if __name__ == "__main__":

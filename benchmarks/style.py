@@ -17,6 +17,7 @@ VERMILLION, ORANGE, PURPLE = "#D55E00", "#E69F00", "#CC79A7"
 WINE, INDIGO, SAND, FOREST = "#661100", "#332288", "#DDCC77", "#117733"
 CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, WINE, INDIGO, SAND, FOREST)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "h", "d", "8")
+MARKED = 8  # markers of a line of many points
 STABLE, FAILED = "#DCEBF5", ORANGE  # cells of a map; they differ in lightness too
 ENGINES = {  # beginning of an engine's name: its line in every chart
     "ours, one environment": {"color": BLUE, "marker": "o"},
@@ -42,6 +43,12 @@ def pyplot() -> Any:
 def series(k: int) -> dict[str, Any]:
     """Colour and marker of the k-th of several alike lines."""
     return {"color": CYCLE[k % len(CYCLE)], "marker": MARKERS[k % len(MARKERS)]}
+
+
+def marked(k: int, count: int) -> dict[str, Any]:
+    """Colour of the k-th line of `count` points, and about MARKED markers at places of its own."""
+    every = max(1, count // MARKED)
+    return series(k) | {"markevery": (k * every // 6, every)}
 
 
 def method(name: str) -> dict[str, Any]:

@@ -58,7 +58,5 @@ def main() -> None:
         ],
         "scenes": {name: summary(SCENES[name], points) for name, points in everything.items()},
     }
-    text = page(results)
-    print(text)
-    save_results(results, text, options.out)
+    save_results(results, page(results), options.out)
     draw_all(results, options.images)

@@ -32,7 +32,6 @@ ORDER = (  # of the page; other scenarios come last
     "fixed-base", "double-pendulum",
 )  # fmt: skip
 plt = style.pyplot()
-MARKED = 8  # markers of a drawn line
 QUICK = 20  # --quick simulates this fraction of a motion: 1 / QUICK
 COLUMNS = {  # of the page: name in the results -> format
     "deflection [mm]": ".3g",
@@ -105,9 +104,10 @@ def _draw_bending(axes: Any, flexible: Run, rigid: Run) -> None:
         for k, link in enumerate(flexible.model.arm.links):
             for plane, direction in enumerate("yz"):
                 if link.in_direction(direction):
-                    look = _look(k, t) | {"linewidth": 1.0, "linestyle": "-:"[plane]}
-                    label = f"link {k + 1}, {direction}"
-                    axis.plot(t, 1e3 * values[:, k, plane], label=label, **look)
+                    axis.plot(
+                        t, 1e3 * values[:, k, plane], "-:"[plane], linewidth=1.0, markersize=5,
+                        label=f"link {k + 1}, {direction}", **style.marked(k, t.size),
+                    )  # fmt: skip
     axes[0].set(ylabel="tip deflection [mm]")
     axes[1].set(ylabel="its rate [mm/s]")
 
@@ -116,17 +116,12 @@ def _styles(flexible: Run, rigid: Run) -> list[tuple[Run, str]]:
     return [(flexible, "-")] if flexible is rigid else [(flexible, "-"), (rigid, "--")]
 
 
-def _look(k: int, t: Array) -> dict[str, Any]:
-    """Colour and marker of the k-th line, with about MARKED markers at places of its own."""
-    every = max(1, t.size // MARKED)
-    return style.series(k) | {"markevery": (k * every // 6, every), "markersize": 5}
-
-
 def _lines(axis: Any, t: Array, values: Array, dashes: str, labels: tuple[str, ...]) -> None:
     """Draw the flexible arm's lines coloured and marked, the rigid arm's thin and black."""
     for k, (column, label) in enumerate(zip(values.T, labels, strict=True)):
         if dashes == "-":
-            axis.plot(t, column, dashes, linewidth=1.4, label=label, **_look(k, t))
+            look = style.marked(k, t.size)
+            axis.plot(t, column, dashes, linewidth=1.4, markersize=5, label=label, **look)
         else:
             axis.plot(t, column, dashes, color="k", linewidth=0.7)
 

@@ -96,6 +96,11 @@ def relatively(
     )
 
 
+def mode_names(count: int) -> list[str]:
+    """Names of the first modes."""
+    return [f"mode {k}" for k in range(1, count + 1)]
+
+
 def last_digit(text: str) -> float:
     """Value of one unit in the last digit of a printed number."""
     mantissa, _, exponent = text.lower().partition("e")

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import scipy.linalg
 
-from benchmarks.validation.entries import Number, Table, as_printed, relatively
+from benchmarks.validation.entries import Number, Table, as_printed, mode_names, relatively
 from dynamics import ARMS, Arm, Mode, Model, Payload, compile_arm, simulate
 from dynamics.arms.measures import alone, hertz
 from dynamics.formulations import gibbs_appell
@@ -170,17 +170,13 @@ def _cut(payload: float) -> list[float]:
     return swinging(hanging(5, payload, "poly", 2))
 
 
-def _modes(count: int) -> list[str]:
-    return [f"mode {k}" for k in range(1, count + 1)]
-
-
 def tables() -> list[Table]:
     """All tables of this chapter."""
     result = [
         Table(
             chapter=CHAPTER, title="One link", demand="within rounding of the printed digits",
             rows=(
-                *as_printed(_modes(4), "7.914 49.595 138.868 272.125", "Hz", remark="clamped"),
+                *as_printed(mode_names(4), "7.914 49.595 138.868 272.125", "Hz", remark="clamped"),
                 *as_printed(("sag under 1 g",), "6.13", "mm", units=1.01),
                 *as_printed(("side of a square section",), "15.65", "mm"),
                 *as_printed(("its area",), "2.449e-4", "m²"),
@@ -200,7 +196,7 @@ def tables() -> list[Table]:
             Table(
                 chapter=CHAPTER, title=f"Hanging, joints free, {name} per link",
                 demand="within rounding of the printed digits",
-                rows=as_printed(_modes(len(digits.split())), digits, "Hz"),
+                rows=as_printed(mode_names(len(digits.split())), digits, "Hz"),
                 ours=lambda m=modes, p=payload: swinging(hanging(m, p)),  # type: ignore[misc]
             )
         )  # fmt: skip
@@ -209,7 +205,7 @@ def tables() -> list[Table]:
             Table(
                 chapter=CHAPTER, title=f"Hanging, joints free, {name}", quick=False,
                 demand="within 0.1 %; ours: two foreshortened segments of five polynomials",
-                rows=relatively(_modes(len(digits.split())), digits, "Hz", 1e-3),
+                rows=relatively(mode_names(len(digits.split())), digits, "Hz", 1e-3),
                 ours=lambda p=payload, d=digits: _cut(p)[: len(d.split())],  # type: ignore[misc]
             )
         )  # fmt: skip

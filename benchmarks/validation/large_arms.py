@@ -21,6 +21,7 @@ from benchmarks.validation.entries import (
     as_printed,
     relatively,
 )
+from benchmarks.validation.slim import FORCE, INCH, POUND
 from dynamics import ARMS, Arm, Mode, Model, Payload
 from dynamics.arms.measures import hertz
 from dynamics.formulations.linearized import inertia
@@ -38,8 +39,6 @@ NOTES = {
     "4), transcribed without the payload's label, beside `srms-like`, tuned to the light load's "
     "first four.",
 }
-INCH, POUND = 0.0254, 0.45359237  # [m], [kg]
-FORCE = 4.4482216152605  # [N] of a pound
 ELBOW = (0.0, 0.5 * pi)  # [rad] the posture that the preset is tuned at
 
 RALF_TABLES: dict[str, tuple[tuple[str | None, str | None], ...]] = {  # experiment, model [Hz]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.validation.entries import Table, as_printed, relatively
+from benchmarks.validation.entries import Table, as_printed, mode_names, relatively
 from dynamics import ARMS, Joint, compile_arm
 from dynamics.arms.measures import alone, carried_inertia, hertz
 from dynamics.description.validate import ZEROS
@@ -47,10 +47,6 @@ VARIANTS: dict[str, tuple[dict[str, Any], str]] = {  # changes, independent valu
 }
 
 
-def _modes(count: int) -> list[str]:
-    return [f"mode {k}" for k in range(1, count + 1)]
-
-
 def locked(**changes: Any) -> list[float]:
     """Five frequencies of the clamped beam [Hz], by seven shapes that include its tip body."""
     return hertz(alone(SLIM, 0, 7, **changes))[:5]
@@ -81,7 +77,7 @@ def _frequencies() -> list[Table]:
     )
     result = []
     for column, digits, third, share in printed:
-        rows = list(relatively(_modes(len(digits.split())), digits, "Hz", share))
+        rows = list(relatively(mode_names(len(digits.split())), digits, "Hz", share))
         rows[2] = replace(
             rows[2], correct=third,
             remark=f"a digit error: {third} agrees with the equation that gives the others",
@@ -133,7 +129,7 @@ def tables() -> list[Table]:
         Table(
             chapter=CHAPTER, title="Joint held, as the fit of density and tip body has it",
             demand="within 0.002 %",
-            rows=relatively(_modes(5), "2.09600 13.98909 40.5217 81.2242 136.3527", "Hz", 2e-5),
+            rows=relatively(mode_names(5), "2.09600 13.98909 40.5217 81.2242 136.3527", "Hz", 2e-5),
             ours=locked,
         ),
     ]  # fmt: skip
@@ -142,7 +138,7 @@ def tables() -> list[Table]:
             Table(
                 chapter=CHAPTER, title=f"Joint held, {name}",
                 demand="within 0.02 %: data rounded to four digits",
-                rows=relatively(_modes(5), printed, "Hz", 2e-4),
+                rows=relatively(mode_names(5), printed, "Hz", 2e-4),
                 ours=lambda c=changes: locked(**{**POINT, **c}),  # type: ignore[misc]
             )
         )  # fmt: skip
