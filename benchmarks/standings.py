@@ -16,9 +16,8 @@ from typing import Any
 from agents.config import load_config
 from agents.experiments import shipped_experiments
 from agents.leaderboard.bound import is_moving
-from agents.leaderboard.charts import UNRANKED
 from agents.leaderboard.kinds import CLASSICAL, KINDS, LEARNED, ON_MODEL
-from agents.leaderboard.output import VERDICTS, best_of_each, leader, order, verdict
+from agents.leaderboard.output import VERDICTS, Tables, best_of_each, leader, ranked, verdict
 from agents.leaderboard.statistics import Figures
 from agents.leaderboard.tracks import TRACKS
 from agents.tune.learners import place_of
@@ -30,7 +29,6 @@ PAGE = ROOT / "docs" / "leaderboard.md"
 FAMILIES = ("joint control", "linear-quadratic", "predictive")  # of classical control
 COLUMNS = (*FAMILIES, LEARNED, ON_MODEL)
 BUDGET = 20.0  # [min] of training on one core
-Tables = Mapping[str, Mapping[str, Mapping[str, Figures]]]  # by task, track and controller
 
 
 def column(name: str, x: Figures) -> str:
@@ -186,11 +184,6 @@ def searched(stored: Mapping[str, Any]) -> str:
         f"- {text}, {len(found[key])}: {', '.join(found[key]) or 'none'}."
         for key, text in ((True, "Searched"), (False, "By hand"))
     )
-
-
-def ranked(found: Mapping[str, Figures]) -> dict[str, Figures]:
-    """Ranked controllers, best first."""
-    return {name: found[name] for name in order(found) if name not in UNRANKED}
 
 
 def short(env_id: str) -> str:

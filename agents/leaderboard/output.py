@@ -191,11 +191,12 @@ def places(tables: Tables) -> Iterator[tuple[str, dict[str, Figures]]]:
     """Cells of every task and track, and its ranked controllers, best first."""
     for env_id, tracks in tables.items():
         for track, found in tracks.items():
-            names = [name for name in order(found) if name not in UNRANKED]
-            yield (
-                f"| {env_id.removeprefix('FlexArm/')} | {track}",
-                {name: found[name] for name in names},
-            )
+            yield f"| {env_id.removeprefix('FlexArm/')} | {track}", ranked(found)
+
+
+def ranked(found: Mapping[str, Figures]) -> dict[str, Figures]:
+    """Ranked controllers, best first."""
+    return {name: found[name] for name in order(found) if name not in UNRANKED}
 
 
 def order(found: Mapping[str, Figures]) -> list[str]:

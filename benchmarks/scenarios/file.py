@@ -69,26 +69,6 @@ class Scenario:
         return q, qd
 
 
-@dataclass(frozen=True)
-class Ramp:
-    """Torques that grow linearly from zero."""
-
-    rates: Array  # (n_joint,) [N m/s]
-
-    def __call__(self, t: float) -> Array:
-        return self.rates * t
-
-
-@dataclass(frozen=True)
-class Step:
-    """Constant torques from the start."""
-
-    values: Array  # (n_joint,) [N m]
-
-    def __call__(self, t: float) -> Array:
-        return self.values
-
-
 class Nominal:
     """`NominalTorque` traced once, which evaluates more than ten times faster."""
 
@@ -193,7 +173,7 @@ def _torque(
     (key,) = TORQUES[kind]
     named = _named(values[key], f"torque.{key}", joints)
     entries = np.array([named.get(joint, 0.0) for joint in joints])
-    return Step(entries) if kind == "step" else Ramp(entries)
+    return (lambda t: entries) if kind == "step" else (lambda t: entries * t)
 
 
 def _nominal(
