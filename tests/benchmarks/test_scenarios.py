@@ -10,9 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
+from benchmarks.scenarios import __main__ as scenarios
 from benchmarks.scenarios import file as scenario_file
 from benchmarks.scenarios import motions as scenario_runs
-from benchmarks.scenarios import run as scenarios
 from dynamics import ARMS, Arm
 from dynamics.arms.measures import hertz
 from dynamics.formulations.kinematics import outward, poses

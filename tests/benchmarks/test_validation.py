@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from benchmarks.validation import __main__ as validation
 from benchmarks.validation import counts as validation_counts
 from benchmarks.validation import large_arms as validation_large_arms
 from benchmarks.validation import pd as validation_pd
-from benchmarks.validation import run as validation
 from benchmarks.validation import slim as validation_slim
 from benchmarks.validation.entries import Number, Table, as_printed
 from benchmarks.validation.page import HONESTY, page
