@@ -1,4 +1,7 @@
-"""Charts and page of the work-precision benchmark."""
+"""Charts and page of the work-precision benchmark, and its stored results.
+
+They are packed JSON, in which an infinite error is the word "diverged".
+"""
 
 import json
 import math
@@ -6,10 +9,12 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from agents.files import pack, unpacked
 from benchmarks import style
 from benchmarks.output import RESULTS, save_figure, table
 from dynamics.integrators.table import INTEGRATORS
 
+STORED = RESULTS / "work_precision.json.bz2"
 TARGETS = (1e-2, 1e-3, 1e-4)  # [reach]
 SMALL = 0.3  # largest integration error over model error of a run that shows the model error
 LOWEST, HIGHEST = 3e-8, 2.0  # errors drawn; diverged runs lie at 1
@@ -35,6 +40,17 @@ Row = dict[str, Any]
 Place = tuple[float, float, str]  # CPU time, error, model
 Lines = dict[str, list[Row]]  # a peer: its cheapest runs
 plt = style.pyplot()
+
+
+def store(results: Row, file: Path) -> None:
+    """Write results that are plain JSON."""
+    pack(json.dumps(results, separators=(",", ":")), file)
+
+
+def stored_results(file: Path) -> Row:
+    """Results that a file holds."""
+    found: Row = json.loads(unpacked(file).replace('"diverged"', "Infinity"))
+    return found
 
 
 def draw(results: Row, folder: Path, peers: Path = RESULTS / "peers.json") -> None:

@@ -27,9 +27,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.output import RESULTS, argument_parser, count, provenance
-from benchmarks.work_precision import charts as precision_charts
+from benchmarks.work_precision.charts import STORED, draw, page, store, stored_results
 from benchmarks.work_precision.scenes import GOOD, SETTINGS, Level, Setting
-from benchmarks.work_precision.stored import STORED, store, stored_results
 from dynamics import Arm, Diverged, Model, Stepper, compile_arm, simulate
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.tracing import graphs
@@ -340,7 +339,7 @@ def main() -> None:
                 make_truth(setting)
         return
     if options.charts:
-        precision_charts.draw(stored_results(options.out), options.images)
+        draw(stored_results(options.out), options.images)
         return
     results = quick() if options.quick else run(chosen, options.jobs)
     if len(chosen) < len(SETTINGS) and options.out.exists():
@@ -348,10 +347,10 @@ def main() -> None:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.images.mkdir(parents=True, exist_ok=True)
     store(plain(results), options.out)
-    text = precision_charts.page(results)
+    text = page(results)
     options.out.with_name(f"{options.out.name.split('.')[0]}.md").write_text(text)
     print(text)
-    precision_charts.draw(results, options.images)
+    draw(results, options.images)
 
 
 def quick() -> dict[str, Any]:

@@ -170,7 +170,7 @@ def test_scenes_that_are_not_measured_stay_as_they_are_stored(
     arguments = ["", "--only", "S1", "--out", str(file), "--images", str(tmp_path)]
     monkeypatch.setattr("sys.argv", arguments)
     work_precision.main()
-    found = work_precision.stored_results(file)["scenes"]
+    found = precision_charts.stored_results(file)["scenes"]
     assert list(found) == ["S1", "S3"]
     assert found["S1"]["floor"] == pytest.approx(scene["floor"])
     assert found["S3"]["points"] == found["S1"]["points"]
