@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from dynamics.description.deflection import deflection, shortening
+from dynamics.description.rotations import from_rotation_vector, rotation_matrix
 from dynamics.formulations.link_constants import chain_constants, parts
 from dynamics.types import Array
 from flexarm_env.core import Core
@@ -379,11 +380,7 @@ def _evenly(line: Array, straight: Array) -> Array:
 
 def _rotation(theta: Array) -> Array:
     """Rotation matrix exp(theta~) of a rotation vector [rad]."""
-    angle = float(np.linalg.norm(theta))
-    T = np.array([[0, -theta[2], theta[1]], [theta[2], 0, -theta[0]], [-theta[1], theta[0], 0]])
-    if angle < 1e-12:
-        return np.eye(3) + T
-    return np.eye(3) + math.sin(angle) / angle * T + (1.0 - math.cos(angle)) / angle**2 * T @ T
+    return np.array(rotation_matrix(from_rotation_vector(theta)))
 
 
 def _disc(
