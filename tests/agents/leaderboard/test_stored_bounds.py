@@ -121,8 +121,8 @@ def test_only_episodes_without_a_bound_are_searched(
 ) -> None:
     searched, workers = [], []
 
-    def pool(jobs: int, mp_context: Any) -> ThreadPoolExecutor:
-        workers.append((jobs, mp_context.get_start_method()))
+    def pool(jobs: int) -> ThreadPoolExecutor:
+        workers.append(jobs)
         return ThreadPoolExecutor(jobs)
 
     def search(env_id: str, track: str, seed: int, before: Any) -> Any:
@@ -130,12 +130,12 @@ def test_only_episodes_without_a_bound_are_searched(
         searched.append((env_id, track, seed))
         return pushed(0.125 * seed), [0.25 * seed, np.inf]
 
-    monkeypatch.setattr(bound, "ProcessPoolExecutor", pool)
+    monkeypatch.setattr(bound, "workers", pool)
     monkeypatch.setattr(bound, "_searched", search)
     compute(REACH, "state", [3, 2])
     compute(REACH, "state", range(5), jobs=2)
     compute(REACH, "state", range(5))
-    assert workers == [(1, "spawn"), (2, "spawn"), (1, "spawn")]
+    assert workers == [1, 2, 1]
     assert sorted(searched) == [(REACH, "state", seed) for seed in range(5)]
     found = read(REACH, "state")
     assert found.seeds.tolist() == [0, 1, 2, 3, 4]
@@ -153,7 +153,7 @@ def test_a_search_again_starts_from_what_is_stored_too(
         assert before.tolist() == pushed(0.25).actions.tolist()
         return pushed(0.5), [3.0, 2.0, 1.0]
 
-    monkeypatch.setattr(bound, "ProcessPoolExecutor", lambda jobs, **_: ThreadPoolExecutor(jobs))
+    monkeypatch.setattr(bound, "workers", ThreadPoolExecutor)
     monkeypatch.setattr(bound, "_searched", search)
     add(REACH, "state", 1, pushed(0.25), [0.5, np.inf])
     assert bound.main(["--tasks", REACH, "--seed", "1", "--episodes", "2", "--again"]) == 0
@@ -171,7 +171,7 @@ def test_bounds_go_to_a_folder_of_ones_own(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Episodes that have a bound in the package are not searched."""
-    monkeypatch.setattr(bound, "ProcessPoolExecutor", lambda jobs, **_: ThreadPoolExecutor(jobs))
+    monkeypatch.setattr(bound, "workers", ThreadPoolExecutor)
     monkeypatch.setattr(bound, "_searched", lambda *given: (pushed(0.5), [1.0, 2.0]))
     add(REACH, "state", 1, pushed(0.25), [0.5, np.inf])
     own = ["--tasks", REACH, "--seed", "1", "--episodes", "2", "--out", str(tmp_path / "own")]
