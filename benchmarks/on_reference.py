@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import VectorObservationWrapper
 from scipy.stats import kendalltau
 
 from agents.leaderboard.run import built
@@ -32,27 +33,18 @@ SLOW = 1.0  # [ms] decisions of a controller that meets FEW episodes
 FEW = 8
 
 
-class Mirrored:
+class Mirrored(VectorObservationWrapper[Any, Any, Any, Any]):
     """A batch of the reference whose exact states are those of the default model."""
 
     def __init__(self, env_id: str, n_env: int, kwargs: Mapping[str, Any]) -> None:
-        self.own = make_batch(env_id, 1, kwargs).unwrapped.core
-        self.envs = make_batch(env_id, n_env, {**kwargs, "fidelity": "reference"})
-        self.unwrapped, self.num_envs = self.envs.unwrapped, n_env
+        envs = make_batch(env_id, n_env, {**kwargs, "fidelity": "reference"})
+        super().__init__(envs)
+        self.core, self.own = envs.unwrapped.core, make_batch(env_id, 1, kwargs).unwrapped.core
 
-    def reset(self, **given: Any) -> tuple[AnyArray, Any]:
-        """Reset of the reference."""
-        observation, info = self.envs.reset(**given)
-        return self._seen(observation), info
-
-    def step(self, action: AnyArray) -> tuple[Any, ...]:
-        """Step of the reference."""
-        observation, *rest = self.envs.step(action)
-        return self._seen(observation), *rest
-
-    def _seen(self, observation: AnyArray) -> AnyArray:
-        core, layout = self.unwrapped.core, self.own.layout
-        result = np.zeros((self.num_envs, layout.size), np.float32)
+    def observations(self, observation: AnyArray) -> AnyArray:
+        """(n_env, size) observations with the amplitudes of the default model."""
+        core, layout = self.core, self.own.layout
+        result = np.zeros((len(observation), layout.size), np.float32)
         bent = dict(
             zip(("modal_amplitude", "modal_rate"),
                 transferred(core.q, core.v, core.arm, self.own.arm), strict=True)

@@ -105,6 +105,7 @@ EVENING = {  # long files, of quick ones what compiles; .ci/run takes them after
     "benchmarks/test_gpu.py",
     "benchmarks/test_knowledge.py",
     "benchmarks/test_learning.py",
+    "benchmarks/test_on_reference.py",
     "benchmarks/test_operations.py",
     "benchmarks/test_paper.py",
     "benchmarks/test_results.py",
