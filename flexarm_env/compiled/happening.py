@@ -66,7 +66,8 @@ class Happening:
             return s["centre"]
         jump = _signed(s["event_size"], s["event_sign"])
         off = s["centre"] - ca.DM(home_posture(self._n))
-        inside = 1.0 - 2.0 * (ca.fabs(off + jump) > EXTENT)
+        farthest = ca.fmax(EXTENT, ca.fabs(off))  # a target of the user's own may be beyond
+        inside = 1.0 - 2.0 * (ca.fabs(off + jump) > farthest)
         return s["centre"] + self.happened(s) * inside * jump
 
     def slots(self, model: Model) -> dict[str, int]:

@@ -126,6 +126,16 @@ def test_targets_jump_within_the_range_of_the_tasks() -> None:
     assert (np.abs((jump > 0.0).mean(axis=0) - 0.5) < 0.1).all()
 
 
+def test_targets_beyond_the_range_of_the_tasks_jump_towards_it() -> None:
+    core = Core(task="Reach", arm="slim", n_env=20, event="jump")
+    for row in range(20):
+        core.seed(row, np.random.default_rng(row))
+    core.reset(np.arange(20), {"target": np.repeat([[2.0], [-2.0]], 10, axis=0)})
+    while not core.step(np.zeros((20, 1), np.float32))[0].described()["event"].all():
+        pass
+    assert (np.abs(core.joint_target()) < 1.7 + 1e-12).all()
+
+
 @pytest.mark.parametrize("event", EVENTS)
 def test_no_observation_shows_an_event_ahead(event: str) -> None:
     """Nor, of a drop, anything but its effect on the motion."""
