@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from dynamics.description import validate
 from dynamics.description.arm import Arm
+from flexarm_env.task.scales import EXTENT
 
 Range = tuple[float, float]
 PAYLOAD = "payload_mass"
@@ -36,8 +37,9 @@ EVENTS = {
     ),
     "jump": Event(
         text=(
-            f"The target angle of every joint jumps by {_JUMP[0]:g} to {_JUMP[1]:g} rad, either "
-            "way; back where it would leave the range of the tasks"
+            "The target angle of every joint, in Track the centre of its path, jumps by "
+            f"{_JUMP[0]:g} to {_JUMP[1]:g} rad, either way; back where it would be more than "
+            f"{EXTENT:g} rad from the home posture"
         ),
         size=_JUMP,
     ),
