@@ -285,9 +285,10 @@ def save_gif(
     seconds: float = GIF_SECONDS_PER_FRAME,
     colours: int = 128,
 ) -> None:
-    """Write pictures of one size as a looping GIF, `seconds` [s] per frame.
+    """Write pictures of one size as a looping GIF, `seconds` [s] per frame on average.
 
-    A frame holds what has changed alone.
+    A frame holds what has changed alone. GIF counts time in hundredths of a second: every frame
+    ends at the nearest one.
     """
     palette = film_palette(images, colours - 1)
     none = Image.Dither.NONE
@@ -297,12 +298,13 @@ def save_gif(
     changes = [np.where(now == before, same, now) for before, now in pairwise(frames)]
     levels = (palette.getpalette() or [])[: 3 * colours]
     first, *others = (_framed(numbers, levels) for numbers in (frames[0], *changes))
+    ends = np.rint(100.0 * seconds * np.arange(len(frames) + 1)).astype(int)
     with atomic_write(path) as temporary:
         first.save(
             temporary,
             save_all=True,
             append_images=others,
-            duration=round(1000 * seconds),
+            duration=(10 * np.diff(ends)).tolist(),  # [ms]
             loop=0,
             optimize=False,
             transparency=same,
