@@ -9,6 +9,7 @@ import numpy as np
 from agents.hybrid.controller import KEY
 from agents.policy import Policy, PolicyError
 from dynamics.description import validate
+from dynamics.description.arm import Arm
 from dynamics.types import Array
 from flexarm_env.accuracy.table import sentence
 from flexarm_env.core import Core
@@ -31,6 +32,7 @@ class Signals:
     accuracy: str  # the certificate in words, or why there is none
     inputs: Layout
     of: tuple[str, ...]  # joints, links or axes of each part of the inputs
+    driven: tuple[str, ...]  # (m,) what each output drives: a joint, the floating base
     largest: Array  # (m,) outputs at action 1
     units: tuple[str, ...]  # (m,) of the outputs
 
@@ -50,14 +52,21 @@ class Signals:
     def output_rows(self) -> list[tuple[str, ...]]:
         """COLUMNS of the outputs."""
         return [
-            (f"{j}", self.output, f"joint {j + 1}", unit, f"at most {most:.6g}")
-            for j, (most, unit) in enumerate(zip(self.largest.tolist(), self.units, strict=True))
+            (f"{j}", self.output, of, unit, f"at most {most:.6g}")
+            for j, (of, most, unit) in enumerate(
+                zip(self.driven, self.largest.tolist(), self.units, strict=True)
+            )
         ]
 
 
 def span(at: slice) -> str:
     """First and last index of a slice."""
     return f"{at.start}" if at.stop == at.start + 1 else f"{at.start} to {at.stop - 1}"
+
+
+def driven(arm: Arm) -> tuple[str, ...]:
+    """(n_torque,) what each torque acts on."""
+    return (*(f"joint {j + 1}" for j in range(arm.n_joint)), *["base"] * arm.base.driven)
 
 
 def _accuracy(core: Core) -> str:
@@ -70,7 +79,8 @@ def _accuracy(core: Core) -> str:
 def signals_of(policy: Policy, env_id: str, core: Core) -> Signals:
     """Inputs and outputs of a policy on its environment; raises PolicyError if it needs more."""
     refuse_base(policy.about)
-    actuation = core.actuation
+    commands = core.actuation.command if core.actuation else ()
+    units = [x.unit for x in core.actuation.laws] if core.actuation else []
     parts = tuple(part for part in core.layout.parts if part.name != OWN)
     found = Signals(
         env_id=env_id,
@@ -79,8 +89,9 @@ def signals_of(policy: Policy, env_id: str, core: Core) -> Signals:
         accuracy=_accuracy(core),
         inputs=Layout(parts),
         of=tuple(components(core, part) for part in parts),
-        largest=np.array(actuation.command if actuation else core.torque_limit, float),
-        units=tuple(x.unit for x in actuation.laws) if actuation else ("N m",) * core.arm.n_torque,
+        driven=driven(core.arm),
+        largest=np.append(commands, core.torque_limit[len(commands) :]),
+        units=(*units, *("N m",) * (core.arm.n_torque - len(units))),
     )
     outputs, size = policy.layer_sizes[-1], found.inputs.size + found.largest.size
     if (policy.n_observation, outputs) != (size, found.largest.size):

@@ -3,6 +3,7 @@
 import math
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -169,3 +170,16 @@ def test_the_header_states_what_goes_in_and_out() -> None:
         "POLICY_ROOT_CURVATURE = 2,",
     ):
         assert words in text
+
+
+@pytest.mark.parametrize("actuator", [None, "quanser-servo"])
+def test_the_last_output_of_a_driven_base_is_its_torque(actuator: str | None) -> None:
+    kwargs = {"base_torque": 2.0, "actuator": actuator}
+    core = make_batch("FlexArm/FreeFlyer-Reach-v0", 1, kwargs).unwrapped.core
+    layer = {"weights": (np.zeros((3, core.layout.size)),), "biases": (np.zeros(3),)}
+    bound = np.ones(core.layout.size)
+    policy = replace(policy_of("tanh"), observation_low=-bound, observation_high=bound, **layer)
+    rows = signals_of(policy, "FlexArm/FreeFlyer-Reach-v0", core).output_rows()
+    assert [row[2] for row in rows] == ["joint 1", "joint 2", "base"]
+    assert rows[0][-2:] == (("V", "at most 10") if actuator else ("N m", "at most 1.1"))
+    assert rows[2][-2:] == ("N m", "at most 2")
