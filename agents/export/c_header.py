@@ -63,7 +63,7 @@ START = """\
 /* Forget what went before: an episode begins. */
 static inline void NAME_start(NAME_memory *memory)
 {
-    static const NAME_memory empty; /* all zeros */
+    static NAME_memory empty; /* all zeros; C++ takes no const without an initializer */
     *memory = empty;
 }
 """

@@ -146,6 +146,15 @@ def test_the_loop_of_the_page_turns_counts_into_the_torques_of_the_environment(
     np.testing.assert_allclose([float(x) for x in found], expected, atol=1e-6, rtol=0.0)
 
 
+@pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")
+def test_a_header_is_c_plus_plus_too(tmp_path: Path) -> None:
+    policy = policy_of("recurrent-stacked")
+    (tmp_path / "policy.h").write_text(header(policy, signals(policy), "policy"))
+    (tmp_path / "main.cpp").write_text(MAIN)
+    command = ["c++", *STRICT[1:], "-fsyntax-only", str(tmp_path / "main.cpp")]
+    subprocess.run(command, check=True)
+
+
 def test_a_reading_that_is_not_a_number_gives_no_torque_and_is_forgotten(tmp_path: Path) -> None:
     policy, rows = policy_of("stacked"), readings()[:8]
     with_gap = np.insert(rows, 4, [0.1, np.nan, 0.1], axis=0)
