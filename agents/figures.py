@@ -123,13 +123,12 @@ def _entitle(axes: Any, title: str) -> None:
 
 
 def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str) -> None:
-    """Plot tip error (median, 10 to 90 % of episodes) and the first episode's root curvature."""
+    """Plot tip error (`error_band`) and the first episode's root curvature."""
     figure = new_figure(8.0, 5.6)
     error, curvature = figure.subplots(2, 1, sharex=True)
     for i, (name, r) in enumerate(recordings.items()):
         colour = COLOURS[i % len(COLOURS)]
-        percent = np.maximum(100.0 * r.tip_error / r.reach, 1e-3)
-        low, middle, high = np.nanquantile(percent, (0.1, 0.5, 0.9), axis=1)
+        low, middle, high = error_band(r)
         error.plot(r.time, middle, color=colour, linewidth=1.6, label=name)
         error.fill_between(r.time, low, high, color=colour, alpha=0.15, linewidth=0.0)
         worst = np.nanargmax(np.nanmax(np.abs(r.root_curvature[:, 0]), axis=0))
@@ -148,6 +147,16 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
     for axes in (error, curvature):
         tidy(axes)
     save_figure(figure, path)
+
+
+def error_band(recording: Recording) -> AnyArray:
+    """(3, T) [% of reach] tip error below which 10, 50 and 90 % of the episodes are.
+
+    That of an episode that has failed is infinite; a share that is not finite is not drawn.
+    """
+    percent = np.maximum(100.0 * recording.tip_error / recording.reach, 1e-3)
+    percent[np.isnan(percent)] = np.inf
+    return np.quantile(percent, (0.1, 0.5, 0.9), axis=1, method="inverted_cdf")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from agents.figures import (
     GIF_HEIGHT,
     Film,
     draw_strips,
+    error_band,
     save_gif,
     steps_per_frame,
     write_gif,
@@ -62,6 +63,21 @@ def test_film_and_cursor_of_a_comparison_end_with_the_episode(
         assert sum(shown[:-1]) == pytest.approx(1000 * time[-1], abs=5.0)  # [ms], half a hundredth
         last: Any = film.convert("RGB").getpixel((to_pixel(time[-1]), film.height - 1))
     assert max(last) < 100
+
+
+def test_bands_of_the_tip_error_count_episodes_that_have_failed() -> None:
+    """Else the few that are left would stand for all."""
+    error = np.full((3, 11), 0.1)  # [m]
+    error[1:, 0] = error[2:, 1:7] = np.nan  # one fails, then six more
+    ones = np.ones((3, 11, 1))
+    failing = Recording(
+        time=np.arange(3.0), tip_error=error, tip_deflection=error, root_curvature=ones,
+        torque=ones, action=ones, failed=np.isnan(error[-1]), reach=1.0, duration=2.0, moving=False,
+    )  # fmt: skip
+    low, middle, high = np.isfinite(error_band(failing))
+    assert low.tolist() == [True, True, True]
+    assert middle.tolist() == [True, True, False]
+    assert high.tolist() == [True, True, False]
 
 
 def test_an_unknown_id_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
