@@ -17,6 +17,7 @@ from agents.metrics import make_batch
 from agents.replay import TEMPLATE, bending, replay, spectrum, write_replay
 
 KWARGS = {"max_episode_steps": 30}
+NODE = shutil.which("node")
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
@@ -77,6 +78,16 @@ def test_the_page_holds_the_data_and_loads_nothing(recorded: Film, tmp_path: Pat
     assert page.count("<script") == TEMPLATE.read_text(encoding="utf-8").count("<script") == 2
     assert not re.search(r"(src|href)\s*=|https?:|@import|fetch\(|innerHTML", page)
     assert len(page) < 120_000
+
+
+@pytest.mark.skipif(NODE is None, reason="needs node")
+def test_an_axis_has_a_mark_at_zero() -> None:
+    """Sums of -0.6 and steps of 0.2 pass it at -6e-17."""
+    function = re.search(r"^function ticks.*?^}", TEMPLATE.read_text(encoding="utf-8"), re.S | re.M)
+    assert function is not None
+    asked = f"{function.group()} console.log(JSON.stringify(ticks(-0.66, 0.09, 4)))"
+    ran = subprocess.run([str(NODE), "-e", asked], capture_output=True, text=True, check=True)
+    assert json.loads(ran.stdout) == [-0.6, -0.4, -0.2, 0.0]
 
 
 @pytest.mark.slow
