@@ -80,14 +80,32 @@ def test_the_page_holds_the_data_and_loads_nothing(recorded: Film, tmp_path: Pat
     assert len(page) < 120_000
 
 
+def printed(name: str, before: str, after: str) -> Any:
+    """What JavaScript prints that has a function of the page between two texts."""
+    page = TEMPLATE.read_text(encoding="utf-8")
+    function = re.search(rf"^function {name}\(.*?^}}", page, re.S | re.M)
+    assert function is not None
+    program = f"{before}\n{function.group()}\nconsole.log(JSON.stringify({after}))"
+    ran = subprocess.run([str(NODE), "-e", program], capture_output=True, text=True, check=True)
+    return json.loads(ran.stdout)
+
+
 @pytest.mark.skipif(NODE is None, reason="needs node")
 def test_an_axis_has_a_mark_at_zero() -> None:
     """Sums of -0.6 and steps of 0.2 pass it at -6e-17."""
-    function = re.search(r"^function ticks.*?^}", TEMPLATE.read_text(encoding="utf-8"), re.S | re.M)
-    assert function is not None
-    asked = f"{function.group()} console.log(JSON.stringify(ticks(-0.66, 0.09, 4)))"
-    ran = subprocess.run([str(NODE), "-e", asked], capture_output=True, text=True, check=True)
-    assert json.loads(ran.stdout) == [-0.6, -0.4, -0.2, 0.0]
+    assert printed("ticks", "", "ticks(-0.66, 0.09, 4)") == [-0.6, -0.4, -0.2, 0.0]
+
+
+@pytest.mark.skipif(NODE is None, reason="needs node")
+@pytest.mark.parametrize("speed", [1.0, 0.25])
+def test_a_replay_plays_at_its_speed(speed: float) -> None:
+    """Three seconds at 60 pictures per second, of a motion of ten seconds."""
+    before = f"""
+    const data = {{ dt: 0.02 }}, steps = 501, byId = () => ({{ value: {speed} }});
+    const draw = () => {{}}, requestAnimationFrame = () => {{}};
+    let now = 0, playing = true, before = null;"""
+    shown = "(() => { for (let k = 0; k <= 180; k++) tick(1000 * k / 60); return now; })()"
+    assert abs(printed("tick", before, shown) - 150 * speed) <= 1
 
 
 @pytest.mark.slow
