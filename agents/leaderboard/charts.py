@@ -5,6 +5,7 @@ place or the marker tells controllers apart. No two controllers share a marker a
 """
 
 import math
+import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from itertools import chain
@@ -25,6 +26,7 @@ from flexarm_env import IDS, TASKS
 
 Results = Mapping[str, Mapping[str, Mapping[str, Entry]]]  # by task, track and controller
 
+LETTERS = 9.5  # of a label in an inch
 TRACK_LOOKS = {  # colour, marker and place
     "state": (COLOURS[0], "o", 0.27),
     "laboratory": (COLOURS[1], "s", 0.09),
@@ -83,7 +85,7 @@ def scores(results: Results) -> Figure:
         axis.set_yticks(range(len(names)), names)
         axis.set(xlim=(-0.02, 1.0), ylim=(-0.7, len(names) - 0.3))
     legend(figure, track_handles(results))
-    figure.supxlabel("score: mean of the middle half of the test episodes, 95 % interval")
+    entitle_axes(figure, "score: mean of the middle half of the test episodes, 95 % interval")
     return figure
 
 
@@ -100,8 +102,7 @@ def profiles(results: Results, track: str) -> Figure:
             axis.fill_between(LEVELS, low, high, color=colour, alpha=0.15, linewidth=0.0)
         axis.set(xlim=(0.0, 1.0), ylim=(-0.02, 1.02))
     legend(figure, handles_of(axes))
-    figure.supxlabel(f"score, {track}; 95 % bands")
-    figure.supylabel("share of episodes above")
+    entitle_axes(figure, f"score, {track}; 95 % bands", "share of episodes above")
     return figure
 
 
@@ -116,8 +117,10 @@ def regrets(results: Results) -> Figure:
     for axis, (env_id, track) in zip(axes, shown, strict=True):
         drawn = excess_points if is_moving(env_id) else regret_bars
         drawn(axis, results[env_id][track], TRACK_LOOKS[track][0])
-    figure.supxlabel(
-        "regret: settling time over the best known, less 1; excess: RMS tip error less the smallest"
+    entitle_axes(
+        figure,
+        "regret: settling time over the best known, less 1; "
+        "excess: RMS tip error less the smallest",
     )
     return figure
 
@@ -189,8 +192,7 @@ def settling(results: Results) -> Figure:
     for handle in tracks.values():
         handle.set_marker("")  # a marker stands for a controller
     legend(figure, tracks | markers)
-    figure.supxlabel("settling time [s]: median and quartiles")
-    figure.supylabel("residual vibration [mm]")
+    entitle_axes(figure, "settling time [s]: median and quartiles", "residual vibration [mm]")
     return figure
 
 
@@ -211,8 +213,11 @@ def spectra(results: Results, track: str) -> Figure:
                 axis.plot(frequency, np.sqrt(density), markevery=every, label=name, **looks[name])
         axis.set_yscale("log")
     legend(figure, handles_of(axes))
-    figure.supxlabel(f"frequency [Hz], {track}; from where the tip first reached the target")
-    figure.supylabel("curvature [1/m/√Hz]")
+    entitle_axes(
+        figure,
+        f"frequency [Hz], {track}; from where the tip first reached the target",
+        "curvature [1/m/√Hz]",
+    )
     return figure
 
 
@@ -236,8 +241,11 @@ def decisions(results: Results) -> Figure:
     )
     handles["control step"] = black(linewidth=1.0, linestyle=":")
     legend(figure, handles)
-    figure.supxlabel("decision [ms], from the median to the 99 % time")
-    figure.supylabel("score: mean of the middle half of the test episodes")
+    entitle_axes(
+        figure,
+        "decision [ms], from the median to the 99 % time",
+        "score: mean of the middle half of the test episodes",
+    )
     return figure
 
 
@@ -296,6 +304,14 @@ def panels(titles: list[str], height: float = 3.2) -> tuple[Figure, list[Any]]:
     for axis in axes[len(titles) :]:
         axis.set_axis_off()
     return figure, axes[: len(titles)]
+
+
+def entitle_axes(figure: Figure, x: str, y: str = "") -> None:
+    """Labels of the axes of all panels, on as many lines as the figure needs."""
+    width, height = (round(LETTERS * inches) for inches in figure.get_size_inches())
+    figure.supxlabel(textwrap.fill(x, width))
+    if y:
+        figure.supylabel(textwrap.fill(y, height))
 
 
 def looks_of(results: Results) -> dict[str, dict[str, Any]]:

@@ -184,6 +184,17 @@ def test_slow_controllers_are_hollow_in_the_picture_of_decisions() -> None:
     assert [line.get_markerfacecolor() == "white" for line in points] == [False, True]
 
 
+def test_labels_of_axes_are_within_pictures_of_one_task(results: Any) -> None:
+    """The page of controllers ranks one task."""
+    for name, draw in charts.pictures({REACH: results[REACH]}).items():
+        figure = draw()
+        figure.canvas.draw()
+        for text in figure.texts:
+            (low, high), whole = text.get_window_extent().get_points(), figure.bbox.size
+            assert (low >= 0.0).all(), name
+            assert (high <= whole).all(), name
+
+
 def test_pictures_show_what_there_is(results: Any) -> None:
     """No idle controllers, no spectrum of few episodes, no point of a controller that fails."""
     drawn = {name: draw() for name, draw in charts.pictures(results).items()}
