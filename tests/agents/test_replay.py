@@ -81,7 +81,7 @@ def test_the_page_holds_the_data_and_loads_nothing(recorded: Film, tmp_path: Pat
 
 
 def printed(name: str, before: str, after: str) -> Any:
-    """What JavaScript prints that has a function of the page between two texts."""
+    """Output of a program in JavaScript with a function of the page between two texts."""
     page = TEMPLATE.read_text(encoding="utf-8")
     function = re.search(rf"^function {name}\(.*?^}}", page, re.S | re.M)
     assert function is not None
