@@ -18,7 +18,7 @@ from agents.leaderboard.run import built
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch, record
 from dynamics.types import AnyArray
-from flexarm_env.accuracy.motions import LEVELS, RECORDED
+from flexarm_env.accuracy.motions import AGILE, LEVELS, RECORDED
 from flexarm_env.certify.certificate import EPISODES
 
 RANKING = Path("docs/results/leaderboard.json")
@@ -59,7 +59,7 @@ def write(folder: Path, env_id: str, names: Mapping[str, str]) -> Path:
         found = recorded(env_id, name)
         values |= {f"{kind}_{key}": array for key, array in found.items()}
         values[f"{kind}_name"] = np.array(name)
-    path = folder / f"{core.arm.name}{'-agile' * env_id.endswith('Agile-v0')}.npz"
+    path = folder / f"{core.arm.name}{AGILE * env_id.endswith('Agile-v0')}.npz"
     np.savez_compressed(path, **values)  # type: ignore[arg-type]
     return path
 

@@ -78,6 +78,7 @@ KINDS = {
 RECORDED = (
     Path(__file__).parents[1] / "certify" / "recorded"
 )  # by `python -m agents.leaderboard.recorded`
+AGILE = "-agile"  # ends the name of a recording at agile torques
 LEVELS = 127  # of a recorded action, from 0 to 1
 
 
@@ -91,7 +92,9 @@ class Recorded:
 
 def recorded(arm: str, torque_limit: Array) -> dict[str, Recorded]:
     """Recorded episodes by kind, for the name of an arm and its torque limits [N m]."""
-    for path in sorted(RECORDED.glob(f"{arm}*.npz")):
+    for path in sorted(RECORDED.glob("*.npz")):
+        if path.stem not in (arm, f"{arm}{AGILE}"):
+            continue
         with np.load(path) as file:
             limit = file["torque_limit"]
             if limit.shape == torque_limit.shape and np.allclose(limit, torque_limit):

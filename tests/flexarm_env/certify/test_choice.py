@@ -13,7 +13,7 @@ from dynamics import Arm, load_arm
 from dynamics.accuracy.fidelity import everything, rigid
 from dynamics.accuracy.progress import Progress
 from flexarm_env.accuracy.certificates import fit
-from flexarm_env.accuracy.motions import KINDS, bang_bang, held, sines, white
+from flexarm_env.accuracy.motions import KINDS, bang_bang, held, recorded, sines, white
 from flexarm_env.accuracy.scene import scene
 from flexarm_env.certify import choice
 from flexarm_env.certify.certificate import Certifier
@@ -163,6 +163,13 @@ def test_actions_of_a_kind_are_within_their_limits_and_differ_between_episodes(n
     assert found.shape == (100, 6, 2)
     assert 0.3 < np.abs(found).max() <= 1.0
     assert (np.std(found[:, :, 0], axis=1).max()) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "count"), [("slim", 2), ("sl", 0), ("", 0), ("/own", 0), ("**", 0)]
+)
+def test_recordings_are_those_of_an_arm_of_this_very_name(name: str, count: int) -> None:
+    assert len(recorded(name, np.array([0.95]))) == count
 
 
 def test_times_of_the_kinds_are_in_periods() -> None:
