@@ -63,6 +63,10 @@ class Certifier:
     keywords : of the environment, as those of `core.Core`; fidelity and steps are chosen here.
     steps : control steps of an episode.
 
+    Raises
+    ------
+    ValueError : where every episode of a kind ends at once.
+
     Attributes
     ----------
     model : the arm as it is stepped, rotors of actuators included.
@@ -87,6 +91,18 @@ class Certifier:
         self.reference = self._converged(reference(arm))
         self.line.stage("model")
         self._own = self._converged("auto")
+        self._refuse_ended()
+
+    def _refuse_ended(self) -> None:
+        """Refuse a kind whose episodes all end at once: their errors would be zero."""
+        found = self.model_error()
+        for kind in dict.fromkeys(found.kinds):
+            if np.isnan(found.of(kind)).all():
+                raise ValueError(
+                    f"Errors cannot be measured: every episode of kind {kind!r} ends in its first "
+                    f"control step of {self.control_dt:g} s, as links bend too far. Give a larger "
+                    "deflection_limit, smaller torques, or a stiffer arm."
+                )
 
     def model_error(self) -> Distances:
         """Distances of the model, with fine steps, from the reference."""

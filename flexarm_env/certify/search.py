@@ -34,6 +34,7 @@ MOST_WORK = 3.0  # evaluations over the fewest of the methods before
 BATCH = 1024  # environments that are timed together
 TIMED = 500  # timing rounds, a second of each method: the choice must not depend on disturbances
 TIME_PER_DECADE = 0.1  # relative increase of CPU time that is accepted for a tenth of the error
+EXACT = 1e-9  # [of the reach] errors below are alike: round-off, or none
 
 Step = dict[str, Any]  # integrator, substeps, error [of the reach], seconds
 
@@ -132,6 +133,6 @@ def best_first(steps: list[Step]) -> list[Step]:
     """Sort by CPU time, corrected for the error by TIME_PER_DECADE."""
 
     def cost(step: Step) -> float:
-        return math.log(step["seconds"]) + TIME_PER_DECADE * math.log10(step["error"])
+        return math.log(step["seconds"]) + TIME_PER_DECADE * math.log10(max(EXACT, step["error"]))
 
     return sorted(steps, key=cost)

@@ -137,6 +137,14 @@ def test_the_largest_deflection_limit_of_an_environment_is_that_of_wider_models_
     assert certifier._core("auto", "rk4", 4, 1, WIDER).settings.deflection_limit == 1.0
 
 
+def test_episodes_that_all_end_at_once_have_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would be zero."""
+    ended = Trace(np.zeros((10, 4, 3)), np.zeros((10, 4), bool), np.zeros(4, bool))
+    monkeypatch.setattr(Certifier, "_converged", lambda *_: ended)
+    with pytest.raises(ValueError, match="every episode of kind 'held' ends in its first"):
+        Certifier(load_arm("slim"), {"control_dt": 0.02}, 10, kinds=("held",), count=4)
+
+
 def test_what_diverges_in_one_model_alone_has_an_infinite_error() -> None:
     tips, whole = np.zeros((3, 4, 3)), np.ones((3, 4), dtype=bool)
     kinds = tuple(KINDS)[:1] * 4

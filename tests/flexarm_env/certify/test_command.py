@@ -214,3 +214,6 @@ def test_a_tenth_of_the_error_may_cost_a_tenth_more_time() -> None:
     accurate = {"seconds": 0.99 * math.exp(2.0 * TIME_PER_DECADE), "error": 1e-5}
     slow = {"seconds": 1.01 * math.exp(2.0 * TIME_PER_DECADE), "error": 1e-5}
     assert best_first([slow, fast, accurate]) == [accurate, fast, slow]
+    rounded = {"seconds": 0.9, "error": 3e-16}  # of rigid links
+    exact = {"seconds": 1.0, "error": 0.0}
+    assert best_first([exact, rounded]) == [rounded, exact]
