@@ -164,7 +164,7 @@ def plan(
     if entry and not part and by_step(entry["certificate"], control_dt, name, count):
         certificate = entry["certificate"]
     else:
-        uncertified = _uncertified(measured, conditions, entry, part)
+        uncertified = _uncertified(measured, conditions, entry, part, control_dt)
     fitted_arm = fitted.arm
     if base_torque is not None:
         fitted_arm = replace(fitted_arm, base=replace(fitted_arm.base, driven=True))
@@ -253,13 +253,18 @@ def warn_of_gravity(plant: Plant, ranges: Ranges, deflection_limit: float) -> No
 
 
 def _uncertified(
-    measured: Sequence[Entry], conditions: Conditions, entry: Entry | None, part: str | None
+    measured: Sequence[Entry],
+    conditions: Conditions,
+    entry: Entry | None,
+    part: str | None,
+    control_dt: float,
 ) -> str:
     """Sentence that says why no certificate holds for an environment, and the remedy."""
-    remedy = "measure them with `flexarm certify`, or give a tolerance."
     if not measured:
         return (
-            f"No certificate holds: errors of this arm and control_dt were never measured; {remedy}"
+            f"No certificate holds: errors of this arm at a control_dt of {control_dt:g} s were "
+            f"never measured; measure them with `flexarm certify ARM --control-dt {control_dt:g}`, "
+            "or give a tolerance."
         )
     if entry and not part:
         return (

@@ -28,6 +28,7 @@ from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import STORE, Entry, Fitted, fit, keep
 from flexarm_env.accuracy.table import accuracy
 from flexarm_env.certify.certificate import EPISODES, Certifier
+from flexarm_env.certify.choice import LENGTH
 from flexarm_env.certify.search import (
     MOST_STEPS,
     TIP_ERROR,
@@ -42,7 +43,6 @@ from flexarm_env.task.scales import scales
 
 PERIOD_SHARE = 0.15  # [-] control step over the first joint-free period of an own arm
 ROUND = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)  # [s] its control step
-OWN_STEPS = 150  # control steps of its episodes
 STEP = ("integrator", "substeps")
 # steps of ids with an event, which are older than the measurement of its errors
 FROZEN: dict[str, dict[str, Any]] = {"drop": {"integrator": "exponential-4", "substeps": 2}}
@@ -116,7 +116,7 @@ def described(
         keywords = {key: spec[key] for key in KEYWORDS if key in spec}
         source = spec["arm"]
     arm = load_arm(source)
-    dt, steps = known.get(source, (None, OWN_STEPS))
+    dt, steps = known.get(source, (None, LENGTH))
     if control_dt is not None or dt is None:
         dt = default_control_dt(arm) if control_dt is None else control_dt
     dt = arguments.within("--control-dt", dt, *arguments.CONTROL_DT, "s")
@@ -203,7 +203,7 @@ def main(given: list[str] | None = None, prog: str = "python -m flexarm_env.cert
                 _report(f"{source}: {EPISODES} episodes of each kind, control step {dt:g} s")
                 found = entry(fitted, dt, steps, keywords, line)
                 keep(_with_motors(fitted.arm, keywords), dt, found)
-                print(f"# {source}, control step {dt:g} s\n")
+                print(f"# {source}, {steps} control steps of {dt:g} s\n")
                 print(accuracy(found, command(source, changes, options.control_dt)))
     except (ValueError, TypeError, RuntimeError) as error:
         _report(f"{prog.removeprefix('python -m ')}: {' '.join(str(error).split())}")

@@ -17,6 +17,7 @@ from flexarm_env.accuracy.motions import KINDS, bang_bang, held, recorded, sines
 from flexarm_env.accuracy.scene import scene
 from flexarm_env.certify import choice
 from flexarm_env.certify.certificate import Certifier
+from flexarm_env.certify.run import described
 from flexarm_env.registration import IDS
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
@@ -47,9 +48,12 @@ def searching(monkeypatch: pytest.MonkeyPatch, errors: dict[float, float]) -> li
     return wanted
 
 
-def test_episodes_of_a_search_are_as_long_as_those_of_any_id() -> None:
-    """Errors grow in time: of two links eightfold from 150 to 240 control steps."""
-    assert max(spec["max_episode_steps"] for spec in IDS.values()) <= choice.LENGTH
+def test_episodes_of_a_search_and_of_own_arms_are_as_long_as_those_of_any_id() -> None:
+    """Errors grow in time: of two links eightfold, of one twofold from 150 to 240 steps."""
+    longest = max(spec["max_episode_steps"] for spec in IDS.values())
+    assert longest <= choice.LENGTH
+    _, _, steps, _ = described("korayem-two-link", None, {})
+    assert longest <= steps
 
 
 def test_the_best_of_what_misses_a_tolerance_is_taken_with_a_warning(

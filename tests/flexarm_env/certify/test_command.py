@@ -82,7 +82,9 @@ def test_an_environment_finds_what_the_command_measured(
     path.write_text(json.dumps(OWN))
     keywords: Any = {"arm": str(path), "control_dt": 0.02, "deflection_limit": 0.05}
     before: Any = gym.make("FlexArm/OneLink-Reach-v0", **keywords).unwrapped
-    assert "never measured" in before.uncertified
+    assert "never measured; measure them with `flexarm certify ARM --control-dt 0.02`" in (
+        before.uncertified
+    )
 
     step = ["--set", "integrator=exponential-2", "--set", "substeps=1"]
     given = [str(path), "--control-dt", "0.02", "--set", "deflection_limit=0.05"]
