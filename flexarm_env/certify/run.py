@@ -13,6 +13,7 @@ certificates.json, from which ids take their steps. Run nothing else on the mach
 import argparse
 import json
 import math
+import shlex
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
@@ -148,10 +149,11 @@ def measure_all(line: Progress, only: str = ALL) -> None:
 
 
 def command(source: str, keywords: Mapping[str, Any], control_dt: float | None = None) -> str:
-    """The command that measures an entry again."""
-    given = "".join(f" --set {key}={json.dumps(value)}" for key, value in keywords.items())
+    """The command that measures an entry again, as a shell takes it."""
+    texts = {key: x if isinstance(x, str) else json.dumps(x) for key, x in keywords.items()}
+    given = "".join(f" --set {shlex.quote(f'{key}={text}')}" for key, text in texts.items())
     dt = "" if control_dt is None else f" --control-dt {control_dt:g}"
-    return f"flexarm certify {source}{dt}{given}"
+    return f"flexarm certify {shlex.quote(source)}{dt}{given}"
 
 
 def setting(text: str) -> tuple[str, Any]:

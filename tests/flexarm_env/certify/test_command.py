@@ -2,6 +2,7 @@
 
 import json
 import math
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -68,7 +69,14 @@ def test_keywords_of_an_id_and_of_the_command_are_measured(
     assert (dt, steps) == SCENES["OneLink"][1:]
     wanted = {"torque_limit": (3.0,), "hardware": "laboratory", "deflection_limit": 0.05}
     assert keywords == wanted
-    assert '--set hardware="laboratory"' in capsys.readouterr().out
+    assert "--set hardware=laboratory" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("hardware", ["laboratory", {"preset": "laboratory", "delay": [0, 1]}])
+def test_the_printed_command_is_one_for_a_shell(hardware: Any) -> None:
+    words = shlex.split(command.command("my arm.yaml", {"hardware": hardware}, 0.02))
+    assert words[:-1] == ["flexarm", "certify", "my arm.yaml", "--control-dt", "0.02", "--set"]
+    assert command.setting(words[-1]) == ("hardware", hardware)
 
 
 def test_an_environment_finds_what_the_command_measured(
