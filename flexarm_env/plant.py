@@ -164,7 +164,7 @@ def plan(
     if entry and not part and by_step(entry["certificate"], control_dt, name, count):
         certificate = entry["certificate"]
     else:
-        uncertified = _uncertified(measured, conditions, entry, part, control_dt)
+        uncertified = _uncertified(measured, conditions, entry, part, control_dt, fidelity)
     fitted_arm = fitted.arm
     if base_torque is not None:
         fitted_arm = replace(fitted_arm, base=replace(fitted_arm.base, driven=True))
@@ -258,8 +258,14 @@ def _uncertified(
     entry: Entry | None,
     part: str | None,
     control_dt: float,
+    fidelity: str,
 ) -> str:
     """Sentence that says why no certificate holds for an environment, and the remedy."""
+    if not measured and fidelity != "auto":
+        return (
+            f"No certificate holds for fidelity={fidelity!r}: `flexarm certify` measures the model "
+            "that an environment has without this keyword."
+        )
     if not measured:
         return (
             f"No certificate holds: errors of this arm at a control_dt of {control_dt:g} s were "

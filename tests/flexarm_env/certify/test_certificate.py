@@ -186,6 +186,7 @@ def test_an_entry_covers_what_it_measured_and_less() -> None:
         ({"deflection_limit": 0.3, "hardware": "laboratory"}, "deflections above"),
         ({"integrator": "rk4"}, "for this integrator and substeps"),
         ({"control_dt": 0.019}, "never measured"),
+        ({"fidelity": "rigid"}, "for fidelity='rigid'"),
     ):
         other = gym.make("FlexArm/OneLink-Reach-v0", **keywords).unwrapped  # type: ignore[arg-type]
         assert other.certificate is None, keywords  # type: ignore[attr-defined]
