@@ -27,7 +27,7 @@ from agents.policy import (
     PolicyError,
     load_policy,
 )
-from agents.run_folder.folder import versions
+from agents.run_folder.folder import RunFolder, versions
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, speaker
 from agents.signals import Interrupted, signals_to, stop_at_once
@@ -90,6 +90,11 @@ def evaluate(a: argparse.Namespace) -> None:
                 f"--{name} must be between {low:_} and {high:_}, got {getattr(a, name)}."
             )
     check_folder(a.out)
+    if RunFolder(a.out).config.is_file():
+        raise UsageError(
+            f"--out {a.out} is a run's folder, whose own evaluation would be replaced; choose "
+            "another --out."
+        )
     env_kwargs = parse_kwargs(a.env_kwargs)
     policy = find_policy(a.subject, a.trust)
     env_id, kwargs = find_env(policy, a.env, env_kwargs)

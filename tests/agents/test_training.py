@@ -136,6 +136,15 @@ def test_a_folder_of_runs_names_one_and_a_file_of_a_policy_stands_for_it(
     assert (tmp_path / "evaluation.json").is_file()
 
 
+def test_an_evaluation_never_replaces_that_of_a_run(
+    run: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path: path.read_bytes() for path in run.path.glob("*.*")}
+    assert evaluate([str(run.path), "--episodes", "1", "--out", str(run.path)]) == 2
+    assert "choose another --out" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in run.path.glob("*.*")} == before
+
+
 def test_given_keywords_are_not_called_those_of_the_training(
     run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
