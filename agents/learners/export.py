@@ -5,7 +5,7 @@ import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
+from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 
@@ -211,6 +211,8 @@ def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
     Statistics that RL Zoo has put beside NAME.zip, in NAME/vecnormalize.pkl, are loaded with it.
     """
     path = Path(path)
+    if not is_zipfile(path):
+        raise PolicyError(f"{path}: is no zip of stable-baselines3; name a run's folder or a zip.")
     if not trust:
         raise PolicyError(
             f"{path}: a stable-baselines3 zip is unpickled when loaded and can run any code; "
