@@ -65,10 +65,11 @@ def signals_to(handler: Handler) -> Iterator[None]:
             signal.signal(number, old)
 
 
-def workers(count: int) -> ProcessPoolExecutor:
-    """Pool of new processes, which end with this one however it ends."""
-    context = get_context("spawn")
-    return ProcessPoolExecutor(count, mp_context=context, initializer=end_with_parent)
+def workers(count: int, tasks_each: int | None = None) -> ProcessPoolExecutor:
+    """Pool of new processes, which end with this one however it ends, or after their tasks."""
+    return ProcessPoolExecutor(
+        count, get_context("spawn"), end_with_parent, max_tasks_per_child=tasks_each
+    )
 
 
 def end_with_parent() -> None:

@@ -9,16 +9,17 @@ tables of docs/gpu.md. Compiles on all processors.
 """
 
 import json
+import os
 import re
 import time
 from collections.abc import Callable, Collection, Iterable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from multiprocessing import get_context
+from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 
+from agents.signals import workers
 from benchmarks.output import (
     RESULTS,
     ROOT,
@@ -293,7 +294,7 @@ def main(arguments: list[str] | None = None) -> None:
         kept = stored(options.out, results["versions"]) if options.forms else {}
     except ValueError as error:
         parser.exit(2, f"benchmarks.kernels: {error}\n")
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+    with workers(os.cpu_count() or 1) as pool:
         if options.forms:
             asked = {form: FORMS[form] for form in options.forms}
             rows = kept["forms"] | resolved(forms(pool, asked, STEP, (STEP, START)))

@@ -9,10 +9,8 @@ docs/results/knowledge.json, .md and .png.
 
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +22,7 @@ from agents.leaderboard.output import over_best, score
 from agents.leaderboard.statistics import figures
 from agents.leaderboard.tracks import RANKED, keywords
 from agents.metrics import episode_metrics, make_batch, record
+from agents.signals import workers
 from agents.tuned import parameters_of
 from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
 from benchmarks.style import pyplot, series
@@ -156,7 +155,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     seeds = range(10_000, 10_000 + options.episodes)
     tasks: dict[str, dict[str, Any]] = {env_id: {} for env_id in options.tasks}
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+    with workers(options.jobs) as pool:
         jobs = {
             (env_id, column): pool.submit(cell, env_id, column, seeds)
             for env_id in tasks

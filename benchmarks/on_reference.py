@@ -10,8 +10,6 @@ that bends alike. Writes docs/results/on_reference.json, .md and .png.
 import json
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from scipy.stats import kendalltau
 from agents.leaderboard.run import built
 from agents.leaderboard.tracks import RANKED, keywords
 from agents.metrics import episode_metrics, make_batch, record
+from agents.signals import workers
 from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
 from benchmarks.style import pyplot, series
 from dynamics.accuracy.same_shape import transferred
@@ -168,7 +167,7 @@ def main(arguments: list[str] | None = None) -> None:
     ranking = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
     seeds = range(20_000, 20_000 + options.episodes)
     tasks: dict[str, dict[str, Any]] = {env_id: {} for env_id in options.tasks}
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+    with workers(options.jobs) as pool:
         jobs = {}
         for env_id in tasks:
             for name, x in ranking[env_id][TRACK].items():

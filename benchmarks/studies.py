@@ -14,10 +14,8 @@ laboratory. `recipe` leaves single parts out of an experiment with `agent.name: 
 import os
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +28,7 @@ from agents.leaderboard.statistics import interquartile_mean, interval
 from agents.leaderboard.tracks import keywords
 from agents.metrics import evaluated, make_batch, regrets
 from agents.policy import load_policy
+from agents.signals import workers
 from agents.tuned import parameters_of
 from benchmarks.output import RESULTS, ROOT, argument_parser, count, provenance, save_results, table
 from benchmarks.style import pyplot, series
@@ -160,7 +159,7 @@ def figures(training: Training, found: Sequence[Mapping[str, AnyArray]]) -> dict
 def measured(name: str, config: Config, options: Namespace, work: Path) -> dict[str, Any]:
     """Rows of a study: {"place": [..], controller: figures}."""
     rows = []
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+    with workers(options.jobs) as pool:
         jobs = [
             (one, [pool.submit(trained, one, seed, work) for seed in options.seeds],
              {x: pool.submit(model_based, one, x) for x in MODEL_BASED if name == "limits"})

@@ -12,11 +12,10 @@ import json
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +39,7 @@ from agents.policy import Controller, load_policy
 from agents.run_folder.folder import RunFolder, versions
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line
+from agents.signals import workers
 from agents.training import learn, with_overrides
 from benchmarks.experiments import COLUMNS, FASTER, cells, summarise_experiments
 from benchmarks.output import RESULTS, argument_parser, command, count
@@ -139,7 +139,7 @@ def recorded(config: Config, policy: Path) -> Recording:
 
 def benchmark(
     config: Config, trained: Mapping[int, tuple[RunFolder, float]], out: Path, gif: bool,
-    pool: ProcessPoolExecutor,
+    pool: Executor,
 ) -> None:  # fmt: skip
     """Evaluate every seed's policy and the references, write JSON, pages and pictures."""
     seeds, folders = list(trained), [run for run, _ in trained.values()]
@@ -237,9 +237,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         work = a.keep or Path(temporary)
         # a process per seed: what a training leaves behind would fill the memory of the next
-        with ProcessPoolExecutor(
-            a.jobs, mp_context=get_context("spawn"), max_tasks_per_child=1
-        ) as pool:
+        with workers(a.jobs, tasks_each=1) as pool:
             runs = list(pool.map(partial(run_seed, config, work), a.seeds))
             benchmark(config, dict(zip(a.seeds, runs, strict=True)), a.out, a.gif, pool)
         track = track_of(config.agent.name, config.env.id, config.env.kwargs)

@@ -117,3 +117,13 @@ def test_each_compiler_is_known_in_one_place() -> None:
         for name in {x.split(".")[0] for x in imported(path)} & set(COMPILERS):
             where = f"{path.relative_to(ROOT)} imports {name}"
             assert module_name(path).startswith(COMPILERS[name]), where
+
+
+def test_pools_of_processes_end_with_their_parent() -> None:
+    """All of them are made by `agents.signals.workers`."""
+    made = {
+        path.relative_to(ROOT).as_posix()
+        for path in sources("agents", "benchmarks")
+        if "ProcessPoolExecutor(" in path.read_text(encoding="utf-8")
+    }
+    assert made == {"agents/signals.py"}

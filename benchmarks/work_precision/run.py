@@ -18,14 +18,13 @@ lines of docs/results/peers.json.
 import math
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from agents.signals import workers
 from benchmarks.output import RESULTS, argument_parser, count, provenance
 from benchmarks.work_precision.charts import STORED, draw, page, store, stored_results
 from benchmarks.work_precision.scenes import GOOD, SETTINGS, Level, Setting
@@ -363,7 +362,7 @@ def run(settings: list[Setting], jobs: int = 1) -> dict[str, Any]:
     """Results of the scenes, compiled by `jobs` processes."""
     origin = provenance("numpy", "scipy", "numba", "casadi")
     results: dict[str, Any] = {"batch": BATCH, "scenes": {}}
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with workers(jobs) as pool:
 
         def compile_all(programs: list[tuple[Arm, str]]) -> None:
             if jobs > 1:
