@@ -44,15 +44,15 @@ def main(arguments: list[str] | None = None) -> int:
         return MISSING
     name = given[0]
     try:
-        run = import_module(COMMANDS[name][0]).main
-    except ModuleNotFoundError as error:
-        print(
-            f"flexarm: {name} needs {error.name}, which is not installed; "
-            f"{installation(EXTRAS.get(name, 'train'))}",
-            file=sys.stderr,
-        )
-        return MISSING
-    try:
+        try:
+            run = import_module(COMMANDS[name][0]).main
+        except ModuleNotFoundError as error:
+            print(
+                f"flexarm: {name} needs {error.name}, which is not installed; "
+                f"{installation(EXTRAS.get(name, 'train'))}",
+                file=sys.stderr,
+            )
+            return MISSING
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: print(
                 f"flexarm {name}: {message}", file=sys.stderr

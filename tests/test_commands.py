@@ -122,9 +122,10 @@ def test_an_interrupted_command_ends_with_a_sentence(
     def pressed(*_: object, **__: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("flexarm_env.__main__.main", pressed)
-    assert flexarm.main(["arms"]) == flexarm.INTERRUPTED
-    assert capsys.readouterr().err == "flexarm arms: interrupted.\n"
+    for what in ("flexarm_env.__main__.main", "flexarm.import_module"):
+        monkeypatch.setattr(what, pressed)
+        assert flexarm.main(["arms"]) == flexarm.INTERRUPTED
+        assert capsys.readouterr().err == "flexarm arms: interrupted.\n"
 
 
 @pytest.mark.parametrize("package", ["flexarm_env", "agents.evaluate"])
