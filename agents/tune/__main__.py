@@ -3,7 +3,7 @@
 Every controller gets the same number of trials of Optuna's TPE sampler on the same tuning episodes,
 whose seeds differ from those of every evaluation. A trial is judged by the mean score, and among
 equal ones by the RMS tip error. The first trials are the middle of the ranges and the parameters
-that are stored. Results go to agents/tuned.json. A search that was interrupted goes on from the
+that are stored. Results go to agents/tuned.json. A command that was interrupted goes on from the
 trials that it has finished, in the folder of --keep.
 
 With --experiments the keywords of learners are searched in the same way, and a trial is a training
@@ -14,7 +14,7 @@ experiment itself are then trained with two more seeds, and the best mean wins.
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
@@ -90,7 +90,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def tune_controllers(options: argparse.Namespace) -> None:
     """Tune the controllers of the command line where they take part."""
-    for env_id, track, name in _searched(options):
+    places = _searched(options)
+    for env_id, track, name in places:
         before = read(options.out).get(env_id, {}).get(track, {}).get(name, {})
         found = tune(
             name, env_id, keywords(name, track), trials=options.trials,
@@ -99,7 +100,7 @@ def tune_controllers(options: argparse.Namespace) -> None:
         )  # fmt: skip
         print(f"{env_id}, {track}, {name}: {_line(found)}", flush=True)
         store(options.out, env_id, track, name, found)
-        rmtree(_folder(options.keep, env_id, track, name))
+    _clear(options.keep, places)
 
 
 def _searched(options: argparse.Namespace) -> list[Place]:
@@ -125,7 +126,7 @@ def tune_experiments(experiments: Mapping[Place, Config], options: argparse.Name
         )  # fmt: skip
         print(f"{config.name}: {_line(found)}; {found['untuned']:.3f} as it is", flush=True)
         store(options.out, *place, found)
-        rmtree(_folder(options.keep, *place))
+    _clear(options.keep, experiments)
 
 
 def _placed(given: Sequence[str]) -> dict[Place, Config]:
@@ -141,6 +142,12 @@ def _placed(given: Sequence[str]) -> dict[Place, Config]:
 def _folder(keep: Path, env_id: str, track: str, name: str) -> Path:
     """Folder of one search."""
     return keep / env_id.removeprefix("FlexArm/") / track / name
+
+
+def _clear(keep: Path, places: Iterable[Place]) -> None:
+    """Remove the searches of a command that has ended; until then none of them is repeated."""
+    for place in places:
+        rmtree(_folder(keep, *place))
 
 
 def _report(name: str, text: str) -> None:

@@ -46,9 +46,10 @@ def tune(
         trial.set_user_attr("score", float(metrics["score"].mean()))
         return objective(metrics, reach)
 
-    first = [dict(x) for x in (CONTROLLERS[name].middle, stored) if x]
+    middle = CONTROLLERS[name].middle
+    first = [dict(x) for x in (middle, stored) if x]
     about = {
-        "controller": name, "env": env_id, "kwargs": dict(kwargs), "first": first,
+        "controller": name, "env": env_id, "kwargs": dict(kwargs), "middle": dict(middle),
         "seeds": [seed, episodes],
     }  # fmt: skip
     with closing(envs), kept_study(keep, about) as study:
