@@ -42,7 +42,7 @@ from agents.leaderboard.tracks import HARDER, RANKED, TRACKS, keywords, takes_pa
 from agents.leaderboard.users import UsersControllerError, users_controller
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from agents.policy import Controller
-from agents.sentences import one_line, speaker
+from agents.sentences import Failures
 from agents.signals import workers
 from agents.tuned import is_tuned, parameters_of
 from dynamics.description import validate
@@ -151,13 +151,16 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
             given = [name for name in RANKING if getattr(options, name) != parser.get_default(name)]
             return redraw(options.out, given, failures, options.times)
         return rank(options, seeds, bounds, failures)
+    except KeyboardInterrupt:
+        failures.tell(KeyboardInterrupt("interrupted; tasks that are done are written."))
+        return 130
     except OSError as error:
         failures.tell(FolderError(f"writing to {options.out} failed ({error.strerror or error})."))
         return 1
 
 
 def rank(
-    options: argparse.Namespace, seeds: Sequence[int], bounds: Path | None, failures: "Failures"
+    options: argparse.Namespace, seeds: Sequence[int], bounds: Path | None, failures: Failures
 ) -> int:
     """Check the options, rank, and write; the exit status."""
     options.untuned, options.tracks = options.tracks is not None, options.tracks or list(TRACKS)
@@ -175,7 +178,7 @@ def rank(
     return 1 if failures.told else 0
 
 
-def redraw(folder: Path, given: Sequence[str], failures: "Failures", times: bool = False) -> int:
+def redraw(folder: Path, given: Sequence[str], failures: Failures, times: bool = False) -> int:
     """Write figures, page and pictures of a stored ranking again; the exit status.
 
     With `times`, decisions are timed again. No option of a ranking may be given beside it.
@@ -226,21 +229,6 @@ def _compared(entries: stored.Entries) -> dict[str, dict[str, dict[str, Entry]]]
         env_id: {track: compared(found) for track, found in tracks.items()}
         for env_id, tracks in entries.items()
     }
-
-
-class Failures:
-    """Errors that were told to the user, each of them once."""
-
-    def __init__(self, prog: str) -> None:
-        self.speaker = speaker(prog)
-        self.told: set[str] = set()
-
-    def tell(self, error: Exception) -> None:
-        """Print an error that was not told before as one sentence."""
-        sentence = f"{self.speaker}: {one_line(error)}"
-        if sentence not in self.told:
-            self.told.add(sentence)
-            print(sentence, file=sys.stderr)
 
 
 def _rank(
@@ -303,7 +291,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         help="rank nothing: time the decisions of the ranking in OUT again, and redraw it",
     )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1, help="processes, which time decisions")
-    parser.add_argument("--out", type=Path, default=Path("leaderboard"))
+    parser.add_argument(
+        "--out", type=Path, default=Path("leaderboard"), metavar="DIR",
+        help="folder, whose former ranking is replaced (default: %(default)s)",
+    )  # fmt: skip
     return parser
 
 

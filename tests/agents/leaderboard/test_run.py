@@ -182,6 +182,17 @@ def test_a_full_disk_ends_a_ranking_with_a_message(
     assert error.endswith(f"writing to {tmp_path} failed (No space left on device).\n")
 
 
+def test_an_interrupted_ranking_ends_with_a_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def pressed(*given: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("agents.leaderboard.run.write", pressed)
+    assert main([*HERE, "zero", "--episodes", "2", "--out", str(tmp_path)]) == 130
+    assert capsys.readouterr().err.endswith("interrupted; tasks that are done are written.\n")
+
+
 def test_every_ranked_controller_was_tuned_where_it_acts() -> None:
     for env_id in RANKED:
         for track in ("state", "laboratory"):
