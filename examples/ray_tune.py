@@ -6,8 +6,13 @@
 import argparse
 from typing import Any
 
-from ray import tune
-from ray.tune.schedulers import ASHAScheduler
+from dynamics.extras import missing
+
+try:
+    from ray import tune
+    from ray.tune.schedulers import ASHAScheduler
+except ModuleNotFoundError as error:
+    raise missing(error, "examples/ray_tune.py", "scale") from None
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 REPORTS = 4  # of a trial; the scheduler stops poor ones early

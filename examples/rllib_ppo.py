@@ -8,12 +8,17 @@ import os
 from typing import Any
 
 import gymnasium as gym
-import ray
 import torch
-from ray.rllib.algorithms.ppo import PPOConfig
-from ray.rllib.core.columns import Columns
 
 from agents.metrics import evaluated, print_table
+from dynamics.extras import missing
+
+try:
+    import ray
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.core.columns import Columns
+except ModuleNotFoundError as error:
+    raise missing(error, "examples/rllib_ppo.py", "scale") from None
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 

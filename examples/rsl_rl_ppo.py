@@ -7,12 +7,17 @@ import argparse
 from typing import Any
 
 import torch
-from rsl_rl.env import VecEnv
-from rsl_rl.runners import OnPolicyRunner
-from tensordict import TensorDict
 
 from agents.metrics import evaluated, print_table
+from dynamics.extras import missing
 from flexarm_env import TorchVecEnv
+
+try:
+    from rsl_rl.env import VecEnv
+    from rsl_rl.runners import OnPolicyRunner
+    from tensordict import TensorDict
+except ModuleNotFoundError as error:
+    raise missing(error, "examples/rsl_rl_ppo.py", "tensors") from None
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 KEYWORDS: dict[str, Any] = {}  # {"hardware": "laboratory"}: sensors, delay, drawn plants

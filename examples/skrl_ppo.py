@@ -8,16 +8,21 @@ from typing import Any
 
 import gymnasium as gym
 import torch
-from skrl.agents.torch.ppo import PPO
-from skrl.envs.wrappers.torch import Wrapper
-from skrl.memories.torch import RandomMemory
-from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
-from skrl.trainers.torch import SequentialTrainer
-from skrl.utils import set_seed
 from torch import nn
 
 from agents.metrics import evaluated, print_table
+from dynamics.extras import missing
 from flexarm_env import TorchVecEnv
+
+try:
+    from skrl.agents.torch.ppo import PPO
+    from skrl.envs.wrappers.torch import Wrapper
+    from skrl.memories.torch import RandomMemory
+    from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
+    from skrl.trainers.torch import SequentialTrainer
+    from skrl.utils import set_seed
+except ModuleNotFoundError as error:
+    raise missing(error, "examples/skrl_ppo.py", "examples") from None
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 KEYWORDS: dict[str, Any] = {}  # {"hardware": "laboratory"}: sensors, delay, drawn plants

@@ -7,18 +7,23 @@ import argparse
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import NormalParamExtractor, TensorDictModule
 from torch import nn
-from torchrl.collectors import Collector
-from torchrl.data import Binary, Bounded, Composite, Unbounded
-from torchrl.envs import EnvBase, InitTracker, TransformedEnv
-from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
-from torchrl.objectives import ClipPPOLoss
-from torchrl.objectives.value import GAE
 
 from agents.metrics import evaluated, print_table
+from dynamics.extras import missing
 from flexarm_env import TorchVecEnv
+
+try:
+    from tensordict import TensorDict, TensorDictBase
+    from tensordict.nn import NormalParamExtractor, TensorDictModule
+    from torchrl.collectors import Collector
+    from torchrl.data import Binary, Bounded, Composite, Unbounded
+    from torchrl.envs import EnvBase, InitTracker, TransformedEnv
+    from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
+    from torchrl.objectives import ClipPPOLoss
+    from torchrl.objectives.value import GAE
+except ModuleNotFoundError as error:
+    raise missing(error, "examples/torchrl_ppo.py", "examples") from None
 
 ENV_ID = "FlexArm/OneLink-Reach-v0"
 N_ENV, N_STEP, N_EPOCH, N_MINIBATCH = 128, 32, 6, 2

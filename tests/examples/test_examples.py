@@ -72,6 +72,15 @@ def test_an_example_of_another_library_trains_and_prints_its_result(
     assert ROW.search(out) or re.search(r"^best score \d\.\d{3} with \{'learning_rate'", out, re.M)
 
 
+@pytest.mark.parametrize(("name", "libraries"), {c[0]: APART[c] for c in APART}.items())
+def test_an_example_without_its_library_names_the_extra(
+    name: str, libraries: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, libraries[0], None)
+    with pytest.raises(ModuleNotFoundError, match=rf"{name}.py needs {libraries[0]}\b.* -e "):
+        runpy.run_path(str(ROOT / "examples" / f"{name}.py"))
+
+
 @pytest.mark.slow
 def test_a_failure_in_the_last_step_is_no_time_out_for_rsl_rl(
     monkeypatch: pytest.MonkeyPatch,
