@@ -233,6 +233,7 @@ def test_a_program_pays_for_the_excess_over_the_deflection_limit() -> None:
     """30 times: (2.03 + a)^2 + 30^2 (0.5 - a - 0.97)^2 is least where 901 a = -425.03."""
     push = np.array([[0.0], [-1.0], [0.0]])
     assert change(1.0, 9.0, push, 0.5) == pytest.approx(-425.03 / 901.0, abs=1e-6)
+    assert change(1.0, 0.5, 2.0 * push, 0.5) == pytest.approx(-848.03 / 3601.0, abs=1e-6)
     assert change(1.0, 9.0, -push, 0.5) == pytest.approx(-1.75, abs=1e-6)  # away from the limit
     assert change(1.0, 0.25, push, 0.5) == pytest.approx(-0.25)
     assert change(0.0, 1.0, push, 0.99, band=100.0) >= 0.02  # anywhere below it

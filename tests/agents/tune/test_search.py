@@ -4,13 +4,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from agents.config import load_config
 from agents.files import FolderError
 from agents.tune.__main__ import main
 from agents.tune.learners import tune_experiment
-from agents.tune.search import finished, kept_study, searched
+from agents.tune.search import finished, kept_study, objective, searched
 from tests.agents.tiny import ENV_ID, one_sentence, write_config
 
 ABOUT = {"name": "parabola"}
@@ -79,6 +80,15 @@ def test_halving_ends_poor_trials_early(tmp_path: Path) -> None:
         assert finished(study) == done
     assert [trial.state.name for trial in done] == ["COMPLETE"] + 5 * ["PRUNED"]
     assert seen == [(1, 0.0), *((k, None) for k in range(2, 7))]
+
+
+def test_of_equal_scores_the_closer_controller_is_the_better_one() -> None:
+    def value(score: float, rms: float) -> float:
+        return objective({"score": np.array([score]), "tip_error_rms": np.array([rms])}, 2.0)
+
+    assert value(0.5, 0.0) == 0.5
+    assert 0.5 > value(0.5, 0.1) > value(0.5, 0.2) > value(0.5, 2.0) == value(0.5, 9.0)
+    assert value(0.501, 9.0) >= value(0.5, 0.0)
 
 
 def test_a_folder_has_one_search_and_one_process(tmp_path: Path) -> None:

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 
 from dynamics import Mode
-from dynamics.formulations.linearized import (
-    explicit_steps,
-    linear_arm,
-)
+from dynamics.formulations.linearized import explicit_steps, linear_arm
 from dynamics.integrators.newmark import SAFE
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.simulation.step_limits import amplification
@@ -43,3 +40,16 @@ def test_coupled_coordinates_become_fast_together() -> None:
         modes = tuple(Mode(kind=kind, index=k, direction="y") for k in (1, 2, 3))
         steps = explicit_steps(compiled(planar(1, modes=modes)).chain)
         assert len(np.unique(steps[1:])) == distinct
+
+
+def test_each_limit_is_that_of_the_coordinates_which_are_explicit_below_it() -> None:
+    """Of one link, whose inertia no posture changes; those with shorter limits are fast."""
+    modes = tuple(Mode(kind="hierarchical", index=k, direction="y") for k in (1, 2, 3))
+    chain = compiled(planar(1, modes=modes)).chain
+    steps, arm = explicit_steps(chain), linear_arm(chain, np.zeros(4))
+    for limit in np.unique(steps[1:]):
+        aid = np.where(steps < limit, steps, np.inf)
+        object.__setattr__(arm, "aid", lambda kind, aid=aid: aid)
+        for share in (0.98, 1.02):
+            growth = amplification(arm, "numerov", share * limit / SAFE)
+            assert (growth < 1.0 + 1e-6) == (share < 1.0)

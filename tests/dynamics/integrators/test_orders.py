@@ -1,5 +1,7 @@
 """Order of every method's own functions, without an arm, beside error control."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -85,3 +87,22 @@ def test_error_falls_at_the_order_of_the_method(name: str) -> None:
     exact = solve_ivp(slope, (0.0, END), START, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
     errors = [np.abs(final(name, COARSE * k) - exact).max() for k in (1, 2)]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(INTEGRATORS[name].order, abs=0.1)
+
+
+def test_arms_that_share_a_workspace_are_stepped_as_each_alone() -> None:
+    """By the method whose loops over lanes are its own; every other one counts coordinates."""
+    method, h = INTEGRATORS["rosenbrock"], 0.1
+    alone = np.zeros((2, S + method.scratch(N)))
+    alone[:, :A] = START, START[::-1]
+    alone[:, T : T + 2] = TAU
+    shared = alone.T.copy()
+    at = Slots(N, Q, V, A, IMPLICIT, S)
+    for w in alone:
+        method.step(w, h, evaluate, at, jacobian)
+
+    def all_of(one: Callable[[Array], None]) -> Callable[[Array], None]:
+        return lambda _: [one(w) for w in shared.T] and None
+
+    both = Slots(*(2 * slot for slot in at[:6]), lanes=2)
+    method.step(shared.reshape(-1), h, all_of(evaluate), both, all_of(jacobian))
+    np.testing.assert_allclose(shared[:A].T, alone[:, :A], rtol=1e-12)

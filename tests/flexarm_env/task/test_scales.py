@@ -8,7 +8,7 @@ import pytest
 from dynamics import Arm, load_arm
 from dynamics.model import Model
 from dynamics.simulation.step_limits import largest_step
-from flexarm_env.task.scales import EXTENT, integration, scales
+from flexarm_env.task.scales import DEFLECTION_LIMIT, EXTENT, integration, scales
 
 CONTROL_DT = 0.02  # [s]
 BEAM = {
@@ -47,3 +47,14 @@ def test_a_margin_is_left_where_the_rule_had_to_find_the_limit(integrator: str) 
     _, substeps = integration(STICKING, CONTROL_DT, integrator)
     model, q, dt = Model(STICKING), np.zeros(STICKING.n), CONTROL_DT / substeps
     assert largest_step(model, q, integrator, 1.2 * dt) == 1.2 * dt
+
+
+@pytest.mark.parametrize("name", ["six-link", "srms-like"])
+def test_vibrations_of_all_modes_together_keep_every_link_within_its_limit(name: str) -> None:
+    arm, at = load_arm(name), 0
+    vibration = np.array(scales(arm).vibration)
+    for link in Model(arm).chain.links:
+        m = len(link.K)
+        moved = vibration[:, at : at + m] @ np.reshape(link.tip_phi, (-1, 3))[:m]
+        assert np.linalg.norm(moved, axis=1).sum() <= DEFLECTION_LIMIT * link.length
+        at += m
