@@ -16,7 +16,8 @@ from flexarm_env.accuracy.certificates import fit
 from flexarm_env.accuracy.motions import KINDS, bang_bang, held, recorded, sines, white
 from flexarm_env.accuracy.scene import scene
 from flexarm_env.certify import choice
-from flexarm_env.certify.certificate import Certifier
+from flexarm_env.certify.certificate import Certifier, summary
+from flexarm_env.certify.episodes import Distances
 from flexarm_env.certify.run import described
 from flexarm_env.registration import IDS
 
@@ -110,6 +111,49 @@ def test_a_link_that_states_no_modes_beside_others_stays_rigid(
     assert found["error"] == 0.25
     assert found["reference"].startswith("links 1, 2: 2 x")
     assert "within 0.001 m of it, and within 0.25 m of one that bends there." in found["reason"]
+
+
+@pytest.mark.parametrize(("dt", "fewest"), [(0.005, 4), (0.0051, 4), (0.0049, 5), (0.9, 1)])
+def test_steps_in_episodes_are_at_first_the_longest_within_those_of_the_model(
+    monkeypatch: pytest.MonkeyPatch, dt: float, fewest: int
+) -> None:
+    tried: list[int] = []
+    model = SimpleNamespace(worst_share=0.0)
+    certifier = SimpleNamespace(
+        model_error=lambda: model,
+        trace=lambda _, substeps, *__: tried.append(substeps),
+        reference=None,
+        episodes=SimpleNamespace(kinds=("held",)),
+    )
+    distances = SimpleNamespace(
+        between=lambda *_: SimpleNamespace(worst_share=0.03 / tried[-1], kinds=("held",))
+    )
+    monkeypatch.setattr(choice, "Certifier", lambda *_: certifier)
+    monkeypatch.setattr(choice, "Distances", distances)
+    monkeypatch.setattr(choice, "summary", lambda *_: {})
+    model_of = {"arm": load_arm("slim").to_dict(), "dt": dt, "integrator": "rk4"}
+    found = choice._in_episodes(model_of, 0.02, 0.03 / (fewest + 1), Progress(None))
+    assert tried == [fewest, fewest + 1, fewest + 1]  # until the tolerance is kept; then nudged
+    assert found["dt"] == 0.02 / (fewest + 1)
+
+
+def test_a_summary_has_the_figures_of_its_episodes() -> None:
+    """Of distances [m] that grow; those of "held" are ten times as large."""
+    steps, count, reach = 7, 100, 2.0
+    growing = np.cumsum(np.random.default_rng(0).uniform(0.0, 1.0, (steps, 2 * count)), axis=0)
+    growing[:, count:] *= 10.0
+    kinds = ("white",) * count + ("held",) * count
+    found = summary(Distances(growing, kinds), Distances(0.1 * growing, kinds), 0.02, reach)
+    for kind, last in zip(("white", "held"), np.split(growing[-1], 2), strict=True):
+        own = found["kinds"][kind]
+        assert (own["worst"], own["median"]) == pytest.approx(
+            (last.max() / reach, np.median(last) / reach), rel=1e-2
+        )
+        assert own["interval"][0] <= own["share"] <= own["interval"][1] <= own["worst"]
+        within = np.mean(last <= own["share"] * reach * 1.01)
+        assert 0.95 <= within < 0.98
+        assert own["share"] == found["curves"][kind][-1]
+        assert own["length"] == pytest.approx(steps * 0.02)
 
 
 def test_a_scene_has_the_motions_of_the_certificate() -> None:
