@@ -6,13 +6,9 @@ from typing import Any
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.model_choice import (
-    TRIALS,
-)
-from dynamics import (
-    Scene,
-    choose_model,
-)
+from benchmarks.model_choice import TRIALS
+from dynamics import Scene, choose_model
+from dynamics.accuracy.rollout import SAMPLES, STRIDES, _strides
 from dynamics.accuracy.scene import JointMotion, bang_bang, cycloid, release
 
 
@@ -54,3 +50,13 @@ def test_bang_bang_cycloid_and_release_have_the_described_torques() -> None:
     assert smooth.torque is not None
     assert_allclose([smooth.torque(t)[0] for t in (0.1, 0.3, 0.4)], [2.0, -2.0, 0.0], atol=1e-12)
     assert release((0.1,), t_end=1.0).torque is None
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.9, 1.7, 9.0])
+def test_samples_are_compared_as_densely_as_four_steps_between_them_allow(share: float) -> None:
+    dt = share / SAMPLES
+    stride, steps, width = _strides(release((0.1,), t_end=1.0), dt)
+    assert width == pytest.approx(stride / SAMPLES, rel=0.05)  # whole strides in the motion
+    assert stride == STRIDES[0] or width >= 4.0 * dt
+    assert stride == STRIDES[-1] or width < 8.0 * dt
+    assert steps == max(1, round(width / dt))

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics import ARMS, Arm, Base, Joint, Link, Mode, Payload, load_arm
+from dynamics.description import data_file
 from tests.paths import REFERENCE
 
 BEND = Mode(kind="clamped-free", index=1, direction="y")
@@ -336,6 +337,19 @@ def test_files_of_both_kinds_give_the_same_arm(tmp_path: Path) -> None:
         "[{kind: clamped-free, index: 1, direction: 'y'}]}\n"
     )
     assert load_arm(tmp_path / "arm.json") == load_arm(str(tmp_path / "arm.yaml"))
+
+
+def test_a_yaml_file_holds_as_many_values_as_it_may_with_aliases_expanded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mapping with two keys, and two lists of six numbers, the second by an alias."""
+    path, data = tmp_path / "arm.yaml", {"a": 6 * [1], "b": 6 * [1]}
+    path.write_text("a: &list [1, 1, 1, 1, 1, 1]\nb: *list\n")
+    monkeypatch.setattr(data_file, "MOST_NODES", 1 + len(data) + 2 * (1 + 6))
+    assert data_file.read_mapping(path) == data
+    monkeypatch.setattr(data_file, "MOST_NODES", len(data) + 2 * (1 + 6))
+    with pytest.raises(ValueError, match="at most 16 values with aliases"):
+        data_file.read_mapping(path)
 
 
 def test_a_case_file_is_an_arm_file_too() -> None:
