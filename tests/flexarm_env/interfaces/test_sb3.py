@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from gymnasium.wrappers import TimeLimit
+from stable_baselines3.common.monitor import Monitor
 
 from flexarm_env import SB3VecEnv, TorchVecEnv
 
@@ -41,14 +43,24 @@ def test_a_critic_sees_what_it_sees_of_the_batch_of_tensors() -> None:
 
 
 def test_a_critic_sees_the_targets_of_episodes_that_were_placed() -> None:
+    """And the parameters of their plants, from -1 to 1 over the ranges."""
     envs = SB3VecEnv(ENV_ID, 2, privileged=True, hardware="laboratory")
-    at = TorchVecEnv(ENV_ID, 1, hardware="laboratory").privileged_slices["target_now"]
+    at = TorchVecEnv(ENV_ID, 1, hardware="laboratory").privileged_slices
     envs.reset()
     envs.set_options([{"target": [0.5]}, {}])
     seen: Any = envs.reset()
     ahead = (envs.core.joint_target() - envs.core.joint_state()[0]) / 0.5
     assert envs.core.joint_target()[0] == 0.5
-    np.testing.assert_allclose(seen["privileged"][:, at], ahead, **CLOSE)
+    np.testing.assert_allclose(seen["privileged"][:, at["target_now"]], ahead, **CLOSE)
+    low, high = np.transpose(list(envs.core.randomize.values()))
+    share = (envs.core.parameters - low) / (high - low)
+    np.testing.assert_allclose(seen["privileged"][:, at["parameters"]], 2.0 * share - 1.0, **CLOSE)
+
+
+def test_episodes_are_recorded_as_by_a_monitor_and_by_no_other_wrapper() -> None:
+    envs = SB3VecEnv(ENV_ID, 2)
+    assert envs.env_is_wrapped(Monitor) == [True, True]
+    assert envs.env_is_wrapped(TimeLimit, [1]) == [False]
 
 
 def test_a_part_for_the_critic_is_asked_for_by_a_truth_and_not_of_goals() -> None:
