@@ -107,6 +107,7 @@ def test_current_rises_with_the_electrical_time_constant() -> None:
 # ---- an arm behind it ----------------------------------------------------------------------------
 
 
+@pytest.mark.compiles
 def test_motor_reaches_stall_torque_at_rest_and_no_load_speed_in_the_end() -> None:
     """J w' = T_stall (u - w / w_0): an exponential, exact to the integrator's order."""
     env = rod(SERVO, substeps=8)
@@ -191,6 +192,7 @@ def test_piston_and_arm_are_coupled_in_second_order() -> None:
     assert np.abs(follow(env, [0.0] * 50)[1]).max() < 1e-12
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("kind", ["pinned-free", "hierarchical"])
 def test_the_spring_of_a_piston_starts_relaxed_on_a_link_that_gravity_bends(kind: str) -> None:
     """Pinned-free shapes turn the root, on which the piston acts."""
@@ -204,6 +206,7 @@ def test_the_spring_of_a_piston_starts_relaxed_on_a_link_that_gravity_bends(kind
     assert info["torque"] == pytest.approx([0.0], abs=1e-9)
 
 
+@pytest.mark.compiles
 def test_torque_changes_no_faster_than_its_rate_limit() -> None:
     """A torque of straight pieces; the joint's rate is its exact impulse."""
     rate, limit = 7.0, 0.5
