@@ -3,11 +3,13 @@
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import pytest
 
 import flexarm_env  # noqa: F401
 from dynamics.tracing.assembly import Program, assembled
 from dynamics.tracing.statements import Call, ControlStep, Copy, Load, Store, walked
+from flexarm_env.compiled.restart import first_state
 
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "plain": ("OneLink-Reach", {}),
@@ -68,3 +70,15 @@ def test_a_step_reads_and_keeps_the_whole_state(batch: tuple[Any, Program]) -> N
     }
     assert read == set(range(core.signals.state.total))
     assert kept == set(range(core.signals.state.slices["centre"].start))
+
+
+def test_a_restart_draws_every_parameter_from_its_own_range(batch: tuple[Any, Program]) -> None:
+    """With the last of the random numbers, as `episode.begin` does."""
+    core, _ = batch
+    free = core.starts[7]
+    graph, count = first_state(core.signals, core.starts)
+    numbers = np.random.default_rng(0).uniform(size=count)
+    state = graph(numbers, free.ravel()).full().ravel()
+    share = numbers[count - len(free) :]
+    drawn = state[core.signals.state.slices["free"].start :]
+    np.testing.assert_allclose(drawn, (1.0 - share) * free[:, 0] + share * free[:, 1], rtol=1e-12)
