@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import casadi as ca
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -82,3 +83,18 @@ def test_a_restart_draws_every_parameter_from_its_own_range(batch: tuple[Any, Pr
     share = numbers[count - len(free) :]
     drawn = state[core.signals.state.slices["free"].start :]
     np.testing.assert_allclose(drawn, (1.0 - share) * free[:, 0] + share * free[:, 1], rtol=1e-12)
+
+
+def test_the_rate_of_a_path_is_the_derivative_of_its_angle() -> None:
+    """At the start, on the ramp, and behind it; by differentiation of the graph."""
+    core: Any = gym.make("FlexArm/TwoLink-Track-v0").unwrapped.core  # type: ignore[attr-defined]
+    numbers, t = np.random.default_rng(0), ca.SX.sym("t")
+    sizes = {name: rows.stop - rows.start for name, rows in core.signals.state.slices.items()}
+    names = ("centre", "amplitude", "frequency", "phase")
+    s = {name: ca.DM(numbers.uniform(0.5, 2.0, sizes[name])) for name in names}
+    target, rate = core.signals._reference(s | {"move_time": 0.7}, t)
+    error = ca.Function("error", [t], [ca.jacobian(target, t) - rate, rate])
+    for time in (0.0, 0.3, 0.6, 1.9):
+        apart, moving = error(time)
+        np.testing.assert_allclose(apart, 0.0, atol=1e-12)
+        assert (np.abs(moving.full()).min() > 1e-3) == (time > 0.0)
