@@ -1,12 +1,15 @@
 """Controllers keep results for the next episode, but nothing keeps a controller."""
 
 import gc
+from dataclasses import dataclass
+from typing import Any
 from weakref import ref
 
+import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS, controller
-from agents.controllers.models.memory import kept
+from agents.controllers.models.memory import kept, part_of
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 
@@ -26,6 +29,25 @@ def test_the_latest_results_are_kept() -> None:
     subject = Doubling()
     assert [subject.twice(x) for x in (1, 2, 1, 3, 1, 2)] == [2, 4, 2, 6, 2, 4]
     assert subject.calls == 4  # 2 went when 3 came
+
+
+@dataclass
+class State:
+    numbers: np.ndarray
+    names: list[str]
+    inner: Any
+    clock: float = 0.5
+
+
+def test_a_part_of_a_state_has_some_of_the_environments() -> None:
+    """Of what has them as first dimension; all else is common to them."""
+    numbers = np.arange(6.0).reshape(3, 2)
+    state = State(numbers, ["a", "b", "c"], State(numbers + 7.0, [*"xyz"], None))
+    part = part_of(state, np.array([2, 0]))
+    assert part.numbers.tolist() == [[4.0, 5.0], [0.0, 1.0]]
+    assert (part.names, part.inner.names) == (["c", "a"], ["z", "x"])
+    assert part.inner.numbers.tolist() == (part.numbers + 7.0).tolist()
+    assert (part.inner.inner, part.clock) == (None, 0.5)
 
 
 @pytest.mark.parametrize("name", sorted(CONTROLLERS))
