@@ -8,6 +8,7 @@ import pytest
 from dynamics import Arm, load_arm
 from dynamics.model import Model
 from dynamics.simulation.step_limits import largest_step
+from flexarm_env.task.observations import curvature_columns, curvature_scale
 from flexarm_env.task.scales import DEFLECTION_LIMIT, EXTENT, integration, scales
 
 CONTROL_DT = 0.02  # [s]
@@ -58,3 +59,11 @@ def test_vibrations_of_all_modes_together_keep_every_link_within_its_limit(name:
         moved = vibration[:, at : at + m] @ np.reshape(link.tip_phi, (-1, 3))[:m]
         assert np.linalg.norm(moved, axis=1).sum() <= DEFLECTION_LIMIT * link.length
         at += m
+
+
+def test_curvatures_are_scaled_by_that_under_a_tip_force_which_bends_by_a_tenth() -> None:
+    """F l / EI where F l^3 / (3 EI) = l / 10; along y and z of each link."""
+    modes = [{"kind": "clamped-free", "index": 1, "direction": way} for way in "yz"]
+    both = arm(*({"length": l, "EIy": 9.0, "modes": modes} for l in (0.6, 0.3)))
+    expected = np.repeat([0.3 / 0.6, 0.3 / 0.3], 2)
+    np.testing.assert_allclose(curvature_scale(both, curvature_columns(both)), expected, rtol=1e-9)
