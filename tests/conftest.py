@@ -40,6 +40,7 @@ QUICK = {
     "dynamics/description/test_thick_links.py",
     "dynamics/description/test_torsion.py",
     "dynamics/description/test_welds.py",
+    "dynamics/description/urdf/test_flexible.py",
     "dynamics/formulations/test_christoffel.py",
     "dynamics/formulations/test_dense_solve.py",
     "dynamics/formulations/test_fixed_joints.py",
