@@ -18,6 +18,7 @@ from flexarm_env.accuracy.scene import scene
 from flexarm_env.certify import choice
 from flexarm_env.certify.certificate import Certifier, summary
 from flexarm_env.certify.episodes import Distances
+from flexarm_env.certify.momentum import momentum_error
 from flexarm_env.certify.run import described
 from flexarm_env.registration import IDS
 
@@ -154,6 +155,19 @@ def test_a_summary_has_the_figures_of_its_episodes() -> None:
         assert 0.95 <= within < 0.98
         assert own["share"] == found["curves"][kind][-1]
         assert own["length"] == pytest.approx(steps * 0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "keywords"),
+    [
+        ("slim", {}),
+        ("free-flyer", {"randomize": {"payload_mass": (0.0, 0.1)}}),
+        ("free-flyer", {"base_torque": 0.5}),
+    ],
+)
+def test_no_momentum_is_compared_where_none_is_kept(name: str, keywords: dict[str, Any]) -> None:
+    """A fixed base has none, and the model knows none of drawn arms and driven bases."""
+    assert momentum_error(load_arm(name), {"control_dt": 0.05, **keywords}, "euler", 1) == 0.0
 
 
 def test_a_scene_has_the_motions_of_the_certificate() -> None:

@@ -104,6 +104,26 @@ def test_current_rises_with_the_electrical_time_constant() -> None:
         assert current == pytest.approx(i, rel=1e-12)
 
 
+@pytest.mark.parametrize("name", ["slim", "two-link"])
+def test_rates_of_actuators_are_those_of_roots_against_their_hubs(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the encoders read them, from all coordinates; a torque for each joint."""
+    kept: dict[str, Any] = {}
+    monkeypatch.setattr(
+        "flexarm_env.compiled.actuation.traced", lambda name, f, *_: kept.setdefault(name, f)
+    )
+    arm = load_arm(name)
+    actuation = Actuation(load_actuators(PISTON, arm.n_joint), arm, (1.0,) * arm.n_joint)
+    slots = dict.fromkeys(("ACTION", "ACTUATOR", "Q", "V", "RATE_BEFORE", "TAU"), 0)
+    actuation.functions(slots, 0)
+    v = np.random.default_rng(0).uniform(-1.0, 1.0, arm.n)
+    rates = kept["mark"](0.0, 0.0, 0.0, v, 0.0, 0.0).full().ravel()
+    np.testing.assert_allclose(rates, Model(arm).encoders @ v, rtol=1e-12)
+    assert kept["drive"].numel_out() == arm.n_joint
+    assert kept["follow"].numel_out() == 3 * arm.n_joint
+
+
 # ---- an arm behind it ----------------------------------------------------------------------------
 
 
