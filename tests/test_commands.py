@@ -1,5 +1,6 @@
 """`flexarm COMMAND`: what each command runs, and what hides it."""
 
+import runpy
 import subprocess
 import sys
 from importlib import import_module
@@ -31,6 +32,21 @@ def test_every_command_says_what_it_takes(name: str, capsys: pytest.CaptureFixtu
     assert end.value.code == 0
     assert capsys.readouterr().out.startswith(f"usage: flexarm {name}")
     assert callable(import_module(flexarm.COMMANDS[name][0]).main)
+
+
+PACKAGES = sorted(x.parent.relative_to(ROOT).as_posix() for x in ROOT.glob("[a-z]*/**/__main__.py"))
+
+
+@pytest.mark.parametrize("package", [path.replace("/", ".") for path in PACKAGES])
+def test_every_package_that_runs_says_what_it_takes(
+    package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["-m", "--help"])
+    monkeypatch.delitem(sys.modules, f"{package}.__main__", raising=False)
+    with pytest.raises(SystemExit) as end:
+        runpy.run_module(package, run_name="__main__")
+    assert end.value.code == 0
+    assert capsys.readouterr().out.startswith("usage: ")
 
 
 @pytest.mark.parametrize(
