@@ -21,6 +21,7 @@ from agents.leaderboard.output import (
     write,
 )
 from agents.leaderboard.statistics import Entry, Spectrum, compared, decisions, figures
+from agents.leaderboard.stored import read
 from agents.leaderboard.tracks import RANKED, TRACKS
 from agents.metrics import METRICS, Best
 
@@ -88,6 +89,17 @@ def test_files_hold_every_figure_and_every_episode(results: Any, tmp_path: Path)
     assert len(rows) == 4 * 7
     (row,) = [r for r in rows if r["controller"] == "ppo" and r["run"] == "1" and r["seed"] == "9"]
     assert (row["task"], row["track"], float(row["score"])) == (REACH, "state", 0.6)
+
+
+def test_trainings_are_counted_again_as_they_were_written(results: Any, tmp_path: Path) -> None:
+    """One, two and none."""
+    given = results[REACH]["state"]
+    counts = {"pd": 1, "ppo": 2, "zero": 0}
+    for name, count in counts.items():
+        given[name].figures["training_seeds"] = count
+    write(tmp_path, results, SEEDS)
+    found = read(tmp_path, SEEDS)[REACH]["state"]
+    assert {name: x.figures["training_seeds"] for name, x in found.items()} == counts
 
 
 def test_figures_have_six_digits(results: Any, tmp_path: Path) -> None:
