@@ -15,7 +15,7 @@ from agents.leaderboard.bound import is_moving
 from agents.leaderboard.charts import UNRANKED, Results, pictures
 from agents.leaderboard.kinds import CLASSICAL, KINDS, LEARNED, ON_MODEL
 from agents.leaderboard.replay import YARDSTICK
-from agents.leaderboard.statistics import Entry, Figures, Spectrum
+from agents.leaderboard.statistics import DIGITS, Entry, Figures, Spectrum
 from agents.leaderboard.tracks import TRACKS
 from agents.metrics import METRICS, without_infinities
 from agents.sentences import plain
@@ -291,8 +291,8 @@ def _json(tables: Tables) -> str:
 
 
 def _compact(x: Any) -> str:
-    """JSON text of figures, whose floats have the six digits of the episodes."""
-    short = json.loads(json.dumps(x), parse_float=lambda digits: float(f"{float(digits):.6g}"))
+    """JSON text of figures, whose floats have the digits of the episodes."""
+    short = json.loads(json.dumps(x), parse_float=lambda text: float(f"{float(text):.{DIGITS}g}"))
     return json.dumps(short, separators=(",", ":"))
 
 
