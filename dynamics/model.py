@@ -121,7 +121,7 @@ class Model:
 
         Of a fixed base, (N, n) at N states given as (N, n), without a wrench.
         `wrench` (6,), force [N] then moment [N m], is exerted by the last link at its tip on its
-        surroundings, in the link's frame.
+        surroundings, in the link's frame; of a link in segments, in that of the last.
         """
         if np.ndim(q) == 2 and wrench is None:
             return self._forces(q, v, a)
@@ -131,7 +131,11 @@ class Model:
             x, rates = self._q(q).tolist(), self._q(v, "v").tolist()
             f = validate.array(wrench, "wrench", (6,)).tolist()
             load = gibbs_appell.Wrench(f[:3], f[3:])
-            h = np.array(gibbs_appell.bias(self.chain, x, rates, load), dtype=np.float64)
+            loaded, free = (
+                np.array(gibbs_appell.bias(self.chain, x, rates, tip), dtype=np.float64)
+                for tip in (load, gibbs_appell.NO_LOAD)
+            )
+            h = h + (loaded - free)
         return self.mass_matrix(q) @ self._q(a, "a") + h
 
     def energy(self, q: Array, v: Array) -> tuple[float, float, float]:

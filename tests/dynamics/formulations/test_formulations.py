@@ -273,6 +273,17 @@ def test_siblings_agree_with_the_recursion(name: str, case: tuple[int, int, int]
     assert_allclose(energies[0], energies[1], rtol=1e-11, atol=1e-12)
 
 
+@every
+def test_no_wrench_and_one_of_zero_are_the_same_in_every_formulation(name: str) -> None:
+    """1 + theta~ sets the formulations apart."""
+    arm = replace(random_arm(4, 3, 3), rotation="linear")
+    model, (q, v) = compile_arm(arm, formulation=name), random_state(arm)
+
+    loaded = model.inverse_dynamics(q, v, v, np.zeros(6))
+
+    assert_allclose(loaded, model.inverse_dynamics(q, v, v), rtol=1e-12)
+
+
 @some_arm
 def test_the_complement_shares_the_convention_of_the_recursion(case: tuple[int, int, int]) -> None:
     """Also with a linear E: both turn vectors by 1 + theta~ and use theta_dot as its rate."""
