@@ -190,9 +190,9 @@ def _torque(data: object, arm: Arm) -> Torque:
 def _signal(data: object, name: str) -> PiecewiseConstant | Sine | None:
     if data is None:
         return None
-    kind = data.get("type") if isinstance(data, Mapping) else None
-    if kind is not None:
-        validate.choice(kind, f"{name}.type", ("piecewise-constant", "sine"))
+    kind = None
+    if isinstance(data, Mapping) and "type" in data:
+        kind = validate.choice(data["type"], f"{name}.type", ("piecewise-constant", "sine"))
     if kind == "sine":
         values = _required(
             data, name, ("type", "amplitude", "omega"), ("type", "amplitude", "omega", "phase")

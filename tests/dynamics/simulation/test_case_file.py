@@ -91,6 +91,7 @@ REFUSED = {
     "torque must be a list": {"torque": STEP},
     r"torque\[0\] must be a mapping": {"torque": [1.0]},
     r"torque\[0\].type must be one of .*got 'ramp'": {"torque": [{**STEP, "type": "ramp"}]},
+    r"torque\[0\].type must be one of .*got None": {"torque": [{**STEP, "type": None}]},
     r"torque\[0\].type is missing": {"torque": [{"t": [0.0], "v": [1.0]}]},
     r"torque\[0\].t must increase, got t\[1\] = 0.5": {"torque": [{**STEP, "t": [0.5, 0.5]}]},
     r"torque\[0\].t must not be negative, got -1.0": {"torque": [{**STEP, "t": [-1.0, 0.5]}]},
