@@ -27,7 +27,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
     content = read_text(path, MOST_BYTES[suffix])
     try:
         if suffix == ".json":
-            data = json.loads(content, object_pairs_hook=_unique)
+            data = json.loads(content, object_pairs_hook=_unique, parse_int=_integer)
         else:
             data = yaml.load(content, _Loader)  # a SafeLoader
     except json.JSONDecodeError as error:
@@ -38,7 +38,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
         raise ValueError(f"is not valid YAML: {' '.join(str(error).split())}.") from None
     except RecursionError:
         raise ValueError("is nested too deeply.") from None
-    except (TypeError, OverflowError) as error:  # from PyYAML: odd keys, dates, numbers
+    except TypeError as error:  # from PyYAML: odd keys
         raise ValueError(f"holds a value that cannot be read: {error}.") from None
     if not isinstance(data, dict):
         raise ValueError(f"must hold a mapping at the top, got a {type(data).__name__}.")
@@ -74,6 +74,14 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return result
 
 
+def _integer(digits: str) -> float:
+    """Return an int, or infinity for more digits than Python reads."""
+    try:
+        return int(digits)
+    except ValueError:
+        return float(digits)
+
+
 class _Loader(yaml.SafeLoader):
     """YAML's safe loader with a limit on values; raises ValueError for a repeated key."""
 
@@ -96,6 +104,19 @@ class _Loader(yaml.SafeLoader):
         if self._count > MOST_NODES:
             raise ValueError(f"must hold at most {MOST_NODES} values with aliases expanded.")
         return node
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """Build a value; raise ValueError with its place for one that its tag cannot read."""
+        try:
+            return super().construct_object(node, deep)
+        except (ArithmeticError, AttributeError, LookupError, ValueError):  # from PyYAML
+            if not isinstance(node, yaml.ScalarNode):
+                raise
+            mark = node.start_mark
+            raise ValueError(
+                f"holds a value that cannot be read: {shown(node.value)} at line {mark.line + 1}, "
+                f"column {mark.column + 1}."
+            ) from None
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Merge the mappings of "<<" into the node, whose own keys must differ."""

@@ -365,6 +365,24 @@ BAD_FILES = {
     "must hold a mapping": ("arm.json", b"[]"),
     "must end in .json": ("arm.toml", b""),
     "nested too deeply": ("arm.json", b"[" * 100_000),
+    "Link.length .m. must be a finite number, got inf": (
+        "arm.json",
+        b'{"links": [{"length": ' + 5000 * b"9" + b', "rho_A": 1.0}]}',
+    ),
+    "cannot be read: '2026-13-01' at line 1, column 18": (
+        "arm.yaml",
+        b"links: [{length: 2026-13-01, rho_A: 1.0}]",
+    ),
+    "cannot be read: 'maybe' at line 1, column 18": (
+        "arm.yaml",
+        b"links: [{length: !!bool maybe, rho_A: 1.0}]",
+    ),
+    "cannot be read: 'today' at line 1, column 9": ("arm.yaml", b"links: [!!timestamp today]"),
+    "cannot be read: '' at line 1, column 9": ("arm.yaml", b"links: [!!int '']"),
+    "cannot be read: '999.*999' at line 1, column 18": (
+        "arm.yaml",
+        b"links: [{length: " + 5000 * b"9" + b", rho_A: 1.0}]",
+    ),
     "got the text '5e-1' .*3.0e-4": ("arm.yaml", b"links: [{length: 5e-1, rho_A: 1.0}]"),
 }
 
