@@ -102,7 +102,10 @@ class Model:
         return self._at_state("bias", q, v).ravel()
 
     def christoffel(self, q: Array, v: Array) -> Array:
-        """Matrix H (n, n): H v are the velocity terms of h, and dM/dt - 2 H is skew-symmetric."""
+        """Matrix H (n, n): H v are the velocity terms of h, and dM/dt - 2 H is skew-symmetric.
+
+        With rotation "linear" H v are these only in the formulation "book", whose energy is kept.
+        """
         self._require_fixed_base("christoffel")
         return np.array(self._christoffel(self._q(q), self._q(v, "v")))
 
