@@ -238,8 +238,8 @@ def test_the_ranking_is_that_of_its_episodes(ranking: Ranking) -> None:
         middle = score[score.size // 4 : score.size - score.size // 4]
         own = tables[env_id][track][name]
         success = metrics["success"].mean()
-        assert own["success_rate"] == pytest.approx(success, rel=1e-5), (env_id, name)
-        assert own["score_iqm"] == pytest.approx(middle.mean(), rel=1e-5), (env_id, name)
+        assert own["success_rate"] == pytest.approx(success, rel=5e-5), (env_id, name)
+        assert own["score_iqm"] == pytest.approx(middle.mean(), rel=5e-5), (env_id, name)
 
 
 def drawn(count: int) -> list[tuple[str, str, str]]:
