@@ -34,6 +34,7 @@ QUICK = {
     "dynamics/description/beams/test_stepped_links.py",
     "dynamics/description/test_arm.py",
     "dynamics/description/test_carried.py",
+    "dynamics/description/test_data_file.py",
     "dynamics/description/test_mode_rule.py",
     "dynamics/description/test_parameters.py",
     "dynamics/description/test_rotations.py",
