@@ -18,7 +18,7 @@ HERE = ("sb3_ppo", "sb3_contrib_trpo", "cleanrl_ppo")  # need no further library
 STRAIN = "least_strain"
 SHORT = ("--steps", "256", "--episodes", "2")
 APART = {  # script and arguments: libraries that it needs
-    ("torchrl_ppo", *SHORT): ("torchrl",),
+    ("torchrl_ppo", *SHORT): ("tensordict", "torchrl"),
     ("rsl_rl_ppo", *SHORT): ("rsl_rl",),
     ("skrl_ppo", *SHORT): ("skrl",),
     ("rllib_ppo", *SHORT, "--single"): ("ray", "tree"),
