@@ -131,8 +131,8 @@ def evaluate(case: Case) -> dict[str, Any]:
     from dynamics.formulations.table import why_not
     from dynamics.model import compile_arm
 
-    printed = case.arm.rotation == "exp" or why_not(case.arm, "book")
-    model = compile_arm(case.arm, formulation="gibbs_appell" if printed else "book")
+    of_positions = case.arm.rotation == "linear" and why_not(case.arm, "book") is None
+    model = compile_arm(case.arm, formulation="book" if of_positions else "gibbs_appell")
     q = np.zeros(model.n)
     q[list(case.arm.joint_index)] = case.joint_angles
     result: dict[str, Any] = {"names": list(model.names), "states": []}
