@@ -113,7 +113,7 @@ def memories(data: Mapping[str, Any]) -> str:
     for place, found in places.items():
         best: dict[bool, str] = {}
         for name in sorted(found, key=lambda x: found[x]["score"]):
-            if name in CONTROLLERS or name.startswith("recurrent") or "-stacked" in name:
+            if name in CONTROLLERS or "recurrent" in name or "-stacked" in name:
                 best[name in CONTROLLERS] = f"{name} {found[name]['score']:.3f}"
         rows.append([place, best[True], best[False]])
     return table(["task, track", "controller", "policy that remembers"], rows, "lll")

@@ -17,11 +17,12 @@ LINKS |= {"distilled": "of"}
 
 
 def name_of(policy: Policy) -> str:
-    """Algorithm of a policy, with its base, "-warm", "-stacked" and "-spread"."""
+    """Algorithm of a policy, with its base, "-warm", "-stacked", "-recurrent" and "-spread"."""
     about = policy.about
     base = about.get("base", about.get("expert"))
     return ranked_as(
-        about.get("algorithm", "policy"), base, policy.stack, bool(about.get("warm_start")),
+        about.get("algorithm", "policy"), base, policy.stack, policy.recurrent > 0,
+        bool(about.get("warm_start")),
         is_spread(about.get("env_id", ""), about.get("env_kwargs", {})),
     )  # fmt: skip
 
@@ -30,14 +31,21 @@ def name_made_by(config: Config) -> str:
     """Name of the policies that an experiment makes."""
     agent, env, base = config.agent, config.env, config.to_dict().get("base")
     spread = is_spread(env.id, env.kwargs)
-    return ranked_as(agent.name, base, env.stack, bool(agent.warm_start), spread)
+    recurrent = agent.policy == "MlpLstmPolicy"
+    return ranked_as(agent.name, base, env.stack, recurrent, bool(agent.warm_start), spread)
 
 
 def ranked_as(
-    algorithm: str, base: Mapping[str, Any] | None, stack: int, warm: bool, spread: bool
+    algorithm: str,
+    base: Mapping[str, Any] | None,
+    stack: int,
+    recurrent: bool,
+    warm: bool,
+    spread: bool,
 ) -> str:
     """Algorithm with the base on which the policy acts, such as "-on-lqg", and how it was made."""
-    how = "-warm" * warm + "-stacked" * (stack > 1) + "-spread" * spread
+    named = recurrent and not algorithm.startswith("recurrent")
+    how = "-warm" * warm + "-stacked" * (stack > 1) + "-recurrent" * named + "-spread" * spread
     return algorithm + on_base(base) + how
 
 

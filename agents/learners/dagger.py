@@ -13,17 +13,24 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
 
+from agents.learners.recurrent import LstmPolicy
 from dynamics.types import AnyArray
+
+LARGEST_GRADIENT = 1.0  # norm of the gradient through whole episodes
 
 
 class DAgger(OffPolicyAlgorithm):
     """Dataset aggregation: the expert acts for `learning_starts` steps, then the learner does.
 
     The replay buffer holds observations with what the expert would have done, `advice` of the
-    environment, so that all of them must fit in: `buffer_size`.
+    environment, so that all of them must fit in: `buffer_size`. A policy with LSTM cells learns
+    from whole episodes, as many as have `batch_size` observations.
     """
 
-    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MlpPolicy": ActorCriticPolicy}
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
+        "MlpPolicy": ActorCriticPolicy,
+        "MlpLstmPolicy": LstmPolicy,
+    }
 
     def __init__(
         self,
@@ -48,18 +55,35 @@ class DAgger(OffPolicyAlgorithm):
             sde_support=False, support_multi_env=True,
         )  # fmt: skip
         self._setup_model()
+        self._memory: Any = None  # of the policy's cells
+
+    def _setup_learn(self, *given: Any, **keywords: Any) -> Any:
+        """Begin a session; one that resets the environment continues no former episode."""
+        before, buffer = self._last_obs, self.replay_buffer
+        begun = super()._setup_learn(*given, **keywords)
+        if buffer.pos > 0 and self._last_obs is not before:
+            buffer.dones[buffer.pos - 1] = 1.0
+        return begun
 
     def train(self, gradient_steps: int, batch_size: int) -> None:
         """Least squares on the aggregated observations."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
+        recurrent = isinstance(self.policy, LstmPolicy)
+        episodes = self._episodes() if recurrent else np.empty((0, 3))
         losses = []
         for _ in range(gradient_steps):
-            batch = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
-            mean = self.policy.get_distribution(batch.observations).mode()
-            loss = misses(mean, batch.actions).square().mean()
+            if recurrent:
+                mean, advice = self._remembered(drawn(episodes, batch_size))
+            else:
+                batch = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
+                mean = self.policy.get_distribution(batch.observations).mode()
+                advice = batch.actions
+            loss = misses(mean, advice).square().mean()
             self.policy.optimizer.zero_grad()
             loss.backward()
+            if recurrent:
+                torch.nn.utils.clip_grad_norm_(self.policy.parameters(), LARGEST_GRADIENT)
             self.policy.optimizer.step()
             losses.append(loss.item())
         self._n_updates += gradient_steps
@@ -69,11 +93,41 @@ class DAgger(OffPolicyAlgorithm):
         self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
     ) -> tuple[AnyArray, AnyArray]:
         """Actions to take, and the expert's to store."""
-        advice = self.env.advice
-        if self.num_timesteps < learning_starts:
-            return advice, advice
-        taken, _ = self.policy.predict(self._last_obs, deterministic=True)
-        return taken, advice
+        advice, buffer = self.env.advice, self.replay_buffer
+        starts = buffer.dones[buffer.pos - 1] if buffer.pos else np.ones(n_envs)
+        taken, self._memory = self.policy.predict(
+            self._last_obs, self._memory, starts, deterministic=True
+        )
+        return (advice if self.num_timesteps < learning_starts else taken), advice
+
+    def _episodes(self) -> AnyArray:
+        """(n, 3) environment, first and last row of the episodes in the buffer."""
+        buffer, found = self.replay_buffer, []
+        for env in range(self.n_envs):
+            ends = buffer.dones[: buffer.pos, env].copy()
+            ends[-1] = 1.0
+            lasts = np.flatnonzero(ends)
+            firsts = np.append(0, lasts[:-1] + 1)
+            found.append(np.stack([np.full_like(lasts, env), firsts, lasts], axis=1))
+        return np.concatenate(found)
+
+    def _remembered(self, episodes: AnyArray) -> tuple[torch.Tensor, torch.Tensor]:
+        """Means (k, m) of the policy over whole episodes, and the expert's actions."""
+        buffer, (env, first, last) = self.replay_buffer, episodes.T
+        rows = first + np.arange((last - first).max() + 1)[:, None]
+        lasting = rows <= last
+        rows = np.minimum(rows, last)
+        seen = buffer._normalize_obs(buffer.observations[rows, env], self._vec_normalize_env)
+        output, _ = self.policy.lstm_actor(buffer.to_torch(seen))
+        latent = self.policy.mlp_extractor.forward_actor(output[lasting])
+        return self.policy.action_net(latent), buffer.to_torch(buffer.actions[rows, env][lasting])
+
+
+def drawn(episodes: AnyArray, steps: int) -> AnyArray:
+    """Episodes at random, as many as have about this number of steps; at least one."""
+    _, first, last = episodes.T
+    count = max(1, round(steps / (last - first + 1).mean()))
+    return episodes[np.random.randint(len(episodes), size=count)]  # noqa: NPY002
 
 
 def misses(mean: torch.Tensor, advice: torch.Tensor) -> torch.Tensor:

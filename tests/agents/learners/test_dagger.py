@@ -126,6 +126,54 @@ def test_a_policy_is_compared_with_its_expert_where_the_ranking_has_other_parame
     np.testing.assert_array_equal(beside["lqr"].predict(seen)[0], expert.predict(seen)[0])
 
 
+def remembering(steps: int, **env: Any) -> dict[str, Any]:
+    """An experiment with LSTM cells, whose episodes end at different times."""
+    given = experiment("lqg", steps, kwargs={"hardware": "laboratory"} | env, n_envs=3)
+    network = {"lstm_hidden_size": 8, "net_arch": [8]}
+    given["agent"] |= {"policy": "MlpLstmPolicy"}
+    given["agent"]["kwargs"] |= {"learning_starts": 60, "batch_size": 60, "policy_kwargs": network}
+    return given
+
+
+def test_cells_learn_from_whole_episodes_and_remember_them_alone() -> None:
+    """What the stored policy says along an episode is what the loss sees, also after a resume."""
+    model = build_model(config_from_dict(remembering(300, max_episode_steps=30)))
+    model.learn(150)
+    model.learn(150)
+    buffer, episodes = model.replay_buffer, model._episodes()
+    env, first, last = episodes.T
+    assert sorted(set(last[env == 0])) == [29, 49, 79, 99]
+    np.testing.assert_array_equal(first[env == 0], [0, 30, 50, 80])
+    means, advice = model._remembered(episodes[[1, 4, 6]])
+    policy = export_policy(model, {})
+    says, wanted = np.empty((30, 3, 1), np.float32), np.empty((30, 3, 1), np.float32)
+    lasting = np.zeros((30, 3), bool)
+    for k, (i, begin, end) in enumerate(episodes[[1, 4, 6]]):
+        memory = None
+        for t, row in enumerate(range(begin, end + 1)):
+            lasting[t, k], wanted[t, k] = True, buffer.actions[row, i]
+            says[t, k], memory = policy.predict(buffer.observations[row, i], memory)
+    assert 0 < lasting.sum() < lasting.size
+    np.testing.assert_allclose(means.detach().clip(-1, 1), says[lasting], atol=1e-5)
+    np.testing.assert_array_equal(advice, wanted[lasting])
+
+
+def test_cells_forget_at_an_end_and_at_a_new_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = build_model(config_from_dict(remembering(150, max_episode_steps=30)))
+    forgot: list[bool] = []
+    predict = model.policy.predict
+    monkeypatch.setattr(
+        model.policy,
+        "predict",
+        lambda seen, memory, starts, deterministic: (
+            forgot.append(bool(starts.all())) or predict(seen, memory, starts, deterministic)
+        ),
+    )
+    model.learn(150)
+    model.learn(150)
+    assert np.flatnonzero(forgot).tolist() == [0, 30, 50, 80]
+
+
 @pytest.mark.parametrize(
     ("agent", "learned"), [("dagger", None), ("dagger", "residual"), ("ppo", "distilled")]
 )
