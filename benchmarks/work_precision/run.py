@@ -11,8 +11,8 @@ both, because the two may cancel by chance; the total error, that of the run fro
 stored too. The method of highest order runs on every model; the other methods run on the default
 model and on each model that is more accurate than all cheaper ones.
 `--only` keeps the stored results of the other scenes. `--truth` recomputes the truths in
-tests/reference/, which takes many minutes. `--charts` draws the stored results, and the peers'
-lines of docs/results/peers.json.
+tests/reference/, which takes many minutes. `--charts` draws the stored results, with
+the peers' lines of docs/results/peers.json, and writes their table.
 """
 
 import math
@@ -325,7 +325,9 @@ def main() -> None:
     parser = argument_parser("work_precision", __doc__)
     parser.add_argument("--quick", action="store_true", help="one scene, three models")
     parser.add_argument("--truth", action="store_true", help="only recompute the truths")
-    parser.add_argument("--charts", action="store_true", help="only draw the stored results")
+    parser.add_argument(
+        "--charts", action="store_true", help="only draw and list the stored results"
+    )
     parser.add_argument("--only", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
     parser.add_argument("--jobs", type=count, default=2, help="number of compiling processes")
     parser.add_argument("--out", type=Path, default=STORED)
@@ -337,15 +339,14 @@ def main() -> None:
             if setting.refined:
                 make_truth(setting)
         return
-    if options.charts:
-        draw(stored_results(options.out), options.images)
-        return
-    results = quick() if options.quick else run(chosen, options.jobs)
-    if len(chosen) < len(SETTINGS) and options.out.exists():
-        results["scenes"] = stored_results(options.out)["scenes"] | results["scenes"]
-    options.out.parent.mkdir(parents=True, exist_ok=True)
+    if not options.charts:
+        results = quick() if options.quick else run(chosen, options.jobs)
+        if len(chosen) < len(SETTINGS) and options.out.exists():
+            results["scenes"] = stored_results(options.out)["scenes"] | results["scenes"]
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        store(plain(results), options.out)
+    results = stored_results(options.out)
     options.images.mkdir(parents=True, exist_ok=True)
-    store(plain(results), options.out)
     text = page(results)
     options.out.with_name(f"{options.out.name.split('.')[0]}.md").write_text(text)
     print(text)

@@ -160,6 +160,19 @@ def test_results_are_plain_json_with_a_table_and_pictures(
         assert f"| {target:.0e} | " + ("none" if found is None else found["model"]) in table
 
 
+def test_the_committed_page_is_that_of_the_stored_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    committed, file = precision_charts.STORED, tmp_path / precision_charts.STORED.name
+    file.write_bytes(committed.read_bytes())
+    monkeypatch.setattr(work_precision, "draw", lambda results, folder: None)
+    arguments = ["", "--charts", "--out", str(file), "--images", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", arguments)
+    work_precision.main()
+    pages = [x.with_name("work_precision.md").read_text() for x in (file, committed)]
+    assert pages[0] == pages[1]
+
+
 def test_scenes_that_are_not_measured_stay_as_they_are_stored(
     results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
