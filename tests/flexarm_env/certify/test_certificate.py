@@ -65,6 +65,16 @@ def test_six_links_keep_a_thousandth_for_half_a_second() -> None:
             assert until is None or until >= short * least, kind
 
 
+def test_motions_of_six_links_part_most_where_links_vibrate_from_the_start() -> None:
+    """As `docs/certificate.md` says; bang-bang ends before it, as links bend too far."""
+    kinds = stored()["six-link"]["measured"][0]["certificate"]["episodes"]["kinds"]
+    growth = {kind: found["growth"] for kind, found in kinds.items()}
+    most = dict(sorted(growth.items(), key=lambda x: -x[1])[:2])
+    assert list(most) == ["shaken", "held"]
+    assert most["shaken"] > 200.0
+    assert 35.0 < most["held"] < 45.0
+
+
 @pytest.mark.parametrize("scene", ["OneLink", "TwoLink"])
 def test_a_default_keeps_its_stated_median_in_a_few_episodes(scene: str) -> None:
     """Short form; `test_measuring_again_...` is the whole."""
