@@ -83,7 +83,6 @@ class Model:
         self.lanes = LANES_OF[dtype]  # environments that a batch steps side by side
         self.names = list(arm.names)
         self.n, self.n_joint, self.n_torque = arm.n, arm.n_joint, arm.n_torque
-        self.nominal_parameters = self.traced.nominal_parameters
         self.measurements = self.traced.measurements
         self.n_measure = self.traced.n_measure
         self._programs: dict[tuple[int, str, str, bool], ModuleType] = {}
@@ -238,18 +237,23 @@ class Model:
         """CasADi Function (q, v, tau, parameters, []) -> accelerations, see tracing/graphs.py."""
         return graphs.accelerations(self.traced)
 
+    @property
+    def nominal_parameters(self) -> Array:
+        """(n_parameter,) values of the free parameters that reproduce the described arm."""
+        return self.traced.nominal_parameters.copy()
+
     @cached_property
     def encoders(self) -> Array:
-        """(n_joint, n) joint angles that ideal encoders read, by q.
+        """(n_joint, n) joint angles that ideal encoders read, by q; read-only.
 
         Encoders turn with the roots of the links, which pinned-free modes turn too.
         """
-        return linearized.inputs(self.chain)[:, : self.n_joint].T
+        return _read_only(linearized.inputs(self.chain)[:, : self.n_joint].T)
 
     @cached_property
     def stiffness(self) -> Array:
-        """Stiffness matrix K (n, n), zero in the joints."""
-        return linearized.stiffness(self.chain)
+        """Stiffness matrix K (n, n), zero in the joints; read-only."""
+        return _read_only(linearized.stiffness(self.chain))
 
     def rigid(self, q: Array) -> Array:
         """Copy of q, (n,) or (N, n), with straight links and a free base at the origin."""
@@ -342,3 +346,8 @@ class Model:
 
     def _tau(self, x: Array) -> Array:
         return validate.array(x, "tau", (self.n_torque,))
+
+
+def _read_only(values: Array) -> Array:
+    values.flags.writeable = False
+    return values

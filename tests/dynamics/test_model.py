@@ -1,5 +1,6 @@
 """Quantities of the compiled arm against published tables, beam theory and each other."""
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -367,3 +368,13 @@ def test_an_invalid_argument_is_refused_with_its_name_and_shape() -> None:
     ):
         with pytest.raises(ValueError, match=sentence):
             call()
+
+
+def test_a_model_is_not_changed_through_the_arrays_that_it_returns() -> None:
+    model = compile_arm(ARMS["slim"], free_parameters=("payload_mass", "stiffness"))
+    for name in ("encoders", "stiffness", "nominal_parameters"):
+        returned, described = getattr(model, name), getattr(model, name).copy()
+        with suppress(ValueError):  # NumPy's, of an array that is read-only
+            returned += 50.0
+
+        np.testing.assert_array_equal(getattr(model, name), described)
