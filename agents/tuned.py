@@ -31,7 +31,7 @@ def is_tuned(name: str, env_id: str, track: str) -> bool:
 
 
 def parameters_of(name: str, env_id: str, track: str) -> dict[str, float]:
-    """Stored parameters of a controller; a ValueError if it was not tuned there."""
+    """Copy of a controller's stored parameters; a ValueError if it was not tuned there."""
     found = _stored(env_id, track).get(name)
     if found is None:
         raise ValueError(
@@ -39,8 +39,7 @@ def parameters_of(name: str, env_id: str, track: str) -> dict[str, float]:
             f"run python -m agents.tune --tasks {designed_for(env_id)} "
             f"--tracks {TRACKS[track].design} --controllers {name}."
         )
-    result: dict[str, float] = found["parameters"]
-    return result
+    return dict(found["parameters"])
 
 
 def _stored(env_id: str, track: str) -> Mapping[str, Any]:

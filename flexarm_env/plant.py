@@ -4,6 +4,7 @@ import inspect
 import math
 import warnings
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -162,7 +163,7 @@ def plan(
     certificate, uncertified = None, None
     part = conditions.part(Conditions.from_dict(entry["certificate"]["holds"])) if entry else None
     if entry and not part and by_step(entry["certificate"], control_dt, name, count):
-        certificate = entry["certificate"]
+        certificate = deepcopy(entry["certificate"])
     else:
         uncertified = _uncertified(measured, conditions, entry, part, control_dt, fidelity)
     fitted_arm = fitted.arm

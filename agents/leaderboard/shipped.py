@@ -65,9 +65,14 @@ def ship(policy: Policy, env_id: str, track: str) -> None:
     save_policy(policy, place(env_id, track) / name_of(policy) / f"seed{seed}")
 
 
-@cache
 def shipped(env_id: str, track: str) -> dict[str, list[Policy]]:
     """Policies of a task and track: one per training seed, by name."""
+    return {name: policies.copy() for name, policies in loaded(env_id, track).items()}
+
+
+@cache
+def loaded(env_id: str, track: str) -> dict[str, list[Policy]]:
+    """What `shipped` copies, so that files are read once."""
     validate.known(track, "track", TRACKS)
     found: dict[str, list[Policy]] = {}
     for folder in sorted(place(designed_for(env_id), track).glob("*/seed*")):

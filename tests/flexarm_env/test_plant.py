@@ -51,3 +51,8 @@ def test_a_copy_does_not_read_the_arm_file_again(tmp_path: Path) -> None:
     env = gym.make(ID, arm=str(path))
     path.unlink()
     assert copy.deepcopy(env).unwrapped.arm == env.unwrapped.arm  # type: ignore[attr-defined]
+
+
+def test_a_certificate_is_not_changed_through_another_environment() -> None:
+    gym.make(ID).unwrapped.certificate["holds"].clear()  # type: ignore[attr-defined]
+    assert gym.make(ID).unwrapped.certificate["holds"]  # type: ignore[attr-defined]

@@ -195,3 +195,11 @@ def test_names_that_are_in_no_table_are_refused_with_those_that_are() -> None:
     for asked in (lambda: parameters_of("lqr", IDS[0], "lab"), lambda: shipped(IDS[0], "lab")):
         with pytest.raises(ValueError, match="Unknown track 'lab'"):
             asked()
+
+
+def test_what_is_stored_is_not_changed_through_what_is_returned() -> None:
+    for asked in (lambda: parameters_of("lqr", IDS[0], "state"), lambda: shipped(IDS[0], "state")):
+        asked().clear()
+        assert asked()
+    next(iter(shipped(IDS[0], "state").values())).clear()
+    assert all(shipped(IDS[0], "state").values())

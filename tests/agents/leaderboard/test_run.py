@@ -20,7 +20,7 @@ from agents.leaderboard.motions import Episode, plant
 from agents.leaderboard.output import EPISODES
 from agents.leaderboard.replay import YARDSTICK, optimal
 from agents.leaderboard.run import main, names, ranked
-from agents.leaderboard.shipped import FOLDER, name_of, policies_of, ship, shipped
+from agents.leaderboard.shipped import FOLDER, loaded, name_of, policies_of, ship, shipped
 from agents.leaderboard.tracks import (
     HARDER,
     RANKED,
@@ -265,20 +265,20 @@ def test_a_policy_trained_for_a_track_acts_there_beside_those_of_its_design(
     policy = shipped(ONE, "laboratory")["ppo-stacked"][0]
     about = {**policy.about, "env_kwargs": TRACKS["transfer"].spread}
     monkeypatch.setattr("agents.leaderboard.shipped.FOLDER", tmp_path)
-    shipped.cache_clear()
+    loaded.cache_clear()
     ship(policy, ONE, "laboratory")
     ship(replace(policy, about=about), ONE, "transfer")
     assert list(policies_of(ONE, "transfer")) == ["ppo-stacked", "ppo-stacked-spread"]
     assert list(policies_of(ONE, "laboratory")) == ["ppo-stacked"]
     assert "ppo-stacked-spread" in names(None, ONE, "transfer", False)
-    shipped.cache_clear()
+    loaded.cache_clear()
 
 
 def test_shipped_policies_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("agents.leaderboard.shipped.FOLDER", tmp_path)
-    shipped.cache_clear()
+    loaded.cache_clear()
     assert shipped(ONE, "state") == {}
-    shipped.cache_clear()
+    loaded.cache_clear()
 
 
 class Replay:
