@@ -114,7 +114,10 @@ class Stepper:
         )  # fmt: skip
 
     def measure(self, q: ArrayLike, v: ArrayLike, out: NDArray[np.float64]) -> None:
-        """Write the measurements (N, n_measure) of states q, v (N, n) into `out`."""
+        """Write the measurements (N, n_measure) of states q, v (N, n) into `out`.
+
+        Another thread may step the batch meanwhile.
+        """
         q, v = (validate.array(x, name, (None, self.model.n)) for x, name in ((q, "q"), (v, "v")))
         shape = len(q), self.model.n_measure
         validate.instance(out, "out", np.ndarray)
@@ -123,4 +126,4 @@ class Stepper:
                 f"v must have the shape {q.shape} of q, and out must be float64 of shape {shape}, "
                 f"got {v.shape} and {out.dtype} of shape {out.shape}."
             )
-        self._program.measure_states(q, v, self._w[0], out)
+        self._program.measure_states(q, v, self.model.workspace(self._program), out)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from dynamics import Arm, Joint, Model, Payload, Stepper, compile_arm
 from dynamics.backends.numba_llvm.stepper_entries import LANES
@@ -368,3 +368,20 @@ def test_a_batch_in_use_refuses_another_python_thread() -> None:
     for _ in range(done):
         one.advance()
     assert np.array_equal(stepper.q, one.q)
+
+
+def test_a_batch_that_another_thread_steps_may_be_measured() -> None:
+    """A workspace that both used would change the states, with status 0."""
+    model = compiled(ARM)
+    expected, stepper = (batch(model, 4 * LANES) for _ in range(2))
+    rest, out = np.zeros_like(stepper.q), np.empty((len(stepper.q), model.n_measure))
+    stepper.measure(rest, rest, out)  # compiled, as `advance` here
+    for each in (expected, stepper):
+        each.advance()
+        each.substeps = 2000
+    stepping = threading.Thread(target=stepper.advance)
+    stepping.start()
+    while stepping.is_alive():
+        stepper.measure(rest, rest, out)
+    expected.advance()
+    assert_array_equal(stepper.q, expected.q)
