@@ -43,7 +43,8 @@ class Derivatives:
 
     Raises
     ------
-    ValueError : the integrator has no derivatives.
+    ValueError : the integrator has no derivatives, or an array of a state or of actions has another
+        shape.
     """
 
     def __init__(self, core: Core) -> None:
@@ -63,6 +64,7 @@ class Derivatives:
 
     def record(self, state: Array, actions: AnyArray) -> Recorded:
         """A control step from `state`, which is left as it is."""
+        self._check(state=state, actions=actions)
         after, stored = self._memory.copy(state), self._stored(state, actions)
         fixed, per_substep = self._program.STACK
         depth = fixed + per_substep * self._core.substeps
@@ -86,6 +88,7 @@ class Derivatives:
         state, actions, stack : before the step, and what `record` kept of it.
         after, obs, info : cotangents of what `record` gave; they are left as they are.
         """
+        self._check(state=state, actions=actions, after=after)
         before = self._memory.copy(after)
         by = self._memory.array(actions.shape, actions.dtype)
         self._run(self._program.pull_back, actions, state, stack, by, before, obs, info)
@@ -99,10 +102,20 @@ class Derivatives:
         state, actions : before the step.
         along, by : (rows, width) direction of the state, (N, n_torque) direction of the actions.
         """
+        self._check(state=state, actions=actions, along=along, by=by)
         moved, (obs, info, _) = self._memory.copy(along), self._stored(state, actions)
         given = (self._memory.copy(state), *self._stored(state, actions), by, moved, obs, info)
         self._run(self._program.push_forward, actions, *given)
         return Along(moved, obs, info)
+
+    def _check(self, **given: AnyArray) -> None:
+        """Refuse arrays of other shapes: compiled code would go past their ends."""
+        acting = (self._core.n_env, self._core.arm.n_torque)
+        for name, array in given.items():
+            shape = acting if name in ("actions", "by") else self._core.state.shape
+            if array.shape != shape:
+                padded = "" if shape == acting else ", padded as core.state"
+                raise ValueError(f"{name} must have shape {shape}{padded}, got {array.shape}.")
 
     def _stored(self, state: Array, actions: AnyArray) -> tuple[AnyArray, Array, AnyArray]:
         """New arrays of observations, info and flags."""

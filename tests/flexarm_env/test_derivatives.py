@@ -123,3 +123,17 @@ def test_methods_that_numba_compiles_whole_are_refused() -> None:
     core = Core(task="Reach", arm="slim", n_env=2, integrator="rosenbrock")
     with pytest.raises(ValueError, match=r"integrator 'rosenbrock' has no derivatives.*numerov"):
         Derivatives(core)
+
+
+def test_arrays_of_other_shapes_are_refused() -> None:
+    """A state without the padding gave another motion, from memory past its end."""
+    core = Core(n_env=N, control_dt=0.02, arm="slim", task="Reach")
+    derivatives, state, actions = Derivatives(core), core.state, np.zeros((N, 1), np.float32)
+    with pytest.raises(
+        ValueError, match=r"state must have shape .*padded as core.state, got \(.*5\)"
+    ):
+        derivatives.record(state[:, :N], actions)
+    with pytest.raises(ValueError, match=r"actions must have shape \(5, 1\), got \(4, 1\)"):
+        derivatives.record(state, actions[1:])
+    with pytest.raises(ValueError, match="along must have shape"):
+        derivatives.push_forward(state, actions, state[:, :N], actions)
