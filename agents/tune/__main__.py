@@ -105,13 +105,14 @@ def tune_controllers(options: argparse.Namespace) -> None:
 
 def _searched(options: argparse.Namespace) -> list[Place]:
     """Places of the controllers of the command line that take part and have parameters."""
-    return [
+    places = (
         (env_id, track, name)
         for env_id in options.tasks
         for track in options.tracks
         for name in options.controllers
         if takes_part(name, env_id, track) and CONTROLLERS[name].ranges
-    ]
+    )
+    return list(dict.fromkeys(places))
 
 
 def tune_experiments(experiments: Mapping[Place, Config], options: argparse.Namespace) -> None:
