@@ -17,7 +17,8 @@ POLICY = "policy"  # folder in a checkpoint
 
 
 def train_trial(settings: dict[str, Any]) -> None:
-    """Train the experiment in `settings["planned"]`, from the trial's checkpoint if it has one.
+    """Train the experiment in `settings["planned"]`, from the trial's checkpoint if it has an
+    intact one.
 
     Reports the mean score of the tuning episodes, the objective by which trials are ranked, the
     steps, how often the trial was restarted, and Ray's name of the machine, each time with a
@@ -30,15 +31,15 @@ def train_trial(settings: dict[str, Any]) -> None:
     config = config_from_dict(settings["planned"]["experiment"])
     model = build_model(config)
     progress = {"session": 0, "seconds": 0.0}
-    checkpoint = tune.get_checkpoint()
-    if checkpoint is None:
-        begin_warm(model, config)
-    else:
+    checkpoint, found = tune.get_checkpoint(), None
+    if checkpoint is not None:
         with checkpoint.as_directory() as folder:
             found, _ = newest_intact(Path(folder))
             if found is not None:
                 progress = restore_checkpoint(model, found)
                 progress["session"] += 1
+    if found is None:
+        begin_warm(model, config)
     node = ray.get_runtime_context().get_node_id()
     interval = -(-config.total_steps // REPORTS)
 
@@ -66,6 +67,6 @@ def train_trial(settings: dict[str, Any]) -> None:
 
     remaining = config.total_steps - model.num_timesteps
     if remaining > 0:
-        model.learn(remaining, Reports(), log_interval=None, reset_num_timesteps=checkpoint is None)
+        model.learn(remaining, Reports(), log_interval=None, reset_num_timesteps=found is None)
     report()
     model.env.close()

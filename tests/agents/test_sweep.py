@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,8 +17,11 @@ import pytest
 import yaml
 
 from agents.config import load_config
-from agents.policy import load_policy
+from agents.learners.export import export_policy
+from agents.policy import load_policy, save_policy
 from agents.sweep.command import located, main, run
+from agents.sweep.trial import train_trial
+from agents.training import about_policy, build_model
 from tests.agents.tiny import one_sentence, write_config
 from tests.paths import ROOT
 
@@ -192,9 +196,39 @@ def test_without_an_address_a_sweep_joins_no_cluster_that_happens_to_run_here(
     assert joined == ["local", "cluster:6379", "job:6379"]
 
 
+def test_a_trial_whose_checkpoint_is_damaged_begins_anew_with_its_warm_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_config(tmp_path, "ppo", 64)
+    config = load_config(path)
+    policy = export_policy(build_model(config), about_policy(config))
+    save_policy(replace(policy, biases=(*policy.biases[:-1], policy.biases[-1] + 0.5)), tmp_path)
+    config = replace(config, agent=replace(config.agent, warm_start=str(tmp_path)))
+    (tmp_path / "damaged" / "step_000000000128").mkdir(parents=True)
+    damaged = SimpleNamespace(as_directory=lambda: nullcontext(tmp_path / "damaged"))
+    context = SimpleNamespace(get_node_id=lambda: "here")
+
+    def reported(checkpoint: Any) -> list[dict[str, Any]]:
+        entries: list[dict[str, Any]] = []
+        tune = SimpleNamespace(
+            get_checkpoint=lambda: checkpoint,
+            report=lambda entry, checkpoint: entries.append(entry),
+            Checkpoint=SimpleNamespace(from_directory=lambda folder: None),
+        )
+        ray = SimpleNamespace(tune=tune, get_runtime_context=lambda: context)
+        monkeypatch.setitem(sys.modules, "ray", ray)
+        train_trial({"planned": {"experiment": config.to_dict()}})
+        return entries
+
+    assert reported(damaged) == reported(None)
+
+
 @pytest.mark.slow
 def test_a_killed_sweep_resumes_and_names_a_best_that_trains(tmp_path: Path) -> None:
-    """No trial falls behind what it had reached before the kill; the rest is trained."""
+    """No trial falls behind what it had reached before the kill; the rest is trained.
+
+    The folder may have moved.
+    """
     pytest.importorskip(
         "ray", reason='needs the extra: pip install -c constraints.txt -e ".[scale]"'
     )
@@ -207,6 +241,7 @@ def test_a_killed_sweep_resumes_and_names_a_best_that_trains(tmp_path: Path) -> 
     process.kill()
     process.communicate()
     before = {t["trial"]: t for t in ranking(out) if t["state"] != "unfinished"}
+    out = out.rename(tmp_path / "moved")
 
     output, error = sweep("--resume", out).communicate()
     assert "Best: score" in output, error
