@@ -227,7 +227,7 @@ def run(
                 str(out / TUNE), trainable=train_trial, resume_unfinished=True, resume_errored=True
             )
         else:
-            tuner = new_tuner(out, trials, keep_all, Ranking(out / RESULTS))
+            tuner = new_tuner(out, trials, keep_all, Ranking())
         results = tuner.fit()
     finally:
         ray.shutdown()

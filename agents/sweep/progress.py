@@ -7,15 +7,16 @@ from ray.tune import Callback
 
 from agents.metrics import write_json
 from agents.run_folder.folder import versions
+from agents.sweep.command import RESULTS
 
 SHOWN = ("score", "success", "objective", "steps", "restarts", "node")
 
 
 class Ranking(Callback):
-    """Ranking of the trials in a JSON file, best first."""
+    """Ranking of the trials, best first, in a JSON file beside Ray Tune's folder.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    Ray stores this object with the sweep, whose folder may have moved when it is resumed.
+    """
 
     def on_trial_result(
         self, iteration: int, trials: list[Any], trial: Any, result: dict[str, Any], **info: Any
@@ -38,7 +39,8 @@ class Ranking(Callback):
         """Write all trials as they stand."""
         rows = [row(trial) for trial in trials]
         rows.sort(key=lambda r: -r.get("objective", -float("inf")))
-        write_json(self.path, {"versions": versions()["packages"], "trials": rows})
+        folder = Path(trials[0].storage.experiment_fs_path).parent
+        write_json(folder / RESULTS, {"versions": versions()["packages"], "trials": rows})
 
 
 def number_of(trial: Any) -> int:

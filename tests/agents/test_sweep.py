@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -221,6 +222,26 @@ def test_a_trial_whose_checkpoint_is_damaged_begins_anew_with_its_warm_start(
         return entries
 
     assert reported(damaged) == reported(None)
+
+
+def test_a_sweep_that_has_moved_is_ranked_where_it_lies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ray stores the object that ranks with the sweep, before it moves."""
+    monkeypatch.setitem(sys.modules, "ray.tune", SimpleNamespace(Callback=object))
+    monkeypatch.setitem(sys.modules, "agents.sweep.progress", None)
+    del sys.modules["agents.sweep.progress"]  # imported anew, and removed after the test
+    progress = import_module("agents.sweep.progress")
+    ranked = progress.Ranking()
+    experiment = {"agent": {"kwargs": {"gamma": 0.9}}, "total_steps": 64}
+    trial = SimpleNamespace(
+        config={"planned": {"number": 3, "experiment": experiment}},
+        status="TERMINATED",
+        last_result={"steps": 64, "objective": 0.5},
+        storage=SimpleNamespace(experiment_fs_path=str(tmp_path / "tune")),
+    )
+    ranked.write([trial])
+    assert [(t["trial"], t["state"]) for t in ranking(tmp_path)] == [(3, "done")]
 
 
 @pytest.mark.slow
