@@ -45,14 +45,24 @@ def friction(chain: Chain) -> Array:
 
 
 def frequencies(M: Array, K: Array, elastic: int, locked: Sequence[int] = ()) -> Array:
-    """(elastic,) [rad/s] highest natural frequencies of M and K; `locked` coordinates are fixed."""
+    """(elastic,) [rad/s] highest natural frequencies of M and K; `locked` coordinates are fixed.
+
+    Those below the geometric mean of the slowest and the fastest are the reciprocals of periods:
+    round-off of the fastest, relative to its square, would hide the slow ones of a stiff arm.
+    """
     from scipy.linalg import eigh
 
     moving = np.setdiff1d(np.arange(len(M)), locked)
+    moving = moving[np.argsort(K[:, moving].any(axis=0), kind="stable")]  # rigid motions first
     M, K = M[np.ix_(moving, moving)], K[np.ix_(moving, moving)]
+    bent = slice(len(moving) - elastic, None)
     with double_precision("The arm's frequencies"):
-        squares = eigh(K, M, eigvals_only=True)
-    return np.asarray(np.sqrt(np.abs(squares[squares.size - elastic :])))
+        root = np.linalg.cholesky(M)[bent, bent]
+        M, K = root @ root.T, K[bent, bent]  # of the bending, rigid motions following freely
+        fast = eigh(K, M, eigvals_only=True)
+        slow = 1.0 / eigh(M, K, eigvals_only=True)[::-1]
+        squares = np.where(fast * fast > slow[:1] * fast[-1:], fast, slow)
+    return np.asarray(np.sqrt(squares))
 
 
 def _assemble(

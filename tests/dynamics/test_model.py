@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from dynamics import ARMS, Arm, Link, Mode, Model, Payload, compile_arm, load_arm, simulate
+from dynamics import ARMS, Arm, Joint, Link, Mode, Model, Payload, compile_arm, load_arm, simulate
 from dynamics.description.validate import ZEROS
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.types import Array
@@ -140,6 +140,22 @@ def test_frequencies_with_a_free_joint_converge_from_above_as_modes_are_added(
     assert np.all(many < few)
     assert np.all(many > exact * (1.0 - 2e-4))
     assert_allclose(many, exact, rtol=5e-4)
+
+
+@pytest.mark.parametrize("joints", ["locked", "free"])
+def test_a_stiff_plane_leaves_the_frequencies_of_the_soft_one(joints: str) -> None:
+    """A link 1e15 times as stiff across; squares of all frequencies span 19 decades."""
+    soft, stiff = (Mode(kind="poly", index=1, direction=direction) for direction in "yz")
+    flat = Link(length=1.0, rho_A=0.5, EIz=10.0, modes=(soft,), joint=Joint(rotor_inertia=0.1))
+    second = replace(flat, EIz=0.1, tip_mass=1.0)
+    planar, spatial = (
+        Arm(links=tuple(replace(link, EIy=1e16, modes=modes) for link in (flat, second)))
+        for modes in ((soft,), (soft, stiff))
+    )
+
+    found = compiled(spatial).frequencies(joints=joints)
+
+    assert_allclose(found[:2], compiled(planar).frequencies(joints=joints), rtol=1e-11)
 
 
 def test_frequencies_equal_those_of_the_linearised_weightless_arm() -> None:
