@@ -72,7 +72,8 @@ def simulate(
     Raises
     ------
     Diverged : with the time and a remedy.
-    ValueError : for arguments of wrong size, or a step beyond the method's stability limit.
+    ValueError : for arguments of wrong size, a start beyond the largest meaningful state, or a
+        step beyond the method's stability limit.
     """
     base = validate.instance(model, "model", Model).arm.base
     start = (_state(model, q, base.q, "q"), _state(model, v, base.v, "v"))
@@ -116,7 +117,13 @@ def _state(model: Model, x: ArrayLike, base: tuple[float, ...], name: str) -> Ar
     array = validate.array(x, name, (None,))
     if array.shape == (model.n - len(base),):
         array = np.concatenate([base, array])
-    return validate.array(array, name, (model.n,))
+    array = validate.array(array, name, (model.n,))
+    for k in np.flatnonzero(np.abs(array) > FARTHEST):
+        raise ValueError(
+            f"{name}[{k}] must be at most {FARTHEST:g} in size, or a motion diverges at once, got "
+            f"{array[k]:g}; start nearer, an angle without its whole turns."
+        )
+    return array
 
 
 def _signal(
