@@ -17,6 +17,11 @@ from dynamics.backends.numba_llvm import program
 from tests.paths import ROOT
 
 QUICK = {
+    "agents/controllers/observers/test_by_hand.py",
+    "agents/controllers/test_by_hand.py",
+    "agents/controllers/test_lqr.py",
+    "agents/controllers/test_shapers.py",
+    "agents/controllers/test_strain.py",
     "agents/leaderboard/test_bound.py",
     "agents/leaderboard/test_statistics.py",
     "agents/learners/test_algorithms.py",
@@ -79,7 +84,6 @@ EVENING = {  # long files, of quick ones what compiles; .ci/run takes them after
     "agents/controllers/test_mpc.py",
     "agents/controllers/test_nmpc.py",
     "agents/controllers/test_pd.py",
-    "agents/controllers/test_shapers.py",
     "agents/controllers/test_strain.py",
     "agents/export/test_c_header.py",
     "agents/hybrid/test_hybrid.py",

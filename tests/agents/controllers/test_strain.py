@@ -18,6 +18,7 @@ from agents.controllers.strain import (
 )
 from agents.metrics import make_batch
 from dynamics import ARMS
+from tests.agents.controllers.springs import Environment
 
 TWO = "FlexArm/TwoLink-Reach-v0"
 GAINS = {"frequency_ratio": 0.2, "damping_ratio": 0.7}
@@ -25,7 +26,10 @@ GAINS = {"frequency_ratio": 0.2, "damping_ratio": 0.7}
 
 @pytest.fixture
 def envs() -> Any:
-    return make_batch(TWO, 1, {"obs": "sensors"})
+    """Masses on springs, with the gauges of two links."""
+    envs = Environment("sensors")
+    envs.core.arm = ARMS["two-link"]
+    return envs
 
 
 def observed(envs: Any, **parts: Any) -> Any:
@@ -97,18 +101,23 @@ def test_joints_yield_towards_the_bent_links(envs: Any) -> None:
     assert found[0, 0] > 0.0
 
 
-def test_the_filter_of_positive_position_feedback_rests_at_the_chord(envs: Any) -> None:
+def test_the_filter_of_positive_position_feedback_swings_about_the_chord(envs: Any) -> None:
+    """Step response of a damped oscillator, in closed form."""
     x = observed(envs, root_curvature=[0.03, -0.01])
-    weights = {"gain": 0.5, "filter_ratio": 1.0, "filter_damping": 0.8}
+    weights = {"gain": 0.5, "filter_ratio": 0.7, "filter_damping": 0.4}
     subject = PositivePosition(envs, **GAINS, **weights)
     state: Any = None
-    for _ in range(400):
+    pd, chord, w = subject.pd, Chords(envs, "x")(x), 0.7 * envs.core.scales.locked[0]
+    turn, decay = w * np.sqrt(1.0 - 0.4**2), 0.4 * w
+    for k in range(1, 40):
         found, state = subject.predict(x, state, np.zeros(1, bool))
-    pd, chord = subject.pd, Chords(envs, "x")(x)
-    assert state[:, 0] == pytest.approx(chord)
-    assert found == pytest.approx(0.5 * pd.stiffness * chord / pd.torque_limit)
+        t = k * envs.core.control_dt
+        left = np.exp(-decay * t) * (np.cos(turn * t) + decay / turn * np.sin(turn * t))
+        assert state[:, 0] == pytest.approx(chord * (1.0 - left))
+        assert found == pytest.approx(0.5 * pd.stiffness * state[:, 0] / pd.torque_limit)
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("name", ["strain", "ppf", "irc"])
 def test_strain_is_not_among_exact_states(name: str) -> None:
     envs = make_batch(TWO, 1, {"obs": "state"})
@@ -119,6 +128,7 @@ def test_strain_is_not_among_exact_states(name: str) -> None:
 NO_GAUGES, STRAIGHT = "reads strain gauges, of which this arm has none", "takes an arm that bends"
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize(
     ("name", "sentence"), [("strain", NO_GAUGES), ("lqg", NO_GAUGES), ("mpc", STRAIGHT)]
 )
@@ -185,6 +195,7 @@ def exact_locus(gain: float) -> Any:
     return np.linalg.eigvals(loop)
 
 
+@pytest.mark.compiles
 def test_integral_resonant_control_adds_damping_along_its_root_locus() -> None:
     """The first oscillation decays twice as fast at a gain of 1, and no pole turns unstable."""
     ratios = []
