@@ -164,8 +164,7 @@ class LinearModels:
     def forces(self) -> Array:
         """(n, m) generalized forces of joint torques; parallel drives load more than one joint."""
         model, rest = self.model, np.zeros(self.model.n)
-        still = model.accelerations(rest, rest, np.zeros(model.n_joint))
-        columns = [model.accelerations(rest, rest, tau) - still for tau in np.eye(model.n_joint)]
+        columns = [model.accelerations(rest, rest, tau) for tau in np.eye(model.n_joint)]
         return model.mass_matrix(rest) @ np.column_stack(columns)
 
     @cached_property

@@ -10,11 +10,14 @@ from scipy.optimize import LinearConstraint, minimize
 from agents.controllers import nmpc
 from agents.controllers.inverse import InverseDynamics
 from agents.controllers.lqr import LQR, Cost, Gain, riccati
+from agents.controllers.models import linear_model
+from agents.controllers.models.linear_model import LinearModels
 from agents.controllers.models.plan import Planner
 from agents.controllers.models.preview import Preview
 from agents.controllers.models.reference import Course, Reference
 from agents.controllers.mpc import PRICE, Predictive
 from agents.controllers.observers.exact import Estimate, ExactState
+from dynamics import Arm, Link, Mode
 from dynamics.types import Array
 from tests.agents.controllers.springs import (
     BENDS,
@@ -58,6 +61,29 @@ def test_a_linear_model_steps_as_the_equations_of_motion() -> None:
             np.vstack([plant.K, slow]), np.vstack([forces, np.zeros((3, 2))]), rcond=None
         )[0]
         np.testing.assert_allclose(fewer.D, READINGS @ bent, atol=1e-12)
+
+
+def test_links_bend_as_the_arm_does() -> None:
+    """A link of two pieces, by the tip of the arm itself."""
+    section = {"rho_A": 0.3, "EIz": 4.0, "EIy": 7.0}
+    modes = tuple(Mode(kind="clamped-free", index=1, direction=x) for x in "yz")
+    arm = Arm(links=(Link(length=0.8, segments=2, modes=modes, **section),))
+    models, small = LinearModels(arm, DT, ()), 1e-6
+    assert models.joints == [0]
+    tips = [models.model.tip(small * x)[1:] / small / 0.8 for x in np.eye(arm.n)]
+    bent = np.array(tips)[models.modal].T
+    np.testing.assert_allclose(models.bends[:, models.modal], bent, atol=1e-6)
+    assert not models.bends[:, models.joints].any()
+
+
+def test_plants_reach_beyond_what_is_drawn() -> None:
+    """By half of it on both sides, but no payload is negative; no mode is taken for a slower."""
+    masses, factors = linear_model._levels((0.0, 0.6), 7), linear_model._levels((0.9, 1.1), 3)
+    assert masses == pytest.approx(np.linspace(0.0, 0.9, 10))
+    assert factors == pytest.approx(np.linspace(0.8, 1.2, 5))
+    assert linear_model._levels((0.2, 0.2), 7) == [0.2]
+    assert linear_model._middle(masses, (0.0, 0.6)) == 3
+    assert np.pi > linear_model.FASTEST
 
 
 def cost_of(env: Environment, model: Any) -> tuple[Cost, Array, Array]:
@@ -140,6 +166,7 @@ def test_inverse_dynamics_feeds_forward_what_a_plan_needs(obs: str) -> None:
 
     for k in range(int(rise / DT) + 3):
         error, rate = start - 0.001 * k, np.array([0.01, -0.02])
+        error += {2: 9.0, 3: -9.0}.get(k, 0.0)  # beyond the limits
         (found,), state = subject.predict(
             env.observed(joint_error=error[None], joint_rate=rate[None]), state, np.array([k == 0])
         )

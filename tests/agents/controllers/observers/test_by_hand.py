@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from agents.controllers.models.plan import TimedMoves
 from agents.controllers.models.reading import Sensors
 from agents.controllers.observers import extended
 from agents.controllers.observers.extended import ExtendedFilters
@@ -15,7 +16,7 @@ from agents.controllers.observers.kalman import KalmanFilters
 from dynamics.types import Array
 from flexarm_env.hardware.sensors import Hardware
 from tests.agents.controllers.observers.textbook import filtered
-from tests.agents.controllers.springs import JOINTS, LIMIT, MODAL, Environment, N
+from tests.agents.controllers.springs import JOINTS, LIMIT, MODAL, READINGS, Environment, N
 
 pytestmark = pytest.mark.usefixtures("springs_alone")
 HARDWARE = Hardware(
@@ -34,6 +35,11 @@ def test_errors_of_sensors_are_those_of_the_hardware() -> None:
     np.testing.assert_allclose(found.noise[0], 2.0 * np.pi / 4000 / 12**0.5)
     np.testing.assert_allclose(found.noise[1:], gauges * np.hypot(0.01, 1.0 / 500 / 12**0.5))
     np.testing.assert_allclose(found.bias, 0.03 * gauges / 3**0.5)
+    for sensing in (None, SimpleNamespace(hardware=Hardware())):
+        ideal = Sensors.of(SimpleNamespace(**vars(core) | {"sensing": sensing}))
+        assert (ideal.delay, ideal.delays, ideal.bias.tolist()) == ((0, 0), [0], [0.0, 0.0])
+        np.testing.assert_allclose(ideal.quantum, 1e-4 * np.array([1.0, 2.0, 3.0]))
+        np.testing.assert_allclose(ideal.noise, ideal.quantum / 12**0.5)
 
 
 def watched(env: Environment, filters: Any, count: int) -> tuple[Any, Any, Array, Array]:
@@ -96,6 +102,37 @@ def test_filters_of_the_nonlinear_arm_are_those_of_a_linear_one(
     np.testing.assert_allclose(found[1].surprise[alive], linear[1].surprise[alive])
 
 
+def test_filters_about_a_plan_are_those_about_rest() -> None:
+    """With readings, late by a control step, and torques about those of the plan."""
+    env = Environment("sensors", hardware=Hardware(delay=1, encoder_counts=4000))
+    plain = KalmanFilters(env, "lqg", 0.05)
+    planned = KalmanFilters(env, "lqg", 0.05, TimedMoves(env, env.models, 0.5))
+    rng, start, places = np.random.default_rng(0), np.array([0.1, -0.05]), []
+    one, other = None, None
+    for k in range(7):
+        about = 0.01 * rng.normal(size=4) if k > 1 else np.zeros(4)
+        shown = about + READINGS @ places[k - 1] if k > 1 else np.append(start, [0.0, 0.0])
+        (found, one), (expected, other) = (
+            filters.observe(
+                env.observed(joint_error=y[None, :2], root_curvature=y[None, 2:]), belief,
+                np.array([k == 0]),
+            )
+            for filters, belief, y in ((planned, one, shown), (plain, other, about))
+        )  # fmt: skip
+        places.append(one.place[0, -1, 0])
+        if k == 0:  # but for what the first acceleration bends
+            assert np.abs(one.state).max() < 1e-3
+            np.testing.assert_allclose(places[0][JOINTS], start, atol=1e-3)
+            one.state[:], one.surprise[:] = other.state, other.surprise
+        else:
+            np.testing.assert_allclose(found[0].x, expected[0].x, atol=1e-12)
+        torque = 0.1 * rng.normal(size=(1, 2))
+        planned.act(one, torque + found[0].forward)
+        plain.act(other, torque)
+    assert np.abs(found[0].forward).max() > 0.1
+    assert one.surprise.item() == pytest.approx(other.surprise.item())
+
+
 def test_careful_filters_believe_in_the_heaviest_plant() -> None:
     env = Environment("sensors", hardware=HARDWARE, payloads=(0.0, 0.3), factors=(0.9, 1.1))
     filters = KalmanFilters(env, "lqg", 0.05, caution=1e9)
@@ -120,3 +157,5 @@ def test_what_filters_know_are_scaled_states_and_means_of_what_is_drawn() -> Non
         shapes = block_diag(estimate.model.shapes, estimate.model.shapes)
         np.testing.assert_allclose(known[i, :8], shapes @ estimate.x / scales.ravel())
         np.testing.assert_allclose(known[i, 8:], likely[i] @ drawn / likely[i].sum())
+    alone = KalmanFilters(Environment("sensors"), "lqg", 0.05)
+    assert alone.known(watched(env, alone, 2)[1]).shape == (2, alone.n_known) == (2, 8)
