@@ -15,7 +15,7 @@ from agents.controllers.models.linear_model import LinearModels
 from agents.controllers.models.plan import Planner
 from agents.controllers.models.preview import Preview
 from agents.controllers.models.reference import Course, Reference
-from agents.controllers.mpc import PRICE, Predictive
+from agents.controllers.mpc import BLOCKS, PRICE, Predictive, blocks_of
 from agents.controllers.observers.exact import Estimate, ExactState
 from dynamics import Arm, Link, Mode
 from dynamics.types import Array
@@ -226,6 +226,11 @@ def test_every_plant_has_its_own_reference() -> None:
         np.testing.assert_allclose(forward[:, p], forces[:, JOINTS])
         np.testing.assert_allclose((offset[:, p] @ plant.K)[:, MODAL], -forces[:, MODAL])
         np.testing.assert_allclose(offset[:, p] @ TIP.T, 0.0, atol=1e-12)
+
+
+def test_torques_are_held_for_whole_blocks() -> None:
+    assert blocks_of(9) == [0, 1, 2, 3, 4, 5, 6, 6, 7]
+    assert np.bincount(blocks_of(34)).tolist() == [*BLOCKS, *[BLOCKS[-1]] * 4]
 
 
 def far(env: Environment, size: float, ahead: Array) -> Estimate:

@@ -176,8 +176,3 @@ def test_a_payload_beyond_those_of_the_laboratory_does_not_break_the_arm() -> No
     assert record(subject, envs, range(32)).failed.mean() < 0.1
     subject.observer.caution = 0.0
     assert record(subject, envs, range(32)).failed.mean() > 0.3
-
-
-def test_torques_are_held_for_whole_blocks() -> None:
-    assert mpc.blocks_of(9) == [0, 1, 2, 3, 4, 5, 6, 6, 7]
-    assert max(np.bincount(mpc.blocks_of(60))) == mpc.BLOCKS[-1]

@@ -6,8 +6,10 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from agents.run_folder.callback import EpisodeStatistics
 from agents.run_folder.log import append_row, read_rows, repair_log
 
 ROWS = [{"session": 0, "steps": n, "return": 0.5 * n, "settled": None} for n in (10, 20, 30)]
@@ -104,3 +106,23 @@ def test_a_row_that_is_written_in_pieces_is_complete(
     monkeypatch.setattr(os, "write", lambda descriptor, data: write(descriptor, data[:7]))
     append_row(path, ROWS[0])
     assert read_rows(path) == ([*ROWS, ROWS[0]], 0)
+
+
+def test_means_are_those_of_the_episodes_that_ended() -> None:
+    """One that fails is not settled; running returns begin anew."""
+    statistics = EpisodeStatistics(2, before=5)
+    assert set(statistics.means().values()) == {None}
+    end = {"tip_error": 0.1, "settled": True, "TimeLimit.truncated": True}
+    statistics.add(np.array([1.0, 2.0]), np.array([False, True]), [{}, end])
+    statistics.add(
+        np.array([3.0, 5.0]), np.array([True, True]),
+        [{"tip_error": 0.3, "settled": True}, end | {"settled": False}],
+    )  # fmt: skip
+    expected = {
+        "return": 11.0 / 3.0,
+        "tip_error": 0.5 / 3.0,
+        "settled": 1.0 / 3.0,
+        "failed": 1.0 / 3.0,
+    }
+    assert statistics.means() == pytest.approx(expected)
+    assert statistics.episodes == 8
