@@ -17,8 +17,9 @@ import pytest
 from numpy.lib import format as npy
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
+from torch.nn import LSTM
 
-from agents.learners.export import export_policy, load_zip
+from agents.learners.export import export_policy, load_zip, lstm_cells
 from agents.policy import Policy, PolicyError, load_policy, save_policy
 from tests.agents.run_folder.damages import Damage, cut, flipped, stuffed
 from tests.agents.toys import Toy, build
@@ -336,6 +337,12 @@ def test_lstm_cells_saturate_where_their_gates_overflow() -> None:
     action, state = policy.predict(np.full(3, 2.0))
     np.testing.assert_allclose(action, np.tanh(1.0))
     assert policy.predict(np.full(3, 2.0), state)[1][-1] == 2.0
+
+
+@pytest.mark.parametrize("option", [{"bidirectional": True}, {"proj_size": 1}, {"bias": False}])
+def test_lstm_cells_that_cannot_be_stored_are_refused(option: dict[str, Any]) -> None:
+    with pytest.raises(PolicyError, match="Only LSTM layers with biases, in one direction"):
+        lstm_cells(LSTM(3, 2, **option))
 
 
 @pytest.mark.parametrize("damage", [cut, flipped, stuffed])
