@@ -85,14 +85,16 @@ def test_filters_are_those_of_the_textbook(modes: int) -> None:
                 np.testing.assert_allclose(estimates[i].x, now, rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.parametrize("caution", [0.0, 1e9])
 def test_filters_of_the_nonlinear_arm_are_those_of_a_linear_one(
-    monkeypatch: pytest.MonkeyPatch,
+    caution: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Surprises and estimates of an arm that is linear, of all plants and delays."""
+    """Surprises and estimates of an arm that is linear; with caution of the longest delay."""
     monkeypatch.setattr(extended, "REFUTED", np.inf)
     env = Environment("sensors", hardware=HARDWARE, payloads=(0.0, 0.3))
     found, linear = (
-        watched(env, kind(env, "lqg", 0.05), 6)[:2] for kind in (ExtendedFilters, KalmanFilters)
+        watched(env, kind(env, "lqg", 0.05, caution=caution), 6)[:2]
+        for kind in (ExtendedFilters, KalmanFilters)
     )
     for one, other in zip(found[0], linear[0], strict=True):
         assert one.model is other.model
