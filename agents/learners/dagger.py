@@ -12,6 +12,7 @@ import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
+from stable_baselines3.common.utils import update_learning_rate
 
 from agents.learners.recurrent import LstmPolicy
 from dynamics.types import AnyArray
@@ -24,7 +25,9 @@ class DAgger(OffPolicyAlgorithm):
 
     The replay buffer holds observations with what the expert would have done, `advice` of the
     environment, so that all of them must fit in: `buffer_size`. A policy with LSTM cells learns
-    from whole episodes, as many as have `batch_size` observations.
+    from whole episodes, as many as have `batch_size` observations. After the last step a new
+    network learns from all of them by `refit` gradient steps, unless that is zero: one that
+    learned from few observations first learns worse from many.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
@@ -42,6 +45,7 @@ class DAgger(OffPolicyAlgorithm):
         batch_size: int = 512,
         train_freq: int = 100,
         gradient_steps: int = 200,
+        refit: int = 0,
         policy_kwargs: dict[str, Any] | None = None,
         tensorboard_log: str | None = None,
         verbose: int = 0,
@@ -55,6 +59,7 @@ class DAgger(OffPolicyAlgorithm):
             sde_support=False, support_multi_env=True,
         )  # fmt: skip
         self._setup_model()
+        self.refit = refit
         self._memory: Any = None  # of the policy's cells
 
     def _setup_learn(self, *given: Any, **keywords: Any) -> Any:
@@ -66,13 +71,22 @@ class DAgger(OffPolicyAlgorithm):
         return begun
 
     def train(self, gradient_steps: int, batch_size: int) -> None:
-        """Least squares on the aggregated observations."""
+        """Least squares on the aggregated observations, at last with new weights."""
+        refit = self.refit > 0 and self.num_timesteps >= self._total_timesteps
+        if refit:
+            self.policy = self.policy_class(
+                self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs
+            ).to(self.device)
+            gradient_steps = self.refit
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         recurrent = isinstance(self.policy, LstmPolicy)
         episodes = self._episodes() if recurrent else np.empty((0, 3))
         losses = []
-        for _ in range(gradient_steps):
+        for step in range(gradient_steps):
+            if refit:
+                rate = self.lr_schedule(1.0 - step / gradient_steps)
+                update_learning_rate(self.policy.optimizer, rate)
             if recurrent:
                 mean, advice = self._remembered(drawn(episodes, batch_size))
             else:
