@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.output import RESULTS, ROOT, argument_parser, count, provenance, save_results, table
+from benchmarks.output import ROOT, argument_parser, count, provenance, save_results, table
 from dynamics.extras import installation
 
 CONFIG = Path("configs") / "one_link_reach_ppo.yaml"
@@ -102,10 +102,9 @@ def measured(nodes: int, trials: int, steps: int) -> dict[str, Any]:
 
 def main() -> None:
     """Measure on one node and two, and write docs/results/cluster.md."""
-    parser = argument_parser("cluster", __doc__)
+    parser = argument_parser("cluster", __doc__, "cluster.json")
     parser.add_argument("--trials", type=count, default=6)
     parser.add_argument("--steps", type=count, default=100_000, help="of every trial")
-    parser.add_argument("--out", type=Path, default=RESULTS / "cluster.json")
     a = parser.parse_args()
     if importlib.util.find_spec("ray") is None:
         sys.exit(f"benchmarks.cluster needs ray, which is not installed; {installation('scale')}")

@@ -25,6 +25,7 @@ from benchmarks.model_choice import ACROSS
 from benchmarks.output import (
     RESULTS,
     argument_parser,
+    paragraphs,
     provenance,
     save_figure,
     save_results,
@@ -214,13 +215,11 @@ def page(results: Row) -> str:
     """The results as Markdown."""
     machine, batch = results["machine"], results["batch"]
     header = ["", "numbers", "operations", "ns", "workspace [kB]", "compile [s]"]
-    lines = [
+    return paragraphs(
         "# How cost grows",
-        "",
         f"Made by `{results['command']}` on {machine['cores']} cores ({machine['processor']}), "
         f"commit {results['commit']}. An exponent says how that grows which is added to the second "
         "number.",
-        "",
         table(
             [*header, "exponent of operations", "of time"],
             [
@@ -234,16 +233,13 @@ def page(results: Row) -> str:
             ],
             "llllllr",
         ),
-        "",
         "ns per right-hand side and environment in a batch, calls included:",
-        "",
         table(
             ["batch", *map(str, batch["x"])],
             [[name, *(f"{x:.3g}" for x in batch[name])] for name in DEFAULT_ARMS],
             "lr",
         ),
-    ]
-    return "\n".join(lines) + "\n"
+    )
 
 
 def _series(values: list[float]) -> str:
@@ -252,15 +248,13 @@ def _series(values: list[float]) -> str:
 
 def main() -> None:
     """Measure, and write JSON, a table and the chart."""
-    parser = argument_parser("cost", __doc__)
+    parser = argument_parser("cost", __doc__, "cost.json")
     parser.add_argument(
         "--quick", action="store_true", help="at most four links and eight segments"
     )
     parser.add_argument("--charts", action="store_true", help="only draw the stored results")
-    parser.add_argument("--out", type=Path, default=RESULTS / "cost.json")
     parser.add_argument("--images", type=Path, default=RESULTS)
     options = parser.parse_args()
-    options.images.mkdir(parents=True, exist_ok=True)
     if options.charts:
         draw(json.loads(options.out.read_text(encoding="utf-8")), options.images / "cost")
         return

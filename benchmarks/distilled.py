@@ -30,7 +30,7 @@ from agents.metrics import episode_metrics, make_batch, record
 from agents.policy import Controller, Policy, load_policy
 from agents.sentences import one_line
 from agents.training import base_description
-from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.output import argument_parser, provenance, save_results, table
 from benchmarks.training import run_seed
 from dynamics.description import validate
 from dynamics.types import AnyArray
@@ -204,10 +204,9 @@ where other work kept the machine busy.
 
 def main() -> None:
     """Command line."""
-    parser = argument_parser("distilled", __doc__)
+    parser = argument_parser("distilled", __doc__, "distilled.json")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--only", nargs="+", metavar="NAME", help="experiments to measure")
-    parser.add_argument("--out", type=Path, default=RESULTS / "distilled.json", help="file")
     parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
     a = parser.parse_args()
     try:

@@ -8,12 +8,11 @@ links in other segments with other shapes. Writes docs/results/episode_errors.js
 """
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
+from benchmarks.output import argument_parser, count, provenance, save_results, table
 from benchmarks.style import pyplot, series
 from dynamics import Arm, compile_arm, load_arm, simulate
 from dynamics.accuracy.fidelity import everything, rigid
@@ -190,10 +189,9 @@ def chart(data: dict[str, Any]) -> Any:
 
 def main(arguments: list[str] | None = None) -> None:
     """Command line."""
-    parser = argument_parser("episode_errors", __doc__)
+    parser = argument_parser("episode_errors", __doc__, ".")
     parser.add_argument("--scenes", nargs="+", choices=list(SCENES), default=list(SCENES))
     parser.add_argument("--episodes", type=count, default=32, help="of each kind")
-    parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     scenes, paths = {}, {}
     for scene in options.scenes:

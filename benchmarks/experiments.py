@@ -259,8 +259,7 @@ def state_expected(experiments: Sequence[Mapping[str, Any]]) -> None:
 
 def main() -> None:
     """Parse the command line and write the overview."""
-    parser = argument_parser("experiments", __doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results")
+    parser = argument_parser("experiments", __doc__, ".")
     out = parser.parse_args().out
     if not stored(out):
         parser.error(f"--out: {out} has no results of benchmarks.training")

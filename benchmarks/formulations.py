@@ -8,21 +8,19 @@ relative to their own size, both in the norm of kinetic energy, sqrt(a' M a).
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from benchmarks.operations import Case, given_arm
-from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.output import argument_parser, paragraphs, provenance, save_results, table
 from benchmarks.work_precision.scenes import undamped
 from dynamics import ARMS, Arm, Mode, compile_arm, simulate
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.table import FORMULATIONS, why_not
 from dynamics.types import Array
 
-RESULT = RESULTS / "formulations.json"
 ROTATIONS = ("exp", "linear")
 SLOPES = (0.001, 0.01, 0.1)  # [rad] largest tip slope
 STATES = 5  # per arm
@@ -188,32 +186,23 @@ def _cell(value: object) -> str:
 
 def page(result: dict[str, Any]) -> str:
     """The results as Markdown."""
-    lines = [
+    return paragraphs(
         "# Formulations compared",
-        "",
         f"Made by `{result['command']}`. Largest relative differences over several states; what "
         "they mean: [formulations](../formulations.md).",
-        "",
         "## Beside the Gibbs-Appell recursion, tip slopes of 0.1 rad",
-        "",
         _table(result["agreement"]),
-        "",
         "## Conventions beside the true rotation",
-        "",
         _table(result["conventions"]),
-        "",
         f"## Motion: tips apart after {', '.join(map(str, TIMES))} s from the first row, "
         "integrated at rtol 1e-11",
-        "",
         _table(result["motion"]),
-    ]
-    return "\n".join([*lines, ""])
+    )
 
 
 def main() -> None:
     """Measure, and write JSON and the page."""
-    parser = argument_parser("formulations", __doc__)
-    parser.add_argument("--out", type=Path, default=RESULT)
+    parser = argument_parser("formulations", __doc__, "formulations.json")
     out = parser.parse_args().out
     result = {
         **provenance("casadi", "numpy", "scipy"),

@@ -20,7 +20,7 @@ import torch
 
 from benchmarks import kernels
 from benchmarks.kernels import DTYPES, SCENES, Row
-from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.output import RESULTS, argument_parser, paragraphs, provenance, save_results, table
 from dynamics.backends.cuda.function_text import prelude
 from flexarm_env import TorchVecEnv
 from flexarm_env.compiled.termination import FLAGS
@@ -277,7 +277,7 @@ def page(results: dict[str, Any]) -> str:
 
     peaks = ", ".join(f"{x:.3g} in {dtype}" for dtype, x in results["multiply_adds"].items())
     training, name = results["training"], results["gpu"]
-    return "\n\n".join([
+    return paragraphs(
         f"# Control steps on an {name}",
         f"`{results['command']}`, of Reach with random actions and restarts.",
         f"Copies move {results['bandwidth']:.3g} bytes/s; multiply-adds reach {peaks} "
@@ -302,7 +302,7 @@ def page(results: dict[str, Any]) -> str:
         f"PPO of rsl_rl takes {training['seconds']:.0f} s for {training['steps']:,} steps of "
         f"{TRAINING['env']['id']} ({training['steps_per_second']:.3g}/s); "  # type: ignore[index]
         f"success {100.0 * training['success']:.0f} %, score {training['score']:.3f}.",
-    ]) + "\n"  # fmt: skip
+    )
 
 
 def main(arguments: list[str] | None = None) -> None:

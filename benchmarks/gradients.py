@@ -22,7 +22,7 @@ from agents.config import Config, load_config
 from agents.experiments import shipped_experiments
 from agents.learners.algorithms import DIFFERENTIATED
 from agents.metrics import episode_metrics
-from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.output import argument_parser, provenance, save_results, table
 from benchmarks.speed import timed_in_turn
 from benchmarks.training import recorded, run_seed
 from flexarm_env import FlexArmVectorEnv
@@ -133,8 +133,7 @@ One seed of each experiment. Means of {EPISODES} episodes from seed {FIRST} on.
 
 def main() -> None:
     """Command line."""
-    parser = argument_parser("gradients", __doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS / "gradients.json", help="file")
+    parser = argument_parser("gradients", __doc__, "gradients.json")
     parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
     a = parser.parse_args()
     costs = [cost(scene) for scene in SCENES]

@@ -21,10 +21,10 @@ import gymnasium as gym
 
 from agents.signals import workers
 from benchmarks.output import (
-    RESULTS,
     ROOT,
     argument_parser,
     fill,
+    paragraphs,
     provenance,
     save_results,
     table,
@@ -283,11 +283,10 @@ def stored(path: Path, versions: dict[str, str]) -> dict[str, Any]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Compile, write the results and fill the page."""
-    parser = argument_parser("kernels", __doc__)
+    parser = argument_parser("kernels", __doc__, "kernels.json")
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument("--variants", action="store_true", help="compile other forms too")
     chosen.add_argument("--forms", nargs="+", choices=FORMS, help="only these; keep other results")
-    parser.add_argument("--out", type=Path, default=RESULTS / "kernels.json")
     options = parser.parse_args(arguments)
     results: dict[str, Any] = provenance("cuda-core", "nvidia-cuda-nvrtc") | {"arch": ARCH}
     try:
@@ -310,9 +309,8 @@ def main(arguments: list[str] | None = None) -> None:
         blocks["back_forms"] = forms_table(
             "`pull_back`, float32", results["back_forms"], BACK_FORMS
         )
-    page = "\n\n".join(["# Kernels", *(blocks.values())]) + "\n"
-    save_results(results, page, options.out)
-    if options.out == RESULTS / "kernels.json":
+    save_results(results, paragraphs("# Kernels", *blocks.values()), options.out)
+    if options.out == parser.get_default("out"):
         fill(PAGE, blocks)
 
 

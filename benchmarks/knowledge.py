@@ -11,7 +11,6 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from agents.leaderboard.tracks import RANKED, keywords
 from agents.metrics import episode_metrics, make_batch, record
 from agents.signals import workers
 from agents.tuned import parameters_of
-from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
+from benchmarks.output import argument_parser, count, provenance, save_results, table
 from benchmarks.style import pyplot, series
 from dynamics.types import AnyArray
 from flexarm_env.hardware.sensors import PRESETS
@@ -147,11 +146,10 @@ def chart(data: Mapping[str, Any]) -> Any:
 
 def main(arguments: list[str] | None = None) -> None:
     """Command line."""
-    parser = argument_parser("knowledge", __doc__)
+    parser = argument_parser("knowledge", __doc__, ".")
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS, metavar="ID")
     parser.add_argument("--episodes", type=count, default=100)
     parser.add_argument("--jobs", type=count, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     seeds = range(10_000, 10_000 + options.episodes)
     tasks: dict[str, dict[str, Any]] = {env_id: {} for env_id in options.tasks}

@@ -9,12 +9,11 @@ batches. Writes docs/results/learning.json and .md.
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from agents.config import Config, load_config
 from agents.training import build_model
-from benchmarks.output import RESULTS, ROOT, argument_parser, count, provenance, save_results, table
+from benchmarks.output import ROOT, argument_parser, count, provenance, save_results, table
 
 CONFIG = ROOT / "configs" / "one_link_reach_ppo.yaml"
 CASES: dict[str, tuple[int, dict[str, int]]] = {  # threads, other keywords of the learner
@@ -82,9 +81,8 @@ def profiled(config: Config, threads: int) -> dict[str, float]:
 
 def main() -> None:
     """Profile the experiment and write the page."""
-    parser = argument_parser("learning", __doc__)
+    parser = argument_parser("learning", __doc__, "learning.json")
     parser.add_argument("--steps", type=count, default=500_000)
-    parser.add_argument("--out", type=Path, default=RESULTS / "learning.json")
     a = parser.parse_args()
     config = replace(load_config(CONFIG), total_steps=a.steps)
     found = {}

@@ -12,12 +12,11 @@ import json
 import math
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.output import REFERENCE, RESULTS, argument_parser, provenance, save_results
+from benchmarks.output import REFERENCE, argument_parser, paragraphs, provenance, save_results
 from dynamics import Arm, Choice, Joint, Link, Mode, Scene, choose_model, compile_arm, simulate
 from dynamics.accuracy.fidelity import everything
 from dynamics.accuracy.scene import JointMotion, bang_bang, cycloid, release
@@ -232,16 +231,15 @@ def _make_truth() -> None:
 
 def main() -> None:
     """Run all trials, and write JSON and the page."""
-    parser = argument_parser("model_choice", __doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS / "model_choice.json")
+    parser = argument_parser("model_choice", __doc__, "model_choice.json")
     parser.add_argument("--truth", action="store_true", help="recompute the independent motions")
     options = parser.parse_args()
     if options.truth:
         _make_truth()
     truth = stored_truth()
     made = provenance("numpy", "scipy", "casadi")
-    text = ["# Model choice: the ladders", ""]
-    text += [f"Made by `{made['command']}` on {made['machine']['processor']}.", ""]
+    made_by = f"Made by `{made['command']}` on {made['machine']['processor']}."
+    text = ["# Model choice: the ladders", made_by]
     results = []
     for name, trial in TRIALS.items():
         begin = time.process_time()
@@ -250,12 +248,12 @@ def main() -> None:
         verified = verified_error(trial, choice, truth[name])
         results.append({**choice.to_dict(), "verified_error": verified, "cpu_seconds": seconds})
         text += [
-            f"## {name[0].upper()}{name[1:]}", "", choice.reason, "", choice.table(), "",
+            f"## {name[0].upper()}{name[1:]}", choice.reason, choice.table(),
             f"Reference: {choice.reference}. Verified error {verified:.2g} m of "
-            f"{trial.tolerance:.2g} m allowed; {seconds:.1f} s.", "",
+            f"{trial.tolerance:.2g} m allowed; {seconds:.1f} s.",
         ]  # fmt: skip
         print(name, flush=True)
-    save_results(made | {"trials": results}, "\n".join(text), options.out)
+    save_results(made | {"trials": results}, paragraphs(*text), options.out)
 
 
 if __name__ == "__main__":

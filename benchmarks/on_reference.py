@@ -10,7 +10,6 @@ that bends alike. Writes docs/results/on_reference.json, .md and .png.
 import json
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -158,11 +157,10 @@ def order_of(found: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Command line."""
-    parser = argument_parser("on_reference", __doc__)
+    parser = argument_parser("on_reference", __doc__, ".")
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS, metavar="ID")
     parser.add_argument("--episodes", type=count, default=32)
     parser.add_argument("--jobs", type=count, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     ranking = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
     seeds = range(20_000, 20_000 + options.episodes)

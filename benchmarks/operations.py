@@ -11,12 +11,11 @@ not counted.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
-from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.output import argument_parser, paragraphs, provenance, save_results, table
 from dynamics import ARMS, Arm, Mode, compile_arm
 from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.link_constants import LinkConstants, chain_constants
@@ -24,7 +23,6 @@ from dynamics.formulations.table import FORMULATIONS
 from dynamics.tracing.operation_counts import operations
 
 Counts = dict[str, int]
-RESULT = RESULTS / "operations.json"
 ROTATIONS = ("linear", "exp")
 DEFAULT_ARMS = ("slim", "korayem-two-link", "deluca-siciliano", "six-link")
 
@@ -283,13 +281,13 @@ def shown(counts: Counts) -> str:
 def page(result: dict[str, Any]) -> str:
     """The tables as Markdown."""
     heads = [f"({', '.join(map(str, case['size']))})" for case in result["published"]]
-    lines = [
+    parts = [
         "# Operations",
-        "",
         f"Made by `{result['command']}`. Multiplications + additions by links, flexible links and "
         "modes of each, (n, n_f, m). What each count holds: [formulations](../formulations.md).",
     ]
-    for question in ("M and h", "accelerations"):
+    questions = ("M and h", "accelerations")
+    for question in questions:
         published_rows = [
             ["published formula", f"`{name}`", "linear"]
             + [shown(case[name]) for case in result["published"]]
@@ -305,25 +303,19 @@ def page(result: dict[str, Any]) -> str:
             for (arm, name, rotation), cells in sorted(groups.items())
         ]
         header = ["arm", "formulation", "E", *heads]
-        lines += ["", f"## {question}", "", table(header, published_rows + counted, "lllr")]
+        parts += [f"## {question}", table(header, published_rows + counted, "lllr")]
     presets = [
-        [
-            row["preset"],
-            str(row["coordinates"]),
-            f"`{row['formulation']}`",
-            shown(row["M and h"]),
-            shown(row["accelerations"]),
-        ]
-        for row in result["presets"]
+        [x["preset"], str(x["coordinates"]), f"`{x['formulation']}`"]
+        + [shown(x[question]) for question in questions]
+        for x in result["presets"]
     ]
-    header = ["preset", "coordinates", "formulation", "M and h", "accelerations"]
-    return "\n".join([*lines, "", "## Presets", "", table(header, presets, "lrlr"), ""])
+    header = ["preset", "coordinates", "formulation", *questions]
+    return paragraphs(*parts, "## Presets", table(header, presets, "lrlr"))
 
 
 def main() -> None:
     """Count, and write JSON and the page."""
-    parser = argument_parser("operations", __doc__)
-    parser.add_argument("--out", type=Path, default=RESULT)
+    parser = argument_parser("operations", __doc__, "operations.json")
     out = parser.parse_args().out
     result = {
         **provenance("casadi"),

@@ -66,10 +66,19 @@ def count(text: str) -> int:
     return number
 
 
-def argument_parser(name: str, doc: str | None) -> Parser:
-    """Parser of `python -m benchmarks.NAME`, described by the first line of a docstring."""
+def argument_parser(name: str, doc: str | None, out: str | None = None) -> Parser:
+    """Parser of `python -m benchmarks.NAME`, described by the first line of a docstring.
+
+    It has --out, by default the file `out` of docs/results, "." for the folder; none without `out`.
+    """
     description = (doc or "").splitlines()[0]
-    return Parser(prog=f"python -m benchmarks.{name}", description=description)
+    parser = Parser(prog=f"python -m benchmarks.{name}", description=description)
+    if out is not None:
+        usual = f"docs/results/{out}".removesuffix("/.")
+        parser.add_argument(
+            "--out", type=Path, default=RESULTS / out, help=f"of the results (default: {usual})"
+        )
+    return parser
 
 
 def provenance(*packages: str) -> dict[str, Any]:
@@ -109,6 +118,11 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = "l"
     rule = "".join("---:|" if letter == "r" else "---|" for letter in letters)
     lines = [f"| {' | '.join(header).lstrip()} |", f"|{rule}"]
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def paragraphs(*parts: str) -> str:
+    """Markdown text of headings, paragraphs and tables, a blank line between them."""
+    return "\n\n".join(parts) + "\n"
 
 
 def fill(page: Path, blocks: Mapping[str, str]) -> None:

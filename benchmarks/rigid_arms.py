@@ -17,8 +17,8 @@ import numpy as np
 
 from benchmarks import style
 from benchmarks.output import (
-    RESULTS,
     argument_parser,
+    paragraphs,
     provenance,
     save_figure,
     save_results,
@@ -110,37 +110,23 @@ def round_trip(name: str, samples: int) -> dict[str, Any]:
 
 def page(rows: Rows, trips: dict[str, dict[str, Any]]) -> str:
     """The results as Markdown."""
-    operation_rows = [
-        [
-            row["arm"],
-            str(row["M"]),
-            str(row["A"]),
-            f"{row['thesis M']}, {row['thesis A']}" if "thesis M" in row else "",
-        ]
-        for row in rows
-    ]
-    trip_rows = [
-        [
-            name,
-            f"{trip['t'][-1]:g} s",
-            f"{max(trip['error']):.1e} rad or m",
-            f"{trip['fastest growth [1/s]']:.2f} /s",
-        ]
-        for name, trip in trips.items()
-    ]
-    lines = [
+    counted = [
+        [x["arm"], str(x["M"]), str(x["A"]),
+         f"{x['thesis M']}, {x['thesis A']}" if "thesis M" in x else ""]
+        for x in rows
+    ]  # fmt: skip
+    followed = [
+        [name, f"{x['t'][-1]:g} s", f"{max(x['error']):.1e} rad or m",
+         f"{x['fastest growth [1/s]']:.2f} /s"]
+        for name, x in trips.items()
+    ]  # fmt: skip
+    return paragraphs(
         "# Rigid arms",
-        "",
         "Made by `python -m benchmarks.rigid_arms`.",
-        "",
-        table(["inverse dynamics of", "multiplications", "additions", "thesis"], operation_rows),
-        "",
-        table(["round trip", "followed", "largest error", "fastest growth"], trip_rows),
-        "",
+        table(["inverse dynamics of", "multiplications", "additions", "thesis"], counted),
+        table(["round trip", "followed", "largest error", "fastest growth"], followed),
         "![round trips](rigid_arms.png)",
-        "",
-    ]
-    return "\n".join(lines)
+    )
 
 
 def draw(trips: dict[str, dict[str, Any]], path: Path) -> None:
@@ -166,10 +152,9 @@ def draw(trips: dict[str, dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     """Write JSON, page and picture."""
-    parser = argument_parser("rigid_arms", __doc__)
+    parser = argument_parser("rigid_arms", __doc__, "rigid_arms.json")
     parser.add_argument("--quick", action="store_true", help="fewer points in the picture")
     parser.add_argument("--charts", action="store_true", help="only draw the stored results")
-    parser.add_argument("--out", type=Path, default=RESULTS / "rigid_arms.json")
     options = parser.parse_args()
     if options.charts:
         draw(json.loads(options.out.read_text(encoding="utf-8"))["trips"], options.out)

@@ -10,7 +10,6 @@ the processor (`time.process_time`), medians.
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -21,7 +20,7 @@ from agents.leaderboard.motions import Episode, Motion, plant
 from agents.metrics import make_batch
 from agents.tuned import parameters_of
 from benchmarks.measured_data import GAUGE, PRESET, RELEASE, clean_log, noisy, pluck_log, rig
-from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.output import argument_parser, provenance, save_results, table
 from dynamics import compile_arm, load_arm
 from dynamics.measured.fit import BOUNDS, Fit, LinkAngle, fit
 from dynamics.measured.log_file import Log
@@ -273,8 +272,7 @@ Median times of the processor.
 
 def main() -> None:
     """Command line."""
-    parser = argument_parser("sensitivities", __doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS / "sensitivities.json", help="file")
+    parser = argument_parser("sensitivities", __doc__, "sensitivities.json")
     a = parser.parse_args()
     results = {
         "fits": fits(),

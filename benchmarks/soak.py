@@ -11,7 +11,6 @@ diverge.
 
 import sys
 import time
-from pathlib import Path
 from typing import Any, cast
 
 import gymnasium as gym
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import flexarm_env
-from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.output import argument_parser, paragraphs, provenance, save_results, table
 from flexarm_env import FlexArmVectorEnv
 
 BATCH = 4096
@@ -105,11 +104,11 @@ def page(results: dict[str, Any]) -> str:
     """The counts as Markdown."""
     names = list(next(iter(results["counts"].values())))
     total = sum(row["steps"] for row in results["counts"].values())
-    lines = [
-        "# Soak\n",
+    return paragraphs(
+        "# Soak",
         f"Made by `{results['command']}`: {total:.3g} steps. Half the environments take uniform "
         f"actions, half bang-bang; a tenth of the steps is at {OVERDRIVE:g} times the torque "
-        "limit. The last five columns count what must not happen.\n",
+        "limit. The last five columns count what must not happen.",
         table(
             ["environment", *names],
             [
@@ -118,17 +117,15 @@ def page(results: dict[str, Any]) -> str:
             ],
             "lr",
         ),
-    ]
-    return "\n".join(lines) + "\n"
+    )
 
 
 def main() -> int:
     """Soak all environments, print and write the counts; returns 1 if there was any fault."""
-    parser = argument_parser("soak", __doc__)
+    parser = argument_parser("soak", __doc__, "soak.json")
     parser.add_argument(
         "--steps", type=float, default=1e8, help="steps of all environments together (1e8)"
     )
-    parser.add_argument("--out", type=Path, default=RESULTS / "soak.json")
     options = parser.parse_args()
     begin = time.perf_counter()
     each = int(options.steps / len(flexarm_env.IDS))

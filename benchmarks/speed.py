@@ -18,13 +18,12 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import gymnasium as gym
 import numpy as np
 
-from benchmarks.output import RESULTS, argument_parser, provenance, save_results, table
+from benchmarks.output import argument_parser, paragraphs, provenance, save_results, table
 from dynamics import ARMS, Stepper, compile_arm
 from dynamics.backends.numba_llvm.fingerprint import fingerprint
 from dynamics.backends.numba_llvm.module_text import straight_line_text
@@ -246,8 +245,7 @@ def physics_steps(family: str) -> dict[str, Any]:
 
 def main() -> None:
     """Measure, print a table, and write JSON."""
-    parser = argument_parser("speed", __doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
+    parser = argument_parser("speed", __doc__, "speed.json")
     parser.add_argument("--thorough", action="store_true", help="also choose a model of six links")
     options = parser.parse_args()
     most_links = math.inf if options.thorough else 2
@@ -275,15 +273,15 @@ def page(results: dict[str, Any]) -> str:
     """The results as Markdown."""
     machine = results["machine"]
     peak = machine["peak, one core [GFLOP/s]"]
-    lines = [
-        "# Speed\n",
+    return paragraphs(
+        "# Speed",
         f"Made by `{results['command']}`: medians of {RUNS} runs, and in brackets the best "
         f"of them, all on {machine['cores']} cores ({machine['processor']}) whose peak in float64, "
         "of fused multiply-adds that need nothing from memory, was "
         f"{peak['median']:.0f} ({peak['best']:.0f}) GFLOP/s each. Where median and best differ "
-        "much, the machine had other work.\n",
+        "much, the machine had other work.",
         f"Two busy processes side by side had {machine['cores in fact']:.2f} cores: where that is "
-        "near one, the two-thread figures say nothing of threads.\n",
+        "near one, the two-thread figures say nothing of threads.",
         table(
             ["", *DEFAULT_ARMS],
             [
@@ -292,8 +290,7 @@ def page(results: dict[str, Any]) -> str:
             ],
             "lr",
         ),
-    ]
-    return "\n".join(lines) + "\n"
+    )
 
 
 def _text(cell: Any) -> str:

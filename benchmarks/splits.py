@@ -8,16 +8,15 @@ exchanged values and barriers where threads share an evaluation. Fills the table
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 
 from benchmarks.output import (
-    RESULTS,
     ROOT,
     argument_parser,
     fill,
+    paragraphs,
     provenance,
     save_results,
     table,
@@ -270,13 +269,12 @@ def page(results: dict[str, Any]) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Count, write the results and fill the page."""
-    parser = argument_parser("splits", __doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS / "splits.json")
+    parser = argument_parser("splits", __doc__, "splits.json")
     options = parser.parse_args(arguments)
     results = provenance("casadi") | measure()
     text = page(results)
-    save_results(results, f"# Splits of the six links' equations\n\n{text}\n", options.out)
-    if options.out == RESULTS / "splits.json":
+    save_results(results, paragraphs("# Splits of the six links' equations", text), options.out)
+    if options.out == parser.get_default("out"):
         fill(PAGE, {"splits": text})
 
 

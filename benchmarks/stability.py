@@ -293,7 +293,6 @@ def draw_lines(
 
 def draw(results: dict[str, Any], folder: Path) -> None:
     """Draw all maps and lines."""
-    folder.mkdir(parents=True, exist_ok=True)
     for name, group in results["maps"].items():
         draw_maps(group, folder / f"stability_{name}")
     draw_lines(
@@ -326,14 +325,12 @@ def measure(cells: int) -> dict[str, Any]:
 
 def main() -> None:
     """Compute all maps, print their agreement with prediction, write JSON and pictures."""
-    parser = argument_parser("stability", __doc__)
+    parser = argument_parser("stability", __doc__, "stability.json.bz2")
     parser.add_argument("--quick", action="store_true", help="a coarser grid")
     parser.add_argument("--charts", action="store_true", help="only draw the stored results")
-    parser.add_argument("--out", type=Path, default=RESULTS / "stability.json.bz2")
     parser.add_argument("--images", type=Path, default=RESULTS)
     options = parser.parse_args()
     if not options.charts:
-        options.out.parent.mkdir(parents=True, exist_ok=True)
         results = measure(16 if options.quick else 48)
         text = json.dumps(results, separators=(",", ":")).replace("NaN", "null")
         pack(text, options.out)

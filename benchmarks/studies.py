@@ -30,7 +30,7 @@ from agents.metrics import evaluated, make_batch, regrets
 from agents.policy import load_policy
 from agents.signals import workers
 from agents.tuned import parameters_of
-from benchmarks.output import RESULTS, ROOT, argument_parser, count, provenance, save_results, table
+from benchmarks.output import ROOT, argument_parser, count, provenance, save_results, table
 from benchmarks.style import pyplot, series
 from benchmarks.training import run_seed
 from dynamics.types import AnyArray
@@ -339,13 +339,12 @@ STUDIES = {
 
 def main(arguments: list[str] | None = None) -> None:
     """Command line."""
-    parser = argument_parser("studies", __doc__)
+    parser = argument_parser("studies", __doc__, ".")
     parser.add_argument("study", choices=sorted(STUDIES))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--steps", type=count, help="of each training")
     parser.add_argument("--episodes", type=count, default=100)
     parser.add_argument("--jobs", type=count, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     if options.episodes < 2:
         parser.error("argument --episodes: a regret with its interval needs 2 or more, got 1")

@@ -42,7 +42,7 @@ from agents.sentences import one_line
 from agents.signals import workers
 from agents.training import learn, with_overrides
 from benchmarks.experiments import COLUMNS, FASTER, cells, summarise_experiments
-from benchmarks.output import RESULTS, argument_parser, command, count
+from benchmarks.output import argument_parser, command, count
 
 # A policy wins if its medians are at most these shares of joint PD's; the rules state it in words.
 SETTLING = {"settling_time": 1.0 / 3.0, "residual_vibration": 1.0 / 10.0}
@@ -213,7 +213,7 @@ def benchmark(
 
 def main() -> None:
     """Command line."""
-    parser = argument_parser("training", __doc__)
+    parser = argument_parser("training", __doc__, ".")
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument("--config", type=Path, help="experiment file")
     task.add_argument("--film", type=Path, help="only NAME.gif of an experiment file")
@@ -223,7 +223,6 @@ def main() -> None:
         "--jobs", type=count, default=1, help="seeds that are trained, and judged, side by side"
     )
     parser.add_argument("--steps", type=count, help="replaces the experiment's total_steps")
-    parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
     parser.add_argument("--ship", action="store_true", help="keep the policies in agents/policies")
     a = parser.parse_args()

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numba.extending import register_jitable
 
-from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
+from benchmarks.output import argument_parser, count, paragraphs, provenance, save_results, table
 from dynamics.backends.numba_llvm import lanes, plain_code, vector_code
 from dynamics.runtime import thread_pool, work_queue
 from dynamics.runtime.jit import aligned_zeros
@@ -211,15 +211,14 @@ def page(results: dict[str, Any]) -> str:
         [name, f"`{row['where']}`", *(_range(row["ratios"][scene]) for scene in SCENES)]
         for name, row in results["tricks"].items()
     ]
-    head = ["trick", "where", *SCENES]
-    return "\n".join([
-        "# Tricks", "",
+    return paragraphs(
+        "# Tricks",
         f"Made by `{results['command']}` on {results['machine']['processor']}. Time of a control "
         "step without a trick over the time with it: median (least to most) of "
         f"{results['rounds']} pairs of processes. Batches have {BATCH} environments, those of "
-        "spinning threads 1024, those of reused arrays 64 where not large.", "",
-        table(head, rows), "",
-    ])  # fmt: skip
+        "spinning threads 1024, those of reused arrays 64 where not large.",
+        table(["trick", "where", *SCENES], rows),
+    )
 
 
 def _range(ratios: list[float]) -> str:
@@ -228,10 +227,9 @@ def _range(ratios: list[float]) -> str:
 
 def main() -> None:
     """Run the command line."""
-    parser = argument_parser("tricks", __doc__)
+    parser = argument_parser("tricks", __doc__, "tricks.json")
     parser.add_argument("--rounds", type=count, default=5)
     parser.add_argument("--only", nargs="+", choices=TRICKS, default=list(TRICKS))
-    parser.add_argument("--out", type=Path, default=RESULTS / "tricks.json")
     parser.add_argument("--child", help=argparse.SUPPRESS)
     parser.add_argument("--on", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()

@@ -29,9 +29,8 @@ def draw_all(results: dict[str, Any], folder: Path) -> None:
 
 def main() -> None:
     """Simulate all scenes with all engines; write JSON, a page and the picture."""
-    parser = argument_parser("peers", __doc__)
+    parser = argument_parser("peers", __doc__, "peers.json")
     parser.add_argument("--quick", action="store_true", help="few models and methods")
-    parser.add_argument("--out", type=Path, default=RESULTS / "peers.json")
     parser.add_argument("--images", type=Path, default=RESULTS)
     parser.add_argument("--truth", action="store_true", help="only recompute the truths")
     parser.add_argument("--charts", action="store_true", help="only draw the stored results")
@@ -39,7 +38,6 @@ def main() -> None:
     if options.truth:
         make_truths()
         return
-    options.images.mkdir(parents=True, exist_ok=True)
     if options.charts:
         draw_all(json.loads(options.out.read_text(encoding="utf-8")), options.images)
         return

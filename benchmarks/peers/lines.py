@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from benchmarks.output import table
+from benchmarks.output import paragraphs, table
 from benchmarks.peers.scenes import PeerScene
 from dynamics.types import Array
 
@@ -180,13 +180,13 @@ def page(results: dict[str, Any]) -> str:
     """The results as Markdown."""
     machine = results["machine"]
     versions = ", ".join(f"{name} {number}" for name, number in results["versions"].items())
-    lines = [
-        "# Beside the peers\n",
+    parts = [
+        "# Beside the peers",
         f"Made by `{results['command']}` on {machine['processor']} ({versions}), one thread. Cost "
         "is processor time per simulated second, error the largest distance of the tip from the "
-        "truth over the reach.\n",
+        "truth over the reach.",
         "Without luck: only runs whose error all smaller steps of the same model keep. Of those, "
-        "the last column but one takes our foreshortened models alone.\n",
+        "the last column but one takes our foreshortened models alone.",
         table(
             ["scene", "error at most", "beside", "wanted", *RATIOS.values(), "reached"],
             [
@@ -202,8 +202,8 @@ def page(results: dict[str, Any]) -> str:
             ],
             "lllrrrrl",
         ),
+        "## Simulated seconds per processor second\n",  # a blank line more before the first scene
     ]
-    lines += ["\n## Simulated seconds per processor second\n"]
     for scene in results["scenes"].values():
         rows = [
             [f"{row['error']:g}", *(speed(row[side]) for side in ("ours", "peer")), gain(row)]
@@ -211,7 +211,7 @@ def page(results: dict[str, Any]) -> str:
             for row in scene["speeds"]
         ]
         heads = ["error at most", "ours", "best peer", "ratio", "its model and method"]
-        lines += [f"\n{scene['title']}. {statement(scene)}\n", table(heads, rows, "lrrrl")]
+        parts += [f"{scene['title']}. {statement(scene)}", table(heads, rows, "lrrrl")]
     header = ["error at most", "which", "engine", "model", "method", "step", "error", "cost"]
     for scene in results["scenes"].values():
         rows = [
@@ -224,8 +224,8 @@ def page(results: dict[str, Any]) -> str:
             ]
             for row in scene["best"]
         ]
-        lines += [f"\n## {scene['title']}\n", table(header, rows, "lllllr")]
-    return "\n".join(lines) + "\n"
+        parts += [f"## {scene['title']}", table(header, rows, "lllllr")]
+    return paragraphs(*parts)
 
 
 def summary(scene: PeerScene, points: dict[str, list[Point]]) -> dict[str, Any]:

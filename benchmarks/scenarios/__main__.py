@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import style
-from benchmarks.output import ROOT, argument_parser, provenance, save_figure, table
+from benchmarks.output import ROOT, argument_parser, paragraphs, provenance, save_figure, table
 from benchmarks.scenarios.file import Scenario, load_scenario
 from benchmarks.scenarios.motions import DEGREE, Run, figures, twins
 from dynamics.description.rotations import to_euler
@@ -134,29 +134,29 @@ def page(results: dict[str, Any]) -> str:
         + [format(row[key], form) if key in row else "" for key, form in COLUMNS.items()]
         for name, row in stored.items()
     ]
-    lines = [
-        "# Scenarios", "",
+    parts = [
+        "# Scenarios",
         "Motions of named arms. Each scenario is simulated with the flexible arm and with its "
         "rigid twin: the same arm without modes and joint springs, under the same torque. Made by",
-        "", "```\npython -m benchmarks.scenarios\n```", "",
+        "```\npython -m benchmarks.scenarios\n```",
         "from `configs/scenarios` ([data](results/scenarios.json)); names as arguments select "
         "single scenarios. They are the systems of Cyril's FLEXLINK thesis (first three groups) "
         "and the special cases of Zohoor and Khorsandijou's flying arm. The tables and "
         "trajectories of the thesis are illegible and the second paper has no numbers, so no "
-        "number below is from either source; each scenario lists the parameters chosen here.", "",
+        "number below is from either source; each scenario lists the parameters chosen here.",
         "*Deflection* is the largest distance of a link's tip from its undeflected position. "
         "*Apart* is the largest distance between the flexible and the rigid motion; the angle of a "
         "joint with a spring includes the spring's deflection. Drifts are relative: energy drift, "
         "given without torque and damping, to the largest kinetic energy; momentum drift to the "
-        "initial momentum.", "",
+        "initial momentum.",
         table(["scenario", "coordinates", "integrator", *COLUMNS], rows, "lr"),
-    ]  # fmt: skip
+    ]
     for name, row in stored.items():
         scenario = scenarios[name]
-        lines += ["", f"## {name}", "", f"{scenario.title}. {scenario.about.strip()}", ""]
-        lines += [f"Warning of `simulate`: {text}\n" for text in row["warnings"]]
-        lines.append(f"![{scenario.title}](results/scenario_{name}.png)")
-    return "\n".join([*lines, ""])
+        parts += [f"## {name}", f"{scenario.title}. {scenario.about.strip()}"]
+        parts += [f"Warning of `simulate`: {text}" for text in row["warnings"]]
+        parts.append(f"![{scenario.title}](results/scenario_{name}.png)")
+    return paragraphs(*parts)
 
 
 def load(name: str) -> Scenario:

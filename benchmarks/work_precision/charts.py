@@ -11,7 +11,7 @@ from typing import Any
 
 from agents.files import pack, unpacked
 from benchmarks import style
-from benchmarks.output import RESULTS, save_figure, table
+from benchmarks.output import RESULTS, paragraphs, save_figure, table
 from dynamics.integrators.table import INTEGRATORS
 
 STORED = RESULTS / "work_precision.json.bz2"
@@ -249,29 +249,27 @@ def _default(scene: Row, error: str) -> tuple[float, float]:
 
 def page(results: Row) -> str:
     """Markdown page: the cheapest runs of every scene within each target, and the default."""
-    lines = [
+    parts = [
         "# Speed against accuracy: the cheapest runs",
-        "",
         "Errors are distances of the tip over the reach, the largest of the motion; cost is CPU "
         "time per simulated second of one environment in a batch of "
         f"{results['batch']}, one thread. The error of a run is the sum of its model's and its "
         "step's, and at least the measured distance from the truth.",
-        "",
     ]
     for scene in results["scenes"].values():
         made, machine = scene["made"], scene["made"]["machine"]
-        lines += [
-            f"## {scene['title']}", "",
+        parts += [
+            f"## {scene['title']}",
             f"Made by `{made['command']}` on {machine['cores']} cores ({machine['processor']}), "
             f"commit {made['commit']}. Truth good to {scene['floor']:.1e} of the reach "
-            f"({scene['reach [m]']:.4g} m).", "",
-        ]  # fmt: skip
+            f"({scene['reach [m]']:.4g} m).",
+        ]
         default = next(p for p in scene["points"] if p["default"])
         wanted = {f"{target:.0e}": cheapest(scene, target) for target in TARGETS}
         wanted |= {"default": default, "as good as it": cheapest(scene, default["error"])}
         rows = [_cells(label, point, scene) for label, point in wanted.items()]
-        lines += [table(COLUMNS, rows, "lllr"), ""]
-    return "\n".join(lines)
+        parts.append(table(COLUMNS, rows, "lllr"))
+    return paragraphs(*parts)
 
 
 def cheapest(scene: Row, target: float) -> Row | None:

@@ -26,7 +26,7 @@ import numpy as np
 
 from agents.signals import workers
 from benchmarks.output import RESULTS, argument_parser, count, provenance
-from benchmarks.work_precision.charts import STORED, draw, page, store, stored_results
+from benchmarks.work_precision.charts import draw, page, store, stored_results
 from benchmarks.work_precision.scenes import GOOD, SETTINGS, Level, Setting
 from dynamics import Arm, Diverged, Model, Stepper, compile_arm, simulate
 from dynamics.integrators.table import INTEGRATORS
@@ -322,7 +322,7 @@ def make_truth(setting: Setting) -> None:
 
 def main() -> None:
     """Measure all scenes, write packed JSON, a table and the charts."""
-    parser = argument_parser("work_precision", __doc__)
+    parser = argument_parser("work_precision", __doc__, "work_precision.json.bz2")
     parser.add_argument("--quick", action="store_true", help="one scene, three models")
     parser.add_argument("--truth", action="store_true", help="only recompute the truths")
     parser.add_argument(
@@ -330,7 +330,6 @@ def main() -> None:
     )
     parser.add_argument("--only", nargs="+", choices=list(SETTINGS), default=list(SETTINGS))
     parser.add_argument("--jobs", type=count, default=2, help="number of compiling processes")
-    parser.add_argument("--out", type=Path, default=STORED)
     parser.add_argument("--images", type=Path, default=RESULTS)
     options = parser.parse_args()
     chosen = [SETTINGS[name] for name in options.only]
@@ -343,7 +342,6 @@ def main() -> None:
         results = quick() if options.quick else run(chosen, options.jobs)
         if len(chosen) < len(SETTINGS) and options.out.exists():
             results["scenes"] = stored_results(options.out)["scenes"] | results["scenes"]
-        options.out.parent.mkdir(parents=True, exist_ok=True)
         store(plain(results), options.out)
     results = stored_results(options.out)
     options.images.mkdir(parents=True, exist_ok=True)
