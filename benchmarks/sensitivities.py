@@ -15,7 +15,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from agents.controllers.nmpc import NMPC
+from agents.controllers.nmpc import nonlinear
 from agents.leaderboard.motions import Episode, Motion, plant
 from agents.metrics import make_batch
 from agents.tuned import parameters_of
@@ -148,8 +148,8 @@ def control(scene: str) -> dict[str, Any]:
     env_id = f"FlexArm/{scene}-Reach-v0"
     envs = make_batch(env_id, 1, {"obs": "state"})
     observation, _ = envs.reset(seed=[0])
-    subject = NMPC(envs, **parameters_of("nmpc", env_id, "state"))
-    estimates, _ = subject.observed(observation, None, None)
+    subject = nonlinear(envs, "nmpc", **parameters_of("nmpc", env_id, "state"))
+    estimates, _ = subject.observer.observe(observation, None, np.ones(1, dtype=bool))
     law = subject.law
     scene_of = law._scene(estimates)
     moved = law._closed_loop(scene_of)

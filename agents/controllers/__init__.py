@@ -9,9 +9,9 @@ from functools import partial
 from typing import Any
 
 from agents.controllers.inverse import InverseDynamics
-from agents.controllers.lqr import LQG, LQR, PlannedLQG, PlannedLQR
-from agents.controllers.mpc import MPC, KalmanMPC
-from agents.controllers.nmpc import NMPC, ExtendedNMPC
+from agents.controllers.lqr import regulator
+from agents.controllers.mpc import predictive
+from agents.controllers.nmpc import nonlinear
 from agents.controllers.observers.extended import ExtendedFilters
 from agents.controllers.pd import JointPD, joint_pd, tune_pd
 from agents.controllers.shaped import ShapedPD, ei, zv, zvd
@@ -46,6 +46,19 @@ class Kind:
         }
 
 
+def _on_model(
+    name: str,
+    build: Callable[..., Controller],
+    ranges: Mapping[str, Range],
+    tasks: tuple[str, ...] = tuple(TASKS),
+    **keywords: Any,
+) -> Kind:
+    """A controller with a model, on sensors if its filter is tuned, else on exact states."""
+    obs = "sensors" if "disturbance" in ranges else "state"
+    made = partial(build, name=name, **keywords)
+    return Kind(build=made, ranges=ranges, obs=(obs,), tasks=tasks, model=True)
+
+
 _RESTING = tuple(name for name, task in TASKS.items() if not task.moving)
 _PD = {"frequency_ratio": (0.05, 1.5), "damping_ratio": (0.15, 3.0)}
 _SHAPED = _PD | {"rise": (0.05, 2.0)}
@@ -72,56 +85,31 @@ CONTROLLERS: dict[str, Kind] = {
         ranges=_PD | {"gain": (0.01, 10.0), "corner_ratio": (0.01, 3.0)},
     ),
     **{
-        f"pd-{shaper.__name__}": Kind(
-            build=partial(ShapedPD, shaper=shaper),
-            ranges=_SHAPED,
-            tasks=_RESTING,
+        f"pd-{shaper.__name__}{'-2' * (modes == 2)}": Kind(
+            build=partial(ShapedPD, shaper=shaper, modes=modes), ranges=_SHAPED, tasks=_RESTING,
             model=True,
         )
-        for shaper in (zv, zvd, ei)
-    },
-    **{
-        f"pd-{shaper.__name__}-2": Kind(
-            build=partial(ShapedPD, shaper=shaper, modes=2),
-            ranges=_SHAPED,
-            tasks=_RESTING,
-            model=True,
-        )
-        for shaper in (zv, zvd)
+        for modes, shapers in ((1, (zv, zvd, ei)), (2, (zv, zvd)))
+        for shaper in shapers
     },
     "inverse": Kind(build=InverseDynamics, ranges=_PD | _PLAN, model=True),
-    "lqr": Kind(build=LQR, ranges=_LQR, obs=("state",), model=True),
-    "lqg": Kind(
-        build=LQG, obs=("sensors",), model=True,
-        ranges=_LQR | _FILTER,
+    "lqr": _on_model("lqr", regulator, _LQR),
+    "lqg": _on_model("lqg", regulator, _LQR | _FILTER),
+    "lqr-planned": _on_model("lqr-planned", regulator, _PLANNED, ("Reach",)),
+    "lqg-planned": _on_model("lqg-planned", regulator, _PLANNED | _FILTER, ("Reach",)),
+    "mpc": _on_model("mpc", predictive, _MPC),
+    "mpc-kalman": _on_model("mpc-kalman", predictive, _MPC | _FILTER),
+    "lqg-extended": _on_model(
+        "lqg-extended", regulator, _LQR | _FILTER, filters=ExtendedFilters
     ),
-    "lqr-planned": Kind(
-        build=PlannedLQR, ranges=_PLANNED, obs=("state",), tasks=("Reach",), model=True
+    "lqg-extended-planned": _on_model(
+        "lqg-extended-planned", regulator, _PLANNED | _FILTER, ("Reach",), filters=ExtendedFilters
     ),
-    "lqg-planned": Kind(
-        build=PlannedLQG, obs=("sensors",), tasks=("Reach",), model=True,
-        ranges=_PLANNED | _FILTER,
+    "mpc-extended": _on_model(
+        "mpc-extended", predictive, _MPC | _FILTER, filters=ExtendedFilters
     ),
-    "mpc": Kind(build=MPC, ranges=_MPC, obs=("state",), model=True),
-    "mpc-kalman": Kind(
-        build=KalmanMPC, ranges=_MPC | _FILTER, obs=("sensors",), model=True
-    ),
-    "lqg-extended": Kind(
-        build=partial(LQG, filters=ExtendedFilters, name="lqg-extended"), obs=("sensors",),
-        ranges=_LQR | _FILTER, model=True,
-    ),
-    "lqg-extended-planned": Kind(
-        build=partial(PlannedLQG, filters=ExtendedFilters, name="lqg-extended-planned"),
-        obs=("sensors",), tasks=("Reach",), ranges=_PLANNED | _FILTER, model=True,
-    ),
-    "mpc-extended": Kind(
-        build=partial(KalmanMPC, filters=ExtendedFilters, name="mpc-extended"), obs=("sensors",),
-        ranges=_MPC | _FILTER, model=True,
-    ),
-    "nmpc": Kind(build=NMPC, ranges=_MPC, obs=("state",), tasks=_RESTING, model=True),
-    "nmpc-extended": Kind(
-        build=ExtendedNMPC, ranges=_MPC | _FILTER, obs=("sensors",), tasks=_RESTING, model=True
-    ),
+    "nmpc": _on_model("nmpc", nonlinear, _MPC, _RESTING),
+    "nmpc-extended": _on_model("nmpc-extended", nonlinear, _MPC | _FILTER, _RESTING),
     "zero": Kind(build=lambda env: Zero(n_torque=env.unwrapped.torque_limit.size)),
     "random": Kind(build=lambda env: Random(env.unwrapped.torque_limit.size)),
 }  # fmt: skip

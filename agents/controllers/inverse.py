@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from agents.controllers.models.linear_model import LinearModels
-from agents.controllers.models.memory import fresh_of
+from agents.controllers.models.memory import Remembering
 from agents.controllers.models.plan import Plan, TimedMoves
 from agents.controllers.models.reading import Reading
 from agents.controllers.models.reference import Reference
@@ -27,7 +27,7 @@ class _Memory:
     offset: Array  # (N, m) [rad] joint errors of the bent plan
 
 
-class InverseDynamics:
+class InverseDynamics(Remembering):
     """Joint PD about a plan whose torques are fed forward; `load` is that of `TimedMoves`."""
 
     def __init__(
@@ -40,25 +40,16 @@ class InverseDynamics:
         model, exact = self.models.model, "modal_amplitude" in self.read
         self.angles = np.eye(model.n)[self.models.joints] if exact else model.encoders
 
-    def predict(
-        self,
-        observation: AnyArray,
-        state: _Memory | None = None,
-        episode_start: AnyArray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[AnyArray, _Memory]:
-        """Actions; the state holds the episodes' plans."""
-        x, dt = np.atleast_2d(observation), self.models.control_dt
-        fresh = fresh_of(state, episode_start, len(x))
-        plan = self.planner.follow(x, state.plan if state else None, fresh)
+    def act(self, x: AnyArray, memory: _Memory | None, fresh: AnyArray) -> tuple[AnyArray, _Memory]:
+        """Actions about the episodes' plans."""
+        plan = self.planner.follow(x, memory.plan if memory else None, fresh)
         bent, forward = (part[:, 0] for part in self.reference.along(plan.motion))
         offset = plan.left + bent @ self.angles.T
-        before = offset if state is None else np.where(fresh[:, None], offset, state.offset)
-        rate = plan.target.rate + (offset - before) / dt
+        before = offset if memory is None else np.where(fresh[:, None], offset, memory.offset)
+        rate = plan.target.rate + (offset - before) / self.models.control_dt
         torque = (
             forward
             - self.pd.stiffness * (self.read(x, "joint_error") - offset)
             - self.pd.damping * (self.read(x, "joint_rate") - rate)
         )
-        action = np.clip(torque / self.pd.torque_limit, -1.0, 1.0)
-        return action.reshape(*np.shape(observation)[:-1], -1), _Memory(plan, offset)
+        return np.clip(torque / self.pd.torque_limit, -1.0, 1.0), _Memory(plan, offset)

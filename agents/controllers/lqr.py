@@ -7,20 +7,20 @@ a far target would otherwise saturate every torque for long (see Franklin, Powel
 Feedback Control of Dynamic Systems, on saturation).
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from agents.controllers.models.linear_model import KEPT, LinearModel, LinearModels
-from agents.controllers.models.memory import fresh_of, kept
+from agents.controllers.models.memory import Remembering, fresh_of, kept
 from agents.controllers.models.plan import TimedMoves
 from agents.controllers.observers.exact import Estimate, ExactState, alike
 from agents.controllers.observers.kalman import Belief, KalmanFilters
 from dynamics.types import AnyArray, Array
 from flexarm_env.task.tasks import SETTLED_BAND
-
-Filters = type[KalmanFilters]
 
 JOINTS = 0.1  # weight of joint errors over that of tip errors
 
@@ -93,52 +93,19 @@ def riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
     raise np.linalg.LinAlgError(reason)
 
 
-class ModelBased:
-    """A law on the estimates of an observer; the state of `predict` is the observer's memory."""
+class ModelBased(Remembering):
+    """A law on the estimates of an observer, whose memory is the controller's."""
 
     def __init__(self, env: Any, observer: Any, law: Any) -> None:
         self.observer, self.law = observer, law
         self.limit = np.asarray(env.unwrapped.torque_limit, dtype=np.float64)
 
-    def observed(
-        self, observation: AnyArray, state: Any, episode_start: AnyArray | None
-    ) -> tuple[list[Estimate], Any]:
-        """Estimates of N environments, and the memory."""
-        x = np.atleast_2d(observation)
-        fresh = fresh_of(state, episode_start, len(x))
-        return cast(tuple[list[Estimate], Any], self.observer.observe(x, state, fresh))
-
-    def predict(
-        self,
-        observation: AnyArray,
-        state: Any = None,
-        episode_start: AnyArray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[AnyArray, Any]:
+    def act(self, x: AnyArray, memory: Any, fresh: AnyArray) -> tuple[AnyArray, Any]:
         """Actions and the memory."""
-        estimates, memory = self.observed(observation, state, episode_start)
+        estimates, memory = self.observer.observe(x, memory, fresh)
         torque = np.clip(self.law(estimates), -self.limit, self.limit)
         self.observer.act(memory, torque)
-        return (torque / self.limit).reshape(*np.shape(observation)[:-1], -1), memory
-
-
-class LQR(ModelBased):
-    """State feedback; needs obs="state"."""
-
-    def __init__(self, env: Any, *, effort: float, lead: float, clip: float) -> None:
-        observer = ExactState(env, "lqr")
-        cost = Cost(env, observer.models, effort=effort, lead=lead)
-        super().__init__(env, observer, Gain(cost, clip))
-
-
-class PlannedLQR(ModelBased):
-    """State feedback about planned moves; needs obs="state"."""
-
-    def __init__(self, env: Any, *, effort: float, lead: float, load: float) -> None:
-        moves = TimedMoves(env, LinearModels.of(env), load)
-        observer = ExactState(env, "lqr-planned", moves)
-        cost = Cost(env, observer.models, effort=effort, lead=lead)
-        super().__init__(env, observer, Gain(cost))
+        return torque / self.limit, memory
 
 
 class OutputFeedback(ModelBased):
@@ -153,8 +120,9 @@ class OutputFeedback(ModelBased):
         self, observation: AnyArray, state: Belief | None, episode_start: AnyArray | None
     ) -> Belief:
         """The belief after an observation; no torque is noted before `told`."""
-        estimates, belief = self.observed(observation, state, episode_start)
-        self.observer.act(belief, np.zeros((len(estimates), self.limit.size)))
+        x = np.atleast_2d(observation)
+        _, belief = self.observer.observe(x, state, fresh_of(state, episode_start, len(x)))
+        self.observer.act(belief, np.zeros((len(x), self.limit.size)))
         return cast(Belief, belief)
 
     def known(self, state: Belief) -> AnyArray:
@@ -167,26 +135,27 @@ class OutputFeedback(ModelBased):
         return state
 
 
-class LQG(OutputFeedback):
-    """Output feedback; needs obs="sensors"."""
+def model_based(
+    env: Any, name: str, law: Callable[[Cost], Any], *, effort: float, lead: float,
+    load: float | None = None, disturbance: float | None = None,
+    filters: type[KalmanFilters] = KalmanFilters, **observing: Any,
+) -> ModelBased:  # fmt: skip
+    """Controller of a law, which is made of its cost; `observing` are keywords of the observer.
 
-    def __init__(
-        self, env: Any, *, effort: float, lead: float, clip: float, disturbance: float,
-        filters: Filters = KalmanFilters, name: str = "lqg",
-    ) -> None:  # fmt: skip
-        observer = filters(env, name, disturbance)
-        cost = Cost(env, observer.models, effort=effort, lead=lead)
-        super().__init__(env, observer, Gain(cost, clip))
+    It needs obs="state"; with a `disturbance` it needs obs="sensors" and has filters. With a `load`
+    it acts about planned moves.
+    """
+    if load is not None:
+        observing["planner"] = TimedMoves(env, LinearModels.of(env), load)
+    kind: type[ModelBased] = ModelBased if disturbance is None else OutputFeedback
+    observer: Any = (
+        ExactState(env, name, **observing)
+        if disturbance is None
+        else filters(env, name, disturbance, **observing)
+    )
+    return kind(env, observer, law(Cost(env, observer.models, effort=effort, lead=lead)))
 
 
-class PlannedLQG(OutputFeedback):
-    """Output feedback about planned moves; needs obs="sensors"."""
-
-    def __init__(
-        self, env: Any, *, effort: float, lead: float, load: float, disturbance: float,
-        filters: Filters = KalmanFilters, name: str = "lqg-planned",
-    ) -> None:  # fmt: skip
-        moves = TimedMoves(env, LinearModels.of(env), load)
-        observer = filters(env, name, disturbance, moves)
-        cost = Cost(env, observer.models, effort=effort, lead=lead)
-        super().__init__(env, observer, Gain(cost))
+def regulator(env: Any, name: str, *, clip: float = np.inf, **parameters: Any) -> ModelBased:
+    """LQR, with a `disturbance` LQG; the parameters are those of `model_based`."""
+    return model_based(env, name, partial(Gain, clip=clip), **parameters)

@@ -11,16 +11,16 @@ before.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from agents.controllers.lqr import Cost, Filters, ModelBased, OutputFeedback, riccati
+from agents.controllers.lqr import Cost, ModelBased, model_based, riccati
 from agents.controllers.models.linear_model import LinearModel
 from agents.controllers.models.memory import kept
-from agents.controllers.observers.exact import Estimate, ExactState
-from agents.controllers.observers.kalman import KalmanFilters
+from agents.controllers.observers.exact import Estimate
 from dynamics.extras import missing
 from dynamics.types import Array
 
@@ -155,30 +155,15 @@ def _times(env: Any, horizon: float) -> Array:
     return core.control_dt * np.array(middles)
 
 
-class MPC(ModelBased):
-    """Predictive control on exact states; needs obs="state"."""
+def predictive(
+    env: Any, name: str, *, horizon: float, margin: float, **parameters: Any
+) -> ModelBased:
+    """Predictive control; the parameters are those of `model_based`.
 
-    def __init__(
-        self, env: Any, *, effort: float, lead: float, horizon: float, margin: float
-    ) -> None:
-        observer = ExactState(env, "mpc", times=_times(env, horizon))
-        cost = Cost(env, observer.models, effort=effort, lead=lead)
-        super().__init__(env, observer, Predictive(env, cost, horizon=horizon, margin=margin))
-
-
-class KalmanMPC(OutputFeedback):
-    """Predictive control on the Kalman filters of LQG; needs obs="sensors".
-
-    It believes in the heaviest plant that its readings allow, so that the links of none of them
-    bend too far; on a path, whose torques are the plant's own, in the likeliest.
+    On filters it believes in the heaviest plant that its readings allow, so that the links of none
+    of them bend too far; on a path, whose torques are the plant's own, in the likeliest.
     """
-
-    def __init__(
-        self, env: Any, *, effort: float, lead: float, horizon: float, margin: float,
-        disturbance: float, filters: Filters = KalmanFilters, name: str = "mpc-kalman",
-    ) -> None:  # fmt: skip
-        caution = 0.0 if env.unwrapped.core.task.moving else CAUTION
-        times = _times(env, horizon)
-        observer = filters(env, name, disturbance, times=times, caution=caution)
-        cost = Cost(env, observer.models, effort=effort, lead=lead)
-        super().__init__(env, observer, Predictive(env, cost, horizon=horizon, margin=margin))
+    if "disturbance" in parameters and not env.unwrapped.core.task.moving:
+        parameters["caution"] = CAUTION
+    law = partial(Predictive, env, horizon=horizon, margin=margin)
+    return model_based(env, name, law, times=_times(env, horizon), **parameters)

@@ -14,16 +14,17 @@ control, and no link may bend beyond a share of its limit along y or z, which yi
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from agents.controllers.lqr import Cost, ModelBased, OutputFeedback, gain, riccati
+from agents.controllers.lqr import Cost, ModelBased, gain, model_based, riccati
 from agents.controllers.models.linear_model import LinearModel
 from agents.controllers.models.memory import kept
 from agents.controllers.models.nonlinear import PlantSteppers
 from agents.controllers.mpc import CAUTION, PRICE, blocks_of, quadratic_programs, steps_of
-from agents.controllers.observers.exact import Estimate, ExactState, alike
+from agents.controllers.observers.exact import Estimate, alike
 from agents.controllers.observers.extended import ExtendedFilters
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.runtime.jit import outermost
@@ -282,26 +283,14 @@ def _solved(
         joined |= broken
 
 
-class NMPC(ModelBased):
-    """Nonlinear predictive control on exact states; needs obs="state" and a resting target."""
+def nonlinear(
+    env: Any, name: str, *, horizon: float, margin: float, **parameters: Any
+) -> ModelBased:
+    """Nonlinear predictive control to a resting target; the parameters are those of `model_based`.
 
-    def __init__(
-        self, env: Any, *, effort: float, lead: float, horizon: float, margin: float
-    ) -> None:
-        observer = ExactState(env, "nmpc")
-        cost = Cost(env, observer.models, effort=effort, lead=lead)
-        super().__init__(env, observer, Nonlinear(env, cost, horizon=horizon, margin=margin))
-
-
-class ExtendedNMPC(OutputFeedback):
-    """Nonlinear predictive control on filters of the nonlinear arm, of which it believes in the
-    heaviest plant that readings allow; needs obs="sensors" and a resting target.
+    On filters of the nonlinear arm it believes in the heaviest plant that readings allow.
     """
-
-    def __init__(
-        self, env: Any, *, effort: float, lead: float, horizon: float, margin: float,
-        disturbance: float,
-    ) -> None:  # fmt: skip
-        observer = ExtendedFilters(env, "nmpc-extended", disturbance, caution=CAUTION)
-        cost = Cost(env, observer.models, effort=effort, lead=lead)
-        super().__init__(env, observer, Nonlinear(env, cost, horizon=horizon, margin=margin))
+    if "disturbance" in parameters:
+        parameters |= {"caution": CAUTION, "filters": ExtendedFilters}
+    law = partial(Nonlinear, env, horizon=horizon, margin=margin)
+    return model_based(env, name, law, **parameters)

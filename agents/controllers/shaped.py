@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from agents.controllers.models.linear_model import KEPT, LinearModel, LinearModels
-from agents.controllers.models.memory import fresh_of, kept
+from agents.controllers.models.memory import Remembering, kept
 from agents.controllers.models.reading import Reading
 from agents.controllers.models.reference import posture_of, smooth_way
 from agents.controllers.pd import joint_pd
@@ -68,7 +68,7 @@ class _Run:
     impulses: list[Impulses]  # per environment
 
 
-class ShapedPD:
+class ShapedPD(Remembering):
     """Joint PD whose reference is shaped for the `modes` least damped oscillations."""
 
     def __init__(
@@ -87,17 +87,10 @@ class ShapedPD:
         self.models, self.rise = LinearModels.of(env), rise * core.move_time
         self._impulses = kept(self._shaped, KEPT)
 
-    def predict(
-        self,
-        observation: AnyArray,
-        state: _Run | None = None,
-        episode_start: AnyArray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[AnyArray, _Run]:
-        """Actions; the state holds the episodes' times and references."""
-        x = np.atleast_2d(observation)
+    def act(self, x: AnyArray, memory: _Run | None, fresh: AnyArray) -> tuple[AnyArray, _Run]:
+        """Actions; the memory holds the episodes' times and references."""
         error, rate = self.read(x, "joint_error"), self.read(x, "joint_rate")
-        run = self._started(x, error, state, fresh_of(state, episode_start, len(x)))
+        run = self._started(x, error, memory, fresh)
         way, slope = np.array(
             [
                 self._reference(step * self.models.control_dt, *impulses)
@@ -108,8 +101,7 @@ class ShapedPD:
         moving = -run.start * slope[:, None]
         torque = -self.pd.stiffness * (error - off) - self.pd.damping * (rate - moving)
         run.steps += 1
-        action = np.clip(torque / self.pd.torque_limit, -1.0, 1.0)
-        return action.reshape(*np.shape(observation)[:-1], -1), run
+        return np.clip(torque / self.pd.torque_limit, -1.0, 1.0), run
 
     def _started(self, x: AnyArray, error: Array, run: _Run | None, fresh: AnyArray) -> _Run:
         if run is None:

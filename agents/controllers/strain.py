@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from agents.controllers.models.memory import resumed
+from agents.controllers.models.memory import Remembering, resumed
 from agents.controllers.models.reading import Reading
 from agents.controllers.pd import JointPD, joint_pd
 from dynamics.types import AnyArray, Array
 from flexarm_env.task.observations import curvature_columns
 
 
-class PID:
+class PID(Remembering):
     """Joint PD, and the integral of the joint error over a reset time, in move times."""
 
     def __init__(
@@ -33,23 +33,15 @@ class PID:
         self.read, self.pd = Reading.of(env), joint_pd(env, frequency_ratio, damping_ratio)
         self.share = core.control_dt / (reset * core.move_time)
 
-    def predict(
-        self,
-        observation: AnyArray,
-        state: Array | None = None,
-        episode_start: AnyArray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[AnyArray, Array]:
-        """Actions; the state (N, m) [rad] is the integral."""
-        x = np.atleast_2d(observation)
+    def act(self, x: AnyArray, memory: Array | None, fresh: AnyArray) -> tuple[AnyArray, Array]:
+        """Actions; the memory (N, m) [rad] is the integral."""
         error = self.read(x, "joint_error")
-        before = resumed(state, episode_start, error.shape)
+        before = resumed(memory, fresh, error.shape)
         gain, moved = self.pd.stiffness / self.pd.torque_limit, before + self.share * error
         action = self.pd.of_joints(x)
         free = np.abs(action - gain * moved) < 1.0
         integral = np.where(free, moved, before)
-        action = self.pd.whole(action - gain * integral)
-        return action.reshape(*np.shape(observation)[:-1], -1), integral
+        return self.pd.whole(action - gain * integral), integral
 
 
 class StrainFeedback:
@@ -76,7 +68,7 @@ class StrainFeedback:
         return self.pd.whole(action), state
 
 
-class FilteredBending:
+class FilteredBending(Remembering):
     """Joint PD beside a filter of the bending that adds to the joints' reference.
 
     Its s states go to `step` (states, chord) at every control step; `gain` [1/rad] turns the first
@@ -88,20 +80,12 @@ class FilteredBending:
     gain: Array  # (m,)
     step: Array  # (s, s + 1)
 
-    def predict(
-        self,
-        observation: AnyArray,
-        state: Array | None = None,
-        episode_start: AnyArray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[AnyArray, Array]:
-        """Actions; the state (N, s, m) is the filters'."""
-        x = np.atleast_2d(observation)
+    def act(self, x: AnyArray, memory: Array | None, fresh: AnyArray) -> tuple[AnyArray, Array]:
+        """Actions; the memory (N, s, m) is the filters' state."""
         chord = self.chords(x)
-        before = resumed(state, episode_start, (len(x), len(self.step), chord.shape[1]))
+        before = resumed(memory, fresh, (len(x), len(self.step), chord.shape[1]))
         after = self.step @ np.concatenate([before, chord[:, None]], axis=1)
-        action = self.pd.whole(self.pd.of_joints(x) + self.gain * after[:, 0])
-        return action.reshape(*np.shape(observation)[:-1], -1), after
+        return self.pd.whole(self.pd.of_joints(x) + self.gain * after[:, 0]), after
 
 
 class PositivePosition(FilteredBending):

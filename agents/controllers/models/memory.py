@@ -1,5 +1,6 @@
 """Memory of controllers: from step to step, and of postures and models they meet again."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
@@ -35,11 +36,33 @@ def fresh_of(state: Any, episode_start: AnyArray | None, count: int) -> AnyArray
     return np.asarray(episode_start, dtype=bool)
 
 
-def resumed(state: Array | None, episode_start: AnyArray | None, shape: tuple[int, ...]) -> Array:
-    """State of `shape` (N, ...) of a controller, zero where an episode starts."""
-    before = np.zeros(shape) if state is None else state.copy()
-    before[fresh_of(state, episode_start, shape[0])] = 0.0
+def resumed(memory: Array | None, fresh: AnyArray, shape: tuple[int, ...]) -> Array:
+    """Memory of `shape` (N, ...) of a controller, zero where an episode starts."""
+    before = np.zeros(shape) if memory is None else memory.copy()
+    before[fresh] = 0.0
     return before
+
+
+class Remembering(ABC):
+    """A controller whose state is a memory of N episodes."""
+
+    @abstractmethod
+    def act(self, x: AnyArray, memory: Any, fresh: AnyArray) -> tuple[AnyArray, Any]:
+        """Actions (N, m) and the next memory, from observations (N, size), the last memory, if
+        there is one, and where an episode starts (N,).
+        """
+
+    def predict(
+        self,
+        observation: AnyArray,
+        state: Any = None,
+        episode_start: AnyArray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[AnyArray, Any]:
+        """Actions (..., m) in [-1, 1], and the memory."""
+        x = np.atleast_2d(observation)
+        action, memory = self.act(x, state, fresh_of(state, episode_start, len(x)))
+        return action.reshape(*np.shape(observation)[:-1], -1), memory
 
 
 def part_of(state: Any, rows: AnyArray) -> Any:

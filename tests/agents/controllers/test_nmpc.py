@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import Bounds, LinearConstraint, minimize
 
 from agents.controllers import nmpc
-from agents.controllers.lqr import LQR, Cost, Gain
+from agents.controllers.lqr import Cost, Gain, regulator
 from agents.controllers.models.linear_model import LinearModels
 from agents.controllers.observers.exact import Estimate
 from agents.metrics import episode_metrics, make_batch, record
@@ -177,8 +177,8 @@ def test_links_bend_no_further_than_the_share_of_their_limit() -> None:
 def test_six_links_settle_sooner_than_with_lqr() -> None:
     envs = make_batch(DAMP, 6, {"obs": "state"})
     subjects = (
-        nmpc.NMPC(envs, **WEIGHTS, horizon=1.0, margin=0.7),
-        LQR(envs, **WEIGHTS, clip=1.0),
+        nmpc.nonlinear(envs, "nmpc", **WEIGHTS, horizon=1.0, margin=0.7),
+        regulator(envs, "lqr", **WEIGHTS, clip=1.0),
     )
     ours, linear = (
         episode_metrics(record(subject, envs, range(6)))["score"].mean() for subject in subjects

@@ -125,7 +125,7 @@ def test_rates_about_a_plan_are_the_slopes_of_places_about_it() -> None:
     state, found = None, []
     for k in range(40):
         fresh = np.full(4, k == 0)
-        estimates, _ = subject.observed(observation, state, fresh)
+        estimates, _ = subject.observer.observe(observation, state, fresh)
         found.append([estimate.x for estimate in estimates])
         action, state = subject.predict(observation, state, fresh)
         observation = envs.step(action.astype(np.float32))[0]
