@@ -5,9 +5,9 @@ of the exact beam. S1 and S3 are motions of geometrically nonlinear beams, store
 tests/reference/; our numbers are from assumed-mode models.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from math import cos, pi, sin, sqrt
 from typing import Any
 
@@ -156,48 +156,40 @@ def limits() -> list[float]:
     ]
 
 
-def _rotating() -> list[Table]:
-    return [
-        Table(
+def _rotating() -> Iterator[Table]:
+    for eta, digits in ROTATING.items():
+        yield Table(
             chapter=CHAPTER, title=f"Cantilever spinning at η = {eta:g}, foreshortened",
             demand="within 0.2 %: three modes",
             rows=relatively(("first flap", "first lag"), digits, "√(EI/ρA L⁴)", 2e-3),
             ours=lambda r=eta: [spinning(_unit(3, d), r) for d in "zy"],  # type: ignore[misc]
-        )
-        for eta, digits in ROTATING.items()
-    ] + [
-        Table(
-            chapter=CHAPTER, title=f"The same without foreshortening, η = {SPEED:g}: falsely soft",
-            demand="within 1e-4: ω² = 3.516² - Ω², which no beam obeys",
-            rows=relatively(
-                ("first lag",), f"{sqrt(3.5160152685**2 - SPEED**2):.6f}", "√(EI/ρA L⁴)", 1e-4,
-                "the linear model's own error; the truth is 3.743512",
-            ),
-            ours=lambda: [spinning(_unit(1, "y", foreshortening=False), SPEED)],
-        )
-    ]  # fmt: skip
+        )  # fmt: skip
+    yield Table(
+        chapter=CHAPTER, title=f"The same without foreshortening, η = {SPEED:g}: falsely soft",
+        demand="within 1e-4: ω² = 3.516² - Ω², which no beam obeys",
+        rows=relatively(
+            ("first lag",), f"{sqrt(3.5160152685**2 - SPEED**2):.6f}", "√(EI/ρA L⁴)", 1e-4,
+            "the linear model's own error; the truth is 3.743512",
+        ),
+        ours=lambda: [spinning(_unit(1, "y", foreshortening=False), SPEED)],
+    )  # fmt: skip
 
 
-def _static() -> list[Table]:
-    result = [
-        Table(
+def _static() -> Iterator[Table]:
+    for alpha, digits in DEAD_LOAD.items():
+        yield Table(
             chapter=CHAPTER, title=f"Cantilever under a dead tip load, α = {alpha:g}",
             demand="within 0.5 %: four segments of two polynomials",
             rows=relatively(("drop", "x of the tip"), digits, "L", 5e-3),
-            ours=lambda a=alpha: _dropped(a),  # type: ignore[misc]
-        )
-        for alpha, digits in DEAD_LOAD.items()
-    ]  # fmt: skip
+            ours=partial(_dropped, alpha),
+        )  # fmt: skip
     for k in END_MOMENT:
         exact = f"{sin(k) / k:.6f} {(1.0 - cos(k)) / k:.6f}"
-        result.append(
-            Table(
-                chapter=CHAPTER, title=f"Cantilever under an end moment, M L / EI = {k:g}",
-                demand="within 0.5 %: the same", rows=relatively(("x", "y"), exact, "L", 5e-3),
-                ours=lambda m=k: bent_by_moment(m),  # type: ignore[misc]
-            )
+        yield Table(
+            chapter=CHAPTER, title=f"Cantilever under an end moment, M L / EI = {k:g}",
+            demand="within 0.5 %: the same", rows=relatively(("x", "y"), exact, "L", 5e-3),
+            ours=partial(bent_by_moment, k),
         )  # fmt: skip
-    return result
 
 
 def _dropped(alpha: float) -> tuple[float, float]:
@@ -207,51 +199,47 @@ def _dropped(alpha: float) -> tuple[float, float]:
     return -float(y), float(x)
 
 
-def _motions() -> list[Table]:
+def _motions() -> Iterator[Table]:
+    yield Table(
+        chapter=CHAPTER, quick=False, title="S1 and S3: how far a rigid link is off",
+        demand="within rounding of the print",
+        rows=relatively(("S1", "S3"), "7.0e-3 5.7e-2", "L", 0.01),
+        ours=lambda: [_apart(name, Level(modes=0)) for name in ("S1", "S3")],
+    )  # fmt: skip
+    yield Table(
+        chapter=CHAPTER, quick=False, title="S3: largest deflection",
+        demand="the stored motion: rounding; three foreshortened modes: 2 %, nearest sample",
+        rows=(
+            *relatively(("stored beam, peak",), "-0.5738", "m", 1e-4),
+            *relatively(("stored beam, when",), "6.75", "s", 1e-6),
+            *relatively(("our modes, peak",), "-0.5738", "m", 0.02),
+            Number(quantity="our modes, when", printed="6.75", unit="s", within=0.0501),
+        ),
+        ours=_peaks,
+    )  # fmt: skip
     both = Level(modes=2, foreshortening=True)
-    return [
-        Table(
-            chapter=CHAPTER, quick=False, title="S1 and S3: how far a rigid link is off",
-            demand="within rounding of the print",
-            rows=relatively(("S1", "S3"), "7.0e-3 5.7e-2", "L", 0.01),
-            ours=lambda: [_apart(name, Level(modes=0)) for name in ("S1", "S3")],
+    yield Table(
+        chapter=CHAPTER, quick=False, title="S1 and S3: two foreshortened modes, whole motion",
+        demand="within 1e-3 of the length",
+        rows=tuple(
+            Number(quantity=f"{name}, farthest from the beam", printed="0", unit="L", within=1e-3)
+            for name in ("S1", "S3")
         ),
-        Table(
-            chapter=CHAPTER, quick=False, title="S3: largest deflection",
-            demand="the stored motion: rounding; three foreshortened modes: 2 %, nearest sample",
-            rows=(
-                *relatively(("stored beam, peak",), "-0.5738", "m", 1e-4),
-                *relatively(("stored beam, when",), "6.75", "s", 1e-6),
-                *relatively(("our modes, peak",), "-0.5738", "m", 0.02),
-                Number(quantity="our modes, when", printed="6.75", unit="s", within=0.0501),
-            ),
-            ours=_peaks,
-        ),
-        Table(
-            chapter=CHAPTER, quick=False, title="S1 and S3: two foreshortened modes, whole motion",
-            demand="within 1e-3 of the length",
-            rows=(
-                Number(quantity="S1, farthest from the beam", printed="0", unit="L", within=1e-3),
-                Number(quantity="S3, farthest from the beam", printed="0", unit="L", within=1e-3),
-            ),
-            ours=lambda: [_apart(name, both) for name in ("S1", "S3")],
-        ),
-    ]  # fmt: skip
+        ours=lambda: [_apart(name, both) for name in ("S1", "S3")],
+    )  # fmt: skip
 
 
-def tables() -> list[Table]:
+def tables() -> Iterator[Table]:
     """All tables of this chapter."""
     names = ("(35) torsion, mode 1", "mode 2", "mode 3", "(36) stretching, mode 1",
              "mode 2", "(37) bending in y, mode 1", "(38) bending in z, mode 1",
              "in y, mode 2", "in z, mode 2")  # fmt: skip
-    return [
-        *_rotating(),
-        *_static(),
-        Table(
-            chapter=CHAPTER, title="Limit equations of Zohoor and Khorsandijou, over closed forms",
-            demand="within 1e-4",
-            rows=relatively(names, " ".join("1" for _ in names), "", 1e-4),
-            ours=limits,
-        ),
-        *_motions(),
-    ]  # fmt: skip
+    yield from _rotating()
+    yield from _static()
+    yield Table(
+        chapter=CHAPTER, title="Limit equations of Zohoor and Khorsandijou, over closed forms",
+        demand="within 1e-4",
+        rows=relatively(names, " ".join("1" for _ in names), "", 1e-4),
+        ours=limits,
+    )  # fmt: skip
+    yield from _motions()

@@ -76,22 +76,21 @@ def as_printed(
     names: Sequence[str], digits: str, unit: str = "", units: float = 0.51, remark: str = ""
 ) -> tuple[Number, ...]:
     """Numbers to reproduce within `units` of the last printed digit (0.5 is rounding)."""
-    return tuple(
-        Number(
-            quantity=name, printed=text, unit=unit, within=units * last_digit(text), remark=remark
-        )
-        for name, text in zip(names, digits.split(), strict=True)
-    )
+    return _numbers(names, digits, unit, lambda text: units * last_digit(text), remark)
 
 
 def relatively(
     names: Sequence[str], digits: str, unit: str, share: float, remark: str = ""
 ) -> tuple[Number, ...]:
     """Numbers to reproduce within the relative deviation `share`."""
+    return _numbers(names, digits, unit, lambda text: share * abs(float(text)), remark)
+
+
+def _numbers(
+    names: Sequence[str], digits: str, unit: str, within: Callable[[str], float], remark: str
+) -> tuple[Number, ...]:
     return tuple(
-        Number(
-            quantity=name, printed=text, unit=unit, within=share * abs(float(text)), remark=remark
-        )
+        Number(quantity=name, printed=text, unit=unit, within=within(text), remark=remark)
         for name, text in zip(names, digits.split(), strict=True)
     )
 

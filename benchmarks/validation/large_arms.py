@@ -3,7 +3,7 @@
 Neither source has all the data of a model, so the presets `ralf-like` and `srms-like` are tuned.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from math import nan, pi, sqrt
@@ -103,38 +103,35 @@ RALF_OURS: tuple[tuple[Callable[[], list[float]], str, str], ...] = (  # for eac
 )
 
 
-def ralf_tables() -> list[Table]:
+def ralf_tables() -> Iterator[Table]:
     """RALF: arithmetic of the printed actuators, and tables whose geometry is lost."""
-    result = [
-        Table(
-            chapter=RALF, title="Printed data", demand="within rounding of the print",
-            rows=(
-                *as_printed(("length of a link, 10 ft",), "3.048", "m"),
-                *as_printed(("structure, 70 lb",), "31.75", "kg"),
-                *relatively(("hydraulic spring 1, 1.54e3 lb/in",), "2.697e5", "N/m", 5e-4),
-                *relatively(("hydraulic spring 2, 6.03e3 lb/in",), "1.056e6", "N/m", 5e-4),
-                *as_printed(("hydraulic frequency 1 of (7.1a)",), "43.6", "Hz", 1.01),
-                *as_printed(("hydraulic frequency 2 of (7.1b)",), "50.0", "Hz"),
-                *as_printed(("damping ratio of (7.1b)",), "0.770", "", 1.01),
-                Number(
-                    quantity="damping ratio of (7.1a)", printed="", claim=LOST,
-                    remark="3.8?6e2: the unreadable digit is 3 or 8, ζ = 0.700 or 0.709",
-                ),
-                Number(
-                    quantity="lever arm of both springs", printed="", unit="m", claim=LOST,
-                    remark="tuned to 5.70 Hz for table 7.3; longer than likely: 0.5 m in table 7.2",
-                ),
+    yield Table(
+        chapter=RALF, title="Printed data", demand="within rounding of the print",
+        rows=(
+            *as_printed(("length of a link, 10 ft",), "3.048", "m"),
+            *as_printed(("structure, 70 lb",), "31.75", "kg"),
+            *relatively(("hydraulic spring 1, 1.54e3 lb/in",), "2.697e5", "N/m", 5e-4),
+            *relatively(("hydraulic spring 2, 6.03e3 lb/in",), "1.056e6", "N/m", 5e-4),
+            *as_printed(("hydraulic frequency 1 of (7.1a)",), "43.6", "Hz", 1.01),
+            *as_printed(("hydraulic frequency 2 of (7.1b)",), "50.0", "Hz"),
+            *as_printed(("damping ratio of (7.1b)",), "0.770", "", 1.01),
+            Number(
+                quantity="damping ratio of (7.1a)", printed="", claim=LOST,
+                remark="3.8?6e2: the unreadable digit is 3 or 8, ζ = 0.700 or 0.709",
             ),
-            ours=lambda: [
-                120 * INCH, 70 * POUND, *SPRINGS, sqrt(7.509e4) / (2 * pi),
-                sqrt(9.869e4) / (2 * pi), 4.838e2 / (2 * sqrt(9.869e4)), nan,
-                tuned_lever(),
-            ],
-        )
-    ]  # fmt: skip
+            Number(
+                quantity="lever arm of both springs", printed="", unit="m", claim=LOST,
+                remark="tuned to 5.70 Hz for table 7.3; longer than likely: 0.5 m in table 7.2",
+            ),
+        ),
+        ours=lambda: [
+            120 * INCH, 70 * POUND, *SPRINGS, sqrt(7.509e4) / (2 * pi),
+            sqrt(9.869e4) / (2 * pi), 4.838e2 / (2 * sqrt(9.869e4)), nan,
+            tuned_lever(),
+        ],
+    )  # fmt: skip
     for (title, pairs), ours in zip(RALF_TABLES.items(), RALF_OURS, strict=True):
-        result.append(_ralf_table(title, pairs, *ours))
-    return result
+        yield _ralf_table(title, pairs, *ours)
 
 
 def _ralf_table(

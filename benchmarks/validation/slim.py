@@ -1,7 +1,8 @@
 """SLIM, the one-link laboratory arm of Yuan, Book and Huggins (1993)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -68,28 +69,24 @@ def strain_per_tip_deflection() -> float:
     return HALF * float(model.strain(q, 0, 0.0)[2])
 
 
-def _frequencies() -> list[Table]:
+def _frequencies() -> Iterator[Table]:
     own = locked()
     printed = (
         ("analytical", "2.096 13.989 41.524 81.225 136.352", 40.524, 1e-3),
         ("finite elements", "2.088 13.955 41.452 81.203 136.345", 40.452, 5e-3),
         ("measured", "2.08 13.92 41.38 81.18", 40.38, 1e-2),
     )
-    result = []
     for column, digits, third, share in printed:
         rows = list(relatively(mode_names(len(digits.split())), digits, "Hz", share))
         rows[2] = replace(
             rows[2], correct=third,
             remark=f"a digit error: {third} agrees with the equation that gives the others",
         )  # fmt: skip
-        result.append(
-            Table(
-                chapter=CHAPTER, title=f"Joint held, beside the {column} column",
-                demand=f"within {share:.1%}",
-                rows=tuple(rows), ours=lambda r=tuple(rows): own[: len(r)],  # type: ignore[misc]
-            )
+        yield Table(
+            chapter=CHAPTER, title=f"Joint held, beside the {column} column",
+            demand=f"within {share:.1%}",
+            rows=tuple(rows), ours=lambda r=tuple(rows): own[: len(r)],  # type: ignore[misc]
         )  # fmt: skip
-    return result
 
 
 def _data() -> list[float]:
@@ -106,7 +103,7 @@ def _data() -> list[float]:
     ]  # fmt: skip
 
 
-def tables() -> list[Table]:
+def tables() -> Iterator[Table]:
     """Tables of the beam's data, and of frequencies with locked and free joint."""
     names = ("I", "EI", "E", "mass per length", "inertia of beam and tip about the joint",
              "of the beam alone", "root strain per tip deflection")  # fmt: skip
@@ -115,49 +112,42 @@ def tables() -> list[Table]:
     remarks = ("from the printed section", "4120 lbf in², printed as lbf in⁴", "from EI and I",
                "0.098 lb/in³, not printed", "", "", "static tip load")  # fmt: skip
     shares = (5e-4, 1e-5, 2e-4, 5e-4, 1e-4, 1e-4, 1e-3)
-    result = [
-        Table(
-            chapter=CHAPTER, title="Data of the beam", demand="within rounding of the print",
-            rows=tuple(
-                row
-                for n, u, d, r, s in zip(names, units, digits, remarks, shares, strict=True)
-                for row in relatively((n,), d, u, s, r)
-            ),
-            ours=_data,
+    yield Table(
+        chapter=CHAPTER, title="Data of the beam", demand="within rounding of the print",
+        rows=tuple(
+            row
+            for n, u, d, r, s in zip(names, units, digits, remarks, shares, strict=True)
+            for row in relatively((n,), d, u, s, r)
         ),
-        *_frequencies(),
-        Table(
-            chapter=CHAPTER, title="Joint held, as the fit of density and tip body has it",
-            demand="within 0.002 %",
-            rows=relatively(mode_names(5), "2.09600 13.98909 40.5217 81.2242 136.3527", "Hz", 2e-5),
-            ours=locked,
-        ),
-    ]  # fmt: skip
+        ours=_data,
+    )  # fmt: skip
+    yield from _frequencies()
+    yield Table(
+        chapter=CHAPTER, title="Joint held, as the fit of density and tip body has it",
+        demand="within 0.002 %",
+        rows=relatively(mode_names(5), "2.09600 13.98909 40.5217 81.2242 136.3527", "Hz", 2e-5),
+        ours=locked,
+    )  # fmt: skip
     for name, (changes, printed) in VARIANTS.items():
-        result.append(
-            Table(
-                chapter=CHAPTER, title=f"Joint held, {name}",
-                demand="within 0.02 %: data rounded to four digits",
-                rows=relatively(mode_names(5), printed, "Hz", 2e-4),
-                ours=lambda c=changes: locked(**{**POINT, **c}),  # type: ignore[misc]
-            )
+        yield Table(
+            chapter=CHAPTER, title=f"Joint held, {name}",
+            demand="within 0.02 %: data rounded to four digits",
+            rows=relatively(mode_names(5), printed, "Hz", 2e-4),
+            ours=partial(locked, **{**POINT, **changes}),
         )  # fmt: skip
     for inertia, (exact, one, two, free) in HUBS.items():
-        result.append(
-            Table(
-                chapter=CHAPTER,
-                title=f"Joint free, hub of {inertia:g} kg m²: which shapes suit it",
-                demand="exact: within 0.05 % by 12 shapes; others within a unit of the last digit",
-                rows=(
-                    *relatively(("exact, mode 1", "exact, mode 2"), exact, "Hz", 5e-4),
-                    *as_printed(("1 clamped-mass shape",), one, "Hz", 1.01),
-                    *as_printed(("2 of them, mode 1", "mode 2"), two, "Hz", 1.01),
-                    *as_printed(("2 clamped-free, mode 1", "mode 2"), free, "Hz", 1.01),
-                ),
-                ours=lambda j=inertia: _hub_row(j),  # type: ignore[misc]
-            )
+        yield Table(
+            chapter=CHAPTER,
+            title=f"Joint free, hub of {inertia:g} kg m²: which shapes suit it",
+            demand="exact: within 0.05 % by 12 shapes; others within a unit of the last digit",
+            rows=(
+                *relatively(("exact, mode 1", "exact, mode 2"), exact, "Hz", 5e-4),
+                *as_printed(("1 clamped-mass shape",), one, "Hz", 1.01),
+                *as_printed(("2 of them, mode 1", "mode 2"), two, "Hz", 1.01),
+                *as_printed(("2 clamped-free, mode 1", "mode 2"), free, "Hz", 1.01),
+            ),
+            ours=partial(_hub_row, inertia),
         )  # fmt: skip
-    return result
 
 
 def _hub_row(inertia: float) -> Sequence[float]:
