@@ -1,7 +1,7 @@
 """Pictures without a display: learning curves, tip error and root curvature, films of the arm."""
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from io import BytesIO
@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
 from agents.files import atomic_write
-from agents.metrics import Recording, never_empty, progress
+from agents.metrics import Recording, make_batch, progress, record
 from agents.policy import Controller
 from dynamics.types import AnyArray
 from flexarm_env.rendering import Renderer
@@ -131,8 +131,7 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
         low, middle, high = error_band(r)
         error.plot(r.time, middle, color=colour, linewidth=1.6, label=name)
         error.fill_between(r.time, low, high, color=colour, alpha=0.15, linewidth=0.0)
-        worst = np.nanargmax(np.nanmax(np.abs(r.root_curvature[:, 0]), axis=0))
-        curvature.plot(r.time, r.root_curvature[:, 0, worst], color=colour, linewidth=1.2)
+        curvature.plot(r.time, bending(r), color=colour, linewidth=1.2)
     band = 100.0 * SETTLED_BAND
     error.axhline(band, color="black", linewidth=0.8, linestyle="--")
     error.annotate(
@@ -147,6 +146,13 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
     for axes in (error, curvature):
         tidy(axes)
     save_figure(figure, path)
+
+
+def bending(recording: Recording) -> AnyArray:
+    """(T,) [1/m] curvature at the root of the link that bends most, in the first episode."""
+    curvature = recording.root_curvature[:, 0]
+    chosen: AnyArray = curvature[:, np.nanargmax(np.nanmax(np.abs(curvature), axis=0))]
+    return chosen
 
 
 def error_band(recording: Recording) -> AnyArray:
@@ -186,74 +192,41 @@ def film(
 ) -> Film:
     """Run one episode on one environment, with pictures of a height [px]; terminals show a bar.
 
-    The episode is stepped a second time by its own actions to draw it, so that the view of a
-    spatial arm is known to hold all of its motion.
+    The recorded episode is played again by its actions for the forms of the arm, and once more to
+    draw them, so that the view of a spatial arm is known to hold all of its motion.
     """
-    import flexarm_env  # noqa: F401  (registers the ids)
-
+    with closing(make_batch(env_id, 1, kwargs)) as envs:
+        recording = record(controller, envs, [seed], "film")
+    actions = recording.action[1:, 0].astype(np.float32)
     env: Any = gym.make(env_id, **{name: x for name, x in kwargs.items() if name != "threads"})
     with closing(env):
-        base: Any = env.unwrapped
-        observation, info = env.reset(seed=seed)
-        renderer = Renderer(base.core, height)
-        forms = [renderer.forms(base.core)]
-        samples: dict[str, list[Any]] = {name: [info[name]] for name in SAMPLED}
-        actions = [np.zeros(base.action_space.shape, np.float32)]
-        bar = progress("film", env.spec.max_episode_steps)
-        state, ended, failed, step = None, False, False, 0
-        while not ended:
-            action, state = controller.predict(observation, state)
-            action = np.clip(np.asarray(action, np.float32), -1.0, 1.0)
-            observation, _, terminated, truncated, info = env.step(action)
-            actions.append(action)
-            ended, failed, step = terminated or truncated, terminated, step + 1
-            forms.append(renderer.forms(base.core))
-            bar.update()
-            for name, values in samples.items():
-                values.append(info[name])
-        bar.close()
+        core = env.unwrapped.core
+        renderer = Renderer(core, height)
+        forms = [renderer.forms(core) for _ in played(env, actions, seed)]
         if not renderer.planar:
             seen = [np.concatenate([*bent, target[None]]) for bent, _, target in forms]
             renderer.close_up(np.concatenate(seen))
-        frames = drawn(env, renderer, actions[1:], seed)
-        columns = {name: np.array(values, float)[:, None] for name, values in samples.items()}
-        for name in ("root_curvature", "torque"):
-            columns[name] = columns[name].reshape(step + 1, 1, -1)
-        columns["root_curvature"] = never_empty(columns["root_curvature"])
-        recording = Recording(
-            time=base.control_dt * np.arange(step + 1),
-            action=np.array(actions, float)[:, None],
-            failed=np.array([failed]),
-            reach=float(base.reach),
-            duration=base.control_dt * step,
-            moving=base.core.task.moving,
-            **columns,
-        )
+        every, frames = steps_per_frame(core.control_dt), []
+        for step in played(env, actions, seed):
+            renderer.follow(core)
+            if step % every == 0:
+                frames.append(renderer.draw(core))
         bent, straight, target = (np.array(x) for x in zip(*forms, strict=True))
         return Film(frames, recording, bent, straight, target, renderer.planar)
 
 
-def drawn(env: Any, renderer: Renderer, actions: Sequence[AnyArray], seed: int) -> list[AnyArray]:
-    """Pictures of the episode of these actions, every `steps_per_frame`."""
-    core = env.unwrapped.core
-    every = steps_per_frame(core.control_dt)
+def played(env: Any, actions: AnyArray, seed: int) -> Iterator[int]:
+    """Play the episode of actions (T, m); yields the number of steps, from zero on."""
     env.reset(seed=seed)
-    renderer.follow(core)
-    frames = [renderer.draw(core)]
+    yield 0
     for step, action in enumerate(actions, start=1):
         env.step(action)
-        renderer.follow(core)
-        if step % every == 0:
-            frames.append(renderer.draw(core))
-    return frames
+        yield step
 
 
 def steps_per_frame(control_dt: float) -> int:
     """Control steps from one picture to the next: about GIF_SECONDS_PER_FRAME."""
     return max(1, round(GIF_SECONDS_PER_FRAME / control_dt))
-
-
-SAMPLED = ("tip_error", "tip_deflection", "root_curvature", "torque")
 
 
 def write_gif(path: Path, films: Mapping[str, Film], title: str) -> None:
@@ -366,8 +339,7 @@ def draw_strips(
     for i, r in enumerate(recordings.values()):
         colour = COLOURS[i % len(COLOURS)]
         error.plot(r.time, 100.0 * r.tip_error[:, 0] / r.reach, color=colour, linewidth=1.4)
-        worst = np.nanargmax(np.nanmax(np.abs(r.root_curvature[:, 0]), axis=0))
-        curvature.plot(r.time, r.root_curvature[:, 0, worst], color=colour, linewidth=1.2)
+        curvature.plot(r.time, bending(r), color=colour, linewidth=1.2)
     error.axhspan(0.0, 100.0 * SETTLED_BAND, color="#009e73", alpha=0.2, linewidth=0.0)
     error.set_ylim(bottom=0.0)
     error.set_title(title, loc="left", fontsize=8)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from agents.figures import COLOURS, Film
+from agents.figures import COLOURS, Film, bending
 from agents.files import atomic_write
 from agents.metrics import without_infinities
 from dynamics.types import AnyArray
@@ -47,7 +47,7 @@ def replay(films: Mapping[str, Film], title: str) -> dict[str, Any]:
                 "target": _whole(film.target, reach),
                 "error": _rounded(100.0 * film.recording.tip_error[:, 0] / reach),
                 "deflection": _rounded(1e3 * film.recording.tip_deflection[:, 0]),
-                "curvature": _rounded(bending(film)),
+                "curvature": _rounded(bending(film.recording)),
                 "spectrum": spectrum(film, dt),
             }
             for k, (name, film) in enumerate(films.items())
@@ -55,16 +55,9 @@ def replay(films: Mapping[str, Film], title: str) -> dict[str, Any]:
     }
 
 
-def bending(film: Film) -> AnyArray:
-    """(N,) [1/m] curvature at the root of the link that bends most."""
-    curvature = film.recording.root_curvature[:, 0]
-    chosen: AnyArray = curvature[:, np.nanargmax(np.nanmax(np.abs(curvature), axis=0))]
-    return chosen
-
-
 def spectrum(film: Film, dt: float) -> list[list[float]]:
     """Frequencies [Hz] and amplitudes [1/m] of `bending`, with a Hann window."""
-    values = bending(film)
+    values = bending(film.recording)
     frequency, power = signal.periodogram(values, 1.0 / dt, "hann", scaling="spectrum")
     return [_rounded(frequency[1:]), _rounded(np.sqrt(2.0 * power[1:]))]
 

@@ -12,9 +12,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from agents.controllers import joint_pd
-from agents.figures import Film, film
+from agents.figures import Film, bending, film
 from agents.metrics import make_batch
-from agents.replay import TEMPLATE, bending, replay, spectrum, write_replay
+from agents.replay import TEMPLATE, replay, spectrum, write_replay
 
 KWARGS = {"max_episode_steps": 30}
 NODE = shutil.which("node")
@@ -63,7 +63,7 @@ def test_a_spectrum_has_the_amplitude_of_a_sine() -> None:
         )
 
     sine: Any = Sine()
-    assert bending(sine).shape == (n,)
+    assert bending(sine.recording).shape == (n,)
     frequency, amplitude = spectrum(sine, dt)
     assert frequency[int(np.argmax(amplitude))] == pytest.approx(5.0)
     assert max(amplitude) == pytest.approx(0.3, rel=1e-3)
