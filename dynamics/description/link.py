@@ -34,44 +34,36 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Body:
-    """Rigid body fixed to the root of a link, in the frame of the link."""
+class Solid:
+    """Rigid body."""
 
     mass: float  # [kg]
     com: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of mass
     inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the centre of mass
 
     def __post_init__(self) -> None:
+        name = type(self).__name__
         clean(
             self,
-            mass=validate.nonnegative(self.mass, "Body.mass", "kg"),
-            com=validate.vector(self.com, "Body.com", "m"),
-            inertia=validate.inertia(self.inertia, "Body.inertia"),
+            mass=validate.nonnegative(self.mass, f"{name}.mass", "kg"),
+            com=validate.vector(self.com, f"{name}.com", "m"),
+            inertia=validate.inertia(self.inertia, f"{name}.inertia"),
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Payload:
+class Body(Solid):
+    """Rigid body fixed to the root of a link, in the frame of the link."""
+
+
+class Payload(Solid):
     """Rigid body fixed to the last link's tip, in the deformed end frame.
 
     It is added to that link's tip mass and tip inertia. Mode shapes do not depend on it, but their
     family by rule does.
     """
 
-    mass: float  # [kg]
-    com: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of mass, from the tip
-    inertia: Matrix3 = ZEROS  # (3, 3) [kg m^2] about the centre of mass
 
-    def __post_init__(self) -> None:
-        clean(
-            self,
-            mass=validate.nonnegative(self.mass, "Payload.mass", "kg"),
-            com=validate.vector(self.com, "Payload.com", "m"),
-            inertia=validate.inertia(self.inertia, "Payload.inertia"),
-        )
-
-
-def about_origin(body: Body | Payload) -> Array:
+def about_origin(body: Solid) -> Array:
     """(3, 3) [kg m^2] inertia of a body about the origin of its frame."""
     com = np.array(body.com)
     moved = body.mass * ((com @ com) * np.eye(3) - np.outer(com, com))

@@ -262,7 +262,7 @@ def _mounting(link: LinkConstants, joint: Scalar) -> tuple[Matrix, Vector]:
     return matmul(link.rotation, _turn(joint)), link.offset
 
 
-def _phi(w: Vector, w_dot: Vector) -> Matrix:
+def phi_of(w: Vector, w_dot: Vector) -> Matrix:
     """w_dot~ + w~ w~; a body-fixed point r accelerates at a + Phi r."""
     p = symmetric(lambda i, j: mul(w[i], w[j]))
     ww = symmetric(
@@ -292,11 +292,11 @@ def outward(chain: Chain, q: Scalars, v: Scalars, v_dot: Scalars | None = None) 
         R = matmul(R_base, mounting)
         offset = matvec(R_base, place)
         before, before_dot = tmatvec(R, w_base), tmatvec(R, w_dot_base)
-        a = tmatvec(R, add(a_tip, matvec(_phi(w_base, w_dot_base), offset)))
+        a = tmatvec(R, add(a_tip, matvec(phi_of(w_base, w_dot_base), offset)))
         a = add(a, scale(2.0, cross(before, slide)), slide_dot)
         w = add(before, spin)
         w_dot = add(before_dot, cross(before, spin), spin_dot)
-        Phi = _phi(w, w_dot)
+        Phi = phi_of(w, w_dot)
 
         shape = amplitudes(link, delta, delta_dot, delta_ddot)
         r = add((link.length, 0.0, 0.0), combine(shape.x, link.tip_phi))

@@ -23,7 +23,6 @@ from dynamics.formulations.algebra import (
     add,
     cos,
     cross,
-    madd,
     matmul,
     matvec,
     minus,
@@ -31,12 +30,11 @@ from dynamics.formulations.algebra import (
     plus,
     scale,
     sin,
-    skew,
-    symmetric,
     tanh,
     tmatvec,
     transpose,
 )
+from dynamics.formulations.kinematics import phi_of
 
 Wrench = tuple[Vector, Vector]  # force [N], moment [N m] about the tip
 
@@ -145,7 +143,7 @@ def inverse_dynamics(
             p_dd = add(p_dd, scale(2.0, cross(w, along)), faster)  # (2.7b)
         else:
             w, w_dot = add(w, along), add(w_dot, cross(w, along), faster)  # (2.3), (2.4)
-        Phi = _phi(w, w_dot)
+        Phi = phi_of(w, w_dot)
         force = scale(link.mass, add(p_dd, matvec(Phi, link.com)))  # (2.8d), (2.9)
         loads.append((R, shift, force, _moment(link.inertia, w, w_dot, Phi)))
         before = link.tip
@@ -176,15 +174,6 @@ def _joint(link: RigidLink, q: Scalar) -> tuple[Matrix, Vector]:
         return F, add(link.offset, scale(q, transpose(F)[2]))
     c, s = cos(q), sin(q)
     return matmul(F, ((c, minus(0.0, s), 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))), link.offset
-
-
-def _phi(w: Vector, w_dot: Vector) -> Matrix:
-    """w_dot~ + w~ w~."""
-    p = symmetric(lambda i, j: mul(w[i], w[j]))
-    square = symmetric(
-        lambda i, j: minus(0.0, plus(p[i - 1][i - 1], p[i - 2][i - 2])) if i == j else p[i][j]
-    )
-    return madd(skew(w_dot), square)
 
 
 def _moment(J: Matrix, w: Vector, w_dot: Vector, Phi: Matrix) -> Vector:

@@ -8,6 +8,7 @@ high modes.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.polynomial import legendre, polynomial
@@ -71,11 +72,11 @@ class BeamShape:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PowerShape:
-    """s = sum of coefficients[k] (x/l)^k."""
+class Series:
+    """s from a series in x/l; `_derived` gives the derivatives by x/l."""
 
     length: float  # [m]
-    coefficients: tuple[float, ...]
+    coefficients: tuple[float, ...]  # [-]
 
     def value(self, x: Array | float) -> Array:
         """s(x)."""
@@ -89,9 +90,16 @@ class PowerShape:
         """s''(x)."""
         return self._derived(x, 2) / self.length**2
 
-    def scaled(self, factor: float) -> "PowerShape":
+    def scaled(self, factor: float) -> Self:
         """Return factor times this shape."""
         return replace(self, coefficients=tuple(factor * c for c in self.coefficients))
+
+    def _derived(self, x: Array | float, times: int) -> Array:
+        raise NotImplementedError
+
+
+class PowerShape(Series):
+    """s = sum of coefficients[k] (x/l)^k."""
 
     def _derived(self, x: Array | float, times: int) -> Array:
         coefficients = polynomial.polyder(self.coefficients, times)
@@ -104,31 +112,11 @@ def power(exponent: int, length: float) -> PowerShape:
     return PowerShape(length=length, coefficients=(*exponent * (0.0,), 1.0))
 
 
-@dataclass(frozen=True, kw_only=True)
-class LegendreShape:
-    """s from its curvature, a Legendre series in 2 x/l - 1, with s = s' = 0 at the root."""
+class LegendreShape(Series):
+    """s from l^2 s'', a Legendre series in 2 x/l - 1, with s = s' = 0 at the root."""
 
-    length: float  # [m]
-    series: tuple[float, ...]  # [-] of l^2 s''
-
-    def value(self, x: Array | float) -> Array:
-        """s(x)."""
-        return self._integrated(x, 2)
-
-    def slope(self, x: Array | float) -> Array:
-        """s'(x)."""
-        return self._integrated(x, 1) / self.length
-
-    def curvature(self, x: Array | float) -> Array:
-        """s''(x)."""
-        return self._integrated(x, 0) / self.length**2
-
-    def scaled(self, factor: float) -> "LegendreShape":
-        """Return factor times this shape."""
-        return replace(self, series=tuple(factor * c for c in self.series))
-
-    def _integrated(self, x: Array | float, times: int) -> Array:
-        series = legendre.legint(self.series, times, lbnd=-1.0, scl=0.5)
+    def _derived(self, x: Array | float, times: int) -> Array:
+        series = legendre.legint(self.coefficients, 2 - times, lbnd=-1.0, scl=0.5)
         values = legendre.legval(2.0 * np.asarray(x) / self.length - 1.0, series)
         return np.asarray(values, dtype=np.float64)
 
@@ -140,7 +128,7 @@ def hierarchical(index: int, length: float) -> PowerShape | LegendreShape:
     beam without mass. From 3 on: l^2 s'' = P_(index - 1), which moves neither tip nor tip slope.
     """
     if index > 2:
-        return LegendreShape(length=length, series=(*(index - 1) * (0.0,), 1.0))
+        return LegendreShape(length=length, coefficients=(*(index - 1) * (0.0,), 1.0))
     square, cube = {1: (1.5, -0.5), 2: (-1.0, 1.0)}[index]
     return PowerShape(length=length, coefficients=(0.0, 0.0, square, cube))
 
@@ -162,7 +150,7 @@ def unconstrained(
     nodes, weights = legendre.leggauss(2 * count)
     series = np.eye(count)
     x, tip = 0.5 * (nodes + 1.0), 1.0
-    bent = [LegendreShape(length=1.0, series=tuple(row)) for row in series.tolist()]
+    bent = [LegendreShape(length=1.0, coefficients=tuple(row)) for row in series.tolist()]
     values = np.array([x, *(s.value(x) for s in bent)])
     ends = np.array([[tip, *(float(s.value(1.0)) for s in bent)],
                      [1.0, *(float(s.slope(1.0)) for s in bent)]])  # fmt: skip
@@ -173,7 +161,7 @@ def unconstrained(
     inverse = np.linalg.inv(np.linalg.cholesky(M))
     _, turned = np.linalg.eigh(inverse @ K @ inverse.T)
     amplitudes = inverse.T @ turned[:, index]  # column 0 is the rigid rotation
-    return LegendreShape(length=length, series=tuple(amplitudes[1:].tolist()))
+    return LegendreShape(length=length, coefficients=tuple(amplitudes[1:].tolist()))
 
 
 def clamped_root(index: int, mass: float, inertia: float) -> float:

@@ -212,7 +212,7 @@ def test_a_linear_tip_rotation_creates_energy_in_space(seed: int) -> None:
 
 CORRECTIONS = {  # correction -> source text with it, and without it
     "1: omega x theta_dot, (70)": ("cross(w, theta_dot)", "ZERO"),
-    "2: omega_dot x r, (69)": ("matvec(Phi, r)", "matvec(_phi(w, ZERO), r)"),
+    "2: omega_dot x r, (69)": ("matvec(Phi, r)", "matvec(phi_of(w, ZERO), r)"),
     "3: sign of omega~ B9 omega, (44)": (
         "cross(w, matvec(f.B9, w))",
         "scale(-1.0, cross(w, matvec(f.B9, w)))",
