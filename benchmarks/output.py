@@ -4,7 +4,7 @@ import argparse
 import os
 import platform
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +17,7 @@ from agents.files import FolderError, check_folder
 from agents.metrics import write_json
 from agents.run_folder.folder import revision
 from agents.sentences import one_line, speaker
+from flexarm_env.accuracy.table import table as table
 
 FOLDERS = ("--out", "--images", "--keep")  # options that say where results go, not what they are
 DPI = 110.0
@@ -107,17 +108,6 @@ def processor() -> str:
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     name = next(iter(names), platform.processor() or platform.machine())
     return f"{name}, {get_host_cpu_name()}"
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = "l") -> str:
-    """Markdown table.
-
-    `align` has one letter per column, l or r; its last letter holds for all further columns.
-    """
-    letters = align.ljust(len(header), align[-1])
-    rule = "".join("---:|" if letter == "r" else "---|" for letter in letters)
-    lines = [f"| {' | '.join(header).lstrip()} |", f"|{rule}"]
-    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
 def paragraphs(*parts: str) -> str:

@@ -19,6 +19,7 @@ from agents.leaderboard.statistics import DIGITS, Entry, Figures, Spectrum
 from agents.leaderboard.tracks import TRACKS
 from agents.metrics import METRICS, without_infinities
 from agents.sentences import plain
+from flexarm_env.accuracy.table import table
 
 EPISODES = "leaderboard.csv.bz2"
 SPECTRA = "leaderboard_spectra.json.bz2"
@@ -60,22 +61,22 @@ def each(results: Results, of: Callable[[Entry], Figures]) -> dict[str, dict[str
 def a_line_each(tables: Tables) -> str:
     """JSON text with a line per controller."""
 
-    def table(entries: Mapping[str, str], depth: int) -> str:
+    def braced(entries: Mapping[str, str], depth: int) -> str:
         margin = "\n" + depth * " "
         lines = ("," + margin).join(f"{json.dumps(key)}: {text}" for key, text in entries.items())
         return "{" + margin + lines + margin[:-1] + "}"
 
     texts = {
-        env_id: table(
+        env_id: braced(
             {
-                track: table({name: _compact(x) for name, x in found.items()}, 3)
+                track: braced({name: _compact(x) for name, x in found.items()}, 3)
                 for track, found in tracks.items()
             },
             2,
         )
         for env_id, tracks in tables.items()
     }
-    return table(texts, 1)
+    return braced(texts, 1)
 
 
 def episodes(results: Results) -> Iterator[list[Any]]:
@@ -114,43 +115,32 @@ def page(tables: Tables, files: Sequence[str], seeds: Sequence[int]) -> str:
         for track, found in tracks.items():
             best = "excess [mm]" if is_moving(env_id) else "regret"
             (step,) = {x["ms_control_step"] for x in found.values()}
-            lines = [
-                f"**{track}**: {TRACKS[track].text}; control step {step:g} ms",
-                "",
-                "| controller | kind | training seeds | success | score, mean | "
-                f"score, IQM [95 %] | {best}, IQM [95 %] | gain on its base [95 %] | "
-                "settling [s] | RMS [mm] | decision: first, median, 99 % [ms] | late |",
-                "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
-            ]
-            lines += [row(name, found[name]) for name in order(found)]
-            parts.append("\n".join(lines))
+            header = (
+                "controller", "kind", "training seeds", "success", "score, mean",
+                "score, IQM [95 %]", f"{best}, IQM [95 %]", "gain on its base [95 %]",
+                "settling [s]", "RMS [mm]", "decision: first, median, 99 % [ms]", "late",
+            )  # fmt: skip
+            parts.append(f"**{track}**: {TRACKS[track].text}; control step {step:g} ms")
+            parts.append(table(header, [row(name, found[name]) for name in order(found)], "llr"))
     return "\n\n".join(parts) + "\n"
 
 
 def leaders(tables: Tables) -> str:
     """Table of the two best controllers of every task and track, and how sure that is."""
-    lines = [
-        "Probability that the best scores above the runner-up in an episode; ties count half "
-        "[95 %].",
-        "",
-        "| task | track | best | runner-up | probability |",
-        "|---|---|---|---|---:|",
+    rows = [
+        [*place, first, second, above(found[first], second)]
+        for place, found in places(tables)
+        for first, second in pairwise(list(found)[:2])
     ]
-    for place, found in places(tables):
-        for first, second in pairwise(list(found)[:2]):
-            lines.append(f"{place} | {first} | {second} | {above(found[first], second)} |")
-    return "\n".join(lines)
+    return (
+        "Probability that the best scores above the runner-up in an episode; ties count half "
+        "[95 %].\n\n" + table(("task", "track", "best", "runner-up", "probability"), rows, "llllr")
+    )
 
 
 def rivals(tables: Tables) -> str:
     """Table of the best controller of every kind, in every task and track."""
-    lines = [
-        "Scores of the best of every kind, IQM [95 %]; one leads where its interval is above those "
-        "of the others. Gain: the score less that of the best classical one in the same episodes.",
-        "",
-        f"| task | track | {' | '.join(KINDS)} | leads | gain, {ON_MODEL} | gain, {LEARNED} |",
-        "|---|---|---|---|---|---|---:|---:|",
-    ]
+    rows = []
     for place, found in places(tables):
         best = best_of_each(found)
         cells = [
@@ -160,8 +150,13 @@ def rivals(tables: Tables) -> str:
         for kind in (ON_MODEL, LEARNED):
             pair = CLASSICAL in best and kind in best
             cells.append(gain(found[best[kind]], best[CLASSICAL]) if pair else "-")
-        lines.append(f"{place} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        rows.append([*place, *cells])
+    header = ("task", "track", *KINDS, "leads", f"gain, {ON_MODEL}", f"gain, {LEARNED}")
+    return (
+        "Scores of the best of every kind, IQM [95 %]; one leads where its interval is above those "
+        "of the others. Gain: the score less that of the best classical one in the same episodes."
+        "\n\n" + table(header, rows, "llllllr")
+    )
 
 
 def best_of_each(found: Mapping[str, Figures]) -> dict[str, str]:
@@ -187,11 +182,11 @@ def leader(best: Mapping[str, Figures]) -> str:
     return "none"
 
 
-def places(tables: Tables) -> Iterator[tuple[str, dict[str, Figures]]]:
-    """Cells of every task and track, and its ranked controllers, best first."""
+def places(tables: Tables) -> Iterator[tuple[tuple[str, str], dict[str, Figures]]]:
+    """Every task and track, and its ranked controllers, best first."""
     for env_id, tracks in tables.items():
         for track, found in tracks.items():
-            yield f"| {env_id.removeprefix('FlexArm/')} | {track}", ranked(found)
+            yield (env_id.removeprefix("FlexArm/"), track), ranked(found)
 
 
 def ranked(found: Mapping[str, Figures]) -> dict[str, Figures]:
@@ -204,10 +199,10 @@ def order(found: Mapping[str, Figures]) -> list[str]:
     return sorted(found, key=lambda name: (found[name]["privileged"], -found[name]["score_iqm"]))
 
 
-def row(name: str, x: Figures) -> str:
-    """Row of a controller in the table of a task and track."""
+def row(name: str, x: Figures) -> list[str]:
+    """Cells of a controller in the table of a task and track."""
     times = (x["ms_first_action"], x["ms_per_action"], x["ms_per_action_p99"])
-    cells = (
+    return [
         name,
         x["kind"] or "-",
         str(x["training_seeds"] or "-"),
@@ -220,8 +215,7 @@ def row(name: str, x: Figures) -> str:
         _number(1e3 * x["tip_error_rms_median"], ".3g", "failed"),
         ", ".join("-" if time is None else f"{time:.2g}" for time in times),
         late(x),
-    )
-    return f"| {' | '.join(cells)} |"
+    ]
 
 
 def on_base(x: Figures) -> str:

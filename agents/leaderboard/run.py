@@ -30,14 +30,7 @@ from agents.leaderboard.kinds import needs
 from agents.leaderboard.output import row, write
 from agents.leaderboard.replay import YARDSTICK, optimal, replayed
 from agents.leaderboard.shipped import policies_of
-from agents.leaderboard.statistics import (
-    Entry,
-    compared,
-    decisions,
-    figures,
-    rounded,
-    spectrum,
-)
+from agents.leaderboard.statistics import Entry, compared, decisions, figures, rounded, spectrum
 from agents.leaderboard.tracks import HARDER, RANKED, TRACKS, keywords, takes_part
 from agents.leaderboard.users import UsersControllerError, users_controller
 from agents.metrics import METRICS, episode_metrics, make_batch, record
@@ -252,7 +245,8 @@ def _rank(
                     now.get(track, {}).pop(name, None)
                 else:
                     now.setdefault(track, {})[name] = entry
-                    print(f"{env_id}, {track}: {row(name, entry.figures)}", flush=True)
+                    shown = " | ".join(row(name, entry.figures))
+                    print(f"{env_id}, {track}: | {shown} |", flush=True)
             if ranked_now := {track: compared(found) for track, found in now.items() if found}:
                 results[env_id] = ranked_now
                 options.out.mkdir(parents=True, exist_ok=True)

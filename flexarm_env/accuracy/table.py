@@ -12,9 +12,14 @@ CERTIFICATE = (
 )
 
 
-def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Markdown table."""
-    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+def table(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = "l") -> str:
+    """Markdown table.
+
+    `align` has one letter per column, l or r; its last letter holds for all further columns.
+    """
+    letters = align.ljust(len(header), align[-1])
+    rule = "".join("---:|" if letter == "r" else "---|" for letter in letters)
+    lines = [f"| {' | '.join(header).lstrip()} |", f"|{rule}"]
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
@@ -83,7 +88,7 @@ def kinds(episodes: Mapping[str, Any]) -> str:
         "kind", "median [reach]", "95 % [reach]", "worst [reach]", "length [s]", first, second,
         "growth",
     )  # fmt: skip
-    return markdown(head, rows)
+    return table(head, rows)
 
 
 def causes(certificate: Mapping[str, Any]) -> str:
@@ -94,7 +99,7 @@ def causes(certificate: Mapping[str, Any]) -> str:
         (name, shown(c[name], ".2g", 1e3), shown(c[name], ".1e", 1.0 / c["reach"]))
         for name in names
     ]
-    return markdown(("95 % of the worst kind", "tip [mm]", "tip [reach]"), rows)
+    return table(("95 % of the worst kind", "tip [mm]", "tip [reach]"), rows)
 
 
 def steps(found: Iterable[Mapping[str, Any]]) -> str:
@@ -103,4 +108,4 @@ def steps(found: Iterable[Mapping[str, Any]]) -> str:
         (x["integrator"], str(x["substeps"]), shown(x["error"]), f"{1e6 * x['seconds']:.2g}")
         for x in found
     ]
-    return markdown(("integrator", "substeps", "95 % [reach]", "CPU time [us]"), rows)
+    return table(("integrator", "substeps", "95 % [reach]", "CPU time [us]"), rows)

@@ -14,8 +14,7 @@ import numpy as np
 from dynamics.load import load_arm
 from flexarm_env.accuracy.certificates import covering, entries
 from flexarm_env.accuracy.motions import KINDS
-from flexarm_env.accuracy.table import CERTIFICATE, accuracy, kinds, sentence, steps
-from flexarm_env.accuracy.table import markdown as _table
+from flexarm_env.accuracy.table import CERTIFICATE, accuracy, kinds, sentence, steps, table
 from flexarm_env.certify.certificate import DISTURBANCE
 from flexarm_env.certify.certificate import EPISODES as COUNT
 from flexarm_env.certify.run import FROZEN, command
@@ -36,24 +35,24 @@ from flexarm_env.task.tasks import TASKS
 def common_page() -> str:
     """README.md: the list of ids, and all that they have in common."""
     return COMMON.format(
-        ids=_table(("id", "arm", "task", "keywords"), _ids()),
-        terms=_table(("term", "meaning"), TERMINOLOGY),
+        ids=table(("id", "arm", "task", "keywords"), _ids()),
+        terms=table(("term", "meaning"), TERMINOLOGY),
         bound=BOUND,
-        observations=_table(("name", "meaning", "unit", "scale", "present"), _observation_names()),
-        rewards=_table(("term", "meaning", *(f"`{name}`" for name in REWARDS)), _reward_terms()),
+        observations=table(("name", "meaning", "unit", "scale", "present"), _observation_names()),
+        rewards=table(("term", "meaning", *(f"`{name}`" for name in REWARDS)), _reward_terms()),
         deflection=DEFLECTION_LIMIT,
         slope=SLOPE_PER_DEFLECTION * DEFLECTION_LIMIT,
         lost=LOST,
-        info=_table(("key", "unit", "meaning"), _code_first(INFO)),
-        keywords=_table(("keyword", "default", "meaning"), _code_first(KEYWORDS)),
-        events=_table(("event", "meaning"), _code_first((k, x.text) for k, x in EVENTS.items())),
+        info=table(("key", "unit", "meaning"), _code_first(INFO)),
+        keywords=table(("keyword", "default", "meaning"), _code_first(KEYWORDS)),
+        events=table(("event", "meaning"), _code_first((k, x.text) for k, x in EVENTS.items())),
         earliest=TIME[0],
         latest=TIME[1],
-        hardware=_table(("field", "laboratory", "meaning"), _hardware()),
-        certificate=_table(("error", "of"), _code_first(CERTIFICATE)),
+        hardware=table(("field", "laboratory", "meaning"), _hardware()),
+        certificate=table(("error", "of"), _code_first(CERTIFICATE)),
         tip_error=TIP_ERROR,
         count=COUNT,
-        kinds=_table(("kind", "actions"), [(name, kind.text) for name, kind in KINDS.items()]),
+        kinds=table(("kind", "actions"), [(name, kind.text) for name, kind in KINDS.items()]),
         disturbance=DISTURBANCE,
         slack=SLACK,
         shaken=SHAKEN,
@@ -168,7 +167,7 @@ def _facts(core: Core, spec: Mapping[str, Any]) -> str:
         ("rate scale", f"{core.rate_scale:.3g} rad/s"),
         ("speed scale", f"{arm.reach * core.rate_scale:.3g} m/s"),
     ]
-    return _table(("", ""), rows)
+    return table(("", ""), rows)
 
 
 def _elements(env_id: str, kind: str) -> str:
@@ -183,7 +182,7 @@ def _elements(env_id: str, kind: str) -> str:
         unit = "" if part.unit == "-" else f" {part.unit}"
         rows.append((index, f"`{part.name}`", components(env.core, part), _numbers(scale) + unit))
     env.close()
-    return f"{layout.size} elements.\n\n" + _table(("index", "name", "of", "scale"), rows)
+    return f"{layout.size} elements.\n\n" + table(("index", "name", "of", "scale"), rows)
 
 
 def components(core: Core, part: Part) -> str:
