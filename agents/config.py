@@ -171,9 +171,13 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     Settings of RL Zoo may stand in `agent.kwargs`.
     """
     try:
-        data = translated(data)
+        return built(translated(data), name)
     except ValueError as error:
         raise ConfigError(str(error)) from None
+
+
+def built(data: Any, name: str) -> Config:
+    """A checked `Config` from tables without settings of RL Zoo; raises ValueError."""
     checked(data, "")
     for section in SECTIONS:
         if section and section in data:
@@ -181,17 +185,15 @@ def config_from_dict(data: Any, *, name: str = "run") -> Config:
     agent = checked_agent(AgentConfig(**data["agent"]))
     env = checked_environment(EnvConfig(**data["env"]), agent)
     check_batch(agent, env)
-    check_sweep(agent, data.get("sweep", {}))
+    for key, value in checked_ranges(data.get("sweep", {})):
+        check_table({key: value}, settings(agent.name), "sweep")
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
     base = BaseConfig(**data["base"]) if "base" in data else None
     rest = {k: v for k, v in data.items() if k not in SECTIONS} | {"base": base}
     config = Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
-    try:
-        check_expert(agent.name, base.learned if base else None)
-        check_privileged(env.privileged, agent, base)
-        check_device(agent.name, config.device, {"env.normalize": env.normalize, "base": base})
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
+    check_expert(agent.name, base.learned if base else None)
+    check_privileged(env.privileged, agent, base)
+    check_device(agent.name, config.device, {"env.normalize": env.normalize, "base": base})
     check_steps(config.agent, config.total_steps)
     if not FOLDER_NAME.fullmatch(config.name):
         raise ConfigError(
@@ -226,12 +228,9 @@ def checked_agent(agent: AgentConfig) -> AgentConfig:
 
 def checked_environment(env: EnvConfig, agent: AgentConfig) -> EnvConfig:
     """The environment with its registered id; refuses unknown ids, keywords and weights."""
-    try:
-        plain = registered(env.id)
-        check_keywords(env.kwargs, "env.kwargs")
-        normalize = checked_normalization(env.normalize, agent.name, agent.gamma, env.stack)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
+    plain = registered(env.id)
+    check_keywords(env.kwargs, "env.kwargs")
+    normalize = checked_normalization(env.normalize, agent.name, agent.gamma, env.stack)
     if env.reward is not None and "reward" in env.kwargs:
         raise ConfigError("env.reward and env.kwargs.reward are one setting; keep one of them.")
     for term, weight in (env.reward or {}).items():
@@ -347,15 +346,6 @@ def check_network(policy_kwargs: dict[str, Any]) -> None:
                 f"net_arch must have at most {most} layers of at most {LARGEST_LAYER} "
                 f"units, got {validate.shown(sizes)}."
             )
-
-
-def check_sweep(agent: AgentConfig, ranges: dict[str, Any]) -> None:
-    """Refuse ranges of unknown keywords, of wrong values or in another form."""
-    try:
-        for key, value in checked_ranges(ranges):
-            check_table({key: value}, settings(agent.name), "sweep")
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
 
 
 def check_steps(agent: AgentConfig, total_steps: int) -> None:

@@ -19,17 +19,10 @@ from agents.leaderboard.tracks import takes_part, track_of
 from agents.learners.export import load_zip
 from agents.learners.limits import LIMITS
 from agents.metrics import make_batch
-from agents.policy import (
-    JSON_FILE,
-    WEIGHTS_FILE,
-    Controller,
-    Policy,
-    PolicyError,
-    load_policy,
-)
+from agents.policy import JSON_FILE, WEIGHTS_FILE, Controller, Policy, PolicyError, load_policy
 from agents.run_folder.folder import RunFolder, versions
 from agents.run_folder.lock import folder_lock
-from agents.sentences import one_line, speaker
+from agents.sentences import refused
 from agents.signals import Interrupted, signals_to, stop_at_once
 from agents.tuned import is_tuned, parameters_of
 from dynamics.description import validate
@@ -68,15 +61,11 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.evalu
         with signals_to(stop_at_once):
             evaluate(a)
     except (UsageError, PolicyError, FolderError) as error:
-        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
-        return 2
+        return refused(prog, error)
     except OSError as error:
-        reason = error.strerror or one_line(error)
-        print(f"{speaker(prog)}: writing to {a.out} failed ({reason}).", file=sys.stderr)
-        return 1
+        return refused(prog, f"writing to {a.out} failed ({error.strerror or error}).", 1)
     except Interrupted as error:
-        print(f"{speaker(prog)}: interrupted; run it again for the results.", file=sys.stderr)
-        return error.status
+        return refused(prog, "interrupted; run it again for the results.", error.status)
     print(f"Everything is in {a.out}/")
     return 0
 

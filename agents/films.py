@@ -23,6 +23,7 @@ from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 from agents.policy import Controller
+from agents.sentences import refused
 from flexarm_env import IDS
 from flexarm_env.pages.environments import film_name, filmed
 
@@ -71,16 +72,13 @@ def main(arguments: list[str] | None = None) -> int:
     a = parser.parse_args(arguments)
     unknown = sorted(set(a.ids) - set(FILMED))
     if unknown:
-        print(f"agents.films: unknown ids {unknown}; known: {sorted(FILMED)}.", file=sys.stderr)
-        return 2
+        return refused(parser.prog, f"unknown ids {unknown}; known: {sorted(FILMED)}.")
     if not RANKING.is_file():
-        print(f"agents.films: {RANKING} is missing; run from the repository.", file=sys.stderr)
-        return 2
+        return refused(parser.prog, f"{RANKING} is missing; run from the repository.")
     try:
         check_folder(a.out)
     except FolderError as error:
-        print(f"agents.films: {error}", file=sys.stderr)
-        return 2
+        return refused(parser.prog, error)
     ranking = json.loads(RANKING.read_text(encoding="utf-8"))
     a.out.mkdir(parents=True, exist_ok=True)
     for env_id in a.ids or FILMED:

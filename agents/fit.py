@@ -11,7 +11,7 @@ import numpy as np
 from agents.figures import COLOURS, new_figure, save_figure, tidy
 from agents.files import FolderError, check_folder
 from agents.metrics import write_json
-from agents.sentences import one_line, speaker
+from agents.sentences import refused
 from dynamics.load import load_arm
 from dynamics.measured.columns import UNITS
 from dynamics.measured.fit import BOUNDS, CONFIDENCE, Fit, fit
@@ -60,8 +60,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
         held = dict(_held(text, arm.n_joint) for text in a.held)
         found = fit(arm, log, gauges, bounds, start=a.start, held=held, shooting=a.shooting)
     except (ValueError, FolderError) as error:
-        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
-        return 2
+        return refused(prog, error)
     a.out.mkdir(parents=True, exist_ok=True)
     name = ", ".join(path.name for path in a.log)
     title = f"{a.log[0].name} and {arm.name or a.arm}"

@@ -8,9 +8,15 @@ def speaker(prog: str) -> str:
     return prog.removeprefix("python ").removeprefix("-m ")
 
 
-def one_line(error: BaseException) -> str:
+def one_line(error: BaseException | str) -> str:
     """The message of an error without line breaks and control characters."""
     return "".join(c if c.isprintable() else "?" for c in " ".join(str(error).split()))
+
+
+def refused(prog: str, error: BaseException | str, status: int = 2) -> int:
+    """Print why a command ends, as one sentence; returns its exit status."""
+    print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
+    return status
 
 
 class Failures:

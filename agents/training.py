@@ -12,14 +12,7 @@ from typing import Any
 import numpy as np
 
 from agents.comparison import beginning, compare, titled
-from agents.config import (
-    BaseConfig,
-    Config,
-    ConfigError,
-    EnvConfig,
-    check_steps,
-    load_config,
-)
+from agents.config import BaseConfig, Config, ConfigError, EnvConfig, check_steps, load_config
 from agents.controllers import controller, joint_pd, tune_pd
 from agents.environments import REFUSALS
 from agents.experiments import find_experiment, shipped_experiments
@@ -45,7 +38,7 @@ from agents.run_folder.callback import Progress, make_callback, silent_disk_erro
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
 from agents.run_folder.lock import folder_lock
-from agents.sentences import one_line, speaker
+from agents.sentences import one_line, refused, speaker
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 from agents.tuned import parameters_of
 from dynamics.description import validate
@@ -364,11 +357,9 @@ def main(arguments: list[str] | None = None, prog: str = "python train.py") -> i
                 with folder_lock(run.path):
                     resume(run, a.steps, prog)
     except (ConfigError, FolderError, PolicyError, CheckpointError) as error:
-        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
-        return 2
+        return refused(prog, error)
     except TrainingError as error:
-        print(f"{speaker(prog)}: {error}", file=sys.stderr)
-        return 1
+        return refused(prog, error, 1)
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         reason = error.strerror or one_line(error)

@@ -16,7 +16,7 @@ from agents.export.signals import Signals, signals_of
 from agents.files import FolderError, atomic_write, check_folder
 from agents.metrics import make_batch
 from agents.policy import Policy, PolicyError
-from agents.sentences import one_line, speaker
+from agents.sentences import refused
 from dynamics.description import validate
 
 SUFFIXES = {"c": ".h", "onnx": ".onnx"}
@@ -40,12 +40,9 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.expor
     try:
         print(f"Written: {export(a.run, a.format, a.out)}")
     except (UsageError, PolicyError, FolderError, ModuleNotFoundError) as error:
-        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
-        return 2
+        return refused(prog, error)
     except OSError as error:
-        reason = error.strerror or one_line(error)
-        print(f"{speaker(prog)}: writing failed ({reason}).", file=sys.stderr)
-        return 1
+        return refused(prog, f"writing failed ({error.strerror or error}).", 1)
     return 0
 
 

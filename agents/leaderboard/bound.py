@@ -34,7 +34,7 @@ from agents.files import atomic_write, check_folder
 from agents.leaderboard.motions import Episode, Motion, plant
 from agents.leaderboard.tracks import RANKED
 from agents.metrics import Best
-from agents.sentences import one_line
+from agents.sentences import refused
 from agents.signals import workers
 from agents.tuned import parameters_of
 from dynamics.description import validate
@@ -343,8 +343,7 @@ def main(arguments: list[str] | None = None) -> int:
         for env_id in options.tasks:
             known(env_id, options.track, options.out)  # refuses a damaged file before the search
     except ValueError as error:
-        print(f"agents.leaderboard.bound: {one_line(error)}", file=sys.stderr)
-        return 2
+        return refused(parser.prog, error)
     seeds, passed = range(options.seed, options.seed + options.episodes), True
     for env_id in options.tasks:
         if not options.replay:

@@ -8,7 +8,6 @@ import argparse
 import os
 import shutil
 import socket
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from agents.learners.ranges import at_random, drawn
 from agents.policy import PolicyError
 from agents.run_folder.folder import refuse_used
 from agents.run_folder.lock import folder_lock
-from agents.sentences import one_line, speaker
+from agents.sentences import one_line, refused
 from agents.sweep.trial import POLICY, REPORTS, train_trial
 from agents.training import prepare
 from agents.tune.learners import ranges_of
@@ -76,14 +75,11 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.sweep
         else:
             start(a)
     except (SweepError, ConfigError, FolderError, PolicyError) as error:
-        print(f"{speaker(prog)}: {one_line(error)}", file=sys.stderr)
-        return 2
+        return refused(prog, error)
     except ConnectionError as error:
-        print(f"{speaker(prog)}: no cluster at {a.address} ({one_line(error)}).", file=sys.stderr)
-        return 1
+        return refused(prog, f"no cluster at {a.address} ({one_line(error)}).", 1)
     except KeyboardInterrupt:
-        print(f"{speaker(prog)}: interrupted; go on by --resume with its folder.", file=sys.stderr)
-        return INTERRUPTED
+        return refused(prog, "interrupted; go on by --resume with its folder.", INTERRUPTED)
     return 0
 
 

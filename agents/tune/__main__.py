@@ -26,7 +26,7 @@ from agents.experiments import find_experiment
 from agents.files import FolderError, check_folder
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.policy import PolicyError
-from agents.sentences import one_line
+from agents.sentences import refused
 from agents.training import TrainingError
 from agents.tune.controllers import tune
 from agents.tune.search import EPISODES, TRIALS
@@ -72,19 +72,16 @@ def main(arguments: list[str] | None = None) -> int:
         read(options.out)
         check_folder(options.keep, "--keep")
     except (ValueError, ConfigError) as error:
-        print(f"agents.tune: {one_line(error)}", file=sys.stderr)
-        return 2
+        return refused(parser.prog, error)
     try:
         if experiments:
             tune_experiments(experiments, options)
         else:
             tune_controllers(options)
     except (ConfigError, FolderError, PolicyError, TrainingError, ModuleNotFoundError) as error:
-        print(f"agents.tune: {one_line(error)}", file=sys.stderr)
-        return 2
+        return refused(parser.prog, error)
     except KeyboardInterrupt:
-        print("agents.tune: interrupted; the same command goes on.", file=sys.stderr)
-        return 130
+        return refused(parser.prog, "interrupted; the same command goes on.", 130)
     return 0
 
 
