@@ -39,17 +39,30 @@ PERIOD = 0.15  # [s] of steps per timing
 TIMINGS = 5  # per process, of which the least is kept
 
 
-def _replace(module: ModuleType, name: str, value: object) -> None:
-    setattr(module, name, value)
-
-
 @register_jitable
 def _expect_nothing(array, count, first, stride):  # type: ignore[no-untyped-def]
     return
 
 
+_LANE_MOVES = lanes.lane_moves
+
+
+def _without_prefetch(*sizes: Any) -> tuple[Any, ...]:
+    return (*_LANE_MOVES(*sizes)[:2], _expect_nothing)
+
+
+def _beside_a_cache_line(shape: tuple[int, int], dtype: Any) -> Any:
+    """Zeros 16 bytes behind a cache line, as NumPy allocates large arrays."""
+    size, gap = shape[0] * shape[1], 16 // np.dtype(dtype).itemsize
+    return aligned_zeros(size + gap, dtype)[gap:].reshape(shape)
+
+
 def _search_for_signature(core: Core) -> None:
     core.__dict__["_control_step"] = core.program.control_step
+
+
+def _arguments_anew(core: Core) -> None:
+    core.__dict__["alone"] = partial(core.step, core.action), core.outputs()
 
 
 def _new_outputs(core: Core) -> None:
@@ -63,48 +76,6 @@ def _new_outputs(core: Core) -> None:
     core.__dict__["outputs"] = fresh
 
 
-def _stack_as_it_comes() -> None:
-    _replace(vector_code, "_lay_out_stack", lambda builder, data: None)
-
-
-def _all_lanes_at_once() -> None:
-    never = {32: 10**9, 64: 10**9}
-    for name in ("NARROW", "NARROW_LOOSE"):
-        setattr(vector_code, name, never)
-
-
-def _no_prefetch() -> None:
-    made = lanes.lane_moves
-    _replace(lanes, "lane_moves", lambda *sizes: (*made(*sizes)[:2], _expect_nothing))
-
-
-def _rows_one_by_one() -> None:
-    _replace(lanes, "block_moves", plain_code.block_moves)
-
-
-def _arrays_as_they_come() -> None:
-    for module in (core_file, outputs):
-        _replace(module, "aligned_zeros", _beside_a_cache_line)
-
-
-def _beside_a_cache_line(shape: tuple[int, int], dtype: Any) -> Any:
-    """Zeros 16 bytes behind a cache line, as NumPy allocates large arrays."""
-    size, gap = shape[0] * shape[1], 16 // np.dtype(dtype).itemsize
-    return aligned_zeros(size + gap, dtype)[gap:].reshape(shape)
-
-
-def _arguments_anew(core: Core) -> None:
-    core.__dict__["alone"] = partial(core.step, core.action), core.outputs()
-
-
-def _sleeping_threads() -> None:
-    _replace(thread_pool, "SPINS", 1)
-
-
-def _one_chunk_each() -> None:
-    _replace(work_queue, "CHUNKS", 1)
-
-
 @dataclass(frozen=True)
 class Trick:
     """A trick, the case that it is for, and how to do without it."""
@@ -112,11 +83,13 @@ class Trick:
     where: str
     envs: int
     threads: int
-    before: Callable[[], None] = lambda: None  # without the trick: before anything is compiled
-    after: Callable[[Core], None] = lambda core: None  # without the trick: on the environment
+    # without the trick: values of modules before anything is compiled, a change of the environment
+    values: tuple[tuple[ModuleType, str, object], ...] = ()
+    after: Callable[[Core], None] = lambda core: None
     busy: bool = False  # while another process takes one core
 
 
+_NEVER = {32: 10**9, 64: 10**9}
 TRICKS = {
     "type dispatch skipped": Trick(
         "runtime/numba_internals.py, compiled_for", 1, 1, after=_search_for_signature
@@ -127,35 +100,44 @@ TRICKS = {
         "flexarm_env/core.py, outputs", BATCH, 1, after=_new_outputs
     ),
     "stack aligned": Trick(
-        "backends/numba_llvm/vector_code.py, _lay_out_stack", BATCH, 1, before=_stack_as_it_comes
+        "backends/numba_llvm/vector_code.py, _lay_out_stack", BATCH, 1,
+        values=((vector_code, "_lay_out_stack", lambda builder, data: None),),
     ),
     "long functions in rounds": Trick(
-        "backends/numba_llvm/vector_code.py, NARROW", BATCH, 1, before=_all_lanes_at_once
+        "backends/numba_llvm/vector_code.py, NARROW", BATCH, 1,
+        values=((vector_code, "NARROW", _NEVER), (vector_code, "NARROW_LOOSE", _NEVER)),
     ),
     "rows fetched ahead": Trick(
-        "backends/numba_llvm/moves.py, expect", BATCH, 1, before=_no_prefetch
+        "backends/numba_llvm/moves.py, expect", BATCH, 1,
+        values=((lanes, "lane_moves", _without_prefetch),),
     ),
     "rows transposed in registers": Trick(
-        "backends/numba_llvm/moves.py, block_moves", BATCH, 1, before=_rows_one_by_one
+        "backends/numba_llvm/moves.py, block_moves", BATCH, 1,
+        values=((lanes, "block_moves", plain_code.block_moves),),
     ),
     "arrays begin at a cache line": Trick(
-        "runtime/jit.py, aligned_zeros", BATCH, 1, before=_arrays_as_they_come
+        "runtime/jit.py, aligned_zeros", BATCH, 1,
+        values=tuple((x, "aligned_zeros", _beside_a_cache_line) for x in (core_file, outputs)),
     ),
     "threads spin before they sleep": Trick(
-        "runtime/thread_pool.py, SPINS", 1024, 2, before=_sleeping_threads
+        "runtime/thread_pool.py, SPINS", 1024, 2, values=((thread_pool, "SPINS", 1),)
     ),
-    "chunks from a queue": Trick("runtime/work_queue.py, CHUNKS", BATCH, 2, before=_one_chunk_each),
-    "chunks from a queue, one core busy": Trick(
-        "runtime/work_queue.py, CHUNKS", BATCH, 2, before=_one_chunk_each, busy=True
-    ),
-}
+    **{
+        f"chunks from a queue{', one core busy' * busy}": Trick(
+            "runtime/work_queue.py, CHUNKS", BATCH, 2, values=((work_queue, "CHUNKS", 1),),
+            busy=busy,
+        )
+        for busy in (False, True)
+    },
+}  # fmt: skip
 
 
 def seconds(name: str, on: bool) -> dict[str, float]:
     """Least time of a control step per arm, in this process, with a trick or without it."""
     trick = TRICKS[name]
     if not on:
-        trick.before()
+        for value in trick.values:
+            setattr(*value)
     result = {}
     for scene, (arm, control_dt, _) in SCENES.items():
         single = trick.envs == 1
