@@ -43,9 +43,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.evalu
         prog=prog, description="Evaluate a policy or a controller on seeded episodes."
     )
     parser.add_argument(
-        "subject",
-        metavar="RUN_OR_CONTROLLER",
-        help=f"a run's folder, or one of {', '.join(KNOWN)}",
+        "subject", metavar="RUN_OR_CONTROLLER", help=f"a run's folder, or one of {', '.join(KNOWN)}"
     )
     parser.add_argument(
         "--env", metavar="ID",

@@ -126,12 +126,7 @@ def record(
 
 
 def evaluated(
-    controller: Controller,
-    env_id: str,
-    *,
-    episodes: int = 100,
-    seed: int = 10_000,
-    **kwargs: Any,
+    controller: Controller, env_id: str, *, episodes: int = 100, seed: int = 10_000, **kwargs: Any
 ) -> dict[str, AnyArray]:
     """All METRICS of the episodes seed, seed + 1, ... of an id with the keywords `kwargs`.
 

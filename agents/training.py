@@ -266,15 +266,7 @@ def judge(run: RunFolder, config: Config) -> None:
         controllers[name] = controller(name, env, about["parameters"])
     env.close()
     print("Evaluating ...", flush=True)
-    compare(
-        controllers,
-        env_id,
-        kwargs,
-        episodes=episodes,
-        seed=seed,
-        folder=run.path,
-        best=best,
-    )
+    compare(controllers, env_id, kwargs, episodes=episodes, seed=seed, folder=run.path, best=best)
 
 
 def classical(env: Any, env_id: str, track: str) -> dict[str, Controller]:

@@ -233,10 +233,7 @@ def forms_table(title: str, rows: dict[str, dict[str, Row]], order: Iterable[str
 
 
 def forms(
-    pool: Executor,
-    changes: dict[str, Callable[[str], str]],
-    kernel: str,
-    names: Collection[str],
+    pool: Executor, changes: dict[str, Callable[[str], str]], kernel: str, names: Collection[str]
 ) -> dict[str, dict[str, Future[Row]]]:
     """A kernel by form and scene, in float32."""
     texts = {scene: text_of(scene, "float32", names) for scene in SCENES}

@@ -77,12 +77,7 @@ MIXED = Arm(
             length=0.7, rho_A=2.0, EIz=5e4, tip_mass=0.3, modes=(), joint=Joint(rotor_inertia=0.1)
         ),
         Link(
-            length=0.8,
-            rho_A=0.2,
-            EIz=8.0,
-            tip_mass=0.05,
-            modes=(),
-            joint=Joint(rotor_inertia=0.02),
+            length=0.8, rho_A=0.2, EIz=8.0, tip_mass=0.05, modes=(), joint=Joint(rotor_inertia=0.02)
         ),
     )
 )

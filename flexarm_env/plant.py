@@ -19,14 +19,7 @@ from dynamics.simulation.statics import held
 from dynamics.simulation.validity import LARGEST_RATE, loses_stiffness
 from dynamics.types import Array
 from flexarm_env import arguments
-from flexarm_env.accuracy.certificates import (
-    Entry,
-    alike,
-    by_step,
-    covering,
-    entries,
-    fit,
-)
+from flexarm_env.accuracy.certificates import Entry, alike, by_step, covering, entries, fit
 from flexarm_env.accuracy.conditions import Conditions
 from flexarm_env.compiled.actuation import Actuation, refuse_slopes
 from flexarm_env.hardware.actuators import load_actuators, mounted, refuse_beside_actuators

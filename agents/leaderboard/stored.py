@@ -78,9 +78,7 @@ def _is_known(name: str, env_id: str, track: str) -> bool:
     return ":" in name or name == YARDSTICK or name in policies_of(env_id, track)
 
 
-def episodes(
-    folder: Path,
-) -> dict[tuple[str, str, str], tuple[list[int], dict[str, AnyArray]]]:
+def episodes(folder: Path) -> dict[tuple[str, str, str], tuple[list[int], dict[str, AnyArray]]]:
     """Seeds and metrics (runs, episodes) by task, track and controller."""
     rows: dict[tuple[str, str, str], list[dict[str, str]]] = {}
     with bz2.open(folder / EPISODES, "rt", newline="", encoding="utf-8") as file:

@@ -19,13 +19,7 @@ from agents.learners.ranges import DEFAULTS, drawn, suggested
 from agents.metrics import episode_metrics, make_batch, record
 from agents.policy import Policy, PolicyError
 from agents.sentences import one_line
-from agents.training import (
-    TrainingError,
-    about_policy,
-    begin_warm,
-    build_model,
-    refuse_divergence,
-)
+from agents.training import TrainingError, about_policy, begin_warm, build_model, refuse_divergence
 from agents.tune.search import EPISODES, SEED, TRIALS, kept_study, objective, searched
 
 REDUCTION = 3  # of so many trials one goes on

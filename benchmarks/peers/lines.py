@@ -90,11 +90,7 @@ def comparisons(scene: PeerScene, points: dict[str, list[Point]]) -> list[dict[s
         ours, theirs = points[OURS], [p for engine in named for p in points[engine]]
         reliable = steady(ours, error), steady(theirs, error)
         short = [p for p in reliable[0] if p.family.model.endswith("foreshortened")]
-        pairs = {
-            "ratio": (ours, theirs),
-            "steady": reliable,
-            "foreshortened": (short, reliable[1]),
-        }
+        pairs = {"ratio": (ours, theirs), "steady": reliable, "foreshortened": (short, reliable[1])}
         row: dict[str, Any] = {
             "scene": scene.title, "error": error,
             "beside": "the best peer" if whose == "any" else whose, "wanted": wanted,

@@ -9,17 +9,7 @@ from functools import partial
 import numpy as np
 
 from benchmarks.peers import engines
-from benchmarks.peers.lines import (
-    BATCH,
-    BATCHED,
-    ENGINES,
-    OURS,
-    Family,
-    Point,
-    Run,
-    front,
-    steady,
-)
+from benchmarks.peers.lines import BATCH, BATCHED, ENGINES, OURS, Family, Point, Run, front, steady
 from benchmarks.peers.models import OUR_SHAPES, compiled, our_run
 from benchmarks.peers.scenes import PeerScene
 

@@ -43,11 +43,7 @@ MOST_FROZEN = 12  # coordinates of an arm that exponential steps are tried on: m
 
 
 def choose_model(
-    arm: ArmSource,
-    scene: Scene,
-    tolerance: float,
-    *,
-    progress: bool | None = None,
+    arm: ArmSource, scene: Scene, tolerance: float, *, progress: bool | None = None
 ) -> Choice:
     """Find the cheapest model, integrator and step with a tip error of at most `tolerance` [m].
 

@@ -163,10 +163,7 @@ def _solution(
 
 
 def add_implicit(
-    link: LinkConstants,
-    D: list[list[Scalar]],
-    residual: list[Scalar],
-    part: Implicit,
+    link: LinkConstants, D: list[list[Scalar]], residual: list[Scalar], part: Implicit
 ) -> None:
     """Add one link's W to D, and W guess to the residual."""
     values = part.guess[: len(D)]

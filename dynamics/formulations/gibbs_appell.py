@@ -268,10 +268,7 @@ def _block(f: Frame, outer: Inertia) -> Block:
     A, B, D = outer
     columns, couplings = [], [[0.0] * size for _ in range(size)]
     at_tip = [
-        Wrench(
-            add(matvec(A, phi), tmatvec(B, theta)),
-            add(matvec(B, phi), matvec(D, theta)),
-        )
+        Wrench(add(matvec(A, phi), tmatvec(B, theta)), add(matvec(B, phi), matvec(D, theta)))
         for phi, theta in zip(f.tip_phi, f.tip_theta, strict=True)
     ]
     shifted = outer.moved(f.r)

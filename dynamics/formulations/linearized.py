@@ -66,9 +66,7 @@ def frequencies(M: Array, K: Array, elastic: int, locked: Sequence[int] = ()) ->
 
 
 def _assemble(
-    chain: Chain,
-    modal: Callable[[LinkConstants], object],
-    joint: Callable[[LinkConstants], float],
+    chain: Chain, modal: Callable[[LinkConstants], object], joint: Callable[[LinkConstants], float]
 ) -> Array:
     """(n, n) from a block per link's modes and a coefficient per joint.
 

@@ -51,10 +51,7 @@ ARM = Arm(
     ),
     foreshortening=FOURTH_ORDER,
     # [s] damping_beta chosen: 1 % of critical in the first mode of each link, clamped, alone
-    links=(
-        _strip(0.5 * _SIDE, _ELBOW, 3.18e-3),
-        _strip(0.0, _GRIPPER, 2.42e-3),
-    ),
+    links=(_strip(0.5 * _SIDE, _ELBOW, 3.18e-3), _strip(0.0, _GRIPPER, 2.42e-3)),
 )
 
 CHECKS = tuple(

@@ -5,13 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamics.backends.cuda.kernel_text import (
-    DERIVATIVES,
-    START,
-    STEP,
-    kernel_text,
-    shared_slots,
-)
+from dynamics.backends.cuda.kernel_text import DERIVATIVES, START, STEP, kernel_text, shared_slots
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.tracing.assembly import Addition, Program, assembled
 from dynamics.tracing.differentiated import differentiated

@@ -217,10 +217,7 @@ def _tip_conditions(
     g = (end - c + s, -end + s + c, end + c - s, -end - s - c)
     p, q = _shares(inertia * beta**3)
     u, w = _shares(mass * beta)
-    return (
-        (p * f[2] - q * f[1], p * g[2] - q * g[1]),
-        (u * f[3] + w * f[0], u * g[3] + w * g[0]),
-    )
+    return ((p * f[2] - q * f[1], p * g[2] - q * g[1]), (u * f[3] + w * f[0], u * g[3] + w * g[0]))
 
 
 def _shares(ratio: float) -> tuple[float, float]:
