@@ -9,7 +9,7 @@ from scipy.optimize import LinearConstraint, minimize
 
 from agents.controllers import nmpc
 from agents.controllers.inverse import InverseDynamics
-from agents.controllers.lqr import LQR, Cost, Gain, riccati
+from agents.controllers.lqr import Cost, Gain, regulator, riccati
 from agents.controllers.models import linear_model
 from agents.controllers.models.linear_model import LinearModels
 from agents.controllers.models.plan import Planner
@@ -105,7 +105,7 @@ def test_lqr_is_the_solution_of_the_riccati_equation_with_clipped_joints() -> No
         joint_error=places[:, JOINTS], modal_amplitude=places[:, MODAL],
         joint_rate=rates[:, JOINTS], modal_rate=rates[:, MODAL],
     )  # fmt: skip
-    found, _ = LQR(env, effort=0.3, lead=0.2, clip=clip).predict(seen)
+    found, _ = regulator(env, "lqr", effort=0.3, lead=0.2, clip=clip).predict(seen)
     places[:, JOINTS] = np.clip(places[:, JOINTS], -clip, clip)
     wanted = -np.hstack([places, rates]) @ gain.T / LIMIT
     assert np.any(np.abs(wanted) < 1.0)

@@ -172,7 +172,7 @@ def test_a_payload_beyond_those_of_the_laboratory_does_not_break_the_arm() -> No
     heavy = {"preset": "laboratory", "payload": (0.6, 0.75), "stiffness": (0.8, 0.9), "delay": 3}
     envs = make_batch(AGILE, 32, {"hardware": heavy})
     weights = {"effort": 0.0034, "lead": 0.27, "horizon": 1.3, "margin": 0.65}
-    subject = mpc.KalmanMPC(lab, **weights, disturbance=0.01)
+    subject = mpc.predictive(lab, "mpc-kalman", **weights, disturbance=0.01)
     assert record(subject, envs, range(32)).failed.mean() < 0.1
     subject.observer.caution = 0.0
     assert record(subject, envs, range(32)).failed.mean() > 0.3

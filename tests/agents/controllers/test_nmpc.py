@@ -163,7 +163,9 @@ def test_links_bend_no_further_than_the_share_of_their_limit() -> None:
     envs = make_batch(AGILE, 16, {"obs": "state"})
     core, found = envs.unwrapped.core, {}
     for margin in (0.6, 0.8):
-        run = record(nmpc.NMPC(envs, **WEIGHTS, horizon=0.6, margin=margin), envs, range(16))
+        run = record(
+            nmpc.nonlinear(envs, "nmpc", **WEIGHTS, horizon=0.6, margin=margin), envs, range(16)
+        )
         assert not run.failed.any()
         assert episode_metrics(run)["success"].all()
         length = core.arm.links[0].length
