@@ -32,7 +32,17 @@ def stiffness(chain: Chain) -> Array:
 
 def damping(chain: Chain) -> Array:
     """(n, n) damping C of modes and viscous joint friction."""
-    C = _assemble(chain, lambda link: link.damping, lambda link: link.viscous)
+    return within_bodies(chain) + across_segments(chain)
+
+
+def within_bodies(chain: Chain) -> Array:
+    """(n, n) part of C that implicit methods take implicitly."""
+    return _assemble(chain, lambda link: link.damping, lambda link: link.viscous)
+
+
+def across_segments(chain: Chain) -> Array:
+    """(n, n) part of C that couples the segments of links; implicit methods take it explicitly."""
+    C = np.zeros((sum(len(link.K) + (not link.welded) for link in chain.links),) * 2)
     for damper in chain.dampers:
         rows = slice(damper.first, damper.first + len(damper.u))
         C[rows, rows] += damper.rate * np.outer(damper.u, damper.u)
@@ -94,14 +104,15 @@ class LinearArm:
     M: Array
     K: Array
     C: Array  # modes and viscous joint friction: the damping that implicit methods include
-    friction: Array  # Coulomb friction at zero joint rates
+    explicit: Array  # other damping: across segments, and Coulomb friction at zero joint rates
     aid: Callable[[str], Any]  # what an integrator knows of the arm, by `Integrator.aid`
 
 
 def linear_arm(chain: Chain, q: Array) -> LinearArm:
     """Linearize the arm about rest at q (n,) with straight links."""
     known = lru_cache(lambda kind: aid(kind, chain))
-    return LinearArm(inertia(chain, q), stiffness(chain), damping(chain), friction(chain), known)
+    explicit = friction(chain) + across_segments(chain)
+    return LinearArm(inertia(chain, q), stiffness(chain), within_bodies(chain), explicit, known)
 
 
 def aid(kind: str, chain: Chain) -> FrozenModes | Array | None:

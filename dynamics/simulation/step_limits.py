@@ -32,7 +32,7 @@ def fastest(model: Model, q: Array) -> float:
     """
     omega = float(model.frequencies(q, joints="free").max(initial=0.0))
     arm = linear_arm(model.chain, model.rigid(q))
-    decays = np.linalg.eigvals(np.linalg.solve(arm.M, arm.C + arm.friction))
+    decays = np.linalg.eigvals(np.linalg.solve(arm.M, arm.C + arm.explicit))
     return max(omega, float(decays.real.max()))
 
 
@@ -52,11 +52,11 @@ def amplification(arm: LinearArm, integrator: str, dt: float) -> float:
         q, v, guess = (np.stack([nothing + x for x in w[at : at + n]]) for at in (Q, V, GUESS))
         stiffness, damping = (np.diag(w[at : at + n].astype(float)) for at in (W, W + n))
         implicit = stiffness @ arm.K + damping @ arm.C
-        force = implicit @ guess - arm.K @ q - (arm.C + arm.friction) @ v
+        force = implicit @ guess - arm.K @ q - (arm.C + arm.explicit) @ v
         w[A:W] = [row.view(_Row) for row in np.linalg.solve(arm.M + implicit, force)]
 
     def jacobian(w: Any) -> None:
-        for at, matrix in ((S, arm.K), (S + n * n, arm.C + arm.friction)):
+        for at, matrix in ((S, arm.K), (S + n * n, arm.C + arm.explicit)):
             w[at : at + n * n] = -np.linalg.solve(arm.M, matrix).ravel()
 
     aid = jacobian if method.aid == "jacobian" else arm.aid(method.aid)

@@ -17,6 +17,7 @@ from dynamics.accuracy.fidelity import Fidelity, everything, fidelity_of, rigid
 from dynamics.accuracy.progress import Progress
 from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
+from dynamics.tracing.traced_arm import TracedArm
 from dynamics.types import Array
 from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import REFERENCE_METHOD as METHOD
@@ -190,8 +191,9 @@ class Certifier:
         return self._played(model, EXPLICIT, finer * stable, some=some)
 
     def _fine_steps(self, arm: Arm) -> int:
-        """Steps of METHOD per control step, which takes Coulomb friction explicitly."""
-        if not any(link.joint.coulomb for link in arm.links):
+        """Steps of METHOD per control step, stable in its explicit damping."""
+        chain = TracedArm(arm).chain
+        if not chain.dampers and not any(link.coulomb for link in chain.links):
             return self._fine
         drawn = fastest_drawn(arm, self._ranges)
         return stable_steps(drawn, self.control_dt, METHOD, self._fine)

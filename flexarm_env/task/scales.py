@@ -334,14 +334,14 @@ def stable_steps(arm: Arm, control_dt: float, integrator: str, least: int) -> in
     """Steps per control step, at least `least`, that are stable for small motions about rest.
 
     Looked at are the home posture, the stretched one and POSTURES others of the tasks. Where
-    `least` steps are not stable there, more leave the margin SAFE.
+    `least` steps are not stable there, of implicit methods with the margin SAFE, more leave it.
     """
     model, home, joints = Model(arm), np.array(home_posture(arm.n_joint)), list(arm.joint_index)
     others = np.random.default_rng(0).uniform(-EXTENT, EXTENT, (POSTURES, arm.n_joint))
-    longest = control_dt / least
+    margin = SAFE if INTEGRATORS[integrator].implicit else 1.0
+    longest = within = control_dt / (margin * least)
     for angles in (home, 0.0 * home, *(home + others)):
         q = np.zeros(arm.n)
         q[joints] = angles
         longest = step_limits.largest_step(model, q, integrator, longest)
-    stable = longest == control_dt / least
-    return least if stable else math.ceil(control_dt / (SAFE * longest))
+    return least if longest == within else math.ceil(control_dt / (SAFE * longest))

@@ -10,9 +10,11 @@ import pytest
 import flexarm_env
 from benchmarks.episode_errors import independent, solved
 from dynamics import load_arm
+from dynamics.model import Model
+from dynamics.simulation.step_limits import largest_step
 from flexarm_env.accuracy.certificates import entries, reference, stored
 from flexarm_env.accuracy.motions import KINDS
-from flexarm_env.certify.certificate import WIDER, Certifier, interval
+from flexarm_env.certify.certificate import FINE, METHOD, WIDER, Certifier, interval
 from flexarm_env.certify.episodes import Distances, Episodes, Trace, environment
 from flexarm_env.certify.run import conditions
 from flexarm_env.certify.search import TIP_ERROR
@@ -139,6 +141,21 @@ def test_a_reference_sticks_where_its_joint_does() -> None:
     finer = certifier._converged(reference(certifier.arm), finer=2)
     found = Distances.between(certifier.reference, finer, certifier.episodes.kinds)
     assert found.worst_share < 1e-5 * certifier.reach
+
+
+def test_a_reference_has_steps_that_are_stable_in_its_damping() -> None:
+    """Its links' segments are damped together, which METHOD takes explicitly."""
+    link = {
+        "length": 0.6, "rho_A": 0.3, "EIz": 60.0, "tip_mass": 0.4, "damping_ratio": 0.3,
+        "segments": 2, "joint": {"rotor_inertia": 1e-3},
+        "modes": [{"kind": "hierarchical", "index": k, "direction": "y"} for k in (1, 2)],
+    }  # fmt: skip
+    certifier = Certifier.__new__(Certifier)
+    certifier.control_dt, certifier._fine, certifier._ranges = 0.02, FINE, {}
+    arm = load_arm({"links": [link]})
+    dt = certifier.control_dt / certifier._fine_steps(arm)
+    assert largest_step(Model(arm), np.zeros(arm.n), METHOD, dt) == dt
+    assert certifier._fine_steps(load_arm({"links": [{**link, "damping_ratio": 0.0}]})) == FINE
 
 
 def test_the_largest_deflection_limit_of_an_environment_is_that_of_wider_models_too() -> None:

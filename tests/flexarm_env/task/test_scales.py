@@ -1,5 +1,6 @@
 """Steps by rule: stable wherever the tasks lead, with friction of the joints."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,14 @@ from dynamics import Arm, load_arm
 from dynamics.model import Model
 from dynamics.simulation.step_limits import largest_step
 from flexarm_env.task.observations import curvature_columns, curvature_scale
-from flexarm_env.task.scales import DEFLECTION_LIMIT, EXTENT, integration, scales
+from flexarm_env.task.scales import (
+    DEFLECTION_LIMIT,
+    EXTENT,
+    SAFE,
+    integration,
+    scales,
+    stable_steps,
+)
 
 CONTROL_DT = 0.02  # [s]
 BEAM = {
@@ -30,6 +38,13 @@ FASTEST_STRETCHED = arm(  # 2.3 times as fast as at home
     {"length": 1.0, "joint": {"rotor_inertia": 0.1}},
     {"length": 0.3, "tip_mass": 1.0, "joint": {"rotor_inertia": 1.0}},
 )
+SEGMENTS = arm(  # damping across segments is explicit
+    {
+        "length": 0.6, "tip_mass": 0.4, "damping_ratio": 0.3, "segments": 2,
+        "modes": [{"kind": "hierarchical", "index": k, "direction": "y"} for k in (1, 2)],
+        "joint": {"rotor_inertia": 1e-3},
+    }
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("arm", [STICKING, FASTEST_STRETCHED])
@@ -48,6 +63,14 @@ def test_a_margin_is_left_where_the_rule_had_to_find_the_limit(integrator: str) 
     _, substeps = integration(STICKING, CONTROL_DT, integrator)
     model, q, dt = Model(STICKING), np.zeros(STICKING.n), CONTROL_DT / substeps
     assert largest_step(model, q, integrator, 1.2 * dt) == 1.2 * dt
+
+
+@pytest.mark.parametrize("integrator", ["midpoint", "extrapolated-midpoint"])
+def test_implicit_steps_just_within_the_limit_are_not_enough(integrator: str) -> None:
+    limit = largest_step(Model(SEGMENTS), np.zeros(SEGMENTS.n), integrator, 1.0)
+    least = math.ceil(1.1 * CONTROL_DT / limit)
+    dt = CONTROL_DT / stable_steps(SEGMENTS, CONTROL_DT, integrator, least)
+    assert 0.9 * SAFE * limit < dt <= SAFE * limit
 
 
 @pytest.mark.parametrize("name", ["six-link", "srms-like"])
