@@ -314,10 +314,11 @@ def _step(
     if substeps is not None:
         return name, validate.integer(substeps, "substeps", 1, arguments.MOST_SUBSTEPS)
     if count > arguments.MOST_BY_RULE:
+        other = "give another integrator, " if integrator else ""
         raise ValueError(
             f"control_dt ({control_dt:g} s) would take {count} steps of {name!r}, more "
             f"than {arguments.MOST_BY_RULE}, for an arm of {scales(fastest).fastest:.3g} rad/s; "
-            "leave out modes of its stiffest links, take fidelity='rigid', raise coulomb_speed of "
-            "its joints if they have friction, or set substeps."
+            f"{other}leave out modes of its stiffest links, take fidelity='rigid', raise "
+            "coulomb_speed of its joints if they have friction, or set substeps."
         )
     return name, count

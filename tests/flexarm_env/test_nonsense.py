@@ -243,6 +243,8 @@ def test_an_arm_too_stiff_for_its_control_step_is_refused() -> None:
         ValueError, match=r"would take \d+ steps .* take fidelity='rigid', .* set sub"
     ):
         gym.make(ONE, arm=stiff)
+    with pytest.raises(ValueError, match=r"of 'euler'.*rad/s; give another integrator, leave out"):
+        gym.make(ONE, arm=stiff, integrator="euler")
     sound(gym.make(ONE, arm=stiff, fidelity="rigid"), seed=0)
     sound(gym.make(ONE, arm=stiff, substeps=100), seed=0)
 
