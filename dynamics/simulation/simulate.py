@@ -262,10 +262,12 @@ def _fixed_steps(
         )
     limit = step_limits.largest_step(model, start[0], integrator, largest)
     if limit < largest:
+        implicit = INTEGRATORS[integrator].implicit
+        other = "'midpoint', which takes elastic forces implicitly"
         raise ValueError(
             f"dt must be at most {limit:.3g} s, or {integrator} diverges from rest (fastest "
             f"frequency or decay {fastest:.4g} rad/s), got {dt!r} s. Take a smaller dt, or "
-            "'midpoint', which takes elastic forces implicitly."
+            f"{'a method with error control' if implicit else other}."
         )
     stepper = Stepper(model, 1, dt=largest, substeps=1, integrator=integrator)
     stepper.q[0], stepper.v[0] = start

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynamics import Joint, Link, Mode, Stepper
+from dynamics import Joint, Link, Mode, Stepper, simulate
 from dynamics.description.arm import Arm
 from dynamics.formulations.linearized import LinearArm
 from dynamics.simulation.step_limits import GROWS, amplification, largest_step
@@ -35,6 +35,9 @@ def test_damping_across_segments_breaks_implicit_methods_where_the_limit_says(
         stepper.advance()
         ends.append(stepper.status[0] == 0 and np.abs(stepper.q[0, 1:]).max() < 1e-6)
     assert ends == [True, False]
+    still = np.zeros(model.n)
+    with pytest.raises(ValueError, match="smaller dt, or a method with error control"):
+        simulate(model, still, still, None, [0, 1], integrator=integrator, dt=1.03 * limit)
 
 
 @pytest.mark.parametrize(
