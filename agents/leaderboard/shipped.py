@@ -72,7 +72,7 @@ def shipped(env_id: str, track: str) -> dict[str, list[Policy]]:
 
 @cache
 def loaded(env_id: str, track: str) -> dict[str, list[Policy]]:
-    """What `shipped` copies, so that files are read once."""
+    """The policies themselves, which `shipped` copies: files are read once."""
     validate.known(track, "track", TRACKS)
     found: dict[str, list[Policy]] = {}
     for folder in sorted(place(designed_for(env_id), track).glob("*/seed*")):

@@ -223,7 +223,7 @@ def run(
                 str(out / TUNE), trainable=train_trial, resume_unfinished=True, resume_errored=True
             )
         else:
-            tuner = new_tuner(out, trials, keep_all, Ranking())
+            tuner = new_tuner(out, trials, keep_all, Ranking(RESULTS))
         results = tuner.fit()
     finally:
         ray.shutdown()

@@ -7,7 +7,6 @@ from ray.tune import Callback
 
 from agents.metrics import write_json
 from agents.run_folder.folder import versions
-from agents.sweep.command import RESULTS
 
 SHOWN = ("score", "success", "objective", "steps", "restarts", "node")
 
@@ -17,6 +16,9 @@ class Ranking(Callback):
 
     Ray stores this object with the sweep, whose folder may have moved when it is resumed.
     """
+
+    def __init__(self, name: str) -> None:
+        self.name = name  # of the file
 
     def on_trial_result(
         self, iteration: int, trials: list[Any], trial: Any, result: dict[str, Any], **info: Any
@@ -40,7 +42,7 @@ class Ranking(Callback):
         rows = [row(trial) for trial in trials]
         rows.sort(key=lambda r: -r.get("objective", -float("inf")))
         folder = Path(trials[0].storage.experiment_fs_path).parent
-        write_json(folder / RESULTS, {"versions": versions()["packages"], "trials": rows})
+        write_json(folder / self.name, {"versions": versions()["packages"], "trials": rows})
 
 
 def number_of(trial: Any) -> int:

@@ -232,7 +232,7 @@ def test_a_sweep_that_has_moved_is_ranked_where_it_lies(
     monkeypatch.setitem(sys.modules, "agents.sweep.progress", None)
     del sys.modules["agents.sweep.progress"]  # imported anew, and removed after the test
     progress = import_module("agents.sweep.progress")
-    ranked = progress.Ranking()
+    ranked = progress.Ranking("sweep.json")
     experiment = {"agent": {"kwargs": {"gamma": 0.9}}, "total_steps": 64}
     trial = SimpleNamespace(
         config={"planned": {"number": 3, "experiment": experiment}},

@@ -136,7 +136,7 @@ def remembering(steps: int, **env: Any) -> dict[str, Any]:
 
 
 def test_cells_learn_from_whole_episodes_and_remember_them_alone() -> None:
-    """What the stored policy says along an episode is what the loss sees, also after a resume."""
+    """The loss sees the means of the stored policy along an episode, also after a resume."""
     model = build_model(config_from_dict(remembering(300, max_episode_steps=30)))
     model.learn(150)
     model.learn(150)
