@@ -158,6 +158,7 @@ EVENING = {  # long files, of quick ones what compiles; .ci/run takes them after
     "dynamics/runtime/test_thread_pool.py",
     "dynamics/simulation/test_free_base_motion.py",
     "dynamics/simulation/test_sampled_motion.py",
+    "dynamics/simulation/test_step_limits.py",
     "dynamics/simulation/test_stepper.py",
     "dynamics/test_cache.py",
     "dynamics/test_main.py",
