@@ -5,6 +5,7 @@ no-regret online learning, AISTATS 2011. The library `imitation` has the method 
 Gymnasium 0.29 and stable-baselines3 2.2.
 """
 
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -66,7 +67,7 @@ class DAgger(OffPolicyAlgorithm):
         """Begin a session; one that resets the environment continues no former episode."""
         before, buffer = self._last_obs, self.replay_buffer
         begun = super()._setup_learn(*given, **keywords)
-        if buffer.pos > 0 and self._last_obs is not before:
+        if buffer.size() and self._last_obs is not before:
             buffer.dones[buffer.pos - 1] = 1.0
         return begun
 
@@ -81,19 +82,13 @@ class DAgger(OffPolicyAlgorithm):
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         recurrent = isinstance(self.policy, LstmPolicy)
-        episodes = self._episodes() if recurrent else np.empty((0, 3))
+        batch = partial(self._of_episodes, self._episodes()) if recurrent else self._of_steps
         losses = []
         for step in range(gradient_steps):
             if refit:
                 rate = self.lr_schedule(1.0 - step / gradient_steps)
                 update_learning_rate(self.policy.optimizer, rate)
-            if recurrent:
-                mean, advice = self._remembered(drawn(episodes, batch_size))
-            else:
-                batch = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
-                mean = self.policy.get_distribution(batch.observations).mode()
-                advice = batch.actions
-            loss = misses(mean, advice).square().mean()
+            loss = misses(*batch(batch_size)).square().mean()
             self.policy.optimizer.zero_grad()
             loss.backward()
             if recurrent:
@@ -108,40 +103,55 @@ class DAgger(OffPolicyAlgorithm):
     ) -> tuple[AnyArray, AnyArray]:
         """Actions to take, and the expert's to store."""
         advice, buffer = self.env.advice, self.replay_buffer
-        starts = buffer.dones[buffer.pos - 1] if buffer.pos else np.ones(n_envs)
+        starts = buffer.dones[buffer.pos - 1] if buffer.size() else np.ones(n_envs)
         taken, self._memory = self.policy.predict(
             self._last_obs, self._memory, starts, deterministic=True
         )
         return (advice if self.num_timesteps < learning_starts else taken), advice
 
+    def _of_steps(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Means (count, m) of the policy at observations drawn at random, and the expert's."""
+        batch = self.replay_buffer.sample(count, env=self._vec_normalize_env)
+        return self.policy.get_distribution(batch.observations).mode(), batch.actions
+
+    def _of_episodes(self, episodes: AnyArray, steps: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Means over episodes at random, about so many steps in all, and the expert's actions."""
+        _, first, last = episodes.T
+        count = max(1, round(steps / (last - first + 1).mean()))
+        chosen = np.random.randint(len(episodes), size=count)  # noqa: NPY002
+        return self._remembered(episodes[chosen])
+
     def _episodes(self) -> AnyArray:
-        """(n, 3) environment, first and last row of the episodes in the buffer."""
+        """(n, 3) environment, first and last row of the episodes in the buffer.
+
+        A full buffer may have lost the beginning of its oldest rows, so that their episodes are
+        left out; rows count from the oldest.
+        """
         buffer, found = self.replay_buffer, []
-        for env in range(self.n_envs):
-            ends = buffer.dones[: buffer.pos, env].copy()
-            ends[-1] = 1.0
+        dones = np.roll(buffer.dones, -self._oldest, axis=0)[: buffer.size()]
+        dones[-1] = 1.0
+        for env, ends in enumerate(dones.T):
             lasts = np.flatnonzero(ends)
             firsts = np.append(0, lasts[:-1] + 1)
-            found.append(np.stack([np.full_like(lasts, env), firsts, lasts], axis=1))
+            episodes = np.stack([np.full_like(lasts, env), firsts, lasts], axis=1)
+            found.append(episodes[1:] if buffer.full and len(episodes) > 1 else episodes)
         return np.concatenate(found)
+
+    @property
+    def _oldest(self) -> int:
+        """Oldest row of the buffer."""
+        return int(self.replay_buffer.pos) if self.replay_buffer.full else 0
 
     def _remembered(self, episodes: AnyArray) -> tuple[torch.Tensor, torch.Tensor]:
         """Means (k, m) of the policy over whole episodes, and the expert's actions."""
         buffer, (env, first, last) = self.replay_buffer, episodes.T
         rows = first + np.arange((last - first).max() + 1)[:, None]
         lasting = rows <= last
-        rows = np.minimum(rows, last)
+        rows = (np.minimum(rows, last) + self._oldest) % buffer.buffer_size
         seen = buffer._normalize_obs(buffer.observations[rows, env], self._vec_normalize_env)
         output, _ = self.policy.lstm_actor(buffer.to_torch(seen))
         latent = self.policy.mlp_extractor.forward_actor(output[lasting])
         return self.policy.action_net(latent), buffer.to_torch(buffer.actions[rows, env][lasting])
-
-
-def drawn(episodes: AnyArray, steps: int) -> AnyArray:
-    """Episodes at random, as many as have about this number of steps; at least one."""
-    _, first, last = episodes.T
-    count = max(1, round(steps / (last - first + 1).mean()))
-    return episodes[np.random.randint(len(episodes), size=count)]  # noqa: NPY002
 
 
 def misses(mean: torch.Tensor, advice: torch.Tensor) -> torch.Tensor:

@@ -6,6 +6,7 @@ high modes.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Self
@@ -72,8 +73,8 @@ class BeamShape:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Series:
-    """s from a series in x/l; `_derived` gives the derivatives by x/l."""
+class Series(ABC):
+    """s from a series in x/l."""
 
     length: float  # [m]
     coefficients: tuple[float, ...]  # [-]
@@ -94,8 +95,9 @@ class Series:
         """Return factor times this shape."""
         return replace(self, coefficients=tuple(factor * c for c in self.coefficients))
 
+    @abstractmethod
     def _derived(self, x: Array | float, times: int) -> Array:
-        raise NotImplementedError
+        """Derivatives by x/l."""
 
 
 class PowerShape(Series):

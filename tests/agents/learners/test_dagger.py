@@ -158,6 +158,25 @@ def test_cells_learn_from_whole_episodes_and_remember_them_alone() -> None:
     np.testing.assert_array_equal(advice, wanted[lasting])
 
 
+def test_cells_learn_from_the_episodes_that_a_full_buffer_still_has_whole() -> None:
+    given = remembering(300, max_episode_steps=30)
+    given["agent"]["kwargs"] |= {"buffer_size": 300}
+    model = build_model(config_from_dict(given))
+    for _ in range(3):
+        model.learn(150)
+    buffer, episodes = model.replay_buffer, model._episodes()
+    assert (buffer.full, buffer.pos) == (True, 50)
+    for env, first, last in episodes:
+        ends = buffer.dones[(np.arange(first - 1, last) + buffer.pos) % 100, env]
+        assert ends[0] == 1.0
+        assert not ends[1:].any()
+    lengths = episodes[:, 2] - episodes[:, 1] + 1
+    assert sorted(lengths.tolist()) == [20] * 6 + [30] * 3
+    _, advice = model._remembered(episodes[-1:])
+    rows = (np.arange(episodes[-1, 1], episodes[-1, 2] + 1) + buffer.pos) % 100
+    np.testing.assert_array_equal(advice, buffer.actions[rows, episodes[-1, 0]])
+
+
 def test_cells_forget_at_an_end_and_at_a_new_session(monkeypatch: pytest.MonkeyPatch) -> None:
     model = build_model(config_from_dict(remembering(150, max_episode_steps=30)))
     forgot: list[bool] = []
