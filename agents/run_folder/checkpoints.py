@@ -15,6 +15,7 @@ from agents.files import sync
 from agents.learners.normalization import restore_statistics, statistics
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
+from dynamics.types import AnyArray
 
 KEPT = 2  # newest checkpoints that stay on disk
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -77,8 +78,19 @@ def write_state(model: Any, folder: Path, progress: dict[str, Any]) -> None:
         state["replay"] = {"pos": buffer.pos, "full": buffer.full}
         for name in REPLAY:
             arrays[f"replay/{name}"] = getattr(buffer, name)[:filled]
+        arrays["replay/timeouts"] = cut_off(buffer)[:filled]
     np.savez(folder / ARRAYS, **arrays)
     (folder / STATE).write_text(json.dumps(state), encoding="utf-8")
+
+
+def cut_off(buffer: Any) -> AnyArray:
+    """Time-outs of a replay buffer; the session that resumes goes on with none of its episodes.
+
+    Returns of several steps would add up rewards across the seam.
+    """
+    timeouts, last = buffer.timeouts.copy(), buffer.pos - 1
+    timeouts[last] = np.maximum(timeouts[last], 1.0 - buffer.dones[last])
+    return timeouts
 
 
 def digest(path: Path) -> str:

@@ -54,6 +54,20 @@ def test_a_checkpoint_restores_the_whole_learner(name: str, tmp_path: Path) -> N
     assert moments in (folder / "state.json").read_text()
 
 
+def test_returns_of_several_steps_end_where_a_session_ended(tmp_path: Path) -> None:
+    """A resumed session begins new episodes."""
+    trained, resumed = build("sac", n_steps=3), build("sac", n_steps=3, gradient_steps=0)
+    trained.learn(20)
+    buffer, after = trained.replay_buffer, resumed.replay_buffer
+    buffer.dones[19] = 0.0
+    restore_checkpoint(resumed, save_checkpoint(trained, tmp_path, PROGRESS))
+    resumed.learn(10, reset_num_timesteps=False)
+    returned = after._get_samples(np.array([19]))
+    assert returned.rewards.item() == buffer.rewards[19].item()
+    np.testing.assert_array_equal(returned.next_observations, buffer.next_observations[19])
+    assert not returned.dones.any()
+
+
 def test_sha256sum_verifies_the_sums(tmp_path: Path) -> None:
     (folder,) = saved(tmp_path, 10)
     assert {path.name for path in folder.iterdir()} == {"arrays.npz", "state.json", "SHA256SUMS"}
