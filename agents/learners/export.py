@@ -208,7 +208,8 @@ def array(tensor: Any) -> AnyArray:
 def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
     """Load the policy of a stable-baselines3 zip; requires `trust`, because it is unpickled.
 
-    Statistics that RL Zoo has put beside NAME.zip, in NAME/vecnormalize.pkl, are loaded with it.
+    Statistics that RL Zoo has put beside NAME.zip, in NAME/vecnormalize.pkl, are loaded with it; a
+    policy of normalized observations is refused without them.
     """
     path = Path(path)
     if not is_zipfile(path):
@@ -222,10 +223,17 @@ def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
     try:
         with ZipFile(path) as archive:
             name = zipped_algorithm(json.loads(archive.read("data")))
-        policy = export_policy(algorithms()[name].load(path, device="cpu"), {"source": path.name})
-        file = path.with_suffix("") / "vecnormalize.pkl"
-        if not file.exists():
+        model = algorithms()[name].load(path, device="cpu")
+        policy = export_policy(model, {"source": path.name})
+        statistics = path.with_suffix("") / "vecnormalize.pkl"
+        if not statistics.exists():
+            if model._last_original_obs is not None:  # its environment had a VecNormalize
+                raise PolicyError(
+                    "was trained with VecNormalize, whose statistics the zip does not hold; put "
+                    f"the file of VecNormalize.save at {statistics}."
+                )
             return policy
+        file = statistics
         return replace(policy, normalization=normalization(pickle.loads(file.read_bytes())))
     except PolicyError as error:
         raise PolicyError(f"{file}: {error}") from None
