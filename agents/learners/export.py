@@ -50,6 +50,7 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
 
     from agents.learners.privileged import PrivilegedCriticPolicy
 
+    refuse_extractor(model)
     cells, modules = actor(model)
     squashing = "clip"
     if isinstance(modules[-1], torch.nn.Tanh):
@@ -106,6 +107,21 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
             f"one observation has {policy.n_observation} numbers."
         )
     return policy
+
+
+def refuse_extractor(model: Any) -> None:
+    """Refuse a network before the actor's own layers, which would be left out."""
+    from stable_baselines3.common.torch_layers import FlattenExtractor
+
+    from agents.learners.privileged import Sensors
+
+    actor = getattr(model, "actor", None) or model.policy
+    extractor = getattr(actor, "features_extractor", None)
+    if type(extractor) not in (type(None), FlattenExtractor, Sensors):
+        raise PolicyError(
+            "Only policies of one vector of observations can be stored, without an extractor of "
+            f"features, got {type(extractor).__name__}."
+        )
 
 
 def begin_with(model: Any, policy: Policy) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
 
 from agents.learners.algorithms import ON_TENSORS, algorithms
@@ -66,6 +67,20 @@ def test_networks_of_other_layers_are_refused() -> None:
     model = build("ppo", policy_kwargs={"activation_fn": torch.nn.Sigmoid})
     with pytest.raises(PolicyError, match=r"one activation out of .* got \['sigmoid'\]"):
         export_policy(model, {})
+
+
+class Doubled(FlattenExtractor):
+    """Twice the observation."""
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        return 2.0 * super().forward(observations)
+
+
+@pytest.mark.parametrize("name", ["ppo", "sac"])
+def test_a_network_before_the_actor_is_refused(name: str) -> None:
+    network = KWARGS[name]["policy_kwargs"] | {"features_extractor_class": Doubled}
+    with pytest.raises(PolicyError, match="extractor of features, got Doubled"):
+        export_policy(build(name, policy_kwargs=network), {})
 
 
 def test_a_network_with_too_many_layers_is_refused() -> None:
