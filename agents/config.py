@@ -359,6 +359,11 @@ def check_steps(agent: AgentConfig, total_steps: int) -> None:
             f"agent.kwargs.learning_starts ({starts:_}) must be below total_steps "
             f"({total_steps:_}), or nothing is learned."
         )
+    if agent.kwargs.get("gradient_steps") == 0:
+        raise ConfigError(
+            "agent.kwargs.gradient_steps must not be 0, or nothing is learned; -1 takes as many as "
+            "a rollout has steps."
+        )
     if agent.name == DAGGER and size < total_steps:
         raise ConfigError(
             f"agent.kwargs.buffer_size ({size:_}) must be at least total_steps ({total_steps:_}) "

@@ -70,6 +70,11 @@ def test_shipped_configs_load(path: Path) -> None:
         ),
         (
             "name: ppo, kwargs: {n_steps: 64, batch_size: 128, learning_rate: lin_3.0e-4}",
+            "name: sac, kwargs: {gradient_steps: 0}",
+            r"gradient_steps must not be 0, or nothing is l",
+        ),
+        (
+            "name: ppo, kwargs: {n_steps: 64, batch_size: 128, learning_rate: lin_3.0e-4}",
             "name: dagger, kwargs: {buffer_size: 9}}\nbase: {controller: pd, learned: distilled",
             r"buffer_size \(9\) must be at least total_steps \(300_000\) for dagger",
         ),
