@@ -130,8 +130,15 @@ def evaluated(
 ) -> dict[str, AnyArray]:
     """All METRICS of the episodes seed, seed + 1, ... of an id with the keywords `kwargs`.
 
-    The controller may be any learner's model that has the method `predict`.
+    The controller may be any learner's model that has the method `predict`; one of
+    stable-baselines3 whose VecNormalize normalizes observations raises a ValueError.
     """
+    normalizing = getattr(controller, "get_vec_normalize_env", lambda: None)()
+    if normalizing is not None and normalizing.norm_obs:
+        raise ValueError(
+            "The model sees observations through its VecNormalize, got the environment's own; "
+            "evaluate export_policy(model, {}) of agents.learners.export, which normalizes them."
+        )
     with closing(make_batch(env_id, episodes, kwargs)) as envs:
         return episode_metrics(record(controller, envs, range(seed, seed + episodes)))
 

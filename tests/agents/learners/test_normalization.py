@@ -14,6 +14,7 @@ from agents.evaluate import main as evaluate
 from agents.hybrid.environment import HybridVecEnv
 from agents.learners.export import export_policy, load_zip
 from agents.learners.normalization import DEFAULTS, restore_statistics, statistics
+from agents.metrics import evaluated
 from agents.policy import Policy, PolicyError, load_policy, save_policy
 from agents.run_folder.checkpoints import CheckpointError, restore_checkpoint, save_checkpoint
 from agents.run_folder.folder import RunFolder
@@ -97,6 +98,12 @@ def test_a_zip_of_rl_zoo_is_loaded_with_the_statistics_beside_it(name: str, tmp_
     (tmp_path / "toy/vecnormalize.pkl").write_bytes(b"no pickle")
     with pytest.raises(PolicyError, match=r"toy/vecnormalize\.pkl: cannot be loaded"):
         load_zip(tmp_path / "toy.zip", trust=True)
+
+
+def test_a_model_of_normalized_observations_is_not_evaluated_on_others() -> None:
+    model = build("ppo", env=VecNormalize(SB3VecEnv(ENV_ID, 2)))
+    with pytest.raises(ValueError, match=r"VecNormalize.*evaluate export_policy\(model, \{\}\)"):
+        evaluated(model, ENV_ID, episodes=2)
 
 
 def test_statistics_of_stacked_observations_are_refused() -> None:
