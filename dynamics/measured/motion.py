@@ -82,6 +82,8 @@ class LoggedMotion:
         _check_signals(self.names, self.measured)
         self.deviation = np.nanstd(self.measured, axis=0)
         rows = unknowns.asked(bounds, described, self.names)
+        asked, none = Unknowns(rows), np.zeros(len(self.names))
+        delay, lag = (none + asked.changes(into, asked.high) for into in ("delay", "lag"))
         arm = _with_held(unknowns.without_friction(described, bounds), held)
         scaled = [name for name in FREE_PARAMETERS if name in bounds]
         self.model = compile_arm(arm, free_parameters=scaled)
@@ -102,6 +104,7 @@ class LoggedMotion:
             rates = {k: _fastest(log.time, encoder[:, k]) for k in free}
             period = float(np.median(np.diff(log.time)))
             waits = log.time[np.isfinite(encoder[:, free]).argmax(axis=0)] - log.time[0]
+            waits = waits + (delay + POLES * lag)[: len(free)]
             rows += unknowns.start(self.model, self.start, rotors, rates, waits, period)
         elif start == "measured":
             rows += unknowns.zeros(self.names, self.deviation, len(free))
@@ -109,9 +112,8 @@ class LoggedMotion:
         else:
             self._check_rest()
         self.unknowns = Unknowns(rows)
-        delay, lag = (self.unknowns.changes(x, self.unknowns.high) for x in ("delay", "lag"))
         self._has_delays = bool(delay.any() or lag.any())
-        late = delay + (start != "rest") * FORGOTTEN * lag + np.zeros(len(self.names))
+        late = delay + (start != "rest") * FORGOTTEN * lag
         self.present = np.isfinite(self.measured) & (log.time[:, None] >= log.time[0] + late)
         if self.present.sum() <= len(rows) + len(self.names):
             raise ValueError(

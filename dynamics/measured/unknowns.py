@@ -4,7 +4,7 @@ The state at the start is not the user's question, but the motion depends on it.
 sum of the arm's natural modes with its joints locked, as many as the samples can show. Their
 amplitudes and rates are known to no more than the size of the arm. Angles of joints start at the
 first reading of the encoder, which is as noisy as the others, or within what a joint may have
-turned until a first reading that is later than the first sample.
+turned between the first sample and a first reading that comes later or is itself late.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -139,7 +139,7 @@ def start(
     q : (n,) the straight arm at its first readings.
     rotors : (n_joint, n) angle of every rotor by q.
     rates : largest rate in the log of every free joint, in the order of the first signals.
-    waits : [s] from the first sample to the first reading of every such signal.
+    waits : [s] most time between the first sample and what the first reading of each tells.
     period : [s] between samples.
     """
     unit = np.eye(model.n)[list(model.arm.joint_index)]

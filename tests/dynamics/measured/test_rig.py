@@ -111,6 +111,17 @@ def test_a_late_first_reading_tells_the_start_within_what_the_joint_may_have_tur
     assert 0.01 < turned * found[1] < 1.0
 
 
+@pytest.mark.parametrize(("name", "times"), [("delay", 1.0), ("lag", 2.0)])
+def test_a_late_encoder_tells_the_start_within_what_the_joint_may_have_turned(
+    clean: Log, name: str, times: float
+) -> None:
+    log, most = clean.since(1.0), 0.05  # [s]
+    table = LoggedMotion(PRESET, log, [GAUGE], {f"{name}_encoder_1": (0.0, most)}).unknowns
+    known = table.precision(np.array([1e6, 1.0]))[table.names.index("q1")]
+    rate = np.abs(np.diff(log.encoder[:, 0]) / np.diff(log.time)).max()
+    assert 1.0 / known == pytest.approx(times * most * rate)
+
+
 def test_a_measured_start_is_the_state_of_the_rig(clean: Log) -> None:
     """Readings and their rates at all points of the log without noise, by their neighbours."""
     motion = LoggedMotion(PRESET, clean, [GAUGE], BOUNDS, start="measured", shooting=0.5)
