@@ -128,11 +128,14 @@ def _newton(traced: TracedArm, angles: Array, share: float, x: Array) -> Array |
         residual, jacobian, stiffness = (np.array(y) for y in forces(x, angles, share))
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
             return None
-        change = np.linalg.solve(jacobian, residual.ravel())
+        try:
+            change = np.linalg.solve(jacobian, residual.ravel())
+            size = float(np.linalg.norm(change[: x.size - traced.n_joint]))
+        except (ArithmeticError, np.linalg.LinAlgError):  # far from any equilibrium
+            return None
         x -= change
         if np.all(np.abs(change) <= CONVERGED * (np.abs(x).max() + 1e-300)):
             return x if np.all(np.linalg.eigvalsh(stiffness) > 0.0) else None
-        size = float(np.linalg.norm(change[: x.size - traced.n_joint]))
         if size > SLOWEST * before:  # it may leave for another equilibrium
             return None
         before = size

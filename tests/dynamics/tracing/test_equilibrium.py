@@ -8,8 +8,21 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_bvp
+from scipy.spatial.transform import Rotation
 
-from dynamics import ARMS, Arm, Base, Joint, Link, Mode, Model, Stepper, ValidityWarning, simulate
+from dynamics import (
+    ARMS,
+    Arm,
+    Base,
+    Joint,
+    Link,
+    Mode,
+    Model,
+    Payload,
+    Stepper,
+    ValidityWarning,
+    simulate,
+)
 from dynamics.formulations import articulated_body
 from dynamics.tracing.equilibrium import settled
 from dynamics.types import Array
@@ -111,6 +124,27 @@ def test_the_torques_hold_the_arm_at_rest(seed: int) -> None:
         model.chain, floats(straight), arm.n * [0.0], floats(rest.torque)
     )
     assert np.abs(a).max() < 1e-8 * np.abs(fallen).max()
+
+
+def test_gravity_that_makes_the_guess_singular_is_added_in_shares() -> None:
+    """A short soft link carries heavy ones; all of gravity at once throws Newton's method off."""
+    upright = [Mode(kind="poly", index=k, direction="z") for k in (1, 2, 3)]
+    first = Link(length=0.34, rho_A=1.7, EIz=4.3, EIy=1.4, modes=(*upright, SHAPES[0]))
+    places = [(-0.7, -2.1, 0.7), (0.97, 0.019, 2.9), (2.5, -0.9, 0.5)]
+    links = [first, Link(length=1.1, rho_A=6.5), Link(length=5.5, rho_A=0.63)]
+    turned = [Joint(rotation=Rotation.from_euler("xyz", place).as_matrix()) for place in places]
+    arm = Arm(
+        links=tuple(replace(link, joint=joint) for link, joint in zip(links, turned, strict=True)),
+        gravity=(0.18, -19.0, -5.9),
+        payload=Payload(mass=0.3),
+    )
+    model = Model(arm)
+
+    with pytest.warns(ValidityWarning):
+        rest = model.equilibrium(np.array([0.5, -1.2, 1.0]))
+
+    forces = model.inverse_dynamics(rest.q, np.zeros(arm.n), np.zeros(arm.n))
+    assert_allclose(forces, model.encoders.T @ rest.torque, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("angle", [0.0, 2.5])
