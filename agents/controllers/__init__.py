@@ -45,6 +45,16 @@ class Kind:
             for name, (low, high) in self.ranges.items()
         }
 
+    def checked(self, parameters: object, name: str) -> dict[str, float]:
+        """A number for every key of the ranges, positive where its range is; refuses any other."""
+        given = validate.mapping(parameters, name, self.ranges)
+        return {
+            key: (validate.positive if low > 0.0 else validate.number)(
+                given.get(key), f"{name}.{key}", "-"
+            )
+            for key, (low, _) in self.ranges.items()
+        }
+
 
 def _on_model(
     name: str,
@@ -116,6 +126,13 @@ CONTROLLERS: dict[str, Kind] = {
 
 
 def controller(name: str, env: Any, parameters: Mapping[str, float] | None = None) -> Controller:
-    """A controller for an environment; without parameters in the middle of its ranges."""
+    """A controller for an environment; without parameters in the middle of its ranges.
+
+    Raises
+    ------
+    ValueError : for an unknown name, a parameter that is missing, unknown or not a number, or an
+        observation that the controller cannot use.
+    """
     kind = CONTROLLERS[validate.known(name, "controller", CONTROLLERS)]
-    return kind.build(env, **(kind.middle if parameters is None else parameters))
+    given = kind.middle if parameters is None else kind.checked(parameters, "parameters")
+    return kind.build(env, **given)

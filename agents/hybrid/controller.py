@@ -251,10 +251,6 @@ def base_of(about: Any, env: Any) -> Base:
     given: Mapping[str, Any] = validate.mapping(about, KEY, FIELDS)
     name = validate.choice(given.get("controller"), f"{KEY}.controller", CONTROLLERS)
     learned = validate.choice(given.get("learned"), f"{KEY}.learned", LEARNED)
-    known = list(CONTROLLERS[name].ranges)
-    values = validate.mapping(given.get("parameters"), f"{KEY}.parameters", known)
-    parameters = {
-        key: validate.positive(values.get(key), f"{KEY}.parameters.{key}", "-") for key in known
-    }
+    parameters = CONTROLLERS[name].checked(given.get("parameters"), f"{KEY}.parameters")
     scale = validate.nonnegative(given.get("scale"), f"{KEY}.scale", "-")
     return LEARNED[learned](controller(name, env, parameters), scale, env)

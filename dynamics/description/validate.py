@@ -264,7 +264,8 @@ def mapping(value: object, name: str, known: Collection[str]) -> dict[str, objec
     for key in value:
         if key not in known:
             near = difflib.get_close_matches(str(key), sorted(known), n=1, cutoff=0.0)
-            raise ValueError(f"Unknown key {shown(key)} in {name}; nearest known: {near[0]!r}.")
+            remedy = f"nearest known: {near[0]!r}." if near else "it takes none."
+            raise ValueError(f"Unknown key {shown(key)} in {name}; {remedy}")
     return dict(value)
 
 

@@ -197,6 +197,21 @@ def test_names_that_are_in_no_table_are_refused_with_those_that_are() -> None:
             asked()
 
 
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"efort": 1.0}, "Unknown key 'efort' in parameters; nearest known: 'effort'"),
+        ({"effort": -1.0}, "parameters.effort must be positive, got -1.0"),
+        ({"effort": "1.0"}, "must be a number, got the text '1.0'"),
+    ],
+)
+def test_parameters_that_are_none_of_a_controller_are_refused(
+    changes: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        controller("lqr", make_batch(IDS[0], 1), CONTROLLERS["lqr"].middle | changes)
+
+
 def test_what_is_stored_is_not_changed_through_what_is_returned() -> None:
     for asked in (lambda: parameters_of("lqr", IDS[0], "state"), lambda: shipped(IDS[0], "state")):
         asked().clear()

@@ -212,6 +212,15 @@ def test_an_experiment_may_fix_the_parameters_of_its_base() -> None:
     assert base_description(config.base, config.env)["parameters"] == own
 
 
+@pytest.mark.parametrize("yielding", [-1.115, 0.0])
+def test_a_base_takes_parameters_of_any_sign_where_their_range_has_both(yielding: float) -> None:
+    inner = SB3VecEnv(ENV_ID, 1, **LABORATORY)
+    own = CONTROLLERS["strain"].middle | {"yielding": yielding}
+    about = description("strain", "residual", 0.2, ENV_ID, LABORATORY, own)
+    assert isinstance(base_of(about, inner.envs), Residual)
+    inner.close()
+
+
 def test_an_advised_policy_sees_what_a_residual_one_sees() -> None:
     """Its actions are taken in place of the base's, and the filters are told."""
     envs = make_batch(ENV_ID, 2, LABORATORY)
@@ -337,6 +346,7 @@ def test_a_base_that_cannot_act_is_refused_before_the_run(
         ({"scale": -1.0}, "base.scale must not be negative"),
         ({"parameters": {}}, "base.parameters.frequency_ratio"),
         ({"parameters": {"code": 1.0}}, "Unknown key 'code' in base.parameters"),
+        ({"controller": "zero"}, "in base.parameters; it takes none."),
         ({"learned": None}, "base.learned must be one of"),
         ({"code": 1.0}, "Unknown key 'code' in base"),
         ({"controller": "lqr", "parameters": CONTROLLERS["lqr"].middle}, "needs obs='state'"),
