@@ -7,7 +7,7 @@ from typing import Any
 
 from agents.controllers import CONTROLLERS
 from flexarm_env import IDS
-from flexarm_env.registration import is_harder, without_variant
+from flexarm_env.registration import is_harder, registered, without_variant
 
 # a floating arm holds its tip on the target in many postures, of which the classical controllers
 # know one
@@ -71,8 +71,12 @@ TRACKS = {
 
 
 def designed_for(env_id: str) -> str:
-    """Id for which controllers are tuned and trained: of an event or a cost the id without it."""
-    return without_variant(env_id) if is_harder(env_id) else env_id
+    """Id for which controllers are tuned and trained: of an event or a cost the id without it.
+
+    Refuses ids that are not of this package.
+    """
+    plain = registered(env_id)
+    return without_variant(plain) if is_harder(plain) else plain
 
 
 def keywords(name: str, track: str) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 from agents.controllers import CONTROLLERS, controller
 from agents.metrics import episode_metrics, make_batch, record
 from agents.tune.search import EPISODES, SEED, TRIALS, kept_study, objective, searched
+from dynamics.description import validate
 
 DIGITS = 4  # significant ones of what is found
 
@@ -29,7 +30,7 @@ def tune(
 
     With a folder `keep`, a search that was interrupted goes on.
     """
-    ranges = CONTROLLERS[name].ranges
+    ranges = CONTROLLERS[validate.known(name, "controller", CONTROLLERS)].ranges
     envs = make_batch(env_id, episodes, kwargs)
     seeds, reach = list(range(seed, seed + episodes)), float(envs.unwrapped.reach)
 

@@ -15,10 +15,12 @@ import numpy as np
 from agents.files import FolderError
 from agents.run_folder.lock import folder_lock
 from agents.run_folder.log import repair_log
+from dynamics.description import validate
 from dynamics.extras import missing
 from dynamics.types import AnyArray
 
 TRIALS = 40
+MOST = 100_000  # trials of a search
 EPISODES = 48
 SEED = 500_000  # of the first tuning episode
 SLIGHT = 1e-3  # weight of the RMS error, which decides between equal scores
@@ -85,6 +87,7 @@ def searched(
     from optuna.samplers import TPESampler
     from optuna.trial import TrialState
 
+    validate.integer(trials, "trials", 1, MOST)
     done = len(finished(study))
     study.sampler = TPESampler(seed=done)  # a search that goes on repeats no draws
     halving = SuccessiveHalvingPruner(min_resource=1, reduction_factor=reduction or 2)

@@ -1,5 +1,7 @@
 """Every controller of the table on every arm that it takes, and its linear models."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -12,6 +14,7 @@ from agents.controllers.models.linear_model import LinearModels
 from agents.leaderboard.shipped import shipped
 from agents.leaderboard.tracks import RANKED, keywords, takes_part
 from agents.metrics import episode_metrics, make_batch, record
+from agents.tune.controllers import tune
 from agents.tuned import parameters_of
 
 IDS = [f"FlexArm/{scene}-Reach-v0" for scene in ("OneLink", "TwoLink")]
@@ -188,13 +191,19 @@ def test_a_controller_names_itself_and_the_observation_that_it_needs(name: str) 
 
 
 def test_names_that_are_in_no_table_are_refused_with_those_that_are() -> None:
-    """Of controllers and of tracks, from Python as on the command line."""
+    """Of controllers, tracks and ids, from Python as on the command line."""
     envs = make_batch(IDS[0], 1)
     with pytest.raises(ValueError, match="Unknown controller 'lqrr'; did you mean 'lqr'"):
         controller("lqrr", envs)
-    for asked in (lambda: parameters_of("lqr", IDS[0], "lab"), lambda: shipped(IDS[0], "lab")):
+    with pytest.raises(ValueError, match="Unknown controller 'lqrr'; did you mean 'lqr'"):
+        tune("lqrr", IDS[0], {})
+    asking: list[Callable[[str, str], Any]] = [partial(parameters_of, "lqr"), shipped]
+    for asked in asking:
         with pytest.raises(ValueError, match="Unknown track 'lab'"):
-            asked()
+            asked(IDS[0], "lab")
+        with pytest.raises(ValueError, match="not an environment of flexarm; did you mean"):
+            asked("FlexArm/OneLink-Reech-v0", "state")
+        assert asked(f"flexarm_env:{IDS[0]}", "state")
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,11 @@ def test_a_search_in_memory_and_one_that_is_kept_are_alike(tmp_path: Path) -> No
     assert points(None) == points(tmp_path)
 
 
+def test_a_search_without_a_trial_is_refused() -> None:
+    with kept_study(None, ABOUT) as study, pytest.raises(ValueError, match="trials must be betw"):
+        searched(study, parabola, 0)
+
+
 def test_halving_ends_poor_trials_early(tmp_path: Path) -> None:
     def judged(trial: Any) -> float:
         from optuna import TrialPruned
