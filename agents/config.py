@@ -29,7 +29,7 @@ from agents.learners.zoo import HINTS, translated
 from agents.policy import ACTIVATIONS, LARGEST_LAYER, MOST_LAYERS
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
-from flexarm_env import registered
+from flexarm_env import IDS, registered
 
 TEXTS = {  # texts of agent keywords that are no schedules, and their description
     # "auto_" and the initial value
@@ -230,6 +230,11 @@ def checked_environment(env: EnvConfig, agent: AgentConfig) -> EnvConfig:
     """The environment with its registered id; refuses unknown ids, keywords and weights."""
     plain = registered(env.id)
     check_keywords(env.kwargs, "env.kwargs")
+    if {**IDS[plain]["kwargs"], **env.kwargs}.get("obs") == "goal":
+        raise ConfigError(
+            f"env.id: {plain} with obs: goal has dicts as observations, which experiments do not "
+            "take; choose an id without goals, or train from Python."
+        )
     normalize = checked_normalization(env.normalize, agent.name, agent.gamma, env.stack)
     if env.reward is not None and "reward" in env.kwargs:
         raise ConfigError("env.reward and env.kwargs.reward are one setting; keep one of them.")

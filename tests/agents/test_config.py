@@ -44,6 +44,8 @@ def test_shipped_configs_load(path: Path) -> None:
         ("300_000", "1" + "0" * 30, r"total_steps must be between 1 and 100_000_000_000, got 1000"),
         ("300_000", "0x" + "f" * 5000, "total_steps must be between .* got a"),
         ("n_envs: 4", "n_envs: 1000000000000", r"env\.n_envs must be between 1 and 65_536, got 1"),
+        ("Reach-v0", "ReachGoal-v0", "with obs: goal has dicts .*; choose an id without goals"),
+        ("n_envs: 4", "n_envs: 4, kwargs: {obs: goal}", "with obs: goal has dicts"),
         ("n_steps: 64", "n_steps: 5_000_064", r"agent\.kwargs\.n_steps must be between 1 and 1_0"),
         (
             "n_steps: 64",
