@@ -17,6 +17,7 @@ from dynamics.integrators.table import INTEGRATORS
 STORED = RESULTS / "work_precision.json.bz2"
 TARGETS = (1e-2, 1e-3, 1e-4)  # [reach]
 SMALL = 0.3  # largest integration error over model error of a run that shows the model error
+LOST = "every run diverged"  # of a model, at the cost of the costliest
 LOWEST, HIGHEST = 3e-8, 2.0  # errors drawn; diverged runs lie at 1
 NEAR = 2.5  # models within this ratio of costs and of errors share one label
 APART = 2.0  # least ratio of the errors of neighbouring points of a line
@@ -59,7 +60,7 @@ def draw(results: Row, folder: Path, peers: Path = RESULTS / "peers.json") -> No
     for name, scene in scenes.items():
         figure, axes = plt.subplots(1, 3, figsize=(16.0, 7.6), sharey=True, layout="constrained")
         _draw_steps(axes[0], scene)
-        _draw_models(axes[1], scene)
+        draw_models(axes[1], scene)
         _draw_runs(axes[2], scene, theirs.get(name, {}))
         axes[2].legend(**BELOW)
         axes[0].set_ylabel("tip error / reach [-]", fontsize=12)
@@ -156,8 +157,11 @@ def _draw_steps(axis: Any, scene: Row) -> None:
     axis.legend(title=model, **BELOW)
 
 
-def _draw_models(axis: Any, scene: Row) -> None:
-    """Draw each model's error over the least cost at which its integration error is small."""
+def draw_models(axis: Any, scene: Row) -> None:
+    """Draw each model's error over the least cost at which its integration error is small.
+
+    Where every run diverged a cross marks the costliest, as that of a method in the left chart.
+    """
     _prepare(axis, MODEL, scene)
     axis.margins(x=0.15)
     groups: dict[str, list[Place]] = {}
@@ -165,15 +169,15 @@ def _draw_models(axis: Any, scene: Row) -> None:
         error = row["model error"]
         runs = [p for p in scene["points"] if p["model"] == name and "rtol" not in p]
         good = [p["cpu"] for p in runs if p["integration"] <= SMALL * error < math.inf]
-        place = min(good) if good else min(p["cpu"] for p in runs)
+        place = min(good) if good else max(p["cpu"] for p in runs)
         kind = "foreshortened" if "foreshortened" in name else "linear"
         kind = f"{kind}, in segments" if "segments" in name else kind
-        kind = "rigid" if name == "rigid" else kind if good else "diverged"
+        kind = "rigid" if name == "rigid" else kind if good else LOST
         groups.setdefault(kind, []).append((place, _drawn(error), name))
     for kind, points in groups.items():
         colour = style.BLUE if "linear" in kind else style.VERMILLION
-        colour = {"rigid": "k", "diverged": "k"}.get(kind, colour)
-        marker = {"rigid": "P", "diverged": "x"}.get(kind, "D" if "segments" in kind else "o")
+        colour = {"rigid": "k", LOST: "k"}.get(kind, colour)
+        marker = {"rigid": "P", LOST: "x"}.get(kind, "D" if "segments" in kind else "o")
         x, y, _ = zip(*points, strict=True)
         axis.plot(x, y, marker, color=colour, markersize=9, label=kind)
         own = [p[:2] for p in points if p[2] == scene["default"]["model"]]

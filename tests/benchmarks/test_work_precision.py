@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import flexarm_env  # noqa: F401  (registers the ids)
 from benchmarks import cost
@@ -158,6 +159,17 @@ def test_results_are_plain_json_with_a_table_and_pictures(
     for target in precision_charts.TARGETS:
         found = precision_charts.cheapest(results["scenes"]["S1"], target)
         assert f"| {target:.0e} | " + ("none" if found is None else found["model"]) in table
+
+
+def test_a_model_of_which_every_run_diverged_lies_at_its_costliest_run() -> None:
+    """Not left of models that are cheaper: it costs more than that."""
+    scene = precision_charts.stored_results(precision_charts.STORED)["scenes"]["six-link"]
+    axis = Figure().subplots()
+    precision_charts.draw_models(axis, scene)
+    (lost,) = [line for line in axis.get_lines() if line.get_marker() == "x"]
+    cpu = [p["cpu"] for p in scene["points"] if p["model"] == "3 modes, linear"]
+    assert list(lost.get_xdata()) == [max(cpu)]
+    assert lost.get_label() == "every run diverged"
 
 
 def test_the_committed_page_is_that_of_the_stored_runs(
