@@ -17,9 +17,6 @@ _FAST: dict[str, Any] = {
     "nogil": True,
 }
 compiled = njit(**_FAST, inline="always")
-# without contraction, which depends on the order in which numba emits operations: numbers that are
-# stored once and used in every step are the same in every process. What is not set is the caller's
-exact = njit(fastmath=False, error_model="numpy", nogil=True)
 
 
 def on_disk(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -31,6 +28,10 @@ def on_disk(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
+# for entry points of all arms to call, without contraction, which depends on the order in which
+# numba emits operations: numbers that are stored once and used in every step are the same in every
+# process. What is not set is the caller's
+exact = on_disk(fastmath=False, error_model="numpy", nogil=True)
 # entry points: functions that Python calls. They use loops where they can: with the first sum of
 # arrays or assignment to a slice numba compiles its message about shapes, which takes seconds
 outermost = on_disk(**_FAST, **ENTRY_OPTIONS)

@@ -10,6 +10,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,15 @@ else:
 ENTRY_OPTIONS = {"no_cfunc_wrapper": True} if USABLE else {}
 
 
+@lru_cache
+def _sources(folder: Path) -> str:
+    """Digest of the sources in a folder: a function's own, and of what is linked into its code."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
 class CodeCache:
     """Machine code of one function in the cache folder, in place of numba's own cache.
 
@@ -63,8 +73,7 @@ class CodeCache:
     def __init__(self, function: Callable[..., Any]) -> None:
         source = function.__globals__.get(DIGEST)
         if source is None:
-            content = Path(function.__code__.co_filename).read_bytes()
-            source = hashlib.sha256(content).hexdigest()
+            source = _sources(Path(function.__code__.co_filename).parent)
         name = function.__qualname__, function.__module__  # which compiled code looks for
         self._depends = *name, source, numba.__version__, sys.version
 

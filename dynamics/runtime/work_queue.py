@@ -6,7 +6,7 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from dynamics.runtime.jit import CACHE_LINE, on_disk
+from dynamics.runtime.jit import CACHE_LINE, exact, on_disk
 from dynamics.runtime.numba_internals import USABLE
 
 if USABLE:
@@ -42,7 +42,7 @@ def shares(count: int, block: int, threads: int) -> NDArray[np.int64]:
     return rows.ravel()
 
 
-@register_jitable
+@exact
 def take_chunk(rows: Any, thread: int) -> Any:
     """Claim the next chunk: its first row and its end; both are equal when none is left.
 
@@ -57,7 +57,7 @@ def take_chunk(rows: Any, thread: int) -> Any:
     return np.uint64(0), np.uint64(0)
 
 
-@register_jitable
+@exact
 def first_chunk(rows: Any, thread: int) -> Any:
     """`take_chunk` at the start of a call: a single thread resets its share itself."""
     if rows.size == LINE:

@@ -78,7 +78,7 @@ def begin(  # type: ignore[no-untyped-def]
                     tempo = draw(streams, i, ranges, TEMPO)
                     share = draw(streams, i, ranges, SHARE)
                     wave = k * n_joint + j
-                    state[at[AMPLITUDE] + wave, i] = min(share * most[1] / tempo**2, most[0])
+                    state[at[AMPLITUDE] + wave, i] = min(share * most[1] / (tempo * tempo), most[0])
                     state[at[FREQUENCY] + wave, i] = tempo
                     state[at[PHASE] + wave, i] = uniform(streams, i, 0.0, 2.0 * math.pi)
             state[at[CENTRE] + j, i] = centre

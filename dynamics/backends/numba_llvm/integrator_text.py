@@ -18,7 +18,7 @@ for _method in INTEGRATORS.values():
 
 @cache
 def preparation(integrator: str) -> Any:
-    """The method's `prepare`, which numba compiles once for all programs of a process."""
+    """The method's `prepare`, which numba compiles once for all programs."""
     return exact(INTEGRATORS[integrator].prepare)
 
 

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from dynamics.runtime.numba_internals import NEWEST, _usable
+from dynamics.runtime.numba_internals import NEWEST, _sources, _usable
 from tests.imports import imported, sources
 from tests.paths import ROOT
 
@@ -80,6 +80,18 @@ def test_only_one_module_imports_private_parts() -> None:
 def test_the_newest_tested_release_is_the_pinned_one() -> None:
     (pinned,) = re.findall(r"^numba==(\d+)\.(\d+)", (ROOT / "constraints.txt").read_text(), re.M)
     assert tuple(map(int, pinned)) == NEWEST
+
+
+def test_kept_code_depends_on_the_files_beside_its_own(tmp_path: Path) -> None:
+    """It holds the code of functions of the folder that it calls."""
+    (tmp_path / "calls.py").write_text("1")
+    (tmp_path / "called.py").write_text("2")
+    before = _sources(tmp_path)
+    _sources.cache_clear()
+    assert _sources(tmp_path) == before
+    (tmp_path / "called.py").write_text("3")
+    _sources.cache_clear()
+    assert _sources(tmp_path) != before
 
 
 @pytest.mark.parametrize(
