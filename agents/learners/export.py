@@ -221,6 +221,18 @@ def array(tensor: Any) -> AnyArray:
     return numbers
 
 
+def normalized(model: Any, path: Path) -> bool:
+    """Whether a zip's environment had a VecNormalize.
+
+    An off-policy algorithm keeps original observations in any case; RL Zoo has then put statistics
+    in a folder beside the zip, which need not have its name.
+    """
+    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+
+    kept = isinstance(model, OnPolicyAlgorithm) and model._last_original_obs is not None
+    return kept or any(path.parent.glob("*/vecnormalize.pkl"))
+
+
 def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
     """Load the policy of a stable-baselines3 zip; requires `trust`, because it is unpickled.
 
@@ -243,7 +255,7 @@ def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
         policy = export_policy(model, {"source": path.name})
         statistics = path.with_suffix("") / "vecnormalize.pkl"
         if not statistics.exists():
-            if model._last_original_obs is not None:  # its environment had a VecNormalize
+            if normalized(model, path):
                 raise PolicyError(
                     "was trained with VecNormalize, whose statistics the zip does not hold; put "
                     f"the file of VecNormalize.save at {statistics}."

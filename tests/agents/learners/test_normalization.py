@@ -89,6 +89,9 @@ def test_a_zip_of_rl_zoo_is_loaded_with_the_statistics_beside_it(name: str, tmp_
     """And without them refused, as RL Zoo's best_model.zip would be."""
     model = trained(name, normalized_toys(name))
     model.save(tmp_path / "toy.zip")
+    if name == "sac":  # whose zip does not tell
+        (tmp_path / "id").mkdir()
+        (tmp_path / "id/vecnormalize.pkl").touch()
     with pytest.raises(PolicyError, match=r"trained with VecNormalize.*toy/vecnormalize\.pkl\.$"):
         load_zip(tmp_path / "toy.zip", trust=True)
     (tmp_path / "toy").mkdir()
