@@ -94,7 +94,7 @@ class SB3VecEnv(Changeable, VecEnv):
     Infos have the environment's own entries. An environment whose episode ended restarts in the
     same step. Its info has those of a `DummyVecEnv` of monitored environments besides:
     "terminal_observation", "TimeLimit.truncated", "episode" (return, length, time) and "is_success"
-    (tip on the target at the end).
+    (tip on the target at the end of an episode that did not fail).
 
     With `privileged=True` observations are dicts: "observation" is for the actor, and "privileged"
     for its critic alone, the true state, drawn parameters and delay of `TorchVecEnv.privileged`.
@@ -237,7 +237,7 @@ class SB3VecEnv(Changeable, VecEnv):
     def _ended_info(self, i: int, out: BatchOutputs, info: dict[str, Any]) -> dict[str, Any]:
         """Add what is known of environment i, whose episode ended, to its info."""
         info["TimeLimit.truncated"] = bool(out.truncated[i] and not out.terminated[i])
-        info["is_success"] = info["settled"]
+        info["is_success"] = bool(info["settled"] and not out.terminated[i])
         info["episode"] = {
             "r": round(float(self._returns[i]), 6),
             "l": int(self._lengths[i]),

@@ -71,6 +71,16 @@ def test_every_step_has_the_infos_of_monitored_single_environments() -> None:
         assert ("episode" in infos[0]) == (step in (6, 13))
 
 
+def test_an_episode_that_fails_on_its_target_is_no_success() -> None:
+    """Its log counts it as failed."""
+    envs = SB3VecEnv(ID, 1, deflection_limit=1e-4)
+    envs.set_options({"state": {"q": [0.0, 0.0, 0.0]}, "target": [0.0]})
+    envs.reset()
+    _, _, dones, (info,) = envs.step(np.ones((1, 1), np.float32))
+    assert dones.all() and info["invalid"] and info["settled"]
+    assert info["is_success"] is False
+
+
 WAYS: dict[str, Callable[[Any], Any]] = {
     "dict": dict,
     "unpacked": lambda info: {**info},
