@@ -158,7 +158,9 @@ def plan(
     if entry and not part and by_step(entry["certificate"], control_dt, name, count):
         certificate = deepcopy(entry["certificate"])
     else:
-        uncertified = _uncertified(measured, conditions, entry, part, control_dt, fidelity)
+        uncertified = _uncertified(
+            measured, conditions, entry, part, control_dt, fidelity, chosen=tolerance is not None
+        )
     fitted_arm = fitted.arm
     if base_torque is not None:
         fitted_arm = replace(fitted_arm, base=replace(fitted_arm.base, driven=True))
@@ -253,8 +255,13 @@ def _uncertified(
     part: str | None,
     control_dt: float,
     fidelity: str,
+    chosen: bool,
 ) -> str:
-    """Sentence that says why no certificate holds for an environment, and the remedy."""
+    """Sentence that says why no certificate holds for an environment, and the remedy.
+
+    A model `chosen` for a tolerance has none but that of its choice.
+    """
+    measure = f"{'leave out tolerance and ' if chosen else ''}measure them with `flexarm certify`"
     if not measured and fidelity != "auto":
         return (
             f"No certificate holds for fidelity={fidelity!r}: `flexarm certify` measures the model "
@@ -269,14 +276,13 @@ def _uncertified(
     if entry and not part:
         return (
             "No certificate holds for this integrator and substeps: errors were measured for "
-            f"{entry['certificate']['integrator']!r}; leave both out, or measure them with "
-            "`flexarm certify`."
+            f"{entry['certificate']['integrator']!r}; leave both out, or {measure}."
         )
     nearest = alike(measured, conditions) or measured[0]
     beyond = conditions.beyond(Conditions.from_dict(nearest["certificate"]["holds"]))
     return (
-        f"No certificate holds for {part or beyond}, which errors were not measured with; measure "
-        "them with `flexarm certify` and the keywords of the environment."
+        f"No certificate holds for {part or beyond}, which errors were not measured with; "
+        f"{measure} and the keywords of the environment."
     )
 
 

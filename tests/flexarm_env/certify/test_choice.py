@@ -33,6 +33,9 @@ def test_a_tolerance_holds_in_whole_episodes() -> None:
     certifier = Certifier(env.arm, {"control_dt": 0.02}, 150, kinds=("white", "held"), count=40)
     error = certifier.error(env.core.integrator, env.core.substeps).worst_share
     assert 0.3 * env.certificate["error"] < error < 0.012
+    env.deflection_limit = 0.3
+    assert "deflections above" in env.uncertified
+    assert "leave out tolerance and measure them with `flexarm certify`" in env.uncertified
 
 
 def searching(monkeypatch: pytest.MonkeyPatch, errors: dict[float, float]) -> list[float]:
