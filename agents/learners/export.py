@@ -222,7 +222,7 @@ def array(tensor: Any) -> AnyArray:
 
 
 def normalized(model: Any, path: Path) -> bool:
-    """Whether a zip's environment had a VecNormalize.
+    """True if a zip's environment had a VecNormalize.
 
     An off-policy algorithm keeps original observations in any case; RL Zoo has then put statistics
     in a folder beside the zip, which need not have its name.

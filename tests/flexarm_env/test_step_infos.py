@@ -77,7 +77,9 @@ def test_an_episode_that_fails_on_its_target_is_no_success() -> None:
     envs.set_options({"state": {"q": [0.0, 0.0, 0.0]}, "target": [0.0]})
     envs.reset()
     _, _, dones, (info,) = envs.step(np.ones((1, 1), np.float32))
-    assert dones.all() and info["invalid"] and info["settled"]
+    assert dones.all()
+    assert info["invalid"]
+    assert info["settled"]
     assert info["is_success"] is False
 
 
