@@ -17,6 +17,7 @@ from agents.learners.algorithms import (
     check_device,
     check_expert,
     check_privileged,
+    check_rollout,
     default,
     policies,
     policy_settings,
@@ -38,7 +39,6 @@ TEXTS = {  # texts of agent keywords that are no schedules, and their descriptio
     "noise_type": (re.compile("normal|ornstein-uhlenbeck"), "'normal' or 'ornstein-uhlenbeck'"),
 }
 DROPPED, N_QUANTILES = "top_quantiles_to_drop_per_net", 25  # of tqc; the default of its policy
-LARGEST_ROLLOUT = 2**24  # steps, summed over all environments
 FOLDER_NAME = re.compile(r"\w[\w .,()+=@-]{0,99}")
 TYPE_NAMES = {int: "an int", float: "a float", str: "text", bool: "true or false"}
 TYPE_NAMES |= {list: "a list", dict: "a table"}
@@ -184,7 +184,7 @@ def built(data: Any, name: str) -> Config:
             checked(data[section], section)
     agent = checked_agent(AgentConfig(**data["agent"]))
     env = checked_environment(EnvConfig(**data["env"]), agent)
-    check_batch(agent, env)
+    check_counts(agent, env)
     for key, value in checked_ranges(data.get("sweep", {})):
         check_table({key: value}, settings(agent.name), "sweep")
     evaluation = EvaluationConfig(**data.get("evaluation", {}))
@@ -193,6 +193,7 @@ def built(data: Any, name: str) -> Config:
     config = Config(**({"name": name} | rest), env=env, agent=agent, evaluation=evaluation)
     check_expert(agent.name, base.learned if base else None)
     check_privileged(env.privileged, agent, base)
+    check_rollout(agent, env.n_envs)
     check_device(agent.name, config.device, {"env.normalize": env.normalize, "base": base})
     check_steps(config.agent, config.total_steps)
     if not FOLDER_NAME.fullmatch(config.name):
@@ -376,8 +377,8 @@ def check_steps(agent: AgentConfig, total_steps: int) -> None:
         )
 
 
-def check_batch(agent: AgentConfig, env: EnvConfig) -> None:
-    """Refuse a rollout too large or not a multiple of the minibatch, and no quantile to learn."""
+def check_counts(agent: AgentConfig, env: EnvConfig) -> None:
+    """Refuse several environments of an algorithm that takes one, and no quantile to learn."""
     if agent.name == "ars" and env.n_envs > 1:
         raise ConfigError(
             f"env.n_envs must be 1 for ars, which runs one episode at a time, got {env.n_envs}."
@@ -388,13 +389,3 @@ def check_batch(agent: AgentConfig, env: EnvConfig) -> None:
         raise ConfigError(
             f"agent.kwargs.{DROPPED} ({drop}) must be below the number of quantiles ({quantiles})."
         )
-    if "gae_lambda" not in settings(agent.name):  # only on-policy algorithms have rollouts
-        return
-    rollout = agent.kwargs.get("n_steps", default(agent.name, "n_steps")) * env.n_envs
-    batch = agent.kwargs.get("batch_size", default(agent.name, "batch_size"))
-    if batch is not None and rollout % batch:
-        raise ConfigError(
-            f"agent.kwargs.batch_size ({batch}) must divide n_steps x n_envs ({rollout})."
-        )
-    if rollout > LARGEST_ROLLOUT:
-        raise ConfigError(f"n_steps x n_envs must be at most {LARGEST_ROLLOUT:_}, got {rollout:_}.")

@@ -23,6 +23,7 @@ DISCRETE = ("dqn", "maskable-ppo", "qrdqn")  # algorithms without continuous act
 DIFFERENTIATED = ("shac",)  # algorithms that take gradients through the arms
 ON_TENSORS = ("rsl-ppo", *DIFFERENTIATED)  # algorithms whose batch is `arms.Arms`
 DEVICES = ("cpu", "cuda")
+LARGEST_ROLLOUT = 2**24  # steps, summed over all environments
 CRITICS = ("a2c", "ppo", "trpo")  # algorithms with `privileged.PrivilegedCriticPolicy`
 POLICIES = ("MlpPolicy", "LinearPolicy", "MlpLstmPolicy")  # policies of one vector of observations
 # Set by the run, or objects that no file can hold
@@ -117,6 +118,29 @@ def check_privileged(wanted: bool, agent: Any, base: Any) -> None:
     for where, given in {"base": base, "agent.kwargs.sub_sampling_factor": sampled}.items():
         if given:
             raise ValueError(f"env.privileged and {where} exclude each other; leave one out.")
+
+
+def check_rollout(agent: Any, n_envs: int) -> None:
+    """Refuse a rollout too large, and minibatches that do not make it up."""
+    if "gae_lambda" not in settings(agent.name):  # only on-policy algorithms have rollouts
+        return
+    steps, batch = (
+        agent.kwargs.get(key, default(agent.name, key)) for key in ("n_steps", "batch_size")
+    )
+    if batch is not None and steps * n_envs % batch:
+        raise ValueError(
+            f"agent.kwargs.batch_size ({batch}) must divide n_steps x n_envs ({steps * n_envs})."
+        )
+    whole = agent.name in ON_TENSORS and agent.policy == "MlpLstmPolicy"
+    if batch is not None and whole and batch % steps:
+        raise ValueError(
+            f"agent.kwargs.batch_size ({batch}) must be a multiple of n_steps ({steps}) for "
+            f"MlpLstmPolicy of {agent.name}, whose minibatches are rollouts of some environments."
+        )
+    if steps * n_envs > LARGEST_ROLLOUT:
+        raise ValueError(
+            f"n_steps x n_envs must be at most {LARGEST_ROLLOUT:_}, got {steps * n_envs:_}."
+        )
 
 
 def policies(name: str) -> list[str]:

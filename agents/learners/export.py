@@ -33,8 +33,9 @@ ZIPPED = {
     "sb3_contrib.tqc.policies": "tqc",
 }
 ON_POLICY = ("agents.learners.privileged", "stable_baselines3.common.policies")  # a2c, ppo, trpo
-COLD = ("ars", "crossq", "recurrent-ppo")  # algorithms without a warm start
+COLD = ("ars", "crossq")  # algorithms without a warm start
 LAYOUT = {  # what a policy and a model it begins share, and the remedy otherwise
+    "recurrent": "change agent.policy, or agent.kwargs.policy_kwargs.n_lstm_layers",
     "layer_sizes": "change agent.kwargs.policy_kwargs.net_arch, or env",
     "activation": "change agent.kwargs.policy_kwargs.activation_fn",
     "squashing": "take an algorithm that limits actions alike",
@@ -51,7 +52,8 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
     from agents.learners.privileged import PrivilegedCriticPolicy
 
     refuse_extractor(model)
-    cells, modules = actor(model)
+    lstm, modules = actor(model)
+    cells = lstm_cells(lstm) if lstm else []
     squashing = "clip"
     if isinstance(modules[-1], torch.nn.Tanh):
         squashing, modules = "tanh", modules[:-1]
@@ -134,10 +136,10 @@ def begin_with(model: Any, policy: Policy) -> None:
     import torch
 
     algorithm, own = name_of(type(model)), export_policy(model, {"stack": policy.stack})
-    if algorithm in COLD or policy.recurrent or policy.normalization or own.normalization:
+    if algorithm in COLD or policy.normalization or own.normalization:
         raise PolicyError(
-            f"agent.warm_start is not for {list(COLD)}, LSTM cells or env.normalize, got a policy "
-            f"of {policy.about.get('algorithm')} for {algorithm}; take others."
+            f"agent.warm_start is not for {list(COLD)} or env.normalize, got a policy of "
+            f"{policy.about.get('algorithm')} for {algorithm}; take others."
         )
     for what, remedy in LAYOUT.items():
         theirs, ours = getattr(policy, what), getattr(own, what)
@@ -146,8 +148,14 @@ def begin_with(model: Any, policy: Policy) -> None:
                 f"agent.warm_start: {what} of the policy is {validate.shown(theirs)}, that of the "
                 f"experiment {validate.shown(ours)}; {remedy}."
             )
-    layers = [x for x in actor(model)[1] if isinstance(x, torch.nn.Linear)]
-    for layer, weight, bias in zip(layers, policy.weights, policy.biases, strict=True):
+    lstm, modules = actor(model)
+    for k in range(policy.recurrent):
+        set_cells(lstm, k, policy.weights[k], policy.biases[k])
+    layers = [x for x in modules if isinstance(x, torch.nn.Linear)]
+    behind = slice(policy.recurrent, None)
+    for layer, weight, bias in zip(
+        layers, policy.weights[behind], policy.biases[behind], strict=True
+    ):
         layer.weight.data.copy_(torch.as_tensor(weight))
         layer.bias.data.copy_(torch.as_tensor(bias))
     if hasattr(model, "actor_target"):
@@ -169,8 +177,8 @@ def normalization(envs: Any) -> Normalization | None:
     )
 
 
-def actor(model: Any) -> tuple[list[tuple[AnyArray, AnyArray]], list[Any]]:
-    """Weights and biases of the LSTM cells, and the modules behind them up to the action.
+def actor(model: Any) -> tuple[Any, list[Any]]:
+    """torch's LSTM, or None, and the modules behind it up to the action.
 
     A Tanh at the end stands for a squashed action.
     """
@@ -183,22 +191,23 @@ def actor(model: Any) -> tuple[list[tuple[AnyArray, AnyArray]], list[Any]]:
     policy = model.policy
     squashed = [torch.nn.Tanh()]
     if isinstance(policy, torch.nn.ModuleDict):
-        return [], list(policy["actor"].mlp)
+        lstm = policy["actor"].rnn.rnn if policy["actor"].is_recurrent else None
+        return lstm, list(policy["actor"].mlp)
     if isinstance(policy, ActorCriticPolicy):
         recurrent = isinstance(policy, RecurrentActorCriticPolicy)
         modules = [*policy.mlp_extractor.policy_net, policy.action_net]
         return (
-            lstm_cells(policy.lstm_actor) if recurrent else [],
+            policy.lstm_actor if recurrent else None,
             modules + (squashed if policy.squash_output else []),
         )
     if isinstance(policy, ARSPolicy):
-        return [], list(policy.action_net)
+        return None, list(policy.action_net)
     if isinstance(policy, TD3Policy):
-        return [], list(policy.actor.mu)
+        return None, list(policy.actor.mu)
     if name_of(type(model)) in ("sac", "tqc", "crossq"):
         mean = policy.actor.mu
         last = list(mean) if isinstance(mean, torch.nn.Sequential) else [mean]
-        return [], [*policy.actor.latent_pi, *last, *squashed]
+        return None, [*policy.actor.latent_pi, *last, *squashed]
     raise PolicyError(f"The policy of {type(model).__name__} cannot be stored.")
 
 
@@ -213,6 +222,16 @@ def lstm_cells(lstm: Any) -> list[tuple[AnyArray, AnyArray]]:
         )
         for k in range(lstm.num_layers)
     ]
+
+
+def set_cells(lstm: Any, k: int, weight: AnyArray, bias: AnyArray) -> None:
+    """Give layer k of torch's LSTM the weights (4 n, n_in + n) and the bias (4 n,)."""
+    import torch
+
+    W_in, W_out = np.hsplit(weight, [weight.shape[1] - lstm.hidden_size])
+    parts = {"weight_ih": W_in, "weight_hh": W_out, "bias_ih": bias, "bias_hh": np.zeros_like(bias)}
+    for name, part in parts.items():
+        getattr(lstm, f"{name}_l{k}").data.copy_(torch.as_tensor(part))
 
 
 def array(tensor: Any) -> AnyArray:

@@ -41,6 +41,19 @@ def networks(
     return {**actor, "distribution_cfg": distribution}, critic
 
 
+def cells_first(
+    lstm_hidden_size: int = 256,
+    n_lstm_layers: int = 1,
+    net_arch: list[int] | dict[str, list[int]] = [64, 64],  # noqa: B006
+    activation_fn: type[torch.nn.Module] = torch.nn.Tanh,
+    log_std_init: float = 0.0,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Keywords as of `networks`, with LSTM cells before the actor's layers; the critic has none."""
+    actor, critic = networks(net_arch, activation_fn, log_std_init)
+    cells = {"rnn_hidden_dim": lstm_hidden_size, "rnn_num_layers": n_lstm_layers}
+    return actor | cells, critic
+
+
 class RslPPO(OnPolicyAlgorithm):
     """PPO of rsl_rl on tensors.
 
@@ -48,7 +61,8 @@ class RslPPO(OnPolicyAlgorithm):
 
     Parameters
     ----------
-    batch_size : None: the whole rollout.
+    batch_size : None: the whole rollout. A policy with LSTM cells learns from whole rollouts of
+        environments, as many as have so many steps.
     desired_kl : divergence of an update to which the learning rate adapts; None: it does not.
     std_floor : least standard deviation of actions, which falls at the end of the run; None: none.
     critic_first : share of the run in which the critic learns alone, for actors that are good
@@ -59,7 +73,10 @@ class RslPPO(OnPolicyAlgorithm):
         episode, so that later ones do not end together.
     """
 
-    policy_aliases: ClassVar[dict[str, Any]] = {"MlpPolicy": networks}
+    policy_aliases: ClassVar[dict[str, Any]] = {
+        "MlpPolicy": networks,
+        "MlpLstmPolicy": cells_first,
+    }
 
     def __init__(
         self,
@@ -102,7 +119,7 @@ class RslPPO(OnPolicyAlgorithm):
         """Build the networks and rsl_rl's algorithm."""
         try:
             from rsl_rl.algorithms import PPO
-            from rsl_rl.models import MLPModel
+            from rsl_rl.models import MLPModel, RNNModel
             from rsl_rl.storage import RolloutStorage
         except ModuleNotFoundError as error:
             raise missing(error, "agent.name: rsl-ppo", "tensors") from None
@@ -112,9 +129,10 @@ class RslPPO(OnPolicyAlgorithm):
         size, rollout = self.action_space.shape[0], self.n_steps * self.n_envs
         true_state = ["privileged"] if self.privileged_critic else []
         groups = {"actor": ["observation"], "critic": ["observation", *true_state]}
-        actor, critic = networks(**self.policy_kwargs)
+        actor, critic = self.policy_class(**self.policy_kwargs)
+        model = MLPModel if self.policy_class is networks else RNNModel
         self.policy = torch.nn.ModuleDict({
-            "actor": MLPModel(obs, groups, "actor", size, **actor),
+            "actor": model(obs, groups, "actor", size, **actor),
             "critic": MLPModel(obs, groups, "critic", 1, **critic),
         }).to(self.device)  # fmt: skip
         self.ppo = PPO(
@@ -137,7 +155,11 @@ class RslPPO(OnPolicyAlgorithm):
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
         """Begin a session of training."""
+        before = self._last_obs
         begun = super()._setup_learn(*args, **kwargs)
+        if self._last_obs is not before:
+            with torch.inference_mode():  # zeros: the storage would keep former states for none
+                self.policy["actor"].reset(torch.ones(self.n_envs))
         if self.spread_starts:
             self.env.spread()
         return begun

@@ -9,26 +9,33 @@ import torch
 import yaml
 
 from agents.config import ConfigError, config_from_dict
-from agents.learners.export import export_policy
+from agents.learners.export import begin_with, export_policy
 from agents.learners.rsl import floor_share, grouped
 from agents.training import build_model
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, KWARGS, one_sentence, write_config
 from tests.paths import ROOT
 
+CELLS = {"net_arch": [8], "lstm_hidden_size": 12, "n_lstm_layers": 2}
 
-def model(env: dict[str, Any] | None = None, **kwargs: Any) -> Any:
+
+def model(env: dict[str, Any] | None = None, policy: str = "MlpPolicy", **kwargs: Any) -> Any:
     pytest.importorskip("rsl_rl")
     arms = {"id": ENV_ID, "n_envs": 8, "kwargs": {"max_episode_steps": 12}}
-    agent = {"name": "rsl-ppo", "kwargs": KWARGS["rsl-ppo"] | kwargs}
+    agent = {"name": "rsl-ppo", "policy": policy, "kwargs": KWARGS["rsl-ppo"] | kwargs}
     return build_model(
         config_from_dict({"env": arms | (env or {}), "agent": agent, "total_steps": 256})
     )
 
 
-def test_the_stored_policy_acts_as_the_actor_over_ends_of_episodes() -> None:
-    """The frames of NumPy's policy beside those of the batch, and two forms of one network."""
-    learner = model({"stack": 3})
+def remembering(**kwargs: Any) -> Any:
+    return model(policy="MlpLstmPolicy", policy_kwargs=CELLS, **kwargs)
+
+
+@pytest.mark.parametrize("build", [model, remembering])
+def test_the_stored_policy_acts_as_the_actor_over_ends_of_episodes(build: Any) -> None:
+    """The memory of NumPy's policy beside that of the batch, and two forms of one network."""
+    learner = build(env={"stack": 3})
     policy, state, starts = export_policy(learner, {"stack": 3}), None, np.ones(8, bool)
     obs, size = learner.env.reset(), policy.n_observation
     for _ in range(30):
@@ -37,7 +44,44 @@ def test_the_stored_policy_acts_as_the_actor_over_ends_of_episodes() -> None:
         expected = learner.policy["actor"](grouped(obs)).clamp(-1.0, 1.0).detach()
         np.testing.assert_allclose(action, expected.numpy(), atol=5e-6)
         obs, _, ended, _, _ = learner.env.step(torch.rand(8, 1) - 0.5)
+        learner.policy["actor"].reset(ended)
         starts = ended.numpy()
+
+
+def test_cells_learn_from_the_actions_as_they_were_taken() -> None:
+    """Probabilities over whole rollouts beside those of single steps, over ends of episodes."""
+    learner, largest = remembering(batch_size=64), []
+    update = learner.train
+
+    def watched() -> None:
+        actor, storage = learner.policy["actor"], learner.ppo.storage
+        for batch in storage.recurrent_mini_batch_generator(2, 1):
+            actor(batch.observations, batch.masks, batch.hidden_states[0], stochastic_output=True)
+            again = actor.get_output_log_prob(batch.actions)
+            change = again.detach() - batch.old_actions_log_prob.squeeze(-1)
+            largest.append(float(change.abs().max()))
+        update()
+
+    learner.train = watched
+    learner.learn(256, log_interval=None)
+    learner.learn(256, log_interval=None)  # begins new episodes
+    assert len(largest) == 8
+    assert max(largest) < 1e-5
+
+
+def test_cells_begin_with_those_of_another_library() -> None:
+    kwargs = {"n_steps": 16, "batch_size": 32, "policy_kwargs": CELLS}
+    agent = {"name": "recurrent-ppo", "kwargs": kwargs}
+    theirs = build_model(
+        config_from_dict({"env": {"id": ENV_ID, "n_envs": 8}, "agent": agent, "total_steps": 256})
+    )
+    learner, memory = remembering(), None
+    begin_with(learner, export_policy(theirs, {}))
+    for _ in range(5):
+        seen = 2.0 * torch.rand(8, learner.observation_space.shape[0]) - 1.0
+        action = learner.policy["actor"](grouped({"observation": seen})).clamp(-1.0, 1.0)
+        expected, memory = theirs.predict(seen.numpy(), memory, deterministic=True)
+        np.testing.assert_allclose(action.detach().numpy(), expected, atol=5e-6)
 
 
 def test_only_the_critic_learns_from_the_true_state() -> None:
@@ -98,6 +142,11 @@ def test_first_episodes_are_spread_over_their_length() -> None:
     assert ends[0] == [*[0] * 11, 8]
     assert sum(ends[1]) == 8
     assert max(ends[1]) < 8
+
+
+def test_minibatches_of_cells_are_whole_rollouts() -> None:
+    with pytest.raises(ConfigError, match=r"batch_size \(8\) must be a multiple of n_steps \(16\)"):
+        remembering(batch_size=8)
 
 
 @pytest.mark.parametrize(
