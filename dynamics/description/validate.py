@@ -22,6 +22,7 @@ _REPR = reprlib.Repr()  # shortens large and nested values
 _REPR.maxlist = _REPR.maxtuple = _REPR.maxdict = 12
 _REPR.maxstring = _REPR.maxother = _REPR.maxlong = 80
 _LARGEST = 1e30  # in any SI unit; above it, or for a length below 1 / _LARGEST, floats overflow
+_ENTRY_ROUND_OFF = 1e-14  # [-] error of an entry of a rotation that is 0 or +-1
 _ORTHONORMAL = 1e-9  # [-] largest entry of R'R - 1 of a mounting rotation
 _ROUND_OFF = 1e-15  # [-] error of a quaternion's length that is left as it is
 _UNIT = 1e-6  # [-] largest error of a quaternion's length
@@ -236,7 +237,10 @@ def quaternion(value: object, name: str) -> tuple[float, float, float, float]:
 
 
 def rotation(value: object, name: str) -> Matrix3:
-    """Return a proper rotation matrix (3, 3): orthonormal, determinant +1."""
+    """Return a proper rotation matrix (3, 3): orthonormal, determinant +1.
+
+    Entries within round-off of 0 or +-1 become exact, so that a turn about an axis is recognised.
+    """
     result = matrix(value, name, "-")
     entries = np.array(result)
     determinant = float(np.linalg.det(entries))
@@ -245,7 +249,9 @@ def rotation(value: object, name: str) -> Matrix3:
             f"{name} must be a rotation (orthonormal, determinant +1), got determinant "
             f"{determinant:.6g} in {shown(value)}."
         )
-    return result
+    whole = np.round(entries)
+    x, y, z = np.where(np.abs(entries - whole) < _ENTRY_ROUND_OFF, whole + 0.0, entries).tolist()
+    return (tuple(x), tuple(y), tuple(z))
 
 
 def sequence(value: object, name: str, most: int | None = None) -> list[object]:

@@ -27,8 +27,6 @@ from dynamics.description.mode_shapes import points
 from dynamics.description.validate import IDENTITY, ZEROS
 from dynamics.types import Array, Matrix3, Vector3
 
-_ENTRY_ROUND_OFF = 1e-14  # [-] round-off of an entry of a mounting rotation
-
 LIGHT_TIP = 1e-3  # [-] inertia of the last tip, over its link's, that turns by slopes for angles
 LUMPED_SHARE, LUMPED_TWIST = 1 / 4, 1 / 3  # of mass and polar inertia, at the tip of lumped links
 _E_X = np.array((1.0, 0.0, 0.0))
@@ -211,7 +209,7 @@ def link_constants(
         tip_moment=_tuples(payload.mass * np.array(payload.com)),
         tip_inertia=_tuples(tip_inertia),
         carried_at=payload.com,
-        rotation=_tuples(_exact_right_angles(link.joint.rotation)),
+        rotation=link.joint.rotation,
         offset=link.joint.offset,
         rotor_inertia=link.joint.rotor_inertia,
         viscous=link.joint.viscous,
@@ -342,13 +340,6 @@ def _damping(link: Link, b: BeamIntegrals) -> Array:
     own = link.damping_beta_torsion
     beta = np.where(twist, link.damping_beta if own is None else own, link.damping_beta)
     return damping + beta[:, None] * b.K
-
-
-def _exact_right_angles(rotation: Matrix3) -> Array:
-    """Round entries of a mounting rotation that are within round-off of 0 or +-1."""
-    R = np.array(rotation)
-    R = np.where(np.abs(R) < _ENTRY_ROUND_OFF, 0.0, R)
-    return np.where(np.abs(np.abs(R) - 1.0) < _ENTRY_ROUND_OFF, np.sign(R), R)
 
 
 def _pairs(second: Array, product: Callable[[Array, Array], Array], along: Array) -> list[Any]:

@@ -70,6 +70,14 @@ def test_a_turn_about_z_leaves_an_arm_planar() -> None:
     assert turned.links[1].joint.rotation[2] == (0.0, 0.0, 1.0)
 
 
+def test_a_matrix_with_round_off_is_a_turn_about_z_too() -> None:
+    """A planar arm observes no height, and a parallel drive takes no other turns."""
+    turn = Rotation.from_euler("z", 0.5).as_matrix()
+    turn[2, 2] = 1.0 - 1e-16
+    driven = arm({}, {"joint": {"rotation": turn.tolist(), "parallel": True}})
+    assert driven.links[1].joint.rotation[2] == (0.0, 0.0, 1.0)
+
+
 def test_a_fixed_joint_has_neither_coordinate_nor_torque() -> None:
     described = arm({}, {"joint": {"type": "fixed"}}, {})
     assert described.names == ("q1", "d1_1", "d2_1", "q3", "d3_1")
