@@ -34,7 +34,8 @@ def used_or_refused(*also: type[Exception]) -> Iterator[None]:
     except also:
         pass
     if refusal is not None:
-        last = traceback.extract_tb(refusal.__traceback__)[-1].filename
-        assert last.startswith(SOURCES), f"{last}: {refusal}"
-        assert "site-packages" not in last, f"{last}: {refusal}"
+        last = traceback.extract_tb(refusal.__traceback__)[-1]
+        assert last.filename.startswith(SOURCES), f"{last}: {refusal}"
+        assert "site-packages" not in last.filename, f"{last}: {refusal}"
+        assert (last.line or "").startswith("raise "), f"{last}: {refusal}"
         assert len(str(refusal)) < 1000

@@ -169,7 +169,7 @@ class Arm:
                 "Arm.links must have a coordinate on a fixed base, got only fixed joints and links "
                 'without modes; give Joint.type another than "fixed", or Link.modes.'
             )
-        if self.foreshortening != FOURTH_ORDER:
+        if not (isinstance(self.foreshortening, str) and self.foreshortening == FOURTH_ORDER):
             validate.boolean(self.foreshortening, f"Arm.foreshortening (or {FOURTH_ORDER!r})")
         validate.instance(self.base, "Arm.base", Base)
         clean(

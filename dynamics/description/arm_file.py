@@ -41,8 +41,7 @@ def arm_from_dict(data: Mapping[str, Any]) -> Arm:
 
 def _arm(data: Mapping[str, Any]) -> Arm:
     keys = validate.mapping(data, "the arm", (*ARM_KEYS, *CASE_KEYS))
-    if keys.get("units", "SI") != "SI":
-        raise ValueError(f'units must be "SI", got {validate.shown(keys["units"])}.')
+    validate.choice(keys.get("units", "SI"), "units", ("SI",))
     values = {key: keys[key] for key in ARM_KEYS if key in keys and key not in ("units", TABLE)}
     if values.get("base") is not None:
         values["base"] = _base(values["base"])
@@ -66,7 +65,7 @@ def _link(data: object, where: str) -> Link:
         values["joint"] = _build(Joint, values["joint"], f"{where}.joint")
     if values.get("body") is not None:
         values["body"] = _build(Body, values["body"], f"{where}.body")
-    if values.get("sections"):
+    if "sections" in values:
         sections = validate.sequence(values["sections"], f"{where}.sections", MOST_SECTIONS)
         values["sections"] = [
             _build(Section, s, f"{where}.sections[{k}]") for k, s in enumerate(sections)

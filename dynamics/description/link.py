@@ -5,6 +5,7 @@ import warnings
 from collections import Counter
 from copy import copy
 from dataclasses import dataclass, field, fields
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -171,7 +172,8 @@ class Link:
             return
         for entry in fields(self):
             value = getattr(self, entry.name)
-            if entry.name in along.UNITS and value != entry.default:
+            zero = isinstance(value, Real) and value == entry.default
+            if entry.name in along.UNITS and not (value is entry.default or zero):
                 raise ValueError(
                     f"Link.{entry.name} ({validate.shown(value)}) and Link.sections exclude each "
                     f"other; give {entry.name} in every section."

@@ -27,6 +27,7 @@ from dynamics import (
     Mode,
     Payload,
     Scene,
+    Section,
     Stepper,
     choose_model,
     compile_arm,
@@ -46,6 +47,7 @@ REST = np.zeros(3)
 STEPPER = Stepper(MODEL, 2, dt=1e-3, substeps=1)
 MEASURED = np.zeros((2, MODEL.n_measure))
 SCENE = Scene(motions=(bang_bang((0.1,), 0.1, 0.3),))
+TUBE = (Section(length=1.0, rho_A=1.0, EIz=5.0),)
 SOLID = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -73,6 +75,8 @@ def jumping(breakpoints: Any) -> Callable[[float], Any]:
 
 CALLS: dict[str, Callable[[Any], Any]] = {
     "load_arm": load_arm,
+    "load_arm units": lambda x: load_arm({**PLAIN[0], "units": x}),
+    "load_arm sections": lambda x: load_arm({"links": [{"sections": x, "modes": "auto"}]}),
     "compile_arm": compile_arm,
     "compile_arm formulation": lambda x: compile_arm("slim", formulation=x),
     "compile_arm dtype": lambda x: compile_arm("slim", dtype=x),
@@ -128,6 +132,7 @@ CALLS: dict[str, Callable[[Any], Any]] = {
     **described(Scene, motions=SCENE.motions),
     **described(JointMotion, joint_angles=(0.0,), joint_rates=(0.0,), t_end=1.0),
     **described(Link, length=1.0, rho_A=1.0),
+    **{f"{name} beside sections": call for name, call in described(Link, sections=TUBE).items()},
     **described(Joint),
     **described(Mode, kind="poly", index=1, direction="y"),
     **described(Payload, mass=1.0),

@@ -256,7 +256,7 @@ REFUSED_ARMS = {
         "base": {**FREE, "type": "planar", "quaternion": [0.0, 1.0, 0.0, 0.0]}
     },
     "Base.type must be one of .*got 'sea'": {"base": {"type": "sea"}},
-    "units must be .SI., got 'mm'": {"units": "mm"},
+    "units must be one of .'SI'., got 'mm'": {"units": "mm"},
     "name must be text, got 3": {"name": 3},
     r"gravity\[1\] .*finite number, got nan": {"gravity": [0.0, float("nan"), 0.0]},
     "gravity must be a list, got 9.81": {"gravity": 9.81},
