@@ -4,7 +4,6 @@ import argparse
 import math
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,8 @@ from agents.figures import COLOURS, new_figure, save_figure, tidy
 from agents.files import FolderError, check_folder
 from agents.metrics import write_json
 from agents.sentences import refused
+from dynamics.description import validate
+from dynamics.description.arm import Arm
 from dynamics.load import load_arm
 from dynamics.measured.columns import UNITS
 from dynamics.measured.fit import BOUNDS, CONFIDENCE, Fit, fit
@@ -38,8 +39,8 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
     a = _parser(prog).parse_args(arguments)
     try:
         check_folder(a.out)
-        bounds = BOUNDS if a.fit is None else dict(map(_range, a.fit))
-        units = dict(_pair(text, "--units") for text in a.units)
+        bounds = validate.unique([*map(_range, a.fit)], "--fit") if a.fit else BOUNDS
+        units = validate.unique([_pair(text, "--units") for text in a.units], "--units")
         columns = Columns(
             time=a.time, command=tuple(a.command), encoder=tuple(a.encoder),
             gauge=tuple(a.gauge), units=units, titles=tuple(a.titles),
@@ -57,21 +58,26 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
             _sensor(place, columns.unit(name, "gauge"), len(arm.links))
             for place, name in zip(a.gauge_at, a.gauge, strict=True)
         ]
-        held = dict(_held(text, arm.n_joint) for text in a.held)
+        numbered = validate.unique([_held(text, arm.n_joint) for text in a.held], "--held")
+        held = {joint - 1: angle for joint, angle in numbered.items()}
         found = fit(arm, log, gauges, bounds, start=a.start, held=held, shooting=a.shooting)
     except (ValueError, FolderError) as error:
         return refused(prog, error)
-    a.out.mkdir(parents=True, exist_ok=True)
-    name = ", ".join(path.name for path in a.log)
-    title = f"{a.log[0].name} and {arm.name or a.arm}"
-    units_read = ["[rad]"] * (len(found.signals) - len(gauges)) + [_unit(g) for g in gauges]
-    draw(a.out / "overlay.png", log, found, units_read, title)
-    write_json(a.out / "fit.json", {"log": name, "arm": a.arm} | found.to_dict())
     print(table(found))
     if "stiffness" in bounds and "payload_mass" not in bounds:
         print(frequencies(arm, found))
     for sentence in doubts(found, bool(log.command.any())):
         print(sentence)
+    name = ", ".join(path.name for path in a.log)
+    title = f"{a.log[0].name} and {arm.name or a.arm}"
+    turns = _joint_units(arm, "[rad]", "[m]")
+    units_read = [turns[k] for k in range(arm.n_joint) if k not in held] + [*map(_unit, gauges)]
+    try:
+        a.out.mkdir(parents=True, exist_ok=True)
+        write_json(a.out / "fit.json", {"log": name, "arm": a.arm} | found.to_dict())
+        draw(a.out / "overlay.png", log, found, units_read, title)
+    except OSError as error:
+        return refused(prog, f"writing to {a.out} failed ({error.strerror or error}).", 1)
     print(f"Everything is in {a.out}/")
     return 0
 
@@ -92,22 +98,22 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "a .mat file")  # fmt: skip
     add("--arm", required=True, help="a preset's name or an arm file")
     add("--time", required=True, metavar="COLUMN")
-    add("--command", nargs="+", default=[], metavar="COLUMN",
+    add("--command", nargs="+", action="extend", default=[], metavar="COLUMN",
         help="torque of every joint; none: zero throughout, as in a free decay")  # fmt: skip
-    add("--encoder", nargs="+", default=[], metavar="COLUMN",
+    add("--encoder", nargs="+", action="extend", default=[], metavar="COLUMN",
         help="of every joint; those of held joints may be left out")  # fmt: skip
-    add("--gauge", nargs="+", default=[], metavar="COLUMN",
+    add("--gauge", nargs="+", action="extend", default=[], metavar="COLUMN",
         help="strain, curvature, or an angle of a bent link")  # fmt: skip
-    add("--gauge-at", nargs="+", default=[], metavar="LINK:X[:DISTANCE]",
+    add("--gauge-at", nargs="+", action="extend", default=[], metavar="LINK:X[:DISTANCE]",
         help="of every gauge: link from 1, metres from its root, and of strain metres from the "
         "neutral axis; of an angle LINK:angle (of the tip about the root) or LINK:slope (of the "
         "tip)")  # fmt: skip
-    add("--titles", nargs="+", default=[], metavar="TITLE",
+    add("--titles", nargs="+", action="extend", default=[], metavar="TITLE",
         help="of all columns of a text file without a header line")  # fmt: skip
-    add("--units", nargs="+", default=[], metavar="KIND=UNIT",
+    add("--units", nargs="+", action="extend", default=[], metavar="KIND=UNIT",
         help="; ".join(f"{kind}: {', '.join(known)}" for kind, known in UNITS.items())
         + "; or a factor to SI (default: the first); or of one column: COLUMN=UNIT")  # fmt: skip
-    add("--held", nargs="+", default=[], metavar="JOINT[:ANGLE]",
+    add("--held", nargs="+", action="extend", default=[], metavar="JOINT[:ANGLE]",
         help="joints, from 1, that a clamp or a stiff drive holds, and their angles in rad "
         "(default: the mean of the encoder, or 0 without one)")  # fmt: skip
     add("--start", choices=STARTS, default=STARTS[0],
@@ -122,7 +128,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "go")  # fmt: skip
     add("--to", type=float, metavar="SECONDS", help="leave out the samples after this time")
     default = " ".join(f"{name}={low:g}:{high:g}" for name, (low, high) in BOUNDS.items())
-    add("--fit", nargs="+", metavar="NAME=LOW:HIGH",
+    add("--fit", nargs="+", action="extend", metavar="NAME=LOW:HIGH",
         help="parameters and their bounds: stiffness, damping, friction, times the arm's own; "
         "payload_mass [kg]; of joint 1 viscous_1 [N m s/rad], coulomb_1 [N m], and torque_1, times "
         "the logged one; of a signal gain_gauge_1, delay_gauge_1 [s] and lag_gauge_1 [s], the time "
@@ -183,9 +189,9 @@ def _sensor(text: str, unit: str, count: int) -> Sensor:
 
 
 def _held(text: str, count: int) -> tuple[int, float | None]:
-    """Joint, counted from 0, and its angle, if one is given."""
+    """Joint, counted from 1, and its angle, if one is given."""
     joint, *rest = _numbers(text, "--held", "JOINT[:ANGLE]", (1, 2))
-    return _counted(joint, "joint", count, "--held", text), rest[0] if rest else None
+    return 1 + _counted(joint, "joint", count, "--held", text), rest[0] if rest else None
 
 
 def _counted(number: float, noun: str, count: int, option: str, text: str) -> int:
@@ -202,6 +208,12 @@ def _unit(gauge: Sensor) -> str:
     if not isinstance(gauge, Gauge):
         return "[rad]"
     return "[1/m]" if gauge.distance == 1.0 else "[-]"
+
+
+def _joint_units(arm: Arm, turning: str, sliding: str) -> list[str]:
+    """Unit of a quantity of every joint."""
+    types = [arm.links[k].joint.type for k in arm.joints]
+    return [sliding if name == "prismatic" else turning for name in types]
 
 
 def table(found: Fit) -> str:
@@ -225,7 +237,7 @@ def table(found: Fit) -> str:
     return "\n".join(lines)
 
 
-def frequencies(arm: Any, found: Fit) -> str:
+def frequencies(arm: Arm, found: Fit) -> str:
     """Sentence about the first frequency in the posture at the start of the log.
 
     All frequencies grow with the root of the stiffness.
@@ -295,6 +307,7 @@ def doubts(found: Fit, driven: bool = True) -> list[str]:
 def draw(path: Path, log: Log, found: Fit, units: list[str], title: str) -> None:
     """Draw the commands, and every measured signal beside those of the arm before and after."""
     driven = log.command.shape[1] > 0
+    forces = _joint_units(found.arm, "[N m]", "[N]")
     figure = new_figure(8.0, 0.6 + driven + 2.0 * len(units))
     heights = [1] * driven + [2] * len(units)
     every = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)
@@ -302,7 +315,7 @@ def draw(path: Path, log: Log, found: Fit, units: list[str], title: str) -> None
     for k, command in enumerate(log.command.T):
         colour = COLOURS[k % len(COLOURS)]
         every[0].step(log.time, command, where="post", color=colour, linewidth=1.0)
-        every[0].set_ylabel("command\n[N m]")
+        every[0].set_ylabel("command\n" + ", ".join(dict.fromkeys(forces)))
     every[0].set_title(title, loc="left", fontsize=10)
     for k, (axes, unit) in enumerate(zip(rest, units, strict=True)):
         axes.plot(log.time, found.measured[:, k], ".", color=COLOURS[2], markersize=2.5)

@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from dynamics.arms import ARMS
+from dynamics.description import validate
 from dynamics.description.urdf.arm_text import arm_text
 from dynamics.description.urdf.convert import convert
 from flexarm_env.registration import IDS, SCENES
@@ -84,16 +85,16 @@ def _flexible(options: list[list[str]]) -> dict[str, dict[str, Any]]:
 
 def _fields(link: str, pairs: list[str]) -> dict[str, Any]:
     """Fields of a flexible link, as typed."""
-    values: dict[str, Any] = {}
+    values = []
     for pair in pairs:
         key, sign, value = pair.partition("=")
         if not sign:
             raise ValueError(f"--flexible {link}: expected KEY=VALUE, got {pair!r}.")
         try:
-            values[key] = yaml.safe_load(value)
+            values.append((key, yaml.safe_load(value)))
         except yaml.YAMLError:
             raise ValueError(f"--flexible {link}: {key} must be a number, got {value!r}.") from None
-    return values
+    return validate.unique(values, f"--flexible {link}")
 
 
 def table() -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from dynamics.description.validate import shown
+from dynamics.description.validate import shown, unique
 
 MOST_BYTES = {".json": 16_777_216, ".yaml": 1_048_576, ".yml": 1_048_576}
 _MERGE = "tag:yaml.org,2002:merge"
@@ -27,7 +27,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
     content = read_text(path, MOST_BYTES[suffix])
     try:
         if suffix == ".json":
-            data = json.loads(content, object_pairs_hook=_unique, parse_int=_integer)
+            data = json.loads(content, object_pairs_hook=unique, parse_int=_integer)
         else:
             data = yaml.load(content, _Loader)  # a SafeLoader
     except json.JSONDecodeError as error:
@@ -62,16 +62,6 @@ def read_text(path: Path, most: int) -> str:
         return content.decode()
     except UnicodeDecodeError as error:
         raise ValueError(f"must be UTF-8 text ({error.reason} at byte {error.start}).") from None
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Build a JSON object; raise ValueError for a repeated key."""
-    result = dict(pairs)
-    if len(result) < len(pairs):
-        names = [name for name, _ in pairs]
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        raise ValueError(f"the keys {repeated} stand twice in one object; keep one of each.")
-    return result
 
 
 def _integer(digits: str) -> float:
@@ -123,7 +113,7 @@ class _Loader(yaml.SafeLoader):
         if id(node) not in self._flat:
             self._flat.add(id(node))
             own = [key for key, _ in node.value if key.tag != _MERGE]
-            _unique([(str(self.construct_object(key, deep=True)), None) for key in own])
+            unique([(str(self.construct_object(key, deep=True)), None) for key in own])
         super().flatten_mapping(node)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from dynamics.types import Matrix3, Vector3
 
+K = TypeVar("K")
 T = TypeVar("T")
 
 ZEROS: Matrix3 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -104,6 +105,16 @@ def known(value: object, noun: str, names: Collection[str]) -> str:
         guess = f"; did you mean {near[0]!r}?" if near else "."
         raise ValueError(f"Unknown {noun} {shown(value)}{guess} Known: {sorted(names)}.")
     return value
+
+
+def unique(pairs: Collection[tuple[K, T]], where: str = "one object") -> dict[K, T]:
+    """Return the dict of pairs; refuse a key that stands twice."""
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        keys = [key for key, _ in pairs]
+        repeated = sorted(str(key) for key in result if keys.count(key) > 1)
+        raise ValueError(f"the keys {repeated} stand twice in {where}; keep one of each.")
+    return result
 
 
 def boolean(value: object, name: str) -> bool:

@@ -200,7 +200,7 @@ def main(given: list[str] | None = None, prog: str = "python -m flexarm_env.cert
             if options.store:
                 measure_all(line, options.store)
             for source in options.arms:
-                changes = dict(options.set)
+                changes = validate.unique(options.set, "--set")
                 fitted, dt, steps, keywords = described(source, options.control_dt, changes)
                 _report(f"{source}: {EPISODES} episodes of each kind, control step {dt:g} s")
                 found = entry(fitted, dt, steps, keywords, line)

@@ -1,6 +1,8 @@
 """`flexarm fit`: table, files and refusals; the page and its picture."""
 
+import errno
 import json
+import os
 import re
 import shlex
 from dataclasses import replace
@@ -11,7 +13,16 @@ import numpy as np
 import pytest
 
 import flexarm_env  # noqa: F401
-from agents.fit import EXAMPLE, PLUCK_EXAMPLE, _parser, doubts, draw, frequencies, main
+from agents.fit import (
+    EXAMPLE,
+    PLUCK_EXAMPLE,
+    _joint_units,
+    _parser,
+    doubts,
+    draw,
+    frequencies,
+    main,
+)
 from benchmarks.measured_data import COMMAND, PLUCK_COMMAND, page_table
 from benchmarks.output import RESULTS
 from dynamics import compile_arm, load_arm
@@ -58,6 +69,16 @@ def test_the_page_shows_the_stored_coverage() -> None:
     assert page_table(STORED["cases"]) in PAGE
 
 
+def changed(command: list[str], change: dict[str, list[str]]) -> list[str]:
+    """A command with other values of options, or with more options."""
+    given = [*command]
+    for option, values in change.items():
+        start = given.index(option) + 1 if option in given else len(given)
+        stop = next((k for k in range(start, len(given)) if given[k].startswith("--")), len(given))
+        given[start:stop] = values if option in given else [option, *values]
+    return given
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -79,6 +100,9 @@ def test_the_page_shows_the_stored_coverage() -> None:
         ({"--fit": ["stiffness"]}, "--fit takes NAME=VALUE"),
         ({"--fit": ["stiffness=1"]}, "--fit takes NAME=LOW:HIGH"),
         ({"--fit": ["mass=0:1"]}, "mass"),
+        ({"--fit": ["damping=0:20", "damping=0:9"]}, "['damping'] stand twice in --fit"),
+        ({"--units": ["time=ms", "time=s"]}, "['time'] stand twice in --units"),
+        ({"--held": ["1", "1:0.2"]}, "['1'] stand twice in --held"),
         ({"--held": ["0"]}, "--held counts joints from 1: joint must be between 1 and 1"),
         ({"--held": ["2"]}, "joint must be between 1 and 1, the arm's joints, got '2'"),
         ({"--held": ["one"]}, "--held takes JOINT[:ANGLE], got 'one'"),
@@ -92,16 +116,8 @@ def test_bad_command_lines_end_with_one_sentence(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    (option, values) = next(iter(change.items()))
-    given = [LOG, *COMMAND]
-    if option in given:
-        start = given.index(option) + 1
-        stop = next((k for k in range(start, len(given)) if given[k].startswith("--")), len(given))
-        given[start:stop] = values
-    else:
-        given += [option, *values]
     out = tmp_path / "out"
-    assert main([*given, "--out", str(out)]) == 2
+    assert main([LOG, *changed(COMMAND, change), "--out", str(out)]) == 2
     said = capsys.readouterr().err
     assert sentence in said
     assert said.count("\n") == 1
@@ -121,8 +137,8 @@ def test_places_of_gauges_count_links_behind_fixed_joints(
         ("2:0.5:0.0004", "x must be within the link, 0 to 0.4 m, got 0.5"),
         ("1:0.0:0.0004", "gauge 1 reads bending along y, which link 1 lacks"),
     ):
-        changed = ["--arm", str(tmp_path / "arm.json"), "--gauge-at", place]
-        assert main([LOG, *COMMAND, *changed, "--out", str(tmp_path / "out")]) == 2
+        given = changed(COMMAND, {"--arm": [str(tmp_path / "arm.json")], "--gauge-at": [place]})
+        assert main([LOG, *given, "--out", str(tmp_path / "out")]) == 2
         assert sentence in capsys.readouterr().err
 
 
@@ -209,6 +225,50 @@ def test_the_frequency_is_that_of_the_posture_at_the_start() -> None:
     q = np.array([start[name][0] for name in arm.names])
     first = compile_arm(arm).frequencies(q)[0] / (2.0 * np.pi)
     assert f": {first:.4g} Hz as described, {2.0 * first:.4g} Hz." in frequencies(arm, found)
+
+
+def test_an_option_that_is_repeated_adds_to_the_one_before() -> None:
+    once, again = ["--units", "time=ms", "encoder=deg"], ["--units", "time=ms", "--units"]
+    rest = ["run.csv", "--arm", "slim", "--time", "t"]
+    rest += ["--fit", "damping=0:20", "--fit", "friction=0:2"]
+    a, b = (_parser("fit").parse_args([*rest, *words]) for words in (once, [*again, "encoder=deg"]))
+    assert a == b
+    assert a.fit == ["damping=0:20", "friction=0:2"]
+
+
+def test_a_full_disk_leaves_the_results_on_the_screen(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("agents.fit.write_json", full)
+    out = tmp_path / "out"
+    assert main([PLUCK, *PLUCK_COMMAND, "--out", str(out)]) == 1
+    said = capsys.readouterr()
+    assert "stiffness" in said.out
+    assert "Everything" not in said.out
+    assert said.err.endswith(f"writing to {out} failed (No space left on device).\n")
+
+
+def test_joints_that_slide_are_drawn_in_metres_and_newtons(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The third joint of the Stanford arm does."""
+    arm, shown = load_arm("stanford"), []
+    assert _joint_units(arm, "[rad]", "[m]") == ["[rad]", "[rad]", "[m]", *["[rad]"] * 3]
+    monkeypatch.setattr("agents.fit.save_figure", lambda figure, _: shown.append(figure))
+    x = np.sin(np.outer(0.01 * np.arange(50.0), np.arange(1.0, 7.0)))
+    found = Fit(
+        bounds={"friction": (0.0, 5.0)}, values=np.ones(1), intervals=np.ones((1, 2)),
+        covariance=np.eye(1), signals=("encoder 3",), measured=x, nominal=x, fitted=x,
+        correlation=np.zeros(1), start={}, arm=arm,
+    )  # fmt: skip
+    draw(tmp_path / "overlay.png", Log(0.01 * np.arange(50.0), x, x, x[:, :0]), found, ["[m]"], "")
+    assert [axes.get_ylabel() for axes in shown[0].axes] == [
+        "command\n[N m], [N]",
+        "encoder 3\n[m]",
+    ]
 
 
 def test_an_arm_of_more_joints_than_colours_is_drawn(tmp_path: Path) -> None:

@@ -115,6 +115,7 @@ def test_the_command_ends_with_one_sentence(
         (["--out", "arm.json"], r"--out must end in .yaml or .yml, got 'arm.json'"),
         (["--tip", "tool0", "--out", "there.yaml/x.yaml"], r"there.yaml/x.yaml: Not a directory"),
         (["--flexible", "a", "EIz=6", "--flexible", "a", "EIy=7"], r"--flexible a is given twice"),
+        (["--flexible", "a", "EIz=6", "EIz=7"], r"'EIz'. stand twice in --flexible a"),
     ],
 )
 def test_a_conversion_replaces_no_file_and_drops_no_word(

@@ -159,6 +159,7 @@ def test_certificates_of_models_for_modes_auto_and_of_arms_with_motors_are_found
         (["slim", "--set", "hardware=lab"], "lab"),
         (["slim", "--set", "integrator=euler", "--set", "substeps=1"], "diverges"),
         (["--store", "slimm"], "must be one of"),
+        (["slim", *["--set", "substeps=1"] * 2], "['substeps'] stand twice in --set"),
         (["slim", "--set", "deflection_limit=much"], "deflection_limit [-] must be a number"),
     ],
 )
