@@ -250,6 +250,8 @@ def load_policy(folder: str | Path) -> Policy:
     folder = Path(folder)
     if not (folder / JSON_FILE).is_file() and (folder / "policy" / JSON_FILE).is_file():
         folder = folder / "policy"
+    if not folder.exists():
+        raise PolicyError(f"{folder}: there is no such folder.")
     if not all((folder / name).is_file() for name in (JSON_FILE, WEIGHTS_FILE)):
         raise PolicyError(f"{folder}: holds no {JSON_FILE} with {WEIGHTS_FILE}.")
     try:

@@ -42,7 +42,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.expor
     except (UsageError, PolicyError, FolderError, ModuleNotFoundError) as error:
         return refused(prog, error)
     except OSError as error:
-        return refused(prog, f"writing failed ({error.strerror or error}).", 1)
+        return refused(prog, f"writing to {a.out or a.run} failed ({error.strerror or error}).", 1)
     return 0
 
 

@@ -1,5 +1,7 @@
 """`flexarm export`: what it writes, and what it refuses before it writes."""
 
+import errno
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -56,6 +58,27 @@ def test_bad_requests_are_refused_and_write_nothing(
     assert main([".", "--format", "c", *arguments]) == 2
     assert re.search(sentence, one_sentence(capsys))
     assert [path.name for path in tmp_path.iterdir()] == ["policy"]
+
+
+def test_a_folder_that_is_not_there_is_told_as_such(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(tmp_path / "run"), "--format", "c"]) == 2
+    assert one_sentence(capsys).endswith("run: there is no such folder.\n")
+
+
+def test_a_full_disk_ends_with_the_file_and_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    save_policy(policy_of("tanh"), tmp_path / "policy")
+    monkeypatch.setattr("agents.files.sync", full)
+    out = tmp_path / "policy.h"
+    assert main([str(tmp_path), "--format", "c", "--out", str(out)]) == 1
+    assert f"writing to {out} failed (No space left on device)" in one_sentence(capsys)
+    assert not out.exists()
 
 
 def test_a_folder_of_runs_is_refused_with_one_of_them_and_a_file_stands_for_its_folder(
