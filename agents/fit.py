@@ -298,6 +298,17 @@ def doubts(found: Fit, driven: bool = True) -> list[str]:
         result.append(
             f"The fit explains nothing of {', '.join(unexplained)}: check columns, units and signs."
         )
+    turning = {f"encoder {k}" for k, x in enumerate(_joint_units(arm, "turns", ""), 1) if x}
+    residuals = (found.measured - found.fitted).T
+    wrapped = [
+        name for name, residual in zip(found.signals, residuals, strict=True)
+        if name in turning and np.abs(np.diff(residual[np.isfinite(residual)])).max() > np.pi
+    ]  # fmt: skip
+    if wrapped:
+        result.append(
+            f"A reading of {', '.join(wrapped)} is more than half a turn from its neighbour, where "
+            "the arm is not: if the encoder begins anew after a turn, unwrap its column."
+        )
     clamped = [name.removeprefix("encoder ") for name in unexplained if name.startswith("encoder")]
     if clamped:
         result.append(f"If a joint was clamped, say so: --held {' '.join(clamped)}.")

@@ -175,6 +175,23 @@ def test_a_pluck_without_its_clamp_is_refused_with_the_remedy(
     )
 
 
+@pytest.mark.parametrize(("arm", "name", "is_told"), [
+    ("slim", "encoder 1", True), ("stanford", "encoder 3", False), ("slim", "gauge 1", False)
+])  # fmt: skip
+def test_an_encoder_that_begins_anew_after_a_turn_is_told(
+    arm: str, name: str, is_told: bool
+) -> None:
+    """Only one of a joint that turns does; the third of the Stanford arm slides."""
+    t = 0.1 * np.arange(100.0)[:, None]
+    for readings, jumps in ((t, False), (t % (2.0 * np.pi), True)):
+        found = Fit(
+            bounds={"damping": (0.2, 5.0)}, values=np.ones(1), intervals=np.ones((1, 2)),
+            covariance=np.eye(1), signals=(name,), measured=readings, nominal=t, fitted=t,
+            correlation=np.zeros(1), start={}, arm=load_arm(arm),
+        )  # fmt: skip
+        assert any("unwrap its column" in x for x in doubts(found)) == (is_told and jumps)
+
+
 def test_an_unexplained_encoder_suggests_a_clamp() -> None:
     t = 0.01 * np.arange(20.0)[:, None]
     found = Fit(
