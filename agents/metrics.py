@@ -130,17 +130,44 @@ def evaluated(
 ) -> dict[str, AnyArray]:
     """All METRICS of the episodes seed, seed + 1, ... of an id with the keywords `kwargs`.
 
-    The controller may be any learner's model that has the method `predict`; one of
-    stable-baselines3 whose VecNormalize normalizes observations raises a ValueError.
+    The controller may be any learner's model that has the method `predict`, unless it was trained
+    through wrappers of observations or actions that are not here (`refuse_wrapped`).
+    """
+    refuse_wrapped(controller)
+    with closing(make_batch(env_id, episodes, kwargs)) as envs:
+        return episode_metrics(record(controller, envs, range(seed, seed + episodes)))
+
+
+def refuse_wrapped(controller: Any) -> None:
+    """Refuse a model whose VecNormalize or scale of actions is not that of the environment.
+
+    An on-policy algorithm of stable-baselines3 stores the latest original observations of a
+    VecNormalize, by which a loaded model without its environment is known.
+
+    Raises
+    ------
+    ValueError : with the remedy.
     """
     normalizing = getattr(controller, "get_vec_normalize_env", lambda: None)()
+    original = getattr(controller, "_last_original_obs", None)
+    if normalizing is None and original is not None and hasattr(controller, "rollout_buffer"):
+        raise ValueError(
+            "The model was trained with VecNormalize, whose statistics its zip does not hold; load "
+            "it with env=VecNormalize.load(file, envs) and give export_policy(model, {}) of "
+            "agents.learners.export, which normalizes."
+        )
     if normalizing is not None and normalizing.norm_obs:
         raise ValueError(
             "The model sees observations through its VecNormalize, got the environment's own; "
             "evaluate export_policy(model, {}) of agents.learners.export, which normalizes them."
         )
-    with closing(make_batch(env_id, episodes, kwargs)) as envs:
-        return episode_metrics(record(controller, envs, range(seed, seed + episodes)))
+    space = getattr(controller, "action_space", None)
+    if isinstance(space, gym.spaces.Box) and not np.all((space.low == -1.0) & (space.high == 1.0)):
+        raise ValueError(
+            f"The model acts in [{space.low.min():g}, {space.high.max():g}], but an arm takes "
+            "actions in [-1, 1]; give an object whose predict scales them as the wrapper of the "
+            "training did."
+        )
 
 
 def never_empty(curvature: AnyArray) -> AnyArray:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from agents.environments import look_in_present_folder
+from agents.metrics import refuse_wrapped
 from agents.policy import Controller
 from dynamics.description import validate
 from dynamics.types import AnyArray
@@ -41,6 +42,7 @@ def users_controller(name: str, env: Any, seed: int) -> Controller:
     made = users_class(name)
     try:
         subject = made(env)
+        refuse_wrapped(subject)
     except FAILURES as error:
         raise UsersControllerError(
             f"--controllers {name} cannot be made: {reason(error)}; it is called with the "

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -32,6 +33,13 @@ class Forgetful(Still):
 
     def predict(self, *given: Any, **more: Any) -> Any:
         return super().predict(*given, **more)[0]
+
+
+def scaled(env: Any) -> Any:
+    """A model that was trained behind RescaleAction."""
+    still: Any = Still(env)
+    still.action_space = gym.spaces.Box(-2.0, 2.0, (still.n_joint,))
+    return still
 
 
 class Mute:
@@ -64,6 +72,11 @@ def test_a_users_class_is_told_how_predict_is_called(wrong: str, words: str) -> 
     with pytest.raises(ValueError, match=words) as raised:
         ranked(f"{__name__}:{wrong}", ONE, "state", [10_000, 10_001])
     assert "called as predict(observation, state, episode_start)" in str(raised.value)
+
+
+def test_a_users_model_of_scaled_actions_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"scaled cannot be made: .* acts in \[-2, 2\]"):
+        ranked(f"{__name__}:scaled", ONE, "state", [10_000, 10_001])
 
 
 def test_a_users_module_is_found_in_the_present_folder(

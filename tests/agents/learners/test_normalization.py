@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
@@ -14,7 +15,7 @@ from agents.evaluate import main as evaluate
 from agents.hybrid.environment import HybridVecEnv
 from agents.learners.export import export_policy, load_zip
 from agents.learners.normalization import DEFAULTS, restore_statistics, statistics
-from agents.metrics import evaluated
+from agents.metrics import evaluated, refuse_wrapped
 from agents.policy import Policy, PolicyError, load_policy, save_policy
 from agents.run_folder.checkpoints import CheckpointError, restore_checkpoint, save_checkpoint
 from agents.run_folder.folder import RunFolder
@@ -106,6 +107,23 @@ def test_a_zip_of_rl_zoo_is_loaded_with_the_statistics_beside_it(name: str, tmp_
 def test_a_model_of_normalized_observations_is_not_evaluated_on_others() -> None:
     model = build("ppo", env=VecNormalize(SB3VecEnv(ENV_ID, 2)))
     with pytest.raises(ValueError, match=r"VecNormalize.*evaluate export_policy\(model, \{\}\)"):
+        evaluated(model, ENV_ID, episodes=2)
+
+
+def test_a_loaded_model_without_its_statistics_is_not_evaluated(tmp_path: Path) -> None:
+    """Off-policy algorithms keep original observations in any case, so theirs are not told."""
+    model = build("ppo", env=normalized_toys("ppo")).learn(32)
+    model.save(tmp_path / "toy")
+    with pytest.raises(ValueError, match="was trained with VecNormalize, whose statistics its zip"):
+        evaluated(type(model).load(tmp_path / "toy", device="cpu"), ENV_ID, episodes=2)
+    for free in (build("ppo").learn(32), build("sac").learn(2)):
+        refuse_wrapped(free)
+
+
+def test_a_model_of_scaled_actions_is_not_evaluated_on_those_of_an_arm() -> None:
+    """An arm would take 0.8 of its torque for 0.4."""
+    model = build("ppo", env=gym.wrappers.RescaleAction(Toy(), -2.0, 2.0))
+    with pytest.raises(ValueError, match=r"The model acts in \[-2, 2\].*predict scales them"):
         evaluated(model, ENV_ID, episodes=2)
 
 
