@@ -139,7 +139,7 @@ def evaluated(
 
 
 def refuse_wrapped(controller: Any) -> None:
-    """Refuse a model whose VecNormalize or scale of actions is not that of the environment.
+    """Refuse a model whose observations or scale of actions are not those of the environment.
 
     An on-policy algorithm of stable-baselines3 stores the latest original observations of a
     VecNormalize, by which a loaded model without its environment is known.
@@ -160,6 +160,12 @@ def refuse_wrapped(controller: Any) -> None:
         raise ValueError(
             "The model sees observations through its VecNormalize, got the environment's own; "
             "evaluate export_policy(model, {}) of agents.learners.export, which normalizes them."
+        )
+    seen = getattr(controller, "observation_space", None)
+    if isinstance(seen, gym.spaces.Dict) and "privileged" in seen.spaces:
+        raise ValueError(
+            "The model's critic sees the true state, which is not among the observations; evaluate "
+            "export_policy(model, {}) of agents.learners.export, the actor without the critic."
         )
     space = getattr(controller, "action_space", None)
     if isinstance(space, gym.spaces.Box) and not np.all((space.low == -1.0) & (space.high == 1.0)):

@@ -16,6 +16,7 @@ from agents.export.command import main as export
 from agents.learners.export import begin_with, export_policy, load_zip
 from agents.learners.normalization import statistics
 from agents.learners.privileged import PrivilegedCriticPolicy
+from agents.metrics import evaluated
 from agents.policy import load_policy, save_policy
 from agents.run_folder.folder import RunFolder
 from agents.training import build_model
@@ -71,6 +72,11 @@ def test_the_stored_policy_needs_the_sensors_alone(
         seen, _, starts, _ = learner.env.step(expected)
         ends += int(starts.sum())
     assert ends >= 16
+
+
+def test_a_model_is_not_evaluated_with_its_critic() -> None:
+    with pytest.raises(ValueError, match=r"evaluate export_policy\(model, \{\}\).* the actor"):
+        evaluated(model(), ENV_ID, episodes=2, **SHORT)
 
 
 def test_only_the_critic_learns_from_the_true_state() -> None:
