@@ -43,7 +43,22 @@ LAYOUT = {  # what a policy and a model it begins share, and the remedy otherwis
 
 
 def export_policy(model: Any, about: dict[str, Any]) -> Policy:
-    """The actor of a model of one of the algorithms.
+    """The actor of a model of one of the algorithms, with the statistics of its VecNormalize.
+
+    Raises
+    ------
+    PolicyError : for what a stored policy does not have, and for a model without its VecNormalize.
+    """
+    if model.get_vec_normalize_env() is None and is_normalized(model):
+        raise PolicyError(
+            "The model was trained with VecNormalize, whose statistics it does not hold; load it "
+            "with env=VecNormalize.load(file, envs)."
+        )
+    return network(model, about)
+
+
+def network(model: Any, about: dict[str, Any]) -> Policy:
+    """The actor of a model, with statistics of observations if its environment is there.
 
     Batch renormalisation, which is affine in a trained network, becomes part of the next layer.
     """
@@ -52,6 +67,7 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
     from agents.learners.privileged import PrivilegedCriticPolicy
 
     refuse_extractor(model)
+    refuse_scaled_actions(model)
     lstm, modules = actor(model)
     cells = lstm_cells(lstm) if lstm else []
     squashing = "clip"
@@ -84,6 +100,11 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
     space = model.observation_space
     if isinstance(model.policy, PrivilegedCriticPolicy):
         space = space["observation"]
+    if len(space.shape or ()) != 1:
+        raise PolicyError(
+            f"Only policies of one vector of observations can be stored, got shape {space.shape}; "
+            "let it see the latest ones by VecFrameStack, or by env.stack of an experiment."
+        )
     policy = Policy(
         weights=tuple(W.astype(np.float32) for W in weights),
         biases=tuple(b.astype(np.float32) for b in biases),
@@ -123,6 +144,16 @@ def refuse_extractor(model: Any) -> None:
         raise PolicyError(
             "Only policies of one vector of observations can be stored, without an extractor of "
             f"features, got {type(extractor).__name__}."
+        )
+
+
+def refuse_scaled_actions(model: Any) -> None:
+    """Refuse a model of actions that a wrapper scales, which the stored policy would not."""
+    space = model.action_space
+    if not np.all((space.low == -1.0) & (space.high == 1.0)):
+        raise PolicyError(
+            f"Only policies of actions in [-1, 1] can be stored, got {space.low.min():g} to "
+            f"{space.high.max():g}; train without a wrapper that scales them."
         )
 
 
@@ -240,16 +271,14 @@ def array(tensor: Any) -> AnyArray:
     return numbers
 
 
-def normalized(model: Any, path: Path) -> bool:
-    """True if a zip's environment had a VecNormalize.
+def is_normalized(model: Any) -> bool:
+    """True if a model of an on-policy algorithm was trained with a VecNormalize.
 
-    An off-policy algorithm keeps original observations in any case; RL Zoo has then put statistics
-    in a folder beside the zip, which need not have its name.
+    An off-policy algorithm keeps original observations in any case.
     """
     from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
-    kept = isinstance(model, OnPolicyAlgorithm) and model._last_original_obs is not None
-    return kept or any(path.parent.glob("*/vecnormalize.pkl"))
+    return isinstance(model, OnPolicyAlgorithm) and model._last_original_obs is not None
 
 
 def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
@@ -271,10 +300,11 @@ def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
         with ZipFile(path) as archive:
             name = zipped_algorithm(json.loads(archive.read("data")))
         model = algorithms()[name].load(path, device="cpu")
-        policy = export_policy(model, {"source": path.name})
+        policy = network(model, {"source": path.name})
         statistics = path.with_suffix("") / "vecnormalize.pkl"
         if not statistics.exists():
-            if normalized(model, path):
+            # statistics of RL Zoo, whose folder need not have the zip's name
+            if is_normalized(model) or any(path.parent.glob("*/vecnormalize.pkl")):
                 raise PolicyError(
                     "was trained with VecNormalize, whose statistics the zip does not hold; put "
                     f"the file of VecNormalize.save at {statistics}."
@@ -293,6 +323,12 @@ def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
 
 def zipped_algorithm(settings: Any) -> str:
     """Name of the algorithm of a zip, from its JSON settings without unpickling."""
+    replay = settings.get("replay_buffer_class") or {}
+    if replay.get("__module__", "").startswith("stable_baselines3.her"):
+        raise PolicyError(
+            "Only policies of one vector of observations can be loaded, got one of goals "
+            "(HerReplayBuffer); load it by stable-baselines3 with an environment."
+        )
     module = settings["policy_class"].get("__module__")
     if module in ON_POLICY:
         return "ppo" if "n_epochs" in settings else "trpo" if "cg_max_steps" in settings else "a2c"

@@ -6,12 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from gymnasium.wrappers import FrameStackObservation, RescaleAction
+from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.torch_layers import FlattenExtractor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from agents.learners.algorithms import ON_TENSORS, algorithms
 from agents.learners.export import export_policy, load_zip
 from agents.policy import Policy, PolicyError, load_policy, save_policy
+from flexarm_env import SB3VecEnv
 from tests.agents.toys import KWARGS, NETWORK, Toy, build, trained
 
 ROUND_OFF = 5e-6  # float32 sums in another order, over a sequence
@@ -81,6 +84,28 @@ def test_a_network_before_the_actor_is_refused(name: str) -> None:
     network = KWARGS[name]["policy_kwargs"] | {"features_extractor_class": Doubled}
     with pytest.raises(PolicyError, match="extractor of features, got Doubled"):
         export_policy(build(name, policy_kwargs=network), {})
+
+
+def test_wrappers_that_a_stored_policy_lacks_are_refused(tmp_path: Path) -> None:
+    for wrapped, sentence in (
+        (RescaleAction(Toy(), -2.0, 2.0), "actions in .* got -2 to 2; train without"),
+        (FrameStackObservation(Toy(), 4), r"got shape \(4, 3\); let it see the latest"),
+    ):
+        with pytest.raises(PolicyError, match=sentence):
+            export_policy(build("ppo", env=wrapped), {})
+    model = build("ppo", env=VecNormalize(DummyVecEnv([Toy])))
+    model.learn(64)
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(PolicyError, match="VecNormalize, whose statistics it does not hold"):
+        export_policy(type(model).load(tmp_path / "model.zip"), {})
+
+
+def test_a_zip_of_goals_is_refused_as_such(tmp_path: Path) -> None:
+    envs = SB3VecEnv("FlexArm/OneLink-ReachGoal-v0", 2)
+    replay = {"replay_buffer_class": HerReplayBuffer, "buffer_size": 100}
+    SAC("MultiInputPolicy", envs, **replay).save(tmp_path / "goals.zip")
+    with pytest.raises(PolicyError, match="got one of goals"):
+        load_zip(tmp_path / "goals.zip", trust=True)
 
 
 def test_a_network_with_too_many_layers_is_refused() -> None:
