@@ -27,7 +27,7 @@ ENDS = (2.5, 97.5)  # [%] of resamples that lie below an interval's ends
 EPISODES = 0  # stream of the drawn episodes; those of runs are above it
 SEGMENT = 1 / 3  # of an episode: length of a segment of a spectrum
 PADDING = 4  # transform over segment
-DIGITS = 5  # significant ones of the metrics of an episode
+DIGITS = 4  # significant ones of the metrics of an episode
 DECIMALS = 4  # of improvements, as pages show them
 Figures = dict[str, Any]
 

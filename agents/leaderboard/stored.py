@@ -16,7 +16,7 @@ from agents.leaderboard.kinds import needs
 from agents.leaderboard.output import EPISODES, SPECTRA
 from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.shipped import policies_of
-from agents.leaderboard.statistics import Entry, Spectrum, figures
+from agents.leaderboard.statistics import Entry, Spectrum, figures, rounded
 from agents.leaderboard.tracks import takes_part
 from agents.metrics import METRICS
 from dynamics.types import AnyArray
@@ -91,7 +91,7 @@ def _table(rows: Sequence[Mapping[str, str]]) -> tuple[list[int], dict[str, AnyA
     """Seeds, and metrics (runs, episodes), of a controller's rows, run by run."""
     runs = len({row["run"] for row in rows})
     seeds = [int(row["seed"]) for row in rows[: len(rows) // runs]]
-    metrics = {key: np.array([float(row[key]) for row in rows]) for key in METRICS}
+    metrics = {key: rounded(np.array([float(row[key]) for row in rows])) for key in METRICS}
     return seeds, {key: values.reshape(runs, len(seeds)) for key, values in metrics.items()}
 
 

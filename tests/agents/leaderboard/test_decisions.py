@@ -65,8 +65,11 @@ class Counter1(Counter):
 
 def test_a_controller_that_misses_its_step_is_judged_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """Joint PD that decides two steps late swings, and the ranking says how late it was."""
-    prompt = ranked("pd", REACH, "state", range(8)).figures
-    monkeypatch.setattr(run, "decision_times", lambda *_: np.array([900.0, *199 * [45.0]]))
-    late = ranked("pd", REACH, "state", range(8)).figures
+    found = []
+    for ms in (1.0, 45.0):
+        times = np.array([20.0 * ms, *199 * [ms]])
+        monkeypatch.setattr(run, "decision_times", lambda *_, times=times: times)
+        found.append(ranked("pd", REACH, "state", range(8)).figures)
+    prompt, late = found
     assert (prompt["judged_late"], late["judged_late"]) == (0.0, 2.0)
     assert late["score_mean"] < prompt["score_mean"] - 0.05

@@ -102,14 +102,14 @@ def test_trainings_are_counted_again_as_they_were_written(results: Any, tmp_path
     assert {name: x.figures["training_seeds"] for name, x in found.items()} == counts
 
 
-def test_figures_have_five_digits(results: Any, tmp_path: Path) -> None:
+def test_figures_have_four_digits(results: Any, tmp_path: Path) -> None:
     figures = results[REACH]["state"]["ppo"].figures
     figures["score_mean"], figures["score_ci"] = 2.0 / 3.0, [1.0e-9 / 3.0, 123456789.0]
     figures["episodes"] = 123456789  # a count stays whole
     write(tmp_path, results, SEEDS)
     stored = json.loads((tmp_path / "leaderboard.json").read_text())[REACH]["state"]["ppo"]
-    assert stored["score_mean"] == 0.66667
-    assert stored["score_ci"] == [3.3333e-10, 123460000.0]
+    assert stored["score_mean"] == 0.6667
+    assert stored["score_ci"] == [3.333e-10, 123500000.0]
     assert stored["episodes"] == 123456789
 
 

@@ -165,9 +165,9 @@ def test_quartiles_are_values_and_may_be_infinite() -> None:
     assert quartiles(np.array([[1.0, 2.0], [np.inf, np.inf]])) == [1.0, np.inf]
 
 
-def test_metrics_are_stored_with_five_digits() -> None:
+def test_metrics_are_stored_with_four_digits() -> None:
     values = np.array([[0.12345678, 123.45678], [np.inf, 0.0]])
-    assert rounded(values).tolist() == [[0.12346, 123.46], [np.inf, 0.0]]
+    assert rounded(values).tolist() == [[0.1235, 123.5], [np.inf, 0.0]]
 
 
 def test_spectrum_holds_the_power_of_a_vibration_at_its_frequency() -> None:

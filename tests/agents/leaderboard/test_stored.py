@@ -14,6 +14,7 @@ from agents.leaderboard import run, stored
 from agents.leaderboard.output import EPISODES, SPECTRA
 from agents.leaderboard.replay import YARDSTICK
 from agents.leaderboard.run import built, main
+from agents.leaderboard.statistics import DIGITS
 from agents.leaderboard.tracks import TRACKS, keywords
 from agents.metrics import METRICS, episode_metrics, make_batch, record
 from tests.paths import ROOT
@@ -21,6 +22,7 @@ from tests.paths import ROOT
 REACH, TRACK = "FlexArm/OneLink-Reach-v0", "FlexArm/OneLink-Track-v0"
 RESULTS = ROOT / "docs/results"
 SEEDS = list(range(10_000, 10_004))
+ROUND_OFF = 0.5 * 10.0 ** (1 - DIGITS)  # of stored figures
 MEASURED = ("ms_per_action", "ms_per_action_p99")
 Tables = dict[str, dict[str, dict[str, Any]]]
 
@@ -41,6 +43,7 @@ def rank(out: Path, *arguments: str) -> Tables:
     """Figures of a ranking of four episodes; its pictures are drawn in test_output.py."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "pictures", lambda results: {"leaderboard.png": Figure})
+        patch.setattr(run, "decision_times", lambda *_: np.array([3.0, *199 * [1.0]]))  # of no load
         assert main([*arguments, "--episodes", "4", "--out", str(out)]) == 0
     found: Tables = json.loads((out / "leaderboard.json").read_text())
     return found
@@ -238,8 +241,8 @@ def test_the_ranking_is_that_of_its_episodes(ranking: Ranking) -> None:
         middle = score[score.size // 4 : score.size - score.size // 4]
         own = tables[env_id][track][name]
         success = metrics["success"].mean()
-        assert own["success_rate"] == pytest.approx(success, rel=5e-5), (env_id, name)
-        assert own["score_iqm"] == pytest.approx(middle.mean(), rel=5e-5), (env_id, name)
+        assert own["success_rate"] == pytest.approx(success, rel=ROUND_OFF), (env_id, name)
+        assert own["score_iqm"] == pytest.approx(middle.mean(), rel=ROUND_OFF), (env_id, name)
 
 
 def drawn(count: int) -> list[tuple[str, str, str]]:
