@@ -61,6 +61,8 @@ class RslPPO(OnPolicyAlgorithm):
 
     Parameters
     ----------
+    n_steps : of every environment in a rollout; with LSTM cells the length of an episode, and no
+        spread starts, or their gradient ends where a rollout begins.
     batch_size : None: the whole rollout. A policy with LSTM cells learns from whole rollouts of
         environments, as many as have so many steps.
     desired_kl : divergence of an update to which the learning rate adapts; None: it does not.
