@@ -14,6 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from agents.files import atomic_write
+from agents.learners.wrapped import refuse_wrapped
 from agents.policy import Controller
 from dynamics.types import AnyArray
 from flexarm_env import FlexArmVectorEnv
@@ -136,44 +137,6 @@ def evaluated(
     refuse_wrapped(controller)
     with closing(make_batch(env_id, episodes, kwargs)) as envs:
         return episode_metrics(record(controller, envs, range(seed, seed + episodes)))
-
-
-def refuse_wrapped(controller: Any) -> None:
-    """Refuse a model whose observations or scale of actions are not those of the environment.
-
-    An on-policy algorithm of stable-baselines3 stores the latest original observations of a
-    VecNormalize, by which a loaded model without its environment is known.
-
-    Raises
-    ------
-    ValueError : with the remedy.
-    """
-    normalizing = getattr(controller, "get_vec_normalize_env", lambda: None)()
-    original = getattr(controller, "_last_original_obs", None)
-    if normalizing is None and original is not None and hasattr(controller, "rollout_buffer"):
-        raise ValueError(
-            "The model was trained with VecNormalize, whose statistics its zip does not hold; load "
-            "it with env=VecNormalize.load(file, envs) and give export_policy(model, {}) of "
-            "agents.learners.export, which normalizes."
-        )
-    if normalizing is not None and normalizing.norm_obs:
-        raise ValueError(
-            "The model sees observations through its VecNormalize, got the environment's own; "
-            "evaluate export_policy(model, {}) of agents.learners.export, which normalizes them."
-        )
-    seen = getattr(controller, "observation_space", None)
-    if isinstance(seen, gym.spaces.Dict) and "privileged" in seen.spaces:
-        raise ValueError(
-            "The model's critic sees the true state, which is not among the observations; evaluate "
-            "export_policy(model, {}) of agents.learners.export, the actor without the critic."
-        )
-    space = getattr(controller, "action_space", None)
-    if isinstance(space, gym.spaces.Box) and not np.all((space.low == -1.0) & (space.high == 1.0)):
-        raise ValueError(
-            f"The model acts in [{space.low.min():g}, {space.high.max():g}], but an arm takes "
-            "actions in [-1, 1]; give an object whose predict scales them as the wrapper of the "
-            "training did."
-        )
 
 
 def never_empty(curvature: AnyArray) -> AnyArray:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from agents.environments import look_in_present_folder
-from agents.metrics import refuse_wrapped
+from agents.learners.wrapped import refuse_wrapped
 from agents.policy import Controller
 from dynamics.description import validate
 from dynamics.types import AnyArray

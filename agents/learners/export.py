@@ -10,6 +10,7 @@ from zipfile import ZipFile, is_zipfile
 import numpy as np
 
 from agents.learners.algorithms import algorithms, name_of
+from agents.learners.wrapped import lost_normalization, scaled_actions
 from agents.policy import (
     ACTIVATIONS,
     LARGEST_LAYER,
@@ -49,7 +50,7 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
     ------
     PolicyError : for what a stored policy does not have, and for a model without its VecNormalize.
     """
-    if model.get_vec_normalize_env() is None and is_normalized(model):
+    if lost_normalization(model):
         raise PolicyError(
             "The model was trained with VecNormalize, whose statistics it does not hold; load it "
             "with env=VecNormalize.load(file, envs)."
@@ -67,7 +68,12 @@ def network(model: Any, about: dict[str, Any]) -> Policy:
     from agents.learners.privileged import PrivilegedCriticPolicy
 
     refuse_extractor(model)
-    refuse_scaled_actions(model)
+    limits = scaled_actions(model)
+    if limits is not None:
+        raise PolicyError(
+            f"Only policies of actions in [-1, 1] can be stored, got {limits}; train without a "
+            "wrapper that scales them."
+        )
     lstm, modules = actor(model)
     cells = lstm_cells(lstm) if lstm else []
     squashing = "clip"
@@ -144,16 +150,6 @@ def refuse_extractor(model: Any) -> None:
         raise PolicyError(
             "Only policies of one vector of observations can be stored, without an extractor of "
             f"features, got {type(extractor).__name__}."
-        )
-
-
-def refuse_scaled_actions(model: Any) -> None:
-    """Refuse a model of actions that a wrapper scales, which the stored policy would not."""
-    space = model.action_space
-    if not np.all((space.low == -1.0) & (space.high == 1.0)):
-        raise PolicyError(
-            f"Only policies of actions in [-1, 1] can be stored, got {space.low.min():g} to "
-            f"{space.high.max():g}; train without a wrapper that scales them."
         )
 
 
@@ -271,16 +267,6 @@ def array(tensor: Any) -> AnyArray:
     return numbers
 
 
-def is_normalized(model: Any) -> bool:
-    """True if a model of an on-policy algorithm was trained with a VecNormalize.
-
-    An off-policy algorithm keeps original observations in any case.
-    """
-    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-
-    return isinstance(model, OnPolicyAlgorithm) and model._last_original_obs is not None
-
-
 def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
     """Load the policy of a stable-baselines3 zip; requires `trust`, because it is unpickled.
 
@@ -304,7 +290,7 @@ def load_zip(path: str | Path, *, trust: bool = False) -> Policy:
         statistics = path.with_suffix("") / "vecnormalize.pkl"
         if not statistics.exists():
             # statistics of RL Zoo, whose folder need not have the zip's name
-            if is_normalized(model) or any(path.parent.glob("*/vecnormalize.pkl")):
+            if lost_normalization(model) or any(path.parent.glob("*/vecnormalize.pkl")):
                 raise PolicyError(
                     "was trained with VecNormalize, whose statistics the zip does not hold; put "
                     f"the file of VecNormalize.save at {statistics}."

@@ -88,7 +88,7 @@ def test_a_network_before_the_actor_is_refused(name: str) -> None:
 
 def test_wrappers_that_a_stored_policy_lacks_are_refused(tmp_path: Path) -> None:
     for wrapped, sentence in (
-        (RescaleAction(Toy(), -2.0, 2.0), "actions in .* got -2 to 2; train without"),
+        (RescaleAction(Toy(), -2.0, 2.0), r"actions in .* got \[-2, 2\]; train without"),
         (FrameStackObservation(Toy(), 4), r"got shape \(4, 3\); let it see the latest"),
     ):
         with pytest.raises(PolicyError, match=sentence):

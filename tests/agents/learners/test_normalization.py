@@ -15,7 +15,8 @@ from agents.evaluate import main as evaluate
 from agents.hybrid.environment import HybridVecEnv
 from agents.learners.export import export_policy, load_zip
 from agents.learners.normalization import DEFAULTS, restore_statistics, statistics
-from agents.metrics import evaluated, refuse_wrapped
+from agents.learners.wrapped import refuse_wrapped
+from agents.metrics import evaluated
 from agents.policy import Policy, PolicyError, load_policy, save_policy
 from agents.run_folder.checkpoints import CheckpointError, restore_checkpoint, save_checkpoint
 from agents.run_folder.folder import RunFolder
