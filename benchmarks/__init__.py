@@ -1,1 +1,1 @@
-"""Benchmarks, charts and tables of the documentation: `python -m benchmarks.NAME`."""
+"""Benchmarks, charts and tables of the documentation: `python -m benchmarks.ROOM.NAME`."""

@@ -22,9 +22,10 @@ from agents.config import load_config
 from agents.experiments import shipped_experiments
 from agents.learners.algorithms import ON_TENSORS
 from agents.metrics import write_json
-from benchmarks.harder import REACH as WIDE
-from benchmarks.output import RESULTS, ROOT, argument_parser, count, table
-from benchmarks.studies import STUDIES
+from benchmarks.output import ROOT, argument_parser, count, table
+from benchmarks.ranking.harder import REACH as WIDE
+from benchmarks.training.experiments import stored_runs
+from benchmarks.training.studies import STUDIES
 from dynamics.description import validate
 
 KEEP = Path("runs") / "results"
@@ -64,26 +65,17 @@ def steps(jobs: int, keep: Path) -> Iterator[Step]:
         on_tensors = config.agent.name in ON_TENSORS
         minutes = minutes and minutes / jobs
         yield Step("trainings", ("benchmarks.training", *given), kept, minutes, on_tensors)
-    yield Step("trainings", ("benchmarks.distilled",), ("--keep", str(keep)))
+    yield Step("trainings", ("benchmarks.training.distilled",), ("--keep", str(keep)))
     for name, study in STUDIES.items():
         on_tensors = load_config(study.learner).agent.name in ON_TENSORS
-        yield Step("studies", ("benchmarks.studies", name), side, on_gpu=on_tensors)
+        yield Step("studies", ("benchmarks.training.studies", name), side, on_gpu=on_tensors)
     yield Step("ranking", ("agents.leaderboard",), (*side, "--out", "docs/results"))
     for name in ("on_reference", "knowledge"):
-        yield Step("ranking", (f"benchmarks.{name}",), side)
-    yield Step("ranking", ("benchmarks.harder",))
+        yield Step("ranking", (f"benchmarks.ranking.{name}",), side)
+    yield Step("ranking", ("benchmarks.ranking.harder",))
     yield Step("films", ("agents.films",), ("--out", str(FILMS)))
-    for name in ("experiments", "standings"):
+    for name in ("training.experiments", "ranking.standings"):
         yield Step("tables", (f"benchmarks.{name}",))
-
-
-def stored_runs(name: str) -> tuple[list[int], float | None]:
-    """Seeds of an experiment's stored results and minutes of their trainings; else three seeds."""
-    stored = RESULTS / f"{name}.json"
-    if not stored.exists():
-        return [0, 1, 2], None
-    runs = json.loads(stored.read_text(encoding="utf-8"))["runs"]
-    return [run["seed"] for run in runs], sum(run["seconds"] for run in runs) / 60.0
 
 
 def done(keep: Path) -> dict[str, float]:

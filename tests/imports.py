@@ -57,6 +57,17 @@ ROOMS = (
     "agents.metrics",
     "agents.run_folder",
     "agents",
+    "benchmarks.output",
+    "benchmarks.style",
+    "benchmarks.arms",
+    "benchmarks.speed",
+    "benchmarks.accuracy",
+    "benchmarks.work_precision",
+    "benchmarks.peers",
+    "benchmarks.validation",
+    "benchmarks.scenarios",
+    "benchmarks.training",
+    "benchmarks.ranking",
     "benchmarks",
 )
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.model_choice import S1, SpinUp
+from benchmarks.accuracy.model_choice import S1, SpinUp
 from benchmarks.output import REFERENCE
 from benchmarks.work_precision.scenes import GOOD
 from dynamics import Arm, Joint, Link

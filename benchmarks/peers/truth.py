@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.model_choice import SpinUp
+from benchmarks.accuracy.model_choice import SpinUp
 from benchmarks.peers.beam import beam, tips
 from benchmarks.peers.scenes import SCENES, SPUN, SPUN_INERTIA, PeerScene
 from benchmarks.work_precision.scenes import GOOD

@@ -7,8 +7,8 @@ import json
 from collections.abc import Callable
 from math import nan
 
-from benchmarks.operations import PUBLISHED, STEPS
 from benchmarks.output import RESULTS
+from benchmarks.speed.operations import PUBLISHED, STEPS
 from benchmarks.validation.entries import INCOMPARABLE, LOST, Number, Table, as_printed
 
 COUNTED = RESULTS / "operations.json"
@@ -164,7 +164,7 @@ def _cyril() -> list[Table]:
 
 
 def counted() -> list[Table]:
-    """Printed counts and our own for M and h, as stored by `python -m benchmarks.operations`."""
+    """Printed counts and our own for M and h, as `benchmarks.speed.operations` stored them."""
     if not COUNTED.exists():
         return []
     found = json.loads(COUNTED.read_text())

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from benchmarks.arms import undamped
 from benchmarks.validation.entries import Number, Table
 from benchmarks.validation.slim import BEAM, HALF, SLIM, locked, on_hub
-from benchmarks.work_precision.scenes import undamped
 from dynamics import ARMS, Arm, Mode, Model, compile_arm
 from dynamics.types import Array
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.model_choice import S1, SpinUp
+from benchmarks.accuracy.model_choice import S1, SpinUp
+from benchmarks.arms import undamped
 from benchmarks.output import REFERENCE
 from dynamics import ARMS, Arm, Joint, JointMotion, Link, Mode, Model
 from dynamics.accuracy.fidelity import Fidelity, everything
@@ -137,15 +138,6 @@ class Setting:
         common = math.gcd(*self._knots)
         fit = [k for k in range(1, common + 1) if common % k == 0]
         return tuple(k for k in reversed(fit) if self._knots[-1] // k >= FEWEST)
-
-
-def undamped(arm: Arm) -> Arm:
-    """The arm without damping of its links."""
-    links = tuple(
-        replace(link, damping_ratio=0.0, damping_beta=0.0, damping_beta_torsion=None)
-        for link in arm.links
-    )
-    return replace(arm, links=links)
 
 
 def _clamped(arm: Arm, foreshortening: bool = False) -> Arm:

@@ -10,11 +10,11 @@ A bending direction with a stiffness gets two modes. Their family suits both end
 | any, of a link in segments                       | any                | hierarchical     |
 | any                                              | turns others       | hierarchical     |
 
-A light joint has less than LIGHT of the link's inertia: `python -m benchmarks.stability` finds two
-pinned shapes, which span the same bending as unconstrained ones, closer than two clamped ones up to
-there. Torsion gets one mode, if the link or its tip body has an inertia about x: a twist in
-proportion to x where more than TWISTED of the link's own turns with its tip, as a link beyond does,
-else that of a free tip. In segments it gets two, if the link itself has an inertia. Axial
+A light joint has less than LIGHT of the link's inertia: `python -m benchmarks.accuracy.stability`
+finds two pinned shapes, which span the same bending as unconstrained ones, closer than two clamped
+ones up to there. Torsion gets one mode, if the link or its tip body has an inertia about x: a twist
+in proportion to x where more than TWISTED of the link's own turns with its tip, as a link beyond
+does, else that of a free tip. In segments it gets two, if the link itself has an inertia. Axial
 stretching gets none, its frequencies are far above those of bending. A lumped link gets one mode
 along a direction in which its tip has no inertia.
 

@@ -23,7 +23,7 @@ from agents.fit import (
     frequencies,
     main,
 )
-from benchmarks.measured_data import COMMAND, PLUCK_COMMAND, page_table
+from benchmarks.accuracy.measured_data import COMMAND, PLUCK_COMMAND, page_table
 from benchmarks.output import RESULTS
 from dynamics import compile_arm, load_arm
 from dynamics.measured.fit import Fit

@@ -2,7 +2,6 @@
 
 import json
 import math
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -13,23 +12,24 @@ import pytest
 
 from benchmarks.output import Parser, argument_parser, command, save_results, table
 from dynamics.extras import installation
+from tests.benchmarks.conftest import Command
+from tests.imports import module_name, sources
 from tests.paths import ROOT
 
-BENCHMARKS = sorted(
-    {path.stem for path in (ROOT / "benchmarks").glob("*.py")} - {"__init__", "output", "style"}
-    | {path.parent.name for path in (ROOT / "benchmarks").glob("*/__main__.py")}
-)
+BENCHMARKS = [
+    module_name(path).removeprefix("benchmarks.").removesuffix(".__main__")
+    for path in sources("benchmarks")
+    if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
+]
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
 def test_help_names_the_command(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, benchmark: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Also without the optional engines of the peers."""
-    monkeypatch.setattr(sys, "argv", [name, "--help"])
-    monkeypatch.delitem(sys.modules, f"benchmarks.{name}", raising=False)
     with pytest.raises(SystemExit) as ended:
-        runpy.run_module(f"benchmarks.{name}", run_name="__main__")
+        benchmark(name, "--help")
     assert ended.value.code == 0
     usage = capsys.readouterr().out.splitlines()[0]
     assert usage.startswith("usage: ")
@@ -41,15 +41,17 @@ def test_help_names_the_command(
     [
         *((name, [f"--{option}", "0"], f"argument --{option}: it must be 1 or more, got 0")
           for name, option in (
-              ("harder", "episodes"), ("results", "jobs"), ("learning", "steps"),
-              ("cluster", "trials"), ("tricks", "rounds"), ("work_precision", "jobs"),
+              ("ranking.harder", "episodes"), ("results", "jobs"), ("training.learning", "steps"),
+              ("training.cluster", "trials"), ("speed.tricks", "rounds"),
+              ("work_precision", "jobs"),
           )),
         *((name, ["--charts", "--out", f"no{suffix}"], f"there is no no{suffix}")
           for name, suffix in (
-              ("cost", ".json"), ("rigid_arms", ".json"), ("stability", ".json.bz2")
+              ("speed.cost", ".json"), ("accuracy.rigid_arms", ".json"),
+              ("accuracy.stability", ".json.bz2"),
           )),
-        ("studies", ["limits", "--episodes", "1"], "a regret with its interval needs 2 or more"),
-        ("experiments", ["--out", "empty"], "empty has no results of benchmarks.training"),
+        ("training.studies", ["limits", "--episodes", "1"], "a regret with its interval needs 2"),
+        ("training.experiments", ["--out", "empty"], "empty has no results of benchmarks.training"),
         ("training", ["--config", "no.yaml"], "no.yaml: there is no such file."),
         ("training", ["--film", "no.yaml"], "no.yaml: there is no such file."),
         (
@@ -61,18 +63,16 @@ def test_help_names_the_command(
 )  # fmt: skip
 def test_numbers_and_files_that_no_benchmark_can_use_are_refused(
     name: str, arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    benchmark: Command, capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", [name, *arguments])
-    monkeypatch.delitem(sys.modules, f"benchmarks.{name}", raising=False)
     with pytest.raises(SystemExit) as ended:
-        runpy.run_module(f"benchmarks.{name}", run_name="__main__")
+        benchmark(name, *arguments)
     assert ended.value.code == 2
     assert words in capsys.readouterr().err.splitlines()[-1]
 
 
-@pytest.mark.parametrize("module", ["benchmarks.cost", "benchmarks.peers.__main__"])
+@pytest.mark.parametrize("module", ["benchmarks.speed.cost", "benchmarks.peers.__main__"])
 def test_the_command_is_that_of_the_process(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
     main = SimpleNamespace(__spec__=SimpleNamespace(name=module))
     monkeypatch.setitem(sys.modules, "__main__", main)  # type: ignore[arg-type]

@@ -47,8 +47,8 @@ def test_a_failed_step_ends_the_run_which_goes_on_with_it(
     assert (ran, done(tmp_path)) == (["agents.leaderboard"], {})
     failing.clear()
     assert main([*given, "--jobs", "1"]) == 0
-    assert ran[1:] == ["agents.leaderboard", "benchmarks.on_reference", "benchmarks.knowledge",
-                       "benchmarks.harder", "agents.films"]  # fmt: skip
+    studies = [f"benchmarks.ranking.{name}" for name in ("on_reference", "knowledge", "harder")]
+    assert ran[1:] == ["agents.leaderboard", *studies, "agents.films"]
     assert main(given) == 0
     assert len(ran) == 6
     assert "python -m agents.films" in capsys.readouterr().out

@@ -1,7 +1,6 @@
 """Charts for colour-blind readers, drawn from stored results without measuring."""
 
 import json
-import runpy
 import sys
 from collections.abc import Iterator
 from itertools import combinations
@@ -18,14 +17,17 @@ from benchmarks.output import RESULTS
 from benchmarks.peers import charts as peer_charts
 from benchmarks.work_precision import charts as precision_charts
 from dynamics.integrators.table import INTEGRATORS
+from tests.benchmarks.conftest import Command
 from tests.paths import ROOT
 
 SIZE = 150_000  # [bytes] of a picture of the documentation
 WIDTH = 830  # [pixels] of a picture in a README
 PICTURES = {  # of each command that draws stored results
-    "stability": [f"stability_{name}" for name in ("methods", "spin", "loop", "shapes", "torques")],
-    "cost": ["cost"],
-    "rigid_arms": ["rigid_arms"],
+    "accuracy.stability": [
+        f"stability_{name}" for name in ("methods", "spin", "loop", "shapes", "torques")
+    ],
+    "speed.cost": ["cost"],
+    "accuracy.rigid_arms": ["rigid_arms"],
     "peers": ["peers", "error_against_speed"],
     "work_precision": ["work_precision", "work_precision_S1", "work_precision_six-link"],
 }
@@ -42,8 +44,9 @@ def closed() -> Iterator[None]:
 
 
 def stored_file(name: str) -> Path:
-    packed = RESULTS / f"{name}.json.bz2"
-    return packed if packed.exists() else RESULTS / f"{name}.json"
+    file = RESULTS / f"{name.rpartition('.')[2]}.json"
+    packed = file.with_suffix(".json.bz2")
+    return packed if packed.exists() else file
 
 
 def stored(name: str) -> Any:
@@ -101,7 +104,7 @@ def test_thinned_points_fall_by_the_ratio_and_end_with_the_best() -> None:
 
 @pytest.mark.parametrize("name", PICTURES)
 def test_stored_results_are_drawn_without_measuring(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, benchmark: Command
 ) -> None:
     """Also without the peers' engines."""
     results = stored(name)
@@ -113,12 +116,10 @@ def test_stored_results_are_drawn_without_measuring(
     else:
         out.write_text(json.dumps(results))
     before = out.read_bytes()
-    images = [] if name == "rigid_arms" else ["--images", str(tmp_path)]
-    monkeypatch.setattr(sys, "argv", [name, "--charts", "--out", str(out), *images])
+    images = [] if name == "accuracy.rigid_arms" else ["--images", str(tmp_path)]
     for engine in ("exudyn", "mujoco"):
         monkeypatch.setitem(sys.modules, engine, None)
-    monkeypatch.delitem(sys.modules, f"benchmarks.{name}", raising=False)
-    runpy.run_module(f"benchmarks.{name}", run_name="__main__")
+    benchmark(name, "--charts", "--out", str(out), *images)
     assert out.read_bytes() == before
     for picture in PICTURES[name]:
         path = tmp_path / f"{picture}.png"

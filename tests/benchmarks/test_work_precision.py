@@ -11,10 +11,11 @@ import pytest
 from matplotlib.figure import Figure
 
 import flexarm_env  # noqa: F401  (registers the ids)
-from benchmarks import cost
+from benchmarks.arms import undamped
+from benchmarks.speed import cost
 from benchmarks.work_precision import charts as precision_charts
 from benchmarks.work_precision import run as work_precision
-from benchmarks.work_precision.scenes import SETTINGS, Level, undamped
+from benchmarks.work_precision.scenes import SETTINGS, Level
 from dynamics import compile_arm
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.tracing.operation_counts import operations

@@ -27,7 +27,7 @@ ARM = Arm(
         Link(
             length=_LENGTH,
             rho_A=_MASS / _LENGTH,
-            EIz=0.10332,  # tuned to 3.0 Hz: benchmarks.tune_presets
+            EIz=0.10332,  # tuned to 3.0 Hz: benchmarks.accuracy.tune_presets
             modes=tuple(Mode(kind="clamped-free", index=index, direction="y") for index in (1, 2)),
             damping_ratio=0.01,  # chosen: none is published
             joint=Joint(rotor_inertia=_SERVO, viscous=4e-3),  # published

@@ -25,7 +25,7 @@ _ELBOW = 0.5 * pi  # [rad] chosen posture
 _LINK = Link(
     length=_LENGTH,
     rho_A=_MASS / (2.0 * _LENGTH),
-    EIz=2.9683e5,  # tuned to 6.37 Hz: benchmarks.tune_presets
+    EIz=2.9683e5,  # tuned to 6.37 Hz: benchmarks.accuracy.tune_presets
     modes=tuple(Mode(kind="poly", index=index, direction="y") for index in (1, 2)),
     damping_ratio=0.02,  # printed as about 0.2 or 0.02, illegible; motions of 2 s need 0.02
 )

@@ -34,7 +34,7 @@ ARM = Arm(
         Link(
             length=_FOREARM,
             rho_A=_RHO_A,
-            EIz=2.3938,  # tuned to 4.716 Hz: benchmarks.tune_presets
+            EIz=2.3938,  # tuned to 4.716 Hz: benchmarks.accuracy.tune_presets
             modes=tuple(Mode(kind="pinned-free", index=index, direction="y") for index in (1, 2)),
             damping_ratio=0.07,  # published of the first mode; 0.03 of the second
             joint=Joint(hub_inertia=_HUB),

@@ -24,7 +24,7 @@ ARM = Arm(
         Link(
             length=1.2192,  # 48 in, printed
             EIz=11.8236,  # 4120 lbf in^2, printed
-            # derived from the printed modes 1, 2, 4, 5: benchmarks.tune_presets
+            # derived from the printed modes 1, 2, 4, 5: benchmarks.accuracy.tune_presets
             rho_A=0.24590,  # 0.24610 is 6061-T6, not printed, in the printed section
             tip_mass=0.04086,  # 0.090 lb
             tip_inertia=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 2.48e-6)),

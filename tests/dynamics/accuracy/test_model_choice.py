@@ -1,7 +1,8 @@
 """`choose_model` returns the least model that a scene needs, and its claimed error holds.
 
 The claims are verified against other discretisations under another integrator (tests/reference/,
-made by `python -m benchmarks.model_choice --truth`) and against a geometrically nonlinear beam.
+made by `python -m benchmarks.accuracy.model_choice --truth`) and against a geometrically nonlinear
+beam.
 """
 
 import json
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.model_choice import (
+from benchmarks.accuracy.model_choice import (
     S1,
     TRIALS,
     chosen_tips,

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.model_choice import TRIALS
+from benchmarks.accuracy.model_choice import TRIALS
 from dynamics import Scene, choose_model
 from dynamics.accuracy.rollout import SAMPLES, STRIDES, _strides
 from dynamics.accuracy.scene import JointMotion, bang_bang, cycloid, release

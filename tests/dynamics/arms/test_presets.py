@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks import tune_presets
+from benchmarks.accuracy import tune_presets
 from dynamics import ARMS, Arm
 from dynamics.arms import CHECKS, presets
 from dynamics.arms.checks import Check

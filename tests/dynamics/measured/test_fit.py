@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.measured_data import (
+from benchmarks.accuracy.measured_data import (
     GAUGE,
     PRESET,
     STIFFER,

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.signal import lsim
 
-from benchmarks.measured_data import GAUGE, PRESET, STIFFER, clean_log, noisy, rig, truth
+from benchmarks.accuracy.measured_data import GAUGE, PRESET, STIFFER, clean_log, noisy, rig, truth
 from dynamics import Arm, Stepper, compile_arm, load_arm
 from dynamics.measured.fit import BOUNDS, Fit, Gauge, LinkAngle, TipSlope, fit
 from dynamics.measured.log_file import Log

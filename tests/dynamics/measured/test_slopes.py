@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.measured_data import GAUGE, PRESET, clean_log, noisy, rig
+from benchmarks.accuracy.measured_data import GAUGE, PRESET, clean_log, noisy, rig
 from dynamics.measured.fit import BOUNDS, fit
 from dynamics.measured.log_file import Log
 from dynamics.measured.motion import LoggedMotion

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
-from benchmarks.measured_data import GAUGE, PRESET, STIFFER, clean_log, rig, truth
+from benchmarks.accuracy.measured_data import GAUGE, PRESET, STIFFER, clean_log, rig, truth
 from benchmarks.output import RESULTS
 from dynamics import Arm, Mode, Model, compile_arm, load_arm, simulate
 from dynamics.description.mode_shapes import shape

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.model_choice import (
+from benchmarks.accuracy.model_choice import (
     S1,
 )
 from dynamics import (

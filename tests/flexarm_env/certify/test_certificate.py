@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flexarm_env
-from benchmarks.episode_errors import independent, solved
+from benchmarks.accuracy.episode_errors import independent, solved
 from dynamics import load_arm
 from dynamics.model import Model
 from dynamics.simulation.step_limits import largest_step

@@ -1,0 +1,1 @@
+"""Errors of methods and models, and agreement between independent computations."""

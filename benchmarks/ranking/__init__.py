@@ -1,0 +1,1 @@
+"""Tables and studies of ranked controllers."""

@@ -1,0 +1,1 @@
+"""Rates, costs and counts of the steppers, on processors and on a GPU."""

@@ -1,0 +1,1 @@
+"""Trainings of experiments: scores beside joint PD and experts, and their cost."""

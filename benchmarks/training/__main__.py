@@ -1,0 +1,222 @@
+"""Train an experiment with several seeds and compare every run with the best joint PD.
+
+    python -m benchmarks.training --config configs/one_link_reach_ppo.yaml --seeds 0 1 2 3 4
+    python -m benchmarks.training --film configs/one_link_reach_ppo.yaml
+
+Writes docs/results/NAME.json, NAME.md and NAME.png (learning curves), with --gif also NAME.gif (the
+first seed and joint PD), and the overview of `benchmarks.training.experiments`. Without training,
+`--film` makes NAME.gif with the shipped policy.
+"""
+
+import json
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from agents.comparison import beginning, titled
+from agents.config import Config, ConfigError, load_config
+from agents.controllers import joint_pd, tune_pd
+from agents.figures import film, plot_recordings, write_gif
+from agents.hybrid.controller import acting
+from agents.leaderboard.shipped import name_made_by, ship, shipped
+from agents.leaderboard.tracks import track_of
+from agents.metrics import (
+    METRICS,
+    episode_metrics,
+    make_batch,
+    record,
+    summarise,
+    write_json,
+)
+from agents.policy import Controller, load_policy
+from agents.run_folder.folder import RunFolder, versions
+from agents.sentences import one_line
+from agents.signals import workers
+from agents.training import with_overrides
+from benchmarks.output import argument_parser, command, count
+from benchmarks.training.experiments import COLUMNS, FASTER, cells, summarise_experiments
+from benchmarks.training.runs import recorded, run_seed
+
+# A policy wins if its medians are at most these shares of joint PD's; the rules state it in words.
+SETTLING = {"settling_time": 1.0 / 3.0, "residual_vibration": 1.0 / 10.0}
+FOLLOWING = {"tip_error_rms": 1.0 / 3.0}
+
+
+def verdict(
+    policy: Mapping[str, float], pd: Mapping[str, float], following: bool
+) -> dict[str, Any]:
+    """Shares of joint PD's medians, and whether the policy wins on every count (`passed`).
+
+    With a moving target (`following`) the arm neither settles nor stops bending, so the RMS tip
+    error is compared instead of settling time and residual vibration.
+    """
+    limits = FOLLOWING if following else SETTLING
+    shares = {name: share(policy[name], pd[name]) for name in limits}
+    better = all(share <= limits[name] for name, share in shares.items())
+    return {"shares": shares, "passed": better and policy["success_rate"] >= pd["success_rate"]}
+
+
+def share(value: float, of: float) -> float:
+    """A median over another one; 0 of a zero, such as the vibration of a rigid arm, is 0."""
+    return value / of if of else math.inf if value else 0.0
+
+
+def faster_pd(env_id: str, kwargs: Mapping[str, Any], tasks: Sequence[int]) -> dict[str, float]:
+    """Summary of joint PD at FASTER times the control rate, with the best gains for that rate."""
+    env = make_batch(env_id, 1, kwargs)
+    core = env.unwrapped.core
+    fast = {
+        **kwargs,
+        "control_dt": core.control_dt / FASTER,
+        "max_episode_steps": FASTER * core.max_steps,
+    }
+    env.close()
+    tuned = tune_pd(env_id, fast)
+    envs = make_batch(env_id, len(tasks), fast)
+    pd = joint_pd(envs, tuned.frequency_ratio, tuned.damping_ratio)
+    summary = summarise(episode_metrics(record(pd, envs, tasks)))
+    envs.close()
+    return summary
+
+
+def film_shipped(config: Config, out: Path) -> None:
+    """Film the shipped policy of the first seed and joint PD with the stored gains as NAME.gif."""
+    env_id, kwargs = config.env.id, config.env.kwargs
+    track = track_of(config.agent.name, env_id, kwargs)
+    policies, made = {} if track is None else shipped(env_id, track), name_made_by(config)
+    if made not in policies:
+        raise SystemExit(
+            f"No policy of {config.name} is shipped, but {sorted(policies)} of {env_id}; train it "
+            f"with --config configs/{config.name}.yaml --gif."
+        )
+    gains = json.loads((out / f"{config.name}.json").read_text(encoding="utf-8"))["pd"]
+    envs = make_batch(env_id, 1, kwargs)
+    pair: dict[str, Controller] = {
+        "trained policy": acting(policies[made][0], envs),
+        "joint PD": joint_pd(envs, gains["frequency_ratio"], gains["damping_ratio"]),
+    }
+    envs.close()
+    write_film(config, pair, out)
+
+
+def write_film(config: Config, pair: Mapping[str, Controller], out: Path) -> None:
+    """NAME.gif of the first test episode under both controllers."""
+    env_id, kwargs = config.env.id, config.env.kwargs
+    films = {name: film(env_id, kwargs, c, config.evaluation.seed) for name, c in pair.items()}
+    write_gif(out / f"{config.name}.gif", films, titled(env_id, kwargs))
+
+
+def benchmark(
+    config: Config, trained: Mapping[int, tuple[RunFolder, float]], out: Path, gif: bool,
+    pool: Executor,
+) -> None:  # fmt: skip
+    """Evaluate every seed's policy and the references, write JSON, pages and pictures."""
+    seeds, folders = list(trained), [run for run, _ in trained.values()]
+    env_id, kwargs = config.env.id, config.env.kwargs
+    episodes, first = config.evaluation.episodes, config.evaluation.seed
+    stored = [folders[0].untrained, *(run.policy for run in folders)]
+    coming = pool.map(partial(recorded, config), stored)
+    tuned = tune_pd(env_id, kwargs)
+    envs = make_batch(env_id, episodes, kwargs)
+    pd = joint_pd(envs, tuned.frequency_ratio, tuned.damping_ratio)
+    task = envs.unwrapped.task
+    tasks = range(first, first + episodes)
+    untrained = next(coming)
+    recordings = {"joint PD": record(pd, envs, tasks), beginning(config): untrained}
+    summaries = {name: summarise(episode_metrics(r)) for name, r in recordings.items()}
+    summaries[f"joint PD, {FASTER} x control rate"] = faster_pd(env_id, kwargs, tasks)
+    runs, curves = [], {}
+    for (seed, (run, seconds)), r in zip(trained.items(), coming, strict=True):
+        recordings.setdefault(f"seed {seed}", r)
+        summary = summarise(episode_metrics(r))
+        curves[f"seed {seed}"] = run.curve()
+        runs.append(
+            {
+                "seed": seed,
+                "steps": curves[f"seed {seed}"][-1]["steps"],
+                "seconds": seconds,
+                "summary": summary,
+                "verdict": verdict(summary, summaries["joint PD"], task == "Track"),
+            }
+        )
+        print(f"seed {seed}: {dict(zip(COLUMNS, cells(summary), strict=True))}", flush=True)
+    data = {
+        "name": config.name,
+        "command": command(),
+        "env": env_id,
+        "task": task,
+        "episodes": episodes,
+        "evaluation_seed": first,
+        "units": {name: unit for name, (unit, _) in METRICS.items()},
+        "config": config.to_dict(),
+        "versions": versions()["packages"],
+        "pd": {
+            "frequency_ratio": tuned.frequency_ratio,
+            "damping_ratio": tuned.damping_ratio,
+            "pairs": len(tuned.table),
+        },
+        "references": summaries,
+        "runs": runs,
+        "curves": {
+            name: {
+                key: [row[key] for row in rows[:: max(1, len(rows) // 60)]]
+                for key in ("steps", "return", "settled")
+            }
+            for name, rows in curves.items()
+        },
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / f"{config.name}.json", data)
+    what = titled(env_id, kwargs)
+    shown = {f"policy, seed {seeds[0]}": recordings[f"seed {seeds[0]}"]}
+    shown |= {name: recordings[name] for name in ("joint PD", beginning(config))}
+    title = f"{what}, {episodes} episodes"
+    plot_recordings(out / f"{config.name}_trajectories.png", shown, title)
+    if gif:
+        policy = acting(load_policy(folders[0].policy), envs)
+        write_film(config, {"trained policy": policy, "joint PD": pd}, out)
+    envs.close()
+    summarise_experiments(out)
+    print((out / f"{config.name}.md").read_text(encoding="utf-8"))
+
+
+def main() -> None:
+    """Command line."""
+    parser = argument_parser("training", __doc__, ".")
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument("--config", type=Path, help="experiment file")
+    task.add_argument("--film", type=Path, help="only NAME.gif of an experiment file")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
+    parser.add_argument("--gif", action="store_true", help="film the first seed and joint PD")
+    parser.add_argument(
+        "--jobs", type=count, default=1, help="seeds that are trained, and judged, side by side"
+    )
+    parser.add_argument("--steps", type=count, help="replaces the experiment's total_steps")
+    parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
+    parser.add_argument("--ship", action="store_true", help="keep the policies in agents/policies")
+    a = parser.parse_args()
+    try:
+        config = with_overrides(load_config(a.film or a.config), None, a.steps)
+    except ConfigError as error:
+        parser.error(one_line(error))
+    if a.film:
+        film_shipped(config, a.out)
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        work = a.keep or Path(temporary)
+        # a process per seed: what a training leaves behind would fill the memory of the next
+        with workers(a.jobs, tasks_each=1) as pool:
+            runs = list(pool.map(partial(run_seed, config, work), a.seeds))
+            benchmark(config, dict(zip(a.seeds, runs, strict=True)), a.out, a.gif, pool)
+        track = track_of(config.agent.name, config.env.id, config.env.kwargs)
+        if a.ship and track is not None:
+            for seed in a.seeds:
+                ship(load_policy(RunFolder(work / f"seed{seed}").policy), config.env.id, track)
+
+
+if __name__ == "__main__":
+    main()
