@@ -13,6 +13,7 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,14 @@ from typing import Any
 from agents.comparison import beginning, titled
 from agents.config import Config, ConfigError, load_config
 from agents.controllers import joint_pd, tune_pd
+from agents.controllers.pd import TunedPD
 from agents.figures import film, plot_recordings, write_gif
 from agents.hybrid.controller import acting
 from agents.leaderboard.shipped import name_made_by, ship, shipped
 from agents.leaderboard.tracks import track_of
 from agents.metrics import (
     METRICS,
+    Recording,
     episode_metrics,
     make_batch,
     record,
@@ -39,11 +42,12 @@ from agents.signals import workers
 from agents.training import with_overrides
 from benchmarks.output import argument_parser, command, count
 from benchmarks.training.experiments import COLUMNS, FASTER, cells, summarise_experiments
-from benchmarks.training.runs import recorded, run_seed
+from benchmarks.training.runs import episode_seeds, recorded, run_seed
 
 # A policy wins if its medians are at most these shares of joint PD's; the rules state it in words.
 SETTLING = {"settling_time": 1.0 / 3.0, "residual_vibration": 1.0 / 10.0}
 FOLLOWING = {"tip_error_rms": 1.0 / 3.0}
+POINTS = 60  # of a stored learning curve, about
 
 
 def verdict(
@@ -115,42 +119,59 @@ def benchmark(
     pool: Executor,
 ) -> None:  # fmt: skip
     """Evaluate every seed's policy and the references, write JSON, pages and pictures."""
-    seeds, folders = list(trained), [run for run, _ in trained.values()]
     env_id, kwargs = config.env.id, config.env.kwargs
-    episodes, first = config.evaluation.episodes, config.evaluation.seed
-    stored = [folders[0].untrained, *(run.policy for run in folders)]
-    coming = pool.map(partial(recorded, config), stored)
+    folders = [run for run, _ in trained.values()]
+    coming = pool.map(
+        partial(recorded, config), [folders[0].untrained, *(run.policy for run in folders)]
+    )
     tuned = tune_pd(env_id, kwargs)
-    envs = make_batch(env_id, episodes, kwargs)
-    pd = joint_pd(envs, tuned.frequency_ratio, tuned.damping_ratio)
-    task = envs.unwrapped.task
-    tasks = range(first, first + episodes)
-    untrained = next(coming)
-    recordings = {"joint PD": record(pd, envs, tasks), beginning(config): untrained}
-    summaries = {name: summarise(episode_metrics(r)) for name, r in recordings.items()}
-    summaries[f"joint PD, {FASTER} x control rate"] = faster_pd(env_id, kwargs, tasks)
+    with closing(make_batch(env_id, config.evaluation.episodes, kwargs)) as envs:
+        pd = joint_pd(envs, tuned.frequency_ratio, tuned.damping_ratio)
+        references = {"joint PD": record(pd, envs, episode_seeds(config))}
+        references[beginning(config)] = next(coming)
+        seeds = dict(zip(trained, coming, strict=True))
+        data = results(config, trained, tuned, references, seeds, envs.unwrapped.task)
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(out / f"{config.name}.json", data)
+        draw(config, references, seeds, out)
+        if gif:
+            policy = acting(load_policy(folders[0].policy), envs)
+            write_film(config, {"trained policy": policy, "joint PD": pd}, out)
+    summarise_experiments(out)
+    print((out / f"{config.name}.md").read_text(encoding="utf-8"))
+
+
+def results(
+    config: Config, trained: Mapping[int, tuple[RunFolder, float]], tuned: TunedPD,
+    references: Mapping[str, Recording], seeds: Mapping[int, Recording], task: str,
+) -> dict[str, Any]:  # fmt: skip
+    """Stored results of an experiment: the references, every seed with its verdict, the curves."""
+    env_id, kwargs = config.env.id, config.env.kwargs
+    summaries = {name: summarise(episode_metrics(r)) for name, r in references.items()}
+    summaries[f"joint PD, {FASTER} x control rate"] = faster_pd(
+        env_id, kwargs, episode_seeds(config)
+    )
     runs, curves = [], {}
-    for (seed, (run, seconds)), r in zip(trained.items(), coming, strict=True):
-        recordings.setdefault(f"seed {seed}", r)
-        summary = summarise(episode_metrics(r))
-        curves[f"seed {seed}"] = run.curve()
+    for seed, (run, seconds) in trained.items():
+        summary = summarise(episode_metrics(seeds[seed]))
+        curves[f"seed {seed}"] = curve = run.curve()
         runs.append(
             {
                 "seed": seed,
-                "steps": curves[f"seed {seed}"][-1]["steps"],
+                "steps": curve[-1]["steps"],
                 "seconds": seconds,
                 "summary": summary,
                 "verdict": verdict(summary, summaries["joint PD"], task == "Track"),
             }
         )
         print(f"seed {seed}: {dict(zip(COLUMNS, cells(summary), strict=True))}", flush=True)
-    data = {
+    return {
         "name": config.name,
         "command": command(),
         "env": env_id,
         "task": task,
-        "episodes": episodes,
-        "evaluation_seed": first,
+        "episodes": config.evaluation.episodes,
+        "evaluation_seed": config.evaluation.seed,
         "units": {name: unit for name, (unit, _) in METRICS.items()},
         "config": config.to_dict(),
         "versions": versions()["packages"],
@@ -163,25 +184,22 @@ def benchmark(
         "runs": runs,
         "curves": {
             name: {
-                key: [row[key] for row in rows[:: max(1, len(rows) // 60)]]
+                key: [row[key] for row in rows[:: max(1, len(rows) // POINTS)]]
                 for key in ("steps", "return", "settled")
             }
             for name, rows in curves.items()
         },
     }
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / f"{config.name}.json", data)
-    what = titled(env_id, kwargs)
-    shown = {f"policy, seed {seeds[0]}": recordings[f"seed {seeds[0]}"]}
-    shown |= {name: recordings[name] for name in ("joint PD", beginning(config))}
-    title = f"{what}, {episodes} episodes"
+
+
+def draw(
+    config: Config, references: Mapping[str, Recording], seeds: Mapping[int, Recording], out: Path
+) -> None:
+    """NAME_trajectories.png of the first seed and the references."""
+    first, recording = next(iter(seeds.items()))
+    title = f"{titled(config.env.id, config.env.kwargs)}, {config.evaluation.episodes} episodes"
+    shown = {f"policy, seed {first}": recording, **references}
     plot_recordings(out / f"{config.name}_trajectories.png", shown, title)
-    if gif:
-        policy = acting(load_policy(folders[0].policy), envs)
-        write_film(config, {"trained policy": policy, "joint PD": pd}, out)
-    envs.close()
-    summarise_experiments(out)
-    print((out / f"{config.name}.md").read_text(encoding="utf-8"))
 
 
 def main() -> None:

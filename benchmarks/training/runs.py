@@ -30,8 +30,14 @@ def run_seed(config: Config, work: Path, seed: int) -> tuple[RunFolder, float]:
     return run, run.curve()[-1]["seconds"]
 
 
+def episode_seeds(config: Config) -> range:
+    """Seeds of the test episodes."""
+    first = config.evaluation.seed
+    return range(first, first + config.evaluation.episodes)
+
+
 def recorded(config: Config, policy: Path) -> Recording:
     """Test episodes of a stored policy."""
-    episodes, first = config.evaluation.episodes, config.evaluation.seed
-    with closing(make_batch(config.env.id, episodes, config.env.kwargs)) as envs:
-        return record(acting(load_policy(policy), envs), envs, range(first, first + episodes))
+    seeds = episode_seeds(config)
+    with closing(make_batch(config.env.id, len(seeds), config.env.kwargs)) as envs:
+        return record(acting(load_policy(policy), envs), envs, seeds)
