@@ -59,30 +59,69 @@ def export_policy(model: Any, about: dict[str, Any]) -> Policy:
 
 
 def network(model: Any, about: dict[str, Any]) -> Policy:
-    """The actor of a model, with statistics of observations if its environment is there.
+    """The actor of a model, with statistics of observations if its environment is there."""
+    refuse_extractor(model)
+    space = observed(model)
+    lstm, modules = actor(model)
+    cells = lstm_cells(lstm) if lstm else []
+    modules, output = without_output(modules)
+    layers, activation = folded(modules)
+    policy = Policy(
+        weights=tuple(W.astype(np.float32) for W, _ in (*cells, *layers)),
+        biases=tuple(b.astype(np.float32) for _, b in (*cells, *layers)),
+        recurrent=len(cells),
+        activation=activation,
+        **output,
+        observation_low=space.low.copy(),
+        observation_high=space.high.copy(),
+        normalization=normalization(model.get_vec_normalize_env()),
+        about={"algorithm": name_of(type(model))} | about,
+    )
+    refuse_size(policy)
+    return policy
 
-    Batch renormalisation, which is affine in a trained network, becomes part of the next layer.
-    """
-    import torch
 
+def observed(model: Any) -> Any:
+    """Space of what the actor sees; refuses what a stored policy cannot see or do."""
     from agents.learners.privileged import PrivilegedCriticPolicy
 
-    refuse_extractor(model)
     limits = scaled_actions(model)
     if limits is not None:
         raise PolicyError(
             f"Only policies of actions in [-1, 1] can be stored, got {limits}; train without a "
             "wrapper that scales them."
         )
-    lstm, modules = actor(model)
-    cells = lstm_cells(lstm) if lstm else []
-    squashing = "clip"
+    space = model.observation_space
+    if isinstance(model.policy, PrivilegedCriticPolicy):
+        space = space["observation"]
+    if len(space.shape or ()) != 1:
+        raise PolicyError(
+            f"Only policies of one vector of observations can be stored, got shape {space.shape}; "
+            "let it see the latest ones by VecFrameStack, or by env.stack of an experiment."
+        )
+    return space
+
+
+def without_output(modules: list[Any]) -> tuple[list[Any], dict[str, Any]]:
+    """Modules of an actor up to its mean, and what is done with the mean."""
+    import torch
+
+    squashing, mean_limit = "clip", None
     if isinstance(modules[-1], torch.nn.Tanh):
         squashing, modules = "tanh", modules[:-1]
-    mean_limit = None
     if isinstance(modules[-1], torch.nn.Hardtanh):  # of exploration noise that depends on the state
         mean_limit, modules = float(modules[-1].max_val), modules[:-1]
-    weights, biases = [W for W, _ in cells], [b for _, b in cells]
+    return modules, {"squashing": squashing, "mean_limit": mean_limit}
+
+
+def folded(modules: list[Any]) -> tuple[list[tuple[AnyArray, AnyArray]], str]:
+    """Weights and biases of every linear layer, and the activation between them.
+
+    Batch renormalisation, which is affine in a trained network, becomes part of the next layer.
+    """
+    import torch
+
+    layers: list[tuple[AnyArray, AnyArray]] = []
     activations: set[str] = set()
     factor, shift = np.ones(1), np.zeros(1)  # of the next layer's input
     for module in modules:
@@ -90,8 +129,7 @@ def network(model: Any, about: dict[str, Any]) -> Policy:
         if isinstance(module, torch.nn.Linear):
             W = array(module.weight)
             b = np.zeros(len(W)) if module.bias is None else array(module.bias)
-            weights.append(W * factor)
-            biases.append(b + W @ np.broadcast_to(shift, W.shape[1:]))
+            layers.append((W * factor, b + W @ np.broadcast_to(shift, W.shape[1:])))
             factor, shift = np.ones(1), np.zeros(1)
         elif kind == "batchrenorm1d":
             factor = array(module.scale) / np.sqrt(array(module.ra_var) + module.eps)
@@ -103,26 +141,11 @@ def network(model: Any, about: dict[str, Any]) -> Policy:
             f"Only networks with one activation out of {sorted(ACTIVATIONS)} can be stored, got "
             f"{sorted(activations)}."
         )
-    space = model.observation_space
-    if isinstance(model.policy, PrivilegedCriticPolicy):
-        space = space["observation"]
-    if len(space.shape or ()) != 1:
-        raise PolicyError(
-            f"Only policies of one vector of observations can be stored, got shape {space.shape}; "
-            "let it see the latest ones by VecFrameStack, or by env.stack of an experiment."
-        )
-    policy = Policy(
-        weights=tuple(W.astype(np.float32) for W in weights),
-        biases=tuple(b.astype(np.float32) for b in biases),
-        recurrent=len(cells),
-        activation=activations.pop() if activations else "tanh",
-        squashing=squashing,
-        mean_limit=mean_limit,
-        observation_low=space.low.copy(),
-        observation_high=space.high.copy(),
-        normalization=normalization(model.get_vec_normalize_env()),
-        about={"algorithm": name_of(type(model))} | about,
-    )
+    return layers, activations.pop() if activations else "tanh"
+
+
+def refuse_size(policy: Policy) -> None:
+    """Refuse a policy that a file cannot hold."""
     sizes = policy.layer_sizes
     if len(sizes) > MOST_LAYERS or max(sizes) > LARGEST_LAYER:
         raise PolicyError(
@@ -135,7 +158,6 @@ def network(model: Any, about: dict[str, Any]) -> Policy:
             f"VecNormalize must be inside VecFrameStack: it has {statistics.mean.size} means, but "
             f"one observation has {policy.n_observation} numbers."
         )
-    return policy
 
 
 def refuse_extractor(model: Any) -> None:
