@@ -3,7 +3,8 @@
 import gc
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,74 @@ def place_of(config: Config) -> tuple[str, str, str]:
     return env, track, name_made_by(config)
 
 
+@dataclass(frozen=True)
+class Trials:
+    """Trainings of an experiment with other keywords, judged on tuning episodes."""
+
+    config: Config
+    episodes: int
+    seed: int  # of the first tuning episode
+    report: Callable[[str], None]
+
+    @cached_property
+    def ranges(self) -> dict[str, Any]:
+        """What is searched: keywords of the learner and the scale of what it adds."""
+        base = self.config.base
+        scaled = base is not None and base.learned in SCALED
+        return ranges_of(self.config) | ({SCALE: SCALES} if scaled else {})
+
+    def judged(self, policy: Policy) -> dict[str, float]:
+        """Means of a policy on the tuning episodes."""
+        return judged(self.config, policy, self.episodes, self.seed)
+
+    def objective(self, trial: Any) -> float:
+        """Objective of a trial; the first one has the experiment's own keywords."""
+        from optuna import TrialPruned
+
+        own = self.config.agent.kwargs
+        found = {} if trial.user_attrs else drawn(self.ranges, own, suggested(trial))
+        trial.set_user_attr("parameters", found)
+
+        def poor(policy: Policy, rung: int) -> bool:
+            trial.report(self.judged(policy)["objective"], rung)
+            return bool(trial.should_prune())
+
+        try:
+            policy = trained(changed(self.config, found), poor)
+            means = None if policy is None else self.judged(policy)
+        except UNUSABLE as error:
+            if not found:
+                raise
+            self.report(one_line(error))
+            means = None
+        if means is None:
+            raise TrialPruned
+        trial.set_user_attr("means", means)
+        return means["objective"]
+
+    def final(self, study: Any, trial: Any) -> dict[str, float]:
+        """Means over the seeds of a trial that is in the final."""
+        own = changed(self.config, trial.user_attrs["parameters"])
+        means = [trial.user_attrs["means"]]
+        for k in range(self.config.seed + 1, self.config.seed + SEEDS):
+            key = f"trial {trial.number}, seed {k}"
+            if key not in study.user_attrs:
+                study.set_user_attr(key, self.finally_judged(replace(own, seed=k)))
+            means.append(study.user_attrs[key])
+            self.report(f"final, {key}: objective {means[-1]['objective']:.4f}")
+        return {name: float(np.mean([x[name] for x in means])) for name in means[0]}
+
+    def finally_judged(self, own: Config) -> dict[str, float]:
+        """Means of one more seed of a trial; LOST where its training diverges."""
+        try:
+            policy = trained(own)
+            assert policy is not None
+            return self.judged(policy)
+        except UNUSABLE as error:
+            self.report(one_line(error))
+            return LOST
+
+
 def tune_experiment(
     config: Config,
     *,
@@ -60,68 +129,23 @@ def tune_experiment(
     With a folder `keep`, a search that was interrupted goes on. `report` is told of each training.
     A trial that diverges, or whose keywords exclude each other, is ended early.
     """
-    scaled = config.base is not None and config.base.learned in SCALED
-    ranges = ranges_of(config) | ({SCALE: SCALES} if scaled else {})
-
-    def judge(policy: Policy) -> dict[str, float]:
-        return judged(config, policy, episodes, seed)
-
-    def tried(trial: Any) -> float:
-        found = {} if trial.user_attrs else drawn(ranges, config.agent.kwargs, suggested(trial))
-        trial.set_user_attr("parameters", found)
-
-        def poor(policy: Policy, rung: int) -> bool:
-            trial.report(judge(policy)["objective"], rung)
-            return bool(trial.should_prune())
-
-        try:
-            policy = trained(changed(config, found), poor)
-            means = None if policy is None else judge(policy)
-        except UNUSABLE as error:
-            if not found:
-                raise
-            report(one_line(error))
-            means = None
-        if means is None:
-            from optuna import TrialPruned
-
-            raise TrialPruned
-        trial.set_user_attr("means", means)
-        return float(trial.user_attrs["means"]["objective"])
+    search = Trials(config, episodes, seed, report)
 
     def ended(count: int, value: float | None) -> None:
         what = "ended early" if value is None else f"objective {value:.4f}"
         report(f"trial {count} of {trials}: {what}")
 
-    def finally_judged(own: Config) -> dict[str, float]:
-        try:
-            policy = trained(own)
-            assert policy is not None
-            return judge(policy)
-        except UNUSABLE as error:
-            report(one_line(error))
-            return LOST
-
-    def final(study: Any, trial: Any) -> dict[str, float]:
-        """Means over the seeds of a trial that is in the final."""
-        own = changed(config, trial.user_attrs["parameters"])
-        means = [trial.user_attrs["means"]]
-        for k in range(config.seed + 1, config.seed + SEEDS):
-            key = f"trial {trial.number}, seed {k}"
-            if key not in study.user_attrs:
-                study.set_user_attr(key, finally_judged(replace(own, seed=k)))
-            means.append(study.user_attrs[key])
-            report(f"final, {key}: objective {means[-1]['objective']:.4f}")
-        return {name: float(np.mean([x[name] for x in means])) for name in means[0]}
-
-    about = {"experiment": replace(config, sweep=ranges).to_dict(), "seeds": [seed, episodes]}
+    about = {
+        "experiment": replace(config, sweep=search.ranges).to_dict(),
+        "seeds": [seed, episodes],
+    }
     with kept_study(keep, about) as study:
-        done = searched(study, tried, trials, [{}], REDUCTION, ended)
+        done = searched(study, search.objective, trials, [{}], REDUCTION, ended)
         whole = [trial for trial in done if "means" in trial.user_attrs]
         first = next(trial for trial in whole if not trial.user_attrs["parameters"])
         others = sorted((t for t in whole if t is not first), key=lambda trial: -trial.value)
         finalists = {trial.number: trial for trial in (first, *others[:FINALISTS])}
-        means = {number: final(study, trial) for number, trial in finalists.items()}
+        means = {number: search.final(study, trial) for number, trial in finalists.items()}
     best = max(means, key=lambda number: means[number]["objective"])
     return {
         "parameters": finalists[best].user_attrs["parameters"],
