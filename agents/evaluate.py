@@ -14,7 +14,7 @@ from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
 from agents.environments import REFUSALS, check_keywords, look_in_present_folder
 from agents.files import FolderError, check_folder
 from agents.hybrid.controller import acting
-from agents.leaderboard.replay import YARDSTICK, optimal
+from agents.leaderboard.replay import OPTIMAL, optimal
 from agents.leaderboard.tracks import takes_part, track_of
 from agents.learners.export import load_zip
 from agents.learners.limits import LIMITS
@@ -28,7 +28,7 @@ from agents.tuned import is_tuned, parameters_of
 from dynamics.description import validate
 from flexarm_env import registered
 
-KNOWN = sorted({*CONTROLLERS, YARDSTICK})
+KNOWN = sorted({*CONTROLLERS, OPTIMAL})
 STORED = (JSON_FILE, WEIGHTS_FILE)  # files that stand for their folder
 SENSING = "lqg"  # advice for imperfect hardware
 
@@ -87,7 +87,7 @@ def evaluate(a: argparse.Namespace) -> None:
     env_id, kwargs = find_env(policy, a.env, env_kwargs)
     if policy is not None and a.env is None and env_kwargs is None and kwargs:
         print(f"{env_id} with the keywords of the training: {validate.shown(kwargs)}")
-    if a.subject == YARDSTICK:
+    if a.subject == OPTIMAL:
         name, subject = a.subject, bounds_of(env_id, kwargs, range(a.seed, a.seed + a.episodes))
     else:
         name, subject = make_controller(a.subject, policy, env_id, kwargs)
@@ -203,11 +203,11 @@ def make_controller(
 
 
 def bounds_of(env_id: str, kwargs: dict[str, Any], seeds: Sequence[int]) -> Controller:
-    """The yardstick for episodes of an id with the keywords of a track."""
-    track = track_of(YARDSTICK, env_id, kwargs)
+    """Best known torques of episodes of an id with the keywords of a track."""
+    track = track_of(OPTIMAL, env_id, kwargs)
     if track is None:
         raise UsageError(
-            f"{YARDSTICK} has bounds of ids with the keywords of a track alone, got {env_id} with "
+            f"{OPTIMAL} has bounds of ids with the keywords of a track alone, got {env_id} with "
             f"{validate.shown(kwargs)}."
         )
     try:

@@ -44,7 +44,7 @@ class InverseDynamics(Remembering):
         """Actions about the episodes' plans."""
         plan = self.planner.follow(x, memory.plan if memory else None, fresh)
         bent, forward = (part[:, 0] for part in self.reference.along(plan.motion))
-        offset = plan.left + bent @ self.angles.T
+        offset = plan.remaining_error + bent @ self.angles.T
         before = offset if memory is None else np.where(fresh[:, None], offset, memory.offset)
         rate = plan.target.rate + (offset - before) / self.models.control_dt
         torque = (

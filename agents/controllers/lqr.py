@@ -126,7 +126,7 @@ class OutputFeedback(ModelBased):
         return cast(Belief, belief)
 
     def known(self, state: Belief) -> AnyArray:
-        """(N, n_known) what the filters believe, see `KalmanFilters.known`."""
+        """(N, n_known) estimates of the filters, see `KalmanFilters.known`."""
         return np.asarray(self.observer.known(state))
 
     def told(self, state: Belief, action: AnyArray) -> Belief:

@@ -160,8 +160,8 @@ def predictive(
 ) -> ModelBased:
     """Predictive control; the parameters are those of `model_based`.
 
-    On filters it believes in the heaviest plant that its readings allow, so that the links of none
-    of them bend too far; on a path, whose torques are the plant's own, in the likeliest.
+    On filters it assumes the heaviest payload consistent with the readings, so that no plant among
+    them bends too far; on a path, whose torques are the plant's own, it assumes the likeliest.
     """
     if "disturbance" in parameters and not env.unwrapped.core.task.moving:
         parameters["caution"] = CAUTION

@@ -288,7 +288,7 @@ def nonlinear(
 ) -> ModelBased:
     """Nonlinear predictive control to a resting target; the parameters are those of `model_based`.
 
-    On filters of the nonlinear arm it believes in the heaviest plant that readings allow.
+    On filters of the nonlinear arm it assumes the heaviest payload consistent with the readings.
     """
     if "disturbance" in parameters:
         parameters |= {"caution": CAUTION, "filters": ExtendedFilters}

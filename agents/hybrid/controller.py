@@ -46,14 +46,14 @@ class Observer(Protocol):
 
 
 class Base(Protocol):
-    """A classical controller whose step a policy completes."""
+    """The classical controller on which a policy acts."""
 
-    added: int  # what the policy sees beyond the observation
+    added: int  # numbers of the policy's observation beyond the environment's
 
     def begin(
         self, observation: AnyArray, state: Any, episode_start: AnyArray | None
     ) -> tuple[AnyArray, Any]:
-        """The policy's observation, and the step to complete."""
+        """The policy's observation, and what `complete` needs of this step."""
         ...
 
     def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
@@ -84,7 +84,7 @@ class Residual:
         return np.concatenate(seen, axis=-1, dtype=np.float32), (own, state)
 
     def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
-        """The sum, of which a controller with a memory of actions is told."""
+        """Add the policy's correction, and tell the controller the action that is applied."""
         own, state = begun
         action = np.clip(own + self.scale * learned, -1.0, 1.0)
         if isinstance(self.controller, Observer):
@@ -96,7 +96,7 @@ class Advised(Residual):
     """The policy's actions alone, on what the controller estimates and would do itself."""
 
     def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
-        """The policy's actions, times the scale, of which the controller is told."""
+        """Scale the policy's actions, and tell the controller which are applied."""
         own, state = begun
         return super().complete((np.zeros_like(own), state), learned)
 
@@ -137,7 +137,7 @@ class Alone:
         return np.concatenate([observation, known], axis=-1, dtype=np.float32), state
 
     def complete(self, begun: Any, learned: AnyArray) -> tuple[AnyArray, Any]:
-        """The policy's actions, times the scale, of which the controller is told."""
+        """Scale the policy's actions, and tell the controller which are applied."""
         action = np.clip(self.scale * learned, -1.0, 1.0)
         return action, self.controller.told(begun, action)
 

@@ -19,7 +19,7 @@ from matplotlib.ticker import LogLocator
 from agents.figures import COLOURS, MARKERS, look, new_figure, tidy
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.kinds import KINDS
-from agents.leaderboard.replay import YARDSTICK
+from agents.leaderboard.replay import OPTIMAL
 from agents.leaderboard.statistics import Entry, Figures, profile
 from dynamics.types import AnyArray
 from flexarm_env import IDS, TASKS
@@ -38,7 +38,7 @@ KIND_COLOURS = dict(
 )
 COLUMNS = 4
 LINE = 0.21  # [in] of a controller in a panel
-UNRANKED = ("zero", "random", YARDSTICK)  # not drawn
+UNRANKED = ("zero", "random", OPTIMAL)  # not drawn
 BEST = 5  # lines in a panel
 FILLINGS: tuple[dict[str, Any], ...] = (  # of markers, the next where all markers are used
     {},

@@ -14,7 +14,7 @@ from agents.files import atomic_write, pack
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.charts import UNRANKED, Results, pictures
 from agents.leaderboard.kinds import CLASSICAL, KINDS, LEARNED, ON_MODEL
-from agents.leaderboard.replay import YARDSTICK
+from agents.leaderboard.replay import OPTIMAL
 from agents.leaderboard.statistics import DIGITS, Entry, Figures, Spectrum
 from agents.leaderboard.tracks import TRACKS
 from agents.metrics import METRICS, without_infinities
@@ -103,7 +103,7 @@ def page(tables: Tables, files: Sequence[str], seeds: Sequence[int]) -> str:
         "one environment at a time. Late: share of decisions that take longer than the control "
         "step, and, above 1 %, the delay in control steps with which the episodes are judged; at "
         "most, or at least, 1 % as the 99 % time tells where no share is stored. A dash: "
-        f"not known. {YARDSTICK} plays the torques of the best known in the episodes that have "
+        f"not known. {OPTIMAL} plays the torques of the best known in the episodes that have "
         "one; it is told which they are, and is not ranked."
     )
     parts = ["# Leaderboard", REDRAWN, about]
@@ -195,7 +195,7 @@ def ranked(found: Mapping[str, Figures]) -> dict[str, Figures]:
 
 
 def order(found: Mapping[str, Figures]) -> list[str]:
-    """Controllers, best first, and the yardstick behind them."""
+    """Controllers, best first, and `optimal` behind them."""
     return sorted(found, key=lambda name: (found[name]["privileged"], -found[name]["score_iqm"]))
 
 

@@ -1,4 +1,4 @@
-"""The yardstick: torques of stored bounds, played without feedback.
+"""`optimal`: torques of stored bounds, played without feedback.
 
 It is told the seeds of its episodes, which no controller is. It stands beside the others and is not
 ranked among them.
@@ -12,7 +12,7 @@ import numpy as np
 from agents.leaderboard.bound import known
 from dynamics.types import AnyArray, Array
 
-YARDSTICK = "optimal"
+OPTIMAL = "optimal"
 
 
 class Replay:
@@ -47,7 +47,7 @@ def optimal(env_id: str, track: str, seeds: Sequence[int], folder: Path | None =
     missing = sorted(set(seeds) - set(replayed(env_id, track, seeds, folder)))
     if missing:
         raise ValueError(
-            f"{YARDSTICK} has no bound of {env_id} on the track {track!r} for the seeds "
+            f"{OPTIMAL} has no bound of {env_id} on the track {track!r} for the seeds "
             f"{missing[:5]}; run python -m agents.leaderboard.bound --tasks {env_id} "
             f"--track {track}."
         )

@@ -28,7 +28,7 @@ from agents.leaderboard.charts import Results, pictures
 from agents.leaderboard.decisions import Late, decision_times, lateness
 from agents.leaderboard.kinds import needs
 from agents.leaderboard.output import row, write
-from agents.leaderboard.replay import YARDSTICK, optimal, replayed
+from agents.leaderboard.replay import OPTIMAL, optimal, replayed
 from agents.leaderboard.shipped import policies_of
 from agents.leaderboard.statistics import Entry, compared, decisions, figures, rounded, spectrum
 from agents.leaderboard.tracks import HARDER, RANKED, TRACKS, keywords, takes_part
@@ -66,17 +66,17 @@ def ranked(
 ) -> Entry:
     """Entry of a controller, made for the track's design conditions.
 
-    The episodes of all training seeds of a policy count. The yardstick meets those episodes alone
+    The episodes of all training seeds of a policy count. `optimal` meets those episodes alone
     that have a bound, in the package or in the folder `bounds`. A controller that misses its
     control step is judged with the delay that it causes.
     """
-    if name == YARDSTICK:
+    if name == OPTIMAL:
         seeds = replayed(env_id, track, seeds, bounds)
     with (
         closing(make_batch(env_id, 1, keywords(name, TRACKS[track].design))) as design,
         closing(make_batch(env_id, len(seeds), keywords(name, track))) as envs,
     ):
-        if name == YARDSTICK:
+        if name == OPTIMAL:
             subjects: Iterator[Controller] = iter([optimal(env_id, track, seeds, bounds)])
         else:
             subjects = built(name, design, env_id, track)
@@ -95,7 +95,7 @@ def ranked(
         best = best_of(env_id, track, seeds, bounds)
         found = figures(
             metrics, best,
-            privileged=name == YARDSTICK,
+            privileged=name == OPTIMAL,
             learned=name in policies_of(env_id, track),
         )  # fmt: skip
         found |= needs(name, env_id, track)
@@ -115,11 +115,11 @@ def names(
 ) -> list[str]:
     """Controllers that act on a task and track, all or those that are wanted, perhaps untuned.
 
-    The yardstick is among them where bounds are known. Where no controller was tuned, only those
+    `optimal` is among them where bounds are known. Where no controller was tuned, only those
     that are wanted act.
     """
     classical = [name for name in CONTROLLERS if takes_part(name, env_id, track)]
-    others = [*policies_of(env_id, track), *[YARDSTICK] * bounded]
+    others = [*policies_of(env_id, track), *[OPTIMAL] * bounded]
     if wanted is None:
         ready = [name for name in classical if is_tuned(name, env_id, track)]
         return [*ready, *others] if any(CONTROLLERS[name].ranges for name in ready) else others
@@ -203,11 +203,11 @@ def _draw(results: Results, folder: Path) -> None:
 
 
 def _time(entries: stored.Entries) -> None:
-    """Time the decisions of all entries but the yardstick's and users'."""
+    """Time the decisions of all entries but those of `optimal` and of users."""
     for env_id, tracks in entries.items():
         for track, found in tracks.items():
             for name, entry in found.items():
-                if name != YARDSTICK and ":" not in name:
+                if name != OPTIMAL and ":" not in name:
                     design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
                     subject, last = next(built(name, design, env_id, track)), entry.seeds[-1]
                     timed(subject, name, env_id, track, last)  # builds what serves all episodes
@@ -346,7 +346,7 @@ def _check(options: argparse.Namespace) -> list[tuple[str, str, str]]:
     }
     for name in options.controllers or ():
         if ":" not in name:
-            known = sorted({*CONTROLLERS, *shipped_names, YARDSTICK})
+            known = sorted({*CONTROLLERS, *shipped_names, OPTIMAL})
             if name not in known and (Path(name).exists() or Path(f"{name}.py").exists()):
                 raise ValueError(
                     f"{name!r} is a file or a folder; --controllers takes a name of {known}, or a "

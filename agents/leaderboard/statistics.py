@@ -51,7 +51,7 @@ class Entry:
 
     @property
     def privileged(self) -> bool:
-        """True for the yardstick, which is told the episodes and not ranked."""
+        """True for `optimal`, which is told the episodes and not ranked."""
         return bool(self.figures["privileged"])
 
 

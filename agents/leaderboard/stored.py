@@ -14,7 +14,7 @@ from agents.files import unpacked
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.kinds import needs
 from agents.leaderboard.output import EPISODES, SPECTRA
-from agents.leaderboard.replay import YARDSTICK
+from agents.leaderboard.replay import OPTIMAL
 from agents.leaderboard.shipped import policies_of
 from agents.leaderboard.statistics import Entry, Spectrum, figures, rounded
 from agents.leaderboard.tracks import takes_part
@@ -40,7 +40,7 @@ def read(folder: Path, seeds: Sequence[int] | None, bounds: Path | None = None) 
         table = episodes(folder)
         wanted = seeds or max((met for met, _ in table.values()), key=len)
         for (env_id, track, name), (met, metrics) in table.items():
-            if not (met == [*wanted] or (name == YARDSTICK and set(met) <= {*wanted})):
+            if not (met == [*wanted] or (name == OPTIMAL and set(met) <= {*wanted})):
                 raise ValueError(f"{name} met the episodes {met[0]} to {met[-1]}")
             before = tables[env_id][track][name]
             now = figures(
@@ -75,7 +75,7 @@ def known(entries: Entries) -> Entries:
 def _is_known(name: str, env_id: str, track: str) -> bool:
     if name in CONTROLLERS:
         return takes_part(name, env_id, track)
-    return ":" in name or name == YARDSTICK or name in policies_of(env_id, track)
+    return ":" in name or name == OPTIMAL or name in policies_of(env_id, track)
 
 
 def episodes(folder: Path) -> dict[tuple[str, str, str], tuple[list[int], dict[str, AnyArray]]]:

@@ -58,7 +58,7 @@ class Trials:
 
     @cached_property
     def ranges(self) -> dict[str, Any]:
-        """What is searched: keywords of the learner and the scale of what it adds."""
+        """Searched keywords of the learner, and the scale of what it adds."""
         base = self.config.base
         scaled = base is not None and base.learned in SCALED
         return ranges_of(self.config) | ({SCALE: SCALES} if scaled else {})

@@ -24,7 +24,7 @@ GROUND, DOT = (250, 250, 248), (200, 30, 30)
 
 
 def test_the_controller_with_the_highest_score_is_filmed() -> None:
-    """The yardstick, which knows the episodes, is none of them."""
+    """`optimal`, which knows the episodes, is none of them."""
     scores = {"pd": 0.4, "lqr": 0.8, "optimal": 0.9}
     rows = {k: {"score_iqm": x, "privileged": k == "optimal"} for k, x in scores.items()}
     ranking = {ID: {"state": rows}}

@@ -13,7 +13,7 @@ def test_the_figures_of_the_paper_are_those_of_the_results() -> None:
     assert filled(page, blocks()) == page
 
 
-def test_the_yardstick_is_no_controller() -> None:
+def test_optimal_torques_are_no_controller() -> None:
     assert "optimal" not in blocks()["control"]
 
 

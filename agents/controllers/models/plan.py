@@ -18,14 +18,14 @@ class Plan:
     """Motions of N episodes."""
 
     target: Course
-    motion: Course  # as the target, with what is left of the moves
+    motion: Course  # the target, and the remaining moves
     start: Array  # (N, m) [rad] joint errors at the start
     rise: Array  # (N,) [s] durations of the moves
     steps: Array  # (N,) control steps since the start
 
     @property
-    def left(self) -> Array:
-        """(N, m) [rad] planned joint errors."""
+    def remaining_error(self) -> Array:
+        """(N, m) [rad] distance of the plan from the target."""
         return self.motion.way - self.target.way
 
 
@@ -73,7 +73,7 @@ class TimedMoves(Planner):
         dt, target = self.models.control_dt, plan.target
         for i in np.flatnonzero(fresh):
             plan.rise[i] = max(dt, self.time(target.posture[i], plan.start[i]))
-        (_, last), (left, rate), (_, following) = (self._left(plan, k) for k in (-1, 0, 1))
+        (_, last), (left, rate), (_, following) = (self._remaining(plan, k) for k in (-1, 0, 1))
         plan.motion = replace(
             target,
             way=target.way + left,
@@ -100,7 +100,7 @@ class TimedMoves(Planner):
         most = max(np.abs(forward / self.limit).max(), np.abs(bent).max())
         return float(np.sqrt(most / self.load))
 
-    def _left(self, plan: Plan, ahead: int) -> tuple[Array, Array]:
-        """(N, m) [rad] what is left of the moves and [rad/s] their rates, some steps ahead."""
+    def _remaining(self, plan: Plan, ahead: int) -> tuple[Array, Array]:
+        """(N, m) [rad] errors and [rad/s] rates that the moves still have, some steps ahead."""
         way, slope = smooth_way(self.models.control_dt * (plan.steps + ahead) / plan.rise)
         return plan.start * (1.0 - way)[:, None], -plan.start * (slope / plan.rise)[:, None]

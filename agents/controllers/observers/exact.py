@@ -1,4 +1,4 @@
-"""Estimates of the arm's state for model-based controllers, here from exact states.
+"""Exact states as estimates for model-based controllers.
 
 `kalman.py` has the observer of sensors. Coordinates are taken from the reference of
 `models/reference.py`.
@@ -22,7 +22,7 @@ NEVER: Array = np.empty(0)  # [s] times of a preview that is not wanted
 
 @dataclass(frozen=True)
 class Estimate:
-    """State of one environment about its reference, and the plant that is believed in."""
+    """State of one environment about its reference, and the plant that is assumed."""
 
     model: LinearModel
     x: Array  # (2r,) modal coordinates and rates
@@ -74,7 +74,7 @@ class ExactState:
         dt, count = self.models.control_dt, len(x)
         plan = self.planner.follow(x, memory.plan if memory else None, fresh)
         place, speed = np.zeros((2, count, self.models.model.n))
-        place[:, self.models.joints] = self.read(x, "joint_error") - plan.left
+        place[:, self.models.joints] = self.read(x, "joint_error") - plan.remaining_error
         place[:, self.models.modal] = self.read(x, "modal_amplitude")
         speed[:, self.models.joints] = self.read(x, "joint_rate") - plan.motion.rate
         speed[:, self.models.modal] = self.read(x, "modal_rate")

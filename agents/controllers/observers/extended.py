@@ -81,7 +81,7 @@ class ExtendedFilters(KalmanFilters):
         return self._about(belief, self._present(belief, best), plants), plants
 
     def _present(self, belief: Belief, best: AnyArray) -> Array:
-        """(N, most of S) states of the believed filters after the torques since the readings."""
+        """(N, most of S) states of the chosen filters after the torques since the readings."""
         now = belief.state[np.arange(len(best)), best]
         for age in range(self._delays[-1], 0, -1):
             rows = np.flatnonzero((self._late[best] >= age) & (belief.steps >= age))

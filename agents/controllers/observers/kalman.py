@@ -60,7 +60,7 @@ class Belief:
     torque: Array  # (N, D + 1, P, m) [N m] past torques about the reference's, oldest first
     place: Array  # (N, D + 2, P, n) past references, from the target at the start, the present last
     forward: Array  # (N, P, m) [N m] torque of the reference
-    estimates: list[Estimate] = field(default_factory=list)  # N, of the believed plant
+    estimates: list[Estimate] = field(default_factory=list)  # N, of the assumed plant
 
 
 class KalmanFilters:
@@ -70,11 +70,11 @@ class KalmanFilters:
     LATER control steps where they are drawn at all. A filter estimates modal coordinates, their
     rates and the biases of the gauges; at the start it knows the first angles and the task's range
     of vibrations. Joint rates are differences of angles and add nothing. The filter with the
-    smallest innovations since the start is believed (multiple-model estimation, Bar-Shalom, Li and
+    smallest innovations since the start is chosen (multiple-model estimation, Bar-Shalom, Li and
     Kirubarajan, Estimation with Applications, 2001, section 11.6); its estimate is predicted to the
     present with the torques since.
 
-    With `caution`, the heaviest plant is believed whose filter is at most so much more surprised;
+    With `caution`, the choice is the heaviest plant whose filter is at most so much more surprised;
     among plants of one payload the softest, and of one stiffness the longest delay.
     """
 
@@ -129,7 +129,7 @@ class KalmanFilters:
         return belief.estimates, belief
 
     def known(self, belief: Belief) -> AnyArray:
-        """(N, k) believed joint errors, rates, modal amplitudes and their rates; plant and delay.
+        """(N, k) estimated joint errors, rates, modal amplitudes and their rates; plant and delay.
 
         States are scaled as observations are; where the reference moves, they are about it, and its
         torque, over the torque limit, follows them. A drawn payload, stiffness and delay, -1 and 1
@@ -178,7 +178,7 @@ class KalmanFilters:
     def _filtered(
         self, belief: Belief, readings: Array, changed: AnyArray
     ) -> tuple[Array, AnyArray]:
-        """Present states (N, most of S) of the believed filters about the reference, their plants.
+        """Present states (N, most of S) of the chosen filters about the reference, their plants.
 
         `changed` (N,) marks readings that differ from the first.
         """
@@ -233,7 +233,7 @@ class KalmanFilters:
 
     def _start(self, belief: Belief, i: int, error: Array) -> None:
         """Set the states of one episode at its start: at rest, with joint errors (m,) [rad]."""
-        start = belief.banks[i].turns @ (error - belief.plan.left[i])
+        start = belief.banks[i].turns @ (error - belief.plan.remaining_error[i])
         belief.state[i, :, : start.shape[1]] = np.repeat(start, len(self._delays), axis=0)
 
     def _mildness(self, hypothesis: int) -> tuple[float, float, int]:

@@ -59,7 +59,7 @@ def predict(
     group: Any, steps: Any, delays: Any, A: Any, B: Any, torque: Any, state: Any, surprise: Any,
     order: Any, caution: float, best: Any, now: Any,
 ) -> None:  # fmt: skip
-    """The plants that are believed in, and their states with the torques since the readings.
+    """The plants that are assumed, and their states with the torques since the readings.
 
     They are the first of `order` whose surprise exceeds the least by no more than `caution`.
     """

@@ -64,7 +64,7 @@ def test_the_plan_bends_the_links_as_the_environment_does() -> None:
     state, gaps, tips = None, [], []
     for _ in range(base.core.max_steps // 2):
         action, state = subject.predict(observation, state, np.zeros(1, bool))
-        error, left = (observation[:, at] * scale)[0, 0], state.plan.left
+        error, left = (observation[:, at] * scale)[0, 0], state.plan.remaining_error
         gaps.append([error - left[0, 0], (state.offset - left)[0, 0]])
         observation, _, _, _, info = envs.step(action.astype(np.float32))
         tips.append(info["tip_deflection"][0])

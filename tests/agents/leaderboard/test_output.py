@@ -280,7 +280,7 @@ def test_no_two_controllers_share_a_point() -> None:
 
 @pytest.fixture
 def told() -> charts.Results:
-    """A path, on which the RMS is 0.1 more than the score, and the yardstick in two episodes."""
+    """A path, on which the RMS is 0.1 more than the score, and `optimal` in two episodes."""
     exact = entry([[0.9, 0.9]], best=Best("tip_error_rms", np.full(2, 1.0)))
     exact.figures["privileged"] = True
     found = {
@@ -293,7 +293,7 @@ def told() -> charts.Results:
     return {TRACK: {"state": compared(found)}}
 
 
-def test_the_yardstick_stands_last_and_is_not_ranked(told: Any, tmp_path: Path) -> None:
+def test_optimal_torques_stand_last_and_are_not_ranked(told: Any, tmp_path: Path) -> None:
     write(tmp_path, told, SEEDS)
     stored = json.loads((tmp_path / "leaderboard.json").read_text())[TRACK]["state"]
     assert stored["optimal"]["privileged"]

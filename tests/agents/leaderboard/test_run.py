@@ -18,7 +18,7 @@ from agents.evaluate import main as evaluate_main
 from agents.leaderboard import bound
 from agents.leaderboard.motions import Episode, plant
 from agents.leaderboard.output import EPISODES
-from agents.leaderboard.replay import YARDSTICK, optimal
+from agents.leaderboard.replay import OPTIMAL, optimal
 from agents.leaderboard.run import main, names, ranked
 from agents.leaderboard.shipped import FOLDER, loaded, name_of, policies_of, ship, shipped
 from agents.leaderboard.tracks import (
@@ -101,14 +101,14 @@ def test_missing_bounds_are_searched_where_that_is_asked(
 
 @pytest.mark.skip(reason="older than the defaults: python -m agents.leaderboard.bound")
 @pytest.mark.parametrize(("env_id", "track"), [(ONE, "laboratory"), (TRACK, "state")])
-def test_the_yardstick_reaches_the_bounds_under_the_conditions_of_the_track(
+def test_optimal_torques_reach_the_bounds_under_the_conditions_of_the_track(
     env_id: str, track: str
 ) -> None:
     """Late and noisy readings change nothing without feedback; other episodes do."""
     seeds = [10_000, 10_003, 10_001]
     best = bound.best_of(env_id, track, seeds)
     assert best is not None
-    envs = make_batch(env_id, 3, keywords(YARDSTICK, track))
+    envs = make_batch(env_id, 3, keywords(OPTIMAL, track))
     metrics = episode_metrics(record(optimal(env_id, track, seeds), envs, seeds))
     assert metrics[best.metric] == pytest.approx(best.values, rel=1e-3)
     metrics = episode_metrics(record(optimal(env_id, track, seeds), envs, seeds[::-1]))
@@ -117,7 +117,7 @@ def test_the_yardstick_reaches_the_bounds_under_the_conditions_of_the_track(
         optimal(env_id, track, [10_000, 5])
 
 
-def test_the_yardstick_is_evaluated_where_bounds_are_stored(
+def test_optimal_torques_are_evaluated_where_bounds_are_stored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     subject: Any = bounds_of(TRACK, {"hardware": "laboratory"}, [10_002, 10_000])

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from agents.leaderboard import run, stored
 from agents.leaderboard.output import EPISODES, SPECTRA
-from agents.leaderboard.replay import YARDSTICK
+from agents.leaderboard.replay import OPTIMAL
 from agents.leaderboard.run import built, main
 from agents.leaderboard.statistics import DIGITS
 from agents.leaderboard.tracks import TRACKS, keywords
@@ -51,10 +51,10 @@ def rank(out: Path, *arguments: str) -> Tables:
 
 @pytest.fixture(scope="module")
 def former(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ranking with a policy of several seeds, a yardstick and failures, of two tasks."""
+    """A ranking with a policy of several seeds, `optimal` and failures, of two tasks."""
     out = tmp_path_factory.mktemp("former")
     rank(out, "--tasks", REACH, TRACK, "--tracks", "state", "laboratory",
-         "--controllers", "pd", "ppo", "ppo-stacked", "zero", YARDSTICK)  # fmt: skip
+         "--controllers", "pd", "ppo", "ppo-stacked", "zero", OPTIMAL)  # fmt: skip
     return out
 
 
@@ -108,7 +108,7 @@ def test_a_ranking_is_redrawn_from_its_episodes_and_times(
 def test_decisions_are_timed_again_and_nothing_else_changes(
     former: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The yardstick decides nothing: its times stay."""
+    """`optimal` decides nothing: its times stay."""
     monkeypatch.setattr(run, "pictures", lambda results: {})
     monkeypatch.setattr(run, "decision_times", lambda *_: np.array([7.0, *199 * [3.0]]))
     shutil.copytree(former, tmp_path, dirs_exist_ok=True)
@@ -116,7 +116,7 @@ def test_decisions_are_timed_again_and_nothing_else_changes(
     for tracks in expected.values():
         for found in tracks.values():
             for name, x in found.items():
-                if name != YARDSTICK:
+                if name != OPTIMAL:
                     x |= dict.fromkeys(MEASURED, 3.0) | {"ms_first_action": 7.0, "late_share": 0.0}
 
     assert main(["--times", "--out", str(tmp_path)]) == 0
@@ -149,7 +149,7 @@ def test_options_of_a_ranking_are_refused_beside_a_redraw(
 def test_runs_and_failures_keep_their_places(former: Path) -> None:
     found = stored.read(former, SEEDS)
     assert found[REACH]["state"]["ppo"].metrics["score"].shape == (5, 4)
-    zero, told = found[REACH]["state"]["zero"], found[TRACK]["laboratory"][YARDSTICK]
+    zero, told = found[REACH]["state"]["zero"], found[TRACK]["laboratory"][OPTIMAL]
     assert np.isinf(zero.metrics["settling_time"]).all()
     for values in found[REACH]["state"]["ppo"].metrics.values():
         assert [float(f"{x:.5g}") for x in values.flat] == [*values.flat]  # and no more digits
@@ -178,8 +178,8 @@ def test_what_there_is_no_more_is_left_out(former: Path, tmp_path: Path) -> None
         text = text.replace(",ppo-stacked,", ",ppo-older,")
         pack(tmp_path / file, text.replace('"pd"', '"my:Own"').replace(",pd,", ",my:Own,"))
     found = stored.known(stored.read(tmp_path, SEEDS))
-    assert set(found[REACH]["laboratory"]) == {"my:Own", "zero", YARDSTICK}
-    assert set(found[REACH]["state"]) == {"my:Own", "ppo", "zero", YARDSTICK}
+    assert set(found[REACH]["laboratory"]) == {"my:Own", "zero", OPTIMAL}
+    assert set(found[REACH]["state"]) == {"my:Own", "ppo", "zero", OPTIMAL}
 
 
 @pytest.mark.parametrize(
@@ -255,7 +255,7 @@ def drawn(count: int) -> list[tuple[str, str, str]]:
             for env_id, tracks in tables.items()
             for track, figures in tracks.items()
             for name, own in figures.items()
-            if name not in (YARDSTICK, "random")  # whose draws follow one another
+            if name not in (OPTIMAL, "random")  # whose draws follow one another
             and own["ms_per_action"] < 1.0
             and learned == (own["training_seeds"] > 0)
         ]

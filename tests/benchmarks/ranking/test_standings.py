@@ -76,7 +76,7 @@ def test_cells_have_a_number_and_what_is_missed(task: str, changes: Any, text: s
 
 
 def test_rows_have_the_best_of_every_kind_and_mark_the_best_of_all() -> None:
-    """The yardstick and idle control are none of them."""
+    """`optimal` and idle control are none of them."""
     found = {
         "pd": figures(0.3), "pid": figures(0.4, regret_iqm=0.6), "lqr": figures(0.9),
         "ppo": figures(0.8, 5, kind="learned"), "zero": figures(0.95),

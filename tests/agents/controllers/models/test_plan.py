@@ -58,8 +58,8 @@ def test_a_plan_leads_smoothly_to_the_target() -> None:
         np.array([getattr(plan.motion, name) for plan in plans])
         for name in ("way", "rate", "acceleration")
     )
-    assert np.abs(plans[0].left).min() > 0.25
-    assert not plans[-1].left.any()
+    assert np.abs(plans[0].remaining_error).min() > 0.25
+    assert not plans[-1].remaining_error.any()
     assert np.gradient(way, dt, axis=0)[1:-1] == pytest.approx(rate[1:-1], abs=2e-3)
     assert np.diff(rate, axis=0) / dt == pytest.approx(acceleration[1:])
     coming = np.array([plan.motion.coming for plan in plans])
@@ -78,7 +78,7 @@ def test_a_move_of_one_link_takes_the_root_of_its_share_of_the_time() -> None:
 
 def test_nothing_is_planned_where_joints_start_on_the_target() -> None:
     _, _, plans = planned(TRACK, 0.5, 2)
-    assert plans[0].left == pytest.approx(0.0, abs=1e-6)
+    assert plans[0].remaining_error == pytest.approx(0.0, abs=1e-6)
     assert plans[1].motion.rate == pytest.approx(plans[1].target.rate, abs=1e-6)
 
 
@@ -87,7 +87,7 @@ def test_an_episode_that_starts_gets_its_own_plan() -> None:
     observation, _ = envs.reset(seed=[7, 8, 9])
     mixed = planner.follow(observation, plans[-1], np.array([False, True, False]))
     alone = planner.follow(observation, None, np.ones(3, bool))
-    assert mixed.left[1] == pytest.approx(alone.left[1])
+    assert mixed.remaining_error[1] == pytest.approx(alone.remaining_error[1])
     assert mixed.rise[1] == alone.rise[1]
     assert mixed.rise[[0, 2]] == pytest.approx(plans[-1].rise[[0, 2]])
     assert list(mixed.steps) == [40.0, 0.0, 40.0]
@@ -152,7 +152,7 @@ def test_filters_follow_the_arm_along_a_plan() -> None:
         model, true = estimate.model, core.q[i].copy()
         true[joints] -= envs.unwrapped.joint_target()[i]
         believed = model.shapes @ estimate.x[: len(model.modes)]
-        believed[joints] += state.plan.left[i]
+        believed[joints] += state.plan.remaining_error[i]
         found.append(np.linalg.norm(model.tip_of @ (believed - true)))
         angle = read(core.outputs().obs[i], "joint_error")
         naive.append(np.linalg.norm(model.tip_of[:, joints] @ angle - model.tip_of @ true))
