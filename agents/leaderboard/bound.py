@@ -181,7 +181,13 @@ class Bounds:
     starts: Array  # (n, starts) the same from every controller that the search began with
     actions: Array  # (n, T, m)
 
+    @property
+    def agreement(self) -> float:
+        """Share of the episodes in which all starts reach the best within AGREED."""
+        return float(np.mean(self.starts.max(axis=1) <= (1.0 + AGREED) * self.best))
 
+
+AGREED = 0.05  # of the best value
 DIMENSIONS = {"seeds": 1, "best": 1, "starts": 2, "actions": 3}
 
 
@@ -360,11 +366,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _summary(env_id: str, found: Bounds) -> str:
-    count, near = len(found.seeds), found.starts.max(axis=1) <= 1.05 * found.best
+    count = len(found.seeds)
     unit, scale = ("mm RMS", 1e3) if is_moving(env_id) else ("s", 1.0)
     return (
         f"{count} episode{'s' * (count > 1)}, median {scale * np.median(found.best):.3g} {unit}; "
-        f"starts agree within 5 % in {near.mean():.0%}"
+        f"starts agree within {AGREED:.0%} in {found.agreement:.0%}"
     )
 
 

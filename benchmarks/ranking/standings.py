@@ -10,12 +10,13 @@ the experiments whose keywords were searched. The command fills the blocks
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from agents.config import load_config
 from agents.experiments import shipped_experiments
-from agents.leaderboard.bound import is_moving
+from agents.leaderboard.bound import AGREED, is_moving
+from agents.leaderboard.bound import stored as stored_bounds
 from agents.leaderboard.kinds import CLASSICAL, KINDS, LEARNED, ON_MODEL
 from agents.leaderboard.output import VERDICTS, Tables, best_of_each, leader, ranked, verdict
 from agents.leaderboard.statistics import Figures
@@ -45,7 +46,7 @@ def blocks() -> dict[str, str]:
     stored = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
     tables = {track: standings(stored, track) for track in entered(stored)}
     texts = {"leaders": leaders(stored), "gains": gains(stored), "searched": searched(tuned())}
-    return tables | texts | {"bought": bought(stored, trained())}
+    return tables | texts | {"bought": bought(stored, trained()), "bounds": bounds(stored)}
 
 
 def entered(stored: Tables) -> list[str]:
@@ -184,6 +185,22 @@ def searched(stored: Mapping[str, Any]) -> str:
         f"- {text}, {len(found[key])}: {', '.join(found[key]) or 'none'}."
         for key, text in ((True, "Searched"), (False, "By hand"))
     )
+
+
+def bounds(env_ids: Iterable[str]) -> str:
+    """Episodes with a bound, and how often its two starts agree, by task."""
+    rows = []
+    for env_id in env_ids:
+        cells = []
+        for track in ("state", "laboratory"):
+            found = stored_bounds(env_id, track)
+            cells += (
+                ["", ""] if found is None else [str(len(found.seeds)), f"{found.agreement:.0%}"]
+            )
+        rows.append([short(env_id), *cells])
+    agree = f"starts agree within {AGREED:.0%}"
+    header = ["task", "`state`: episodes", agree, "`laboratory`: episodes", agree]
+    return table(header, rows, "lrrrr")
 
 
 def short(env_id: str) -> str:
