@@ -193,10 +193,8 @@ def bounds(env_ids: Iterable[str]) -> str:
     for env_id in env_ids:
         cells = []
         for track in ("state", "laboratory"):
-            found = stored_bounds(env_id, track)
-            cells += (
-                ["", ""] if found is None else [str(len(found.seeds)), f"{found.agreement:.0%}"]
-            )
+            x = stored_bounds(env_id, track)
+            cells += ["", ""] if x is None else [str(len(x.seeds)), f"{x.agreement:.0%}"]
         rows.append([short(env_id), *cells])
     agree = f"starts agree within {AGREED:.0%}"
     header = ["task", "`state`: episodes", agree, "`laboratory`: episodes", agree]
