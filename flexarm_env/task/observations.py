@@ -105,20 +105,19 @@ def curvature_columns(arm: Arm) -> tuple[int, ...]:
 
 
 def is_planar(arm: Arm) -> bool:
-    """True if the arm moves only in the plane normal to its first joint's axis.
+    """True if every point of the arm moves across its first joint's axis, along or against z.
 
     On a floating base that is also the plane in which the base moves.
     """
     turned = arm.links if arm.base.n else arm.links[1:]  # against what carries them
-    parallel = all(link.joint.rotation[2][2] == 1.0 for link in turned)
-    flat = all(link.joint.offset[2] == link.joint.root[2] == 0.0 for link in turned)
-    bending = all(mode.direction == "y" for link in arm.links for mode in link.modes)
-    return parallel and flat and bending
+    parallel = all(abs(link.joint.rotation[2][2]) == 1.0 for link in turned)
+    across = all(mode.direction in ("y", "axial") for link in arm.links for mode in link.modes)
+    return parallel and across
 
 
 def is_level(arm: Arm) -> bool:
-    """True if the arm moves only in the x-y plane of the world."""
-    return is_planar(arm) and arm.links[0].joint.rotation[2][2] == 1.0
+    """True if every point of the arm moves along the x-y plane of the world."""
+    return is_planar(arm) and abs(arm.links[0].joint.rotation[2][2]) == 1.0
 
 
 def observation_layout(
