@@ -28,6 +28,8 @@ from dynamics.tracing.traced_arm import TracedArm
 from dynamics.types import Array
 from dynamics.validity import ValidityWarning, bending
 
+_REACHED = 1.0 + 1e-12  # [-] a step that round-off puts behind a place on a link is reached
+
 
 def compile_arm(
     arm: ArmSource,
@@ -164,11 +166,13 @@ class Model:
     def strain(self, q: Array, link: int, x: float) -> Array:
         """Twist rate and bending curvatures about y and z (3,) [1/m] of a link at x [m].
 
+        On a step between two sections, or a weld of segments, they are those of the outer side.
         A strain gauge reads the curvature times the gauge's distance from the neutral axis.
         """
         described = self.arm.links[validate.integer(link, "link", 0, len(self.arm.links) - 1)]
         if not 0.0 <= validate.number(x, "x", "m") <= described.length:
             raise ValueError(f"x must be within the link, 0 to {described.length} m, got {x!r}.")
+        x = min(x * _REACHED, described.length)
         size = described.length / described.segments
         k = min(int(x / size), described.segments - 1)
         _, delta = self.chain.split(self._q(q).tolist())[self.bodies[link].start + k]

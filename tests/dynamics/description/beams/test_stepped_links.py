@@ -191,6 +191,20 @@ def test_a_tip_force_bends_a_link_by_the_integral_of_its_moment(kind: str, segme
     assert link.root_curvature("y") == pytest.approx(curvature, rel=1e-8)
 
 
+@pytest.mark.parametrize("segments", [1, 10])
+def test_a_curvature_on_a_step_is_that_of_the_outer_section(segments: int) -> None:
+    """Also where round-off puts the step, or the weld of two segments, behind the gauge."""
+    steps = zip((0.1, 0.2, 0.7), (24.0, 6.0, 9.0), strict=True)
+    sections = tuple(Section(length=x, rho_A=0.1, EIz=EI) for x, EI in steps)
+    link = stepped(*shapes("hierarchical", 2), sections=sections, segments=segments)
+    model = Model(Arm(links=(link,)))
+    q = np.linspace(0.0, 0.01, model.n)
+    for x in (0.1, 0.3):
+        inner, on, outer = (model.strain(q, 0, x + aside)[2] for aside in (-1e-8, 0.0, 1e-8))
+        assert on == pytest.approx(outer, rel=1e-5)
+        assert on != pytest.approx(inner, rel=0.3)
+
+
 def test_the_straight_link_has_the_mass_and_inertia_of_its_sections() -> None:
     """As a rigid link, with modes and lumped, and as three welded links."""
     link = stepped(joint=Joint(rotor_inertia=0.0))
