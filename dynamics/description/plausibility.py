@@ -1,8 +1,11 @@
-"""Warnings where an arm is read: numbers of no arm, as after a mistake of units, thick links, and
-shapes that are too stiff for what is welded to them.
+"""Warnings where an arm is read: numbers of no arm, as after a mistake of units, inertias of no
+body, thick links, and shapes that are too stiff for what is welded to them.
 
 A length in mm makes a link a thousand times longer and its first frequency a millionth. Thresholds
 lie beyond space cranes (15 m, 0.1 Hz) and micro arms (a few mm, a few kHz).
+
+A body's principal moment of inertia is at most the sum of the other two, about its centre of mass
+and about any other point. An arm in a plane may state the moment about one axis alone.
 
 Euler and Bernoulli's beam neglects shear and rotary inertia, which lower the frequencies of short,
 thick links: Timoshenko, "On the correction for shear" (1921). By Rayleigh's quotient of a mode's
@@ -30,11 +33,12 @@ from dynamics.description.link import Link
 from dynamics.description.mode_rule import LADEN, ModesByRule
 from dynamics.description.mode_shapes import STIFFNESS, Mode, points, shape
 from dynamics.description.welds import StiffSegmentsWarning, stiff_end
-from dynamics.types import Array
+from dynamics.types import Array, Matrix3
 
 LENGTHS = (1e-3, 100.0)  # [m] of a link, or of a joint's offset
 HEAVIEST = 1e5  # [kg] link with its tip and body
 FREQUENCIES = (0.01, 1e5)  # [Hz] first bending mode of a clamped link with its tip
+ROUNDED = 0.01  # [-] of a sum of two moments, which rounded entries may miss
 NEGLECTED = 0.01  # [-] share of a frequency, from which a link is thick
 SHEAR = 2.6 / 0.85  # [-] E / kG of a rectangle, Poisson's ratio 0.3
 SOUND = 5000.0  # [m/s] in a bar of steel or aluminium: EA of a link that states none
@@ -42,7 +46,7 @@ _told: set[tuple[float, ...]] = set()  # lengths of the links of arms that were 
 
 
 class ImplausibleArmWarning(UserWarning):
-    """Lengths, masses or frequencies of an arm are those of no arm: perhaps not in SI units."""
+    """Lengths, masses, inertias or frequencies of an arm are those of no arm."""
 
 
 class ThickLinkWarning(UserWarning):
@@ -52,6 +56,7 @@ class ThickLinkWarning(UserWarning):
 def warn_if_implausible(arm: Arm, stacklevel: int) -> None:
     """Warn of an arm; of the same lengths of links once in a process, but for welds."""
     _warn_of_welds(arm, stacklevel + 1)
+    _warn_of_inertias(arm, stacklevel + 1)
     found = [(k, text) for k, link in enumerate(arm.links, 1) for text in _oddities(link)]
     lengths = tuple(link.length for link in arm.links)
     if not found:
@@ -80,6 +85,33 @@ def _warn_of_welds(arm: Arm, stacklevel: int) -> None:
             stiff = stiff_end(f"Link {i}", link.modes, link.beam)
             if stiff:
                 warnings.warn(stiff, StiffSegmentsWarning, stacklevel=stacklevel + 1)
+
+
+def _warn_of_inertias(arm: Arm, stacklevel: int) -> None:
+    """Warn of inertias that no body has, of the same moments once in a process."""
+    for name, inertia in _inertias(arm):
+        least, middle, most = (float(x) for x in np.linalg.eigvalsh(np.array(inertia)))
+        key, others = (math.inf, least, middle, most), least + middle
+        several = np.count_nonzero(np.diag(inertia)) > 1
+        if several and most > (1.0 + ROUNDED) * others and key not in _told:
+            _told.add(key)
+            warnings.warn(
+                f"{name} is that of no body: its principal moment {most:g} kg m^2 is more than the "
+                f"sum of the others, {least:g} and {middle:g}. Check its entries; an arm in a "
+                "plane may give the moment about one axis alone.",
+                ImplausibleArmWarning,
+                stacklevel=stacklevel + 1,
+            )
+
+
+def _inertias(arm: Arm) -> Iterator[tuple[str, Matrix3]]:
+    """Names and inertias (3, 3) [kg m^2] of links and payload; a base refuses its own."""
+    for k, link in enumerate(arm.links, 1):
+        yield f"Link.tip_inertia of link {k}", link.tip_inertia
+        if link.body is not None:
+            yield f"Body.inertia of link {k}", link.body.inertia
+    if arm.payload is not None:
+        yield "Payload.inertia", arm.payload.inertia
 
 
 def _warn_if_thick(arm: Arm, stacklevel: int) -> None:

@@ -7,7 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from dynamics import ARMS, Arm, ImplausibleArmWarning, Joint, Link, Mode, compile_arm, load_arm
 from dynamics.description import plausibility
@@ -111,6 +113,50 @@ def test_the_warning_names_the_quantity_its_value_and_the_other_links() -> None:
     ):  # fmt: skip
         with pytest.warns(ImplausibleArmWarning, match=rf"^The arm .* link 1 has {words}\. Give"):
             load_arm({"links": [link]})
+
+
+ROD, TURNED = {"length": 0.5, "rho_A": 1.0}, Rotation.from_rotvec([0.4, -0.9, 0.3]).as_matrix()
+POINTS = np.random.default_rng(0).normal(size=(4, 3))  # [m] of 1 kg each
+BODIES = {
+    "a point": np.zeros((3, 3)),
+    "a thin rod at any angle": TURNED @ np.diag([0.0, 0.3, 0.3]) @ TURNED.T,
+    "a thin plate at any angle": TURNED @ np.diag([0.1, 0.3, 0.4]) @ TURNED.T,
+    "a plate with rounded entries": np.diag([0.0083, 0.0208, 0.0292]),
+    "points about a tip": np.sum([p @ p * np.eye(3) - np.outer(p, p) for p in POINTS], axis=0),
+    "a moment in the plane alone": np.diag([0.0, 0.0, 0.1]),
+}
+NO_BODIES = {
+    "one too large": np.diag([0.1, 0.1, 5.0]),
+    "an axis without a moment": np.diag([0.0, 0.2, 0.3]),
+    "at any angle": TURNED @ np.diag([0.1, 0.2, 0.4]) @ TURNED.T,
+}
+
+
+def with_inertia(where: str, inertia: Any) -> dict[str, Any]:
+    moments = np.asarray(inertia).tolist()
+    link = {**ROD, "tip_inertia": moments} if where == "Link.tip_inertia of link 1" else ROD
+    body = {"mass": 1.0, "inertia": moments}
+    if where == "Payload.inertia":
+        return {"links": [link], "payload": body}
+    return {"links": [{**link, "body": body}] if where == "Body.inertia of link 1" else [link]}
+
+
+WHERE = ("Link.tip_inertia of link 1", "Body.inertia of link 1", "Payload.inertia")
+
+
+@pytest.mark.parametrize("where", WHERE)
+def test_an_inertia_of_no_body_is_warned_of_by_its_field_and_moments(where: str) -> None:
+    for inertia in BODIES.values():
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", ImplausibleArmWarning)
+            load_arm(with_inertia(where, inertia))
+    for inertia in NO_BODIES.values():
+        least, middle, most = np.linalg.eigvalsh(inertia)
+        words = rf"^{where} is .* moment {most:g} kg .* others, {least:g} and {middle:g}\. Check"
+        with pytest.warns(ImplausibleArmWarning, match=words) as recorded:
+            load_arm(with_inertia(where, inertia))
+        assert recorded[0].filename == __file__
+        plausibility._told.clear()
 
 
 def test_an_arm_is_warned_of_once() -> None:
