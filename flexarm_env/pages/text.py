@@ -112,7 +112,7 @@ paths of the joints turn the base by other angles, and other postures hold the t
 are about the point alone. If `options` sets rates, the target is still that of zero momentum.
 
 Momentum in `info` is that of all bodies without the spin of motor rotors. Without `base_torque` it
-is constant but for the error of the integration.
+is constant but for the error of the integration; a dropped payload takes its share along.
 
 ## Termination and truncation
 

@@ -29,9 +29,10 @@ _SHARE, _JUMP, _PUSH = (0.25, 0.5), (0.3, 0.8), (0.3, 0.6)
 EVENTS = {
     "drop": Event(
         text=(
-            "The arm lets go of its payload, which goes on at the velocity of the tip: coordinates "
-            f"and rates do not jump. Payload: {_SHARE[0]:g} to {_SHARE[1]:g} of the mass of "
-            "the last link with its tip; ranges of `hardware` and `randomize` replace it"
+            "The arm lets go of its drawn payload, which goes on at the velocity of the tip: "
+            "coordinates and rates do not jump. A payload that the arm describes stays. Drawn: "
+            f"{_SHARE[0]:g} to {_SHARE[1]:g} of the mass of the last link with its tip; ranges "
+            "of `hardware` and `randomize` replace it"
         ),
         size=_SHARE,
     ),

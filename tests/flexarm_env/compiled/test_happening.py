@@ -165,6 +165,29 @@ def test_a_push_changes_the_momentum_of_a_floating_arm_by_its_impulse() -> None:
     np.testing.assert_allclose(turn, tip[:, 0] * p[:, 1] - tip[:, 1] * p[:, 0], rtol=1e-2)
 
 
+def test_a_dropped_payload_takes_its_momentum_along() -> None:
+    """That of its mass at the velocity of the tip; the momentum of the rest does not change."""
+    envs: Any = gym.make_vec("FlexArm/FreeFlyer-Reach-v0", num_envs=8, event="drop", substeps=40)
+    envs.reset(seed=0)
+    core = envs.unwrapped.core
+    placed(core, "event_time", 20.0)
+    mass, action = core.parameters[:, 0].copy(), np.full((8, 2), 0.3, np.float32)
+    for _ in range(20):
+        before = envs.step(action)[-1]
+    model, states = core.model, list(zip(core.q.copy(), core.v.copy(), strict=True))
+    after = envs.step(action)[-1]
+    assert (before["event"] == 0).all()
+    assert (after["event"] == 1).all()
+    tips = np.array([model.tip(q)[:2] for q, _ in states])
+    taken = mass[:, None] * np.array([model.tip_velocity(q, v)[:2] for q, v in states])
+    assert (np.linalg.norm(taken, axis=1) > 0.01).all()
+    lost = before["linear_momentum"] - after["linear_momentum"]
+    np.testing.assert_allclose(lost, taken, rtol=1e-3, atol=1e-5)
+    turn = tips[:, 0] * taken[:, 1] - tips[:, 1] * taken[:, 0]
+    lost = before["angular_momentum"] - after["angular_momentum"]
+    np.testing.assert_allclose(lost, turn, rtol=1e-3, atol=1e-5)
+
+
 def test_the_cost_is_the_excess_of_curvature() -> None:
     """Zero below the limit and at a start; full torque exceeds that of ReachStrain."""
     envs: Any = gym.make_vec("FlexArm/OneLink-ReachStrain-v0", num_envs=2)
