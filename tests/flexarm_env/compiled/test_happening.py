@@ -166,7 +166,7 @@ def test_a_push_changes_the_momentum_of_a_floating_arm_by_its_impulse() -> None:
 
 
 def test_a_dropped_payload_takes_its_momentum_along() -> None:
-    """That of its mass at the velocity of the tip; the momentum of the rest does not change."""
+    """Its mass times the velocity of the tip; the momentum of the rest does not change."""
     envs: Any = gym.make_vec("FlexArm/FreeFlyer-Reach-v0", num_envs=8, event="drop", substeps=40)
     envs.reset(seed=0)
     core = envs.unwrapped.core
