@@ -28,7 +28,8 @@ COMMANDS = {  # module whose `main` runs the command, and its line in the help
 }
 EXTRAS = {"sweep": "scale"}  # other than `train`
 PACKAGES = ("dynamics", "flexarm_env", "agents")
-MISSING = 2  # exit status: something is not installed, or ours is hidden
+MISSING = 2  # exit status: something is not installed, ours is hidden, or no folder is present
+UNWRITTEN = 1  # exit status: the output cannot be written
 INTERRUPTED = 130  # exit status, as a shell has it: Ctrl-C
 UNREAD = 141  # exit status, as a shell has it: nobody reads the output any more
 
@@ -38,9 +39,8 @@ def main(arguments: list[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     if not given or given[0] not in COMMANDS:
         parser().parse_args(given or ["--help"])
-    hidden = [sentence for sentence in map(shadow, PACKAGES) if sentence]
-    if hidden:
-        print(f"flexarm: {hidden[0]}", file=sys.stderr)
+    if faults := [sentence for sentence in (gone(), *map(shadow, PACKAGES)) if sentence]:
+        print(f"flexarm: {faults[0]}", file=sys.stderr)
         return MISSING
     name = given[0]
     try:
@@ -58,10 +58,15 @@ def main(arguments: list[str] | None = None) -> int:
                 f"flexarm {name}: {message}", file=sys.stderr
             )
             status: int = run(given[1:], prog=f"flexarm {name}")
-        sys.stdout.flush()
-    except BrokenPipeError:
+        if sys.stdout is not None:  # as where the shell has closed it
+            sys.stdout.flush()
+    except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return UNREAD
+        if isinstance(error, BrokenPipeError):
+            return UNREAD
+        place = error.filename or "standard output"
+        print(f"flexarm {name}: {place}: {error.strerror}.", file=sys.stderr)
+        return UNWRITTEN
     except KeyboardInterrupt:
         print(f"flexarm {name}: interrupted.", file=sys.stderr)
         return INTERRUPTED
@@ -88,6 +93,15 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--version", action="version", version=f"flexarm {version('flexarm')}")
     result.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
     return result
+
+
+def gone() -> str:
+    """Sentence about a present folder that was removed; empty if it is there."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return "the present folder was removed; go to another one."
+    return ""
 
 
 def shadow(package: str) -> str:

@@ -79,8 +79,8 @@ def compare(
     title = f"{what}, {episodes} episodes"
     plot_recordings(folder / "trajectories.png", dict(list(recordings.items())[:plotted]), title)
     chosen = list(controllers.items())[:filmed]
-    print_table(results, best)
     films = {name: film(env_id, kwargs, controller, seed) for name, controller in chosen}
     write_gif(folder / "arm.gif", films, f"{what}, seed {seed}")
     write_replay(folder / "replay.html", films, f"{what}, seed {seed}")
+    print_table(results, best)
     return results

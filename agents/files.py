@@ -54,7 +54,8 @@ def unpacked(path: Path) -> str:
 def check_folder(folder: Path, option: str = "--out") -> None:
     """Refuse the folder of an option that cannot be created or written to, without creating it."""
     try:
-        existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+        places = (folder, *folder.absolute().parents)
+        existing = next(p for p in places if p.exists() or p.is_symlink())
         possible = existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
     except OSError as error:
         raise FolderError(f"{folder}: cannot be examined ({error.strerror}).") from None

@@ -31,9 +31,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m flexarm_env"
         if options.out is not None:
             _check_new(options.out)
         text = arm_text(convert(options.file, options.tip, flexible), at)
-        if options.out is None:
-            print(text, end="")
-        else:
+        if options.out is not None:
             at = str(options.out)
             options.out.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -42,6 +40,8 @@ def main(arguments: list[str] | None = None, prog: str = "python -m flexarm_env"
     except ValueError as error:
         print(f"{prog} convert: {at}: {error}", file=sys.stderr)
         return 2
+    if options.out is None:
+        print(text, end="")
     return 0
 
 

@@ -132,6 +132,33 @@ def test_output_that_nobody_reads_ends_a_command_quietly(tmp_path: Path) -> None
     assert run.returncode == flexarm.UNREAD
 
 
+def test_closed_output_lets_a_command_end_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    assert flexarm.main(["arms"]) == 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full here")
+def test_output_that_cannot_be_written_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert flexarm.main(["arms"]) == flexarm.UNWRITTEN
+    said = capsys.readouterr().err
+    assert said == "flexarm arms: standard output: No space left on device.\n"
+
+
+def test_a_present_folder_that_was_removed_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert flexarm.main(["certify", "arm.yaml"]) == flexarm.MISSING
+    said = capsys.readouterr().err
+    assert said == "flexarm: the present folder was removed; go to another one.\n"
+
+
 def test_an_interrupted_command_ends_with_a_sentence(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -147,6 +147,9 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.leade
     except KeyboardInterrupt:
         failures.tell(KeyboardInterrupt("interrupted; tasks that are done are written."))
         return 130
+    except BrokenPipeError:
+        failures.tell(FolderError("nobody reads the output; tasks that are done are written."))
+        return 1
     except OSError as error:
         failures.tell(FolderError(f"writing to {options.out} failed ({error.strerror or error})."))
         return 1

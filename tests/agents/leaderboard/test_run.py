@@ -165,8 +165,10 @@ def test_a_place_that_cannot_be_written_to_is_refused_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").touch()
-    assert main([*HERE, "zero", "--out", str(tmp_path / "file" / "out")]) == 2
-    assert "is not a writable folder; choose another --out" in capsys.readouterr().err
+    (tmp_path / "link").symlink_to("nowhere")
+    for place in ("file/out", "link", "link/out"):
+        assert main([*HERE, "zero", "--out", str(tmp_path / place)]) == 2
+        assert "is not a writable folder; choose another --out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("step", ["write", "save_figure"])
@@ -191,6 +193,18 @@ def test_an_interrupted_ranking_ends_with_a_message(
     monkeypatch.setattr("agents.leaderboard.run.write", pressed)
     assert main([*HERE, "zero", "--episodes", "2", "--out", str(tmp_path)]) == 130
     assert capsys.readouterr().err.endswith("interrupted; tasks that are done are written.\n")
+
+
+def test_a_ranking_that_nobody_reads_blames_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def unread(*given: Any) -> None:
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    monkeypatch.setattr("agents.leaderboard.run.rank", unread)
+    assert main([*HERE, "zero", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.endswith("nobody reads the output; tasks that are done are "
+                                            "written.\n")  # fmt: skip
 
 
 def test_every_ranked_controller_was_tuned_where_it_acts() -> None:
