@@ -24,8 +24,16 @@ class CacheWarning(UserWarning):
 
 
 def cache_folder() -> Path:
-    """Path of the cache; the environment variable FLEXARM_CACHE overrides it."""
-    return Path(os.environ.get("FLEXARM_CACHE") or platformdirs.user_cache_path("flexarm"))
+    """Path of the cache; the environment variable FLEXARM_CACHE overrides it.
+
+    A user without a home has a folder among the temporary ones.
+    """
+    if given := os.environ.get("FLEXARM_CACHE"):
+        return Path(given)
+    try:
+        return platformdirs.user_cache_path("flexarm")
+    except RuntimeError:  # a user without a home, as containers have
+        return Path(tempfile.gettempdir(), f"flexarm-{os.getuid()}")
 
 
 def kept(name: str, build: Callable[[], str]) -> str:

@@ -30,7 +30,7 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
     `dynamics.description.urdf.convert`; an UrdfWarning says what the arm does not take over.
     """
     if _is_urdf(source):
-        return _from_urdf(Path(source).expanduser(), flexible, tip)  # type: ignore[arg-type]
+        return _from_urdf(_path(source), flexible, tip)  # type: ignore[arg-type]
     if flexible is not None or tip is not None:
         raise ValueError(
             f"flexible and tip are of a {SUFFIX} file, got {shown(source)}; leave them out."
@@ -47,7 +47,7 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
         raise ValueError(
             f"An arm is a preset name, a path, a dict or an Arm, got {type(source).__name__}."
         )
-    path = Path(fspath(source)).expanduser()
+    path = _path(source)
     if isinstance(source, str) and path.suffix == "":
         raise ValueError(
             f"Unknown arm {shown(source)}. Presets: {sorted(ARMS)}; or give the path of a "
@@ -60,6 +60,16 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
         return arm_from_dict(read_mapping(path))
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
+
+
+def _path(source: str | PathLike[str]) -> Path:
+    path = Path(fspath(source))
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        raise ValueError(
+            f"{shown(str(path))} begins with the home of a user who has none; write the whole path."
+        ) from None
 
 
 def _is_urdf(source: ArmSource) -> bool:

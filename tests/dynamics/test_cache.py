@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from dynamics import ARMS, Arm, compile_arm
-from dynamics.cache import CacheWarning, kept, load, store
+from dynamics.cache import CacheWarning, cache_folder, kept, load, store
 from tests.paths import ROOT
 
 ARM = replace(ARMS["slim"], name="plain")
@@ -216,6 +217,26 @@ def session(folder: Path, before: str = "") -> subprocess.Popen[str]:
         env=os.environ | {"FLEXARM_CACHE": str(folder)},
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="profiles have a home here")
+def test_users_without_a_home_have_a_private_folder_among_the_temporary_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import pwd
+
+    def unknown(uid: int) -> None:
+        raise KeyError(uid)
+
+    for name in ("FLEXARM_CACHE", "HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    store("name", b"content")
+    (folder,) = tmp_path.iterdir()
+    assert folder == cache_folder()
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert load("name") == b"content"
 
 
 def test_a_full_disk_costs_a_warning(tmp_path: Path) -> None:
