@@ -48,9 +48,11 @@ class Kind:
     def checked(self, parameters: object, name: str) -> dict[str, float]:
         """A number for every key of the ranges, positive where its range is; refuses any other."""
         given = validate.mapping(parameters, name, self.ranges)
+        if missing := [key for key in self.ranges if key not in given]:
+            raise ValueError(f"{name} lacks {', '.join(missing)}; give all of {[*self.ranges]}.")
         return {
             key: (validate.positive if low > 0.0 else validate.number)(
-                given.get(key), f"{name}.{key}", "-"
+                given[key], f"{name}.{key}", "-"
             )
             for key, (low, _) in self.ranges.items()
         }

@@ -35,8 +35,7 @@ def number(value: object, name: str, unit: str = "") -> float:
     """Return a finite float; refuse booleans and text."""
     what = f"{name}{f' [{unit}]' if unit else ''}"
     if isinstance(value, str):
-        remedy = "remove the quotes; YAML reads 3e-4 as text, write 3.0e-4"
-        raise ValueError(f"{what} must be a number, got the text {shown(value)} ({remedy}).")
+        raise ValueError(f"{what} must be a number, got the text {shown(value)} ({_plain(value)}).")
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ValueError(f"{what} must be a number, got {shown(value)}.")
     try:
@@ -48,6 +47,15 @@ def number(value: object, name: str, unit: str = "") -> float:
     if abs(result) > _LARGEST:
         raise ValueError(f"{what} must be at most {_LARGEST:g} in size, got {result!r}.")
     return result
+
+
+def _plain(text: str) -> str:
+    """Advice on a text where a number belongs."""
+    try:
+        float(text)
+    except ValueError:
+        return "write the number alone, such as 0.5 or 3.0e-4"
+    return "remove the quotes; YAML reads 3e-4 as text, write 3.0e-4"
 
 
 def positive(value: object, name: str, unit: str) -> float:

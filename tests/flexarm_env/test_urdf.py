@@ -1,7 +1,9 @@
 """Robots of URDF files in environments, and the command that converts them."""
 
 import re
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 import flexarm
 from dynamics import load_arm
+from flexarm_env.__main__ import main
 from flexarm_env.rendering import Renderer
 from tests.dynamics.description.urdf.robots import (
     joint,
@@ -77,6 +80,18 @@ def test_the_command_writes_the_arm_that_python_loads(
     assert capsys.readouterr().out == out.read_text(encoding="utf-8")
 
 
+def test_an_arm_file_that_nobody_reads_is_no_fault_of_the_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unread(*_: object) -> None:
+        raise BrokenPipeError
+
+    file = str(written(tmp_path, TWO))
+    monkeypatch.setattr(sys, "stdout", SimpleNamespace(write=unread))
+    with pytest.raises(BrokenPipeError):
+        main(["convert", file])
+
+
 def test_the_command_warns_in_one_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -96,6 +111,10 @@ def test_the_command_warns_in_one_sentence(
         (["--flexible", "forearm_link"], "must have a stiffness"),
         (["--flexible", "forearm_link", "EIz"], "expected KEY=VALUE, got 'EIz'"),
         (["--flexible", "forearm_link", "EIz=[1"], r"EIz must be a number, got '\[1'"),
+        (
+            ["--tip", "tool0", "--flexible", "forearm_link", "EIz=6x"],
+            r"EIz .* got the text '6x' \(write the number alone",
+        ),
         (["--tip", "tool0", "--out", "no/where.yaml"], "No such file or directory"),
     ],
 )

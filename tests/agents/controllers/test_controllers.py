@@ -221,6 +221,13 @@ def test_parameters_that_are_none_of_a_controller_are_refused(
         controller("lqr", make_batch(IDS[0], 1), CONTROLLERS["lqr"].middle | changes)
 
 
+@pytest.mark.parametrize("given", [{}, {"lead": 0.1}])
+def test_parameters_that_are_missing_are_named(given: dict[str, float]) -> None:
+    left_out = ", ".join(name for name in CONTROLLERS["lqr"].ranges if name not in given)
+    with pytest.raises(ValueError, match=rf"parameters lacks {left_out}; give all of \['effort'"):
+        controller("lqr", make_batch(IDS[0], 1), given)
+
+
 def test_what_is_stored_is_not_changed_through_what_is_returned() -> None:
     for asked in (lambda: parameters_of("lqr", IDS[0], "state"), lambda: shipped(IDS[0], "state")):
         asked().clear()

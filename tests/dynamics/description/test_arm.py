@@ -123,7 +123,8 @@ REFUSED_LINKS = {
     "length .* finite number, got 10000": {"length": 10**400},
     "length .* at most 1e.30": {"length": 1e200},
     "length .* at least 1e-30": {"length": 1e-200},
-    "rho_A .* got the text '1e-3'": {"rho_A": "1e-3"},
+    "rho_A .* got the text '1e-3' .remove the quotes": {"rho_A": "1e-3"},
+    "rho_A .* got the text '1 kg/m' .write the number alone": {"rho_A": "1 kg/m"},
     "EIz must be positive .*got None": {"EIz": None},
     "EIz must not be negative, got -2.0": {"EIz": -2.0},
     "EIy must be positive .*'z'.*got None": {
@@ -347,6 +348,9 @@ def test_what_is_not_there_is_refused_by_name(tmp_path: Path) -> None:
         load_arm(tmp_path / "gone.json")
     with pytest.raises(ValueError, match=r"Unknown arm 'slimm'\. Presets: .*'slim'"):
         load_arm("slimm")
+    for name in ("arm.yaml", "robot.urdf"):
+        with pytest.raises(ValueError, match="of a user who has none; write the whole path"):
+            load_arm(f"~no-such-user/{name}")
     folder = tmp_path / "folder.json"
     folder.mkdir()
     with pytest.raises(ValueError, match="cannot read"):
