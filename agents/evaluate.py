@@ -52,7 +52,10 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.evalu
     parser.add_argument("--env-kwargs", metavar="YAML", help="e.g. '{obs: sensors}' (a run's own)")
     parser.add_argument("--episodes", type=int, default=100, metavar="N")
     parser.add_argument("--seed", type=int, default=10_000, metavar="S", help="first of N seeds")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR",
+        help="folder, whose former evaluation is replaced",
+    )  # fmt: skip
     parser.add_argument("--trust", action="store_true", help="allow unpickling an SB3 zip")
     a = parser.parse_args(arguments)
     try:

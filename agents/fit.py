@@ -24,6 +24,7 @@ from dynamics.model import compile_arm
 UNEXPLAINED = 0.9  # [of a signal's deviation] residual of a signal that the fit does not follow
 WHITE = 0.2  # largest correlation of a residual's neighbours that counts as white
 CHANCE = 3.0  # deviations of that correlation, 1 / root of the readings, that chance may give
+RESULTS = "fit.json"
 EXAMPLE = (
     "flexarm fit run.csv --arm slim --time t --command torque --encoder angle --gauge strain "
     "--gauge-at 1:0.05:0.0008 --units time=ms encoder=deg gauge=microstrain"
@@ -72,13 +73,14 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
     title = f"{a.log[0].name} and {arm.name or a.arm}"
     turns = _joint_units(arm, "[rad]", "[m]")
     units_read = [turns[k] for k in range(arm.n_joint) if k not in held] + [*map(_unit, gauges)]
+    former = (a.out / RESULTS).exists()
     try:
         a.out.mkdir(parents=True, exist_ok=True)
-        write_json(a.out / "fit.json", {"log": name, "arm": a.arm} | found.to_dict())
+        write_json(a.out / RESULTS, {"log": name, "arm": a.arm} | found.to_dict())
         draw(a.out / "overlay.png", log, found, units_read, title)
     except OSError as error:
         return refused(prog, f"writing to {a.out} failed ({error.strerror or error}).", 1)
-    print(f"Everything is in {a.out}/")
+    print(f"Everything is in {a.out}/{', in place of a former fit' * former}")
     return 0
 
 
@@ -134,7 +136,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "the logged one; of a signal gain_gauge_1, delay_gauge_1 [s] and lag_gauge_1 [s], the time "
         "constant of a low pass of second order, or of encoder_1, "
         f"link_angle_1, tip_slope_1 (default: {default})")  # fmt: skip
-    add("--out", type=Path, default=Path("fit"), metavar="DIR")
+    add("--out", type=Path, default=Path("fit"), metavar="DIR",
+        help="folder, whose former fit is replaced (default: %(default)s)")  # fmt: skip
     return parser
 
 
