@@ -284,11 +284,16 @@ def read_description(path: Path) -> dict[str, Any]:
     if path.stat().st_size > LARGEST_JSON:
         raise ValueError(f"{path.name} must be at most {LARGEST_JSON:_} bytes.")
     known = [*KEYS.split(), RECURRENT, NORMALIZATION, MEAN_LIMIT]
-    d: dict[str, Any] = {RECURRENT: 0} | validate.mapping(read_mapping(path), path.name, known)
+    data = read_mapping(path)
+    if data.get("format", POLICY_FORMAT) != POLICY_FORMAT:
+        raise ValueError(
+            f"format must be {POLICY_FORMAT!r}, got {validate.shown(data['format'])}; another "
+            "version of flexarm wrote it."
+        )
+    d: dict[str, Any] = {RECURRENT: 0} | validate.mapping(data, path.name, known)
     missing = sorted(set(KEYS.split()) - set(d))
     if missing:
         raise ValueError(f"{path.name} lacks {', '.join(missing)}.")
-    validate.choice(d["format"], "format", [POLICY_FORMAT])
     validate.choice(d["activation"], "activation", ACTIVATIONS)
     validate.choice(d["squashing"], "squashing", SQUASHINGS)
     entries = validate.sequence(d["layer_sizes"], "layer_sizes")

@@ -3,6 +3,7 @@
 import csv
 import itertools
 import platform
+import shlex
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -144,7 +145,9 @@ def check_out(out: Path | None) -> None:
 def refuse_used(out: Path) -> None:
     """Refuse a folder with files other than hidden ones, such as its lock."""
     if out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
-        raise FolderError(f"{out}: is not empty; choose another --out, or --resume {out}.")
+        raise FolderError(
+            f"{out}: is not empty; choose another --out, or --resume {shlex.quote(str(out))}."
+        )
 
 
 def new_run(out: Path | None, config: Config) -> RunFolder:

@@ -6,6 +6,7 @@ machine is lost starts again from its newest checkpoint, on another machine if t
 
 import argparse
 import os
+import shlex
 import shutil
 import socket
 from dataclasses import replace
@@ -125,7 +126,9 @@ def resume(out: Path, address: str | None) -> None:
     """Continue a sweep whose command was ended; finished trials are kept."""
     require_ray()
     if not (out / TUNE).is_dir():
-        raise SweepError(f"{out} holds no sweep to resume; begin one by CONFIG --out {out}.")
+        raise SweepError(
+            f"{out} holds no sweep to resume; begin one by CONFIG --out {shlex.quote(str(out))}."
+        )
     require_cluster(address)
     with folder_lock(out):
         run(out.absolute(), address, None)
@@ -268,7 +271,7 @@ def finish(out: Path, results: Any) -> None:
     with best.checkpoint.as_directory() as folder:
         shutil.copytree(Path(folder) / POLICY, out / POLICY, dirs_exist_ok=True)
     print(f"Best: score {best.metrics['score']:.3f}. Everything is in {out}/")
-    print(f"Train it with: flexarm train {out / BEST}")
+    print(f"Train it with: flexarm train {shlex.quote(str(out / BEST))}")
 
 
 def write_yaml(path: Path, config: Config) -> None:

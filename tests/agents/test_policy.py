@@ -151,7 +151,8 @@ def refusal(folder: Path) -> str:
 @pytest.mark.parametrize(
     ("damage", "sentence"),
     [
-        ({"format": "other"}, "format must be one of"),
+        ({"format": "other"}, "format must be 'flexarm-policy-1', got 'other'; another version"),
+        ({"format": "flexarm-policy-2", "heads": 2}, "got 'flexarm-policy-2'; another version"),
         ({"layer_sizes": []}, "layer_sizes must have 2 to 10 entries, got 0"),
         ({"layer_sizes": [3]}, "layer_sizes must have 2 to 10 entries, got 1"),
         ({"layer_sizes": [3] * 11}, "layer_sizes must have 2 to 10 entries, got 11"),
@@ -207,7 +208,7 @@ def test_a_missing_field_is_named(folder: Path, name: str) -> None:
         (b"[" * 100_000, "nested too deep"),
         (b'{"a":' * 100_000, "nested too deep"),
         (b'{"format": "' + b"x" * 2**20 + b'"}', "policy.json must be at most 1_048_576 bytes"),
-        (b'{"format": 1' + b"0" * 5000 + b"}", "policy.json lacks about"),
+        (b'{"layer_sizes": 1' + b"0" * 5000 + b"}", "policy.json lacks about"),
     ],
 )
 def test_other_json_is_refused(folder: Path, content: bytes, sentence: str) -> None:

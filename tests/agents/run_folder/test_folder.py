@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shlex
 import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +19,7 @@ from agents.evaluate import main as evaluate
 from agents.files import FolderError
 from agents.policy import PolicyError, load_policy
 from agents.run_folder.checkpoints import list_checkpoints, newest_intact
-from agents.run_folder.folder import RunFolder, new_run, versions
+from agents.run_folder.folder import RunFolder, new_run, refuse_used, versions
 from agents.run_folder.lock import folder_lock
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, one_sentence, train_py, wait_for_steps, write_config
@@ -289,3 +290,13 @@ def test_a_lock_that_is_a_link_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FolderError, match="is a link"), folder_lock(tmp_path):
         pass
     assert (tmp_path / "precious").read_text() == "x"
+
+
+def test_the_command_that_resumes_a_folder_is_one_for_a_shell(tmp_path: Path) -> None:
+    used = tmp_path / "my run"
+    used.mkdir()
+    (used / "file").touch()
+    with pytest.raises(FolderError) as caught:
+        refuse_used(used)
+    advised = str(caught.value).rpartition("--resume ")[2].removesuffix(".")
+    assert shlex.split(advised) == [str(used)]
