@@ -1,8 +1,10 @@
 """Pages of the documentation: their code runs, and they explain every key."""
 
+import builtins
 import re
 import shlex
 import subprocess
+import symtable
 import sys
 from dataclasses import fields
 from pathlib import Path
@@ -74,6 +76,14 @@ def run(command: list[str], folder: Path) -> None:
 @pytest.mark.parametrize("page", RUN)
 def test_the_python_of_a_page_runs(page: str, tmp_path: Path) -> None:
     followed(page, tmp_path)
+
+
+def test_every_answer_imports_what_it_uses() -> None:
+    """Questions are read one at a time."""
+    for _, code in blocks("faq"):
+        for name in symtable.symtable(code, "faq", "exec").get_symbols():
+            bound = name.is_assigned() or name.is_imported()
+            assert bound or hasattr(builtins, name.get_name()), name
 
 
 @pytest.mark.slow
