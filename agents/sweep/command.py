@@ -77,8 +77,12 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.sweep
             start(a)
     except (SweepError, ConfigError, FolderError, PolicyError) as error:
         return refused(prog, error)
+    except BrokenPipeError:
+        return refused(prog, "nobody reads the output; go on by --resume with its folder.", 1)
     except ConnectionError as error:
         return refused(prog, f"no cluster at {a.address} ({one_line(error)}).", 1)
+    except OSError as error:
+        return refused(prog, f"{one_line(error)}; go on by --resume with its folder.", 1)
     except KeyboardInterrupt:
         return refused(prog, "interrupted; go on by --resume with its folder.", INTERRUPTED)
     return 0

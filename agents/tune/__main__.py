@@ -26,7 +26,7 @@ from agents.experiments import find_experiment
 from agents.files import FolderError, check_folder
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
 from agents.policy import PolicyError
-from agents.sentences import refused
+from agents.sentences import one_line, refused
 from agents.training import TrainingError
 from agents.tune.controllers import tune
 from agents.tune.search import EPISODES, TRIALS
@@ -80,6 +80,8 @@ def main(arguments: list[str] | None = None) -> int:
             tune_controllers(options)
     except (ConfigError, FolderError, PolicyError, TrainingError, ModuleNotFoundError) as error:
         return refused(parser.prog, error)
+    except OSError as error:
+        return refused(parser.prog, f"{one_line(error)}; the same command goes on.", 1)
     except KeyboardInterrupt:
         return refused(parser.prog, "interrupted; the same command goes on.", 130)
     return 0

@@ -1,5 +1,6 @@
 """Sweeps with Ray Tune: refusals, one machine, and a cluster that loses a machine."""
 
+import errno
 import json
 import os
 import socket
@@ -156,15 +157,28 @@ def test_workers_in_other_folders_find_the_arm_and_the_warm_start(
         assert located(warm).agent.warm_start == found
 
 
-def test_an_interrupted_sweep_says_how_it_goes_on(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("end", "status", "sentence"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted; go on by --resume"),
+        (BrokenPipeError(), 1, "nobody reads the output; go on by --resume"),
+        (OSError(errno.ENOSPC, "No space left on device"), 1, "left on device; go on by --resume"),
+        (ConnectionError("refused"), 1, "no cluster at None (refused)"),
+    ],
+)
+def test_a_sweep_that_ends_early_says_why_and_how_it_goes_on(
+    end: BaseException,
+    status: int,
+    sentence: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def interrupt(*given: Any) -> None:
-        raise KeyboardInterrupt
+    def ended(*given: Any) -> None:
+        raise end
 
-    monkeypatch.setattr("agents.sweep.command.start", interrupt)
-    assert main(["one_link_reach_ppo"]) == 130
-    assert "interrupted; go on by --resume" in one_sentence(capsys)
+    monkeypatch.setattr("agents.sweep.command.start", ended)
+    assert main(["one_link_reach_ppo"]) == status
+    assert sentence in one_sentence(capsys)
 
 
 def test_a_missing_ray_is_named_with_the_remedy(

@@ -1,5 +1,6 @@
 """Searches that are kept go on after an interruption, and belong to what they search."""
 
+import errno
 import json
 from pathlib import Path
 from typing import Any
@@ -174,6 +175,17 @@ def test_a_final_goes_on_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     made.clear()
     monkeypatch.setattr("agents.tune.learners.trained", lambda config, poor=None: config)
     assert tune_experiment(config, trials=6, episodes=2) == found
+
+
+def test_a_full_disk_ends_a_command_that_goes_on_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*given: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("agents.tune.__main__.tune_controllers", full)
+    assert main(["--controllers", "pd", "--out", str(tmp_path / "tuned.json")]) == 1
+    assert "No space left on device; the same command goes on" in one_sentence(capsys)
 
 
 @pytest.mark.parametrize(
