@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from dynamics.description.validate import choice, instance, mapping, shown
+from dynamics.description.validate import choice, instance, shown
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.runtime.thread_pool import in_use
 from dynamics.types import Array
@@ -282,6 +282,13 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
             self._renderer = None
 
 
+class KeywordError(TypeError, ValueError):
+    """An unknown keyword, of Python's type and in its words.
+
+    Libraries try keywords of their own, as TorchRL's `GymEnv` does, and look for them.
+    """
+
+
 def check_render_mode(mode: str | None) -> None:
     """Raise a ValueError for an unknown render mode."""
     if mode is not None:
@@ -289,11 +296,18 @@ def check_render_mode(mode: str | None) -> None:
 
 
 def check_keywords(arguments: Mapping[str, Any], *others: str) -> None:
-    """Raise a ValueError for a keyword that neither `Core` has nor is one of `others`.
+    """Raise a KeywordError for a keyword that neither `Core` has nor is one of `others`.
 
     Also without a task or an arm, which registered ids set.
     """
-    mapping(arguments, "the keywords of an environment", KEYWORDS | {*others})
+    known = KEYWORDS | {*others}
+    for name in arguments:
+        if name not in known:
+            (near,) = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.0)
+            raise KeywordError(
+                f"An environment got an unexpected keyword argument {name!r}; nearest known: "
+                f"{near!r}."
+            )
     for name, such in (("task", 'task="Reach"'), ("arm", 'arm="slim"')):
         if name not in arguments:
             raise ValueError(
