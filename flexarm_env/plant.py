@@ -151,7 +151,9 @@ def plan(
         substeps,
         entry or alike(measured, conditions),
         actuation,
-        fastest_drawn(fitted.arm, conditions.ranges) if entry is None or integrator else fitted.arm,
+        fastest_drawn(fitted.arm, conditions.ranges)
+        if entry is None or integrator is not None
+        else fitted.arm,
     )
     certificate, uncertified = None, None
     part = conditions.part(Conditions.from_dict(entry["certificate"]["holds"])) if entry else None

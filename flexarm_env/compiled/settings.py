@@ -57,8 +57,8 @@ def settings(task: Task, spread: Mapping[str, Range], given: Mapping[str, Any]) 
 
     `spread` has the ranges of the hardware or of the event.
     """
-    reward, randomize = given["reward"], given["randomize"]
-    if given["obs"] == "goal" and reward is not None:
+    reward, randomize, obs = given["reward"], given["randomize"], given["obs"]
+    if isinstance(obs, str) and obs == "goal" and reward is not None:
         raise ValueError(
             f"reward ({validate.shown(reward)}) must be left out beside obs='goal', whose reward "
             "is that of compute_reward."
