@@ -61,7 +61,8 @@ def main(arguments: list[str] | None = None) -> int:
         if sys.stdout is not None:  # as where the shell has closed it
             sys.stdout.flush()
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if sys.stdout is not None:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             return UNREAD
         place = error.filename or "standard output"

@@ -1,6 +1,7 @@
 """Atomic file writes, packed texts, and checks of folders to write to."""
 
 import bz2
+import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -49,6 +50,12 @@ def pack(text: str, path: Path) -> None:
 def unpacked(path: Path) -> str:
     """Text of a file that `pack` wrote."""
     return bz2.decompress(path.read_bytes()).decode()
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_folder(folder: Path, option: str = "--out") -> None:

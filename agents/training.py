@@ -36,7 +36,16 @@ from agents.metrics import make_batch, write_json
 from agents.policy import Controller, PolicyError, load_policy, save_policy
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
-from agents.run_folder.folder import FINISHED, RunFolder, check_out, new_run, refuse_used, versions
+from agents.run_folder.folder import (
+    ARM,
+    FINISHED,
+    RunFolder,
+    arm_digest,
+    check_out,
+    new_run,
+    refuse_used,
+    versions,
+)
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, refused, speaker
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
@@ -280,11 +289,12 @@ def train(run: RunFolder, config: Config) -> None:
     """Run the experiment in an existing run folder: train, evaluate, record."""
     begin = time.monotonic()
     run.write_config(config)
-    run.write_versions({"seed": config.seed})
+    origin = {"seed": config.seed, ARM: arm_digest(config)}
+    run.write_versions(origin)
     steps = learn(run, config)
     judge(run, config)
     seconds = round(time.monotonic() - begin, 1)
-    run.write_versions({"seed": config.seed, "seconds": seconds, FINISHED: steps})
+    run.write_versions(origin | {"seconds": seconds, FINISHED: steps})
     print(f"Done in {seconds:.0f} s. Everything is in {run.path}/")
 
 
@@ -299,6 +309,7 @@ def resume(run: RunFolder, steps: int | None, prog: str) -> None:
     """Continue a run, unless it is finished; `prog` is the command that is running."""
     run.refuse_links()
     config = with_overrides(run.read_config(), None, steps)
+    run.refuse_other_arm(config)
     finished = run.finished_at()
     if finished is not None and finished >= config.total_steps:
         print(

@@ -1,6 +1,5 @@
 """Checkpoints of a run as arrays plus JSON: written atomically, verified, read without pickle."""
 
-import hashlib
 import json
 import os
 import shutil
@@ -11,7 +10,7 @@ import numpy as np
 
 from agents.arrays import read_arrays
 from agents.environments import REFUSALS
-from agents.files import sync
+from agents.files import digest, sync
 from agents.learners.normalization import restore_statistics, statistics
 from dynamics.description import validate
 from dynamics.description.data_file import read_mapping
@@ -91,12 +90,6 @@ def cut_off(buffer: Any) -> AnyArray:
     timeouts, last = buffer.timeouts.copy(), buffer.pos - 1
     timeouts[last] = np.maximum(timeouts[last], 1.0 - buffer.dones[last])
     return timeouts
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def prune(folder: Path, newest: Path) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import os
 import platform
 import shlex
 import subprocess
@@ -16,7 +17,7 @@ from typing import Any
 import yaml
 
 from agents.config import Config, load_config
-from agents.files import FolderError, atomic_write, check_folder
+from agents.files import FolderError, atomic_write, check_folder, digest
 from agents.metrics import without_infinities, write_json
 from agents.run_folder.log import append_row, is_count, read_rows, repair_log
 from dynamics.description.data_file import read_mapping
@@ -24,6 +25,7 @@ from dynamics.description.data_file import read_mapping
 PACKAGES = "flexarm numpy scipy numba casadi gymnasium stable_baselines3 sb3_contrib torch "
 PACKAGES += "matplotlib pillow"
 FINISHED = "finished_at_steps"  # key in versions.json, written last
+ARM = "arm_sha256"  # key in versions.json: of the experiment's arm file, if it names one
 CURVE_COLUMNS = "session steps seconds episodes return tip_error settled failed steps_per_second"
 
 
@@ -89,6 +91,18 @@ class RunFolder:
         except ValueError:
             return None
         return steps if is_count(steps) else None
+
+    def refuse_other_arm(self, config: Config) -> None:
+        """Refuse an arm file that has changed since the run began."""
+        try:
+            began = read_mapping(self.versions).get(ARM)
+        except ValueError:
+            return
+        if None not in (began, now := arm_digest(config)) and began != now:
+            raise FolderError(
+                f"{config.env.kwargs['arm']}: has changed since the run in {self.path} began; give "
+                "the file its former content, or begin a new run."
+            )
 
     def refuse_links(self) -> None:
         """Refuse a folder with links or devices, through which writes would leave the folder."""
@@ -166,6 +180,13 @@ def new_run(out: Path | None, config: Config) -> RunFolder:
         return RunFolder(path)
     except OSError as error:
         raise FolderError(f"{out or base}: cannot be made ({error.strerror}).") from None
+
+
+def arm_digest(config: Config) -> str | None:
+    """SHA-256 of the arm file that an experiment names; None if it names none."""
+    source = config.env.kwargs.get("arm")
+    path = Path(os.path.expanduser(source)) if isinstance(source, str) else None
+    return digest(path) if path is not None and path.is_file() else None
 
 
 def versions() -> dict[str, Any]:

@@ -14,6 +14,7 @@ import pytest
 import yaml
 from stable_baselines3 import PPO
 
+from agents import training
 from agents.config import load_config
 from agents.evaluate import main as evaluate
 from agents.files import FolderError
@@ -300,3 +301,23 @@ def test_the_command_that_resumes_a_folder_is_one_for_a_shell(tmp_path: Path) ->
         refuse_used(used)
     advised = str(caught.value).rpartition("--resume ")[2].removesuffix(".")
     assert shlex.split(advised) == [str(used)]
+
+
+def test_an_arm_file_that_changes_during_a_run_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm, link = tmp_path / "arm.yaml", "links: [{length: 1.0, rho_A: 0.3, EIz: 10.0}]\n"
+    arm.write_text(link)
+    config = load_config(write_config(tmp_path, "ppo", 128, kwargs={"arm": str(arm)}))
+    run = RunFolder(tmp_path / "run")
+    run.path.mkdir()
+    monkeypatch.setattr(training, "learn", lambda run, config: 64)
+    monkeypatch.setattr(training, "judge", lambda run, config: None)
+    training.train(run, config)
+    run.refuse_other_arm(config)
+    arm.write_text(link.replace("10.0", "20.0"))
+    capsys.readouterr()
+    assert train(["--resume", str(run.path)]) == 2
+    assert f"{arm}: has changed since the run in {run.path} began" in one_sentence(capsys)
+    arm.write_text(link)
+    run.refuse_other_arm(config)
