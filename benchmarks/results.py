@@ -24,12 +24,13 @@ from agents.learners.algorithms import ON_TENSORS
 from agents.metrics import write_json
 from benchmarks.output import ROOT, argument_parser, count, table
 from benchmarks.ranking.harder import REACH as WIDE
-from benchmarks.training.experiments import stored_runs
+from benchmarks.training.experiments import stored_minutes
 from benchmarks.training.studies import STUDIES
 from dynamics.description import validate
 
 KEEP = Path("runs") / "results"
 FILMS = Path("docs") / "envs" / "films"
+DEFAULT_SEEDS = (0, 1, 2)  # of an experiment without results
 DONE = "done.json"  # in --keep: seconds of the steps that have ended
 
 
@@ -59,11 +60,12 @@ def steps(jobs: int, keep: Path) -> Iterator[Step]:
     yield Step("parameters", ("agents.tune", *wide), ("--keep", str(keep / "tune")))
     configs = {name: load_config(path) for name, path in shipped_experiments().items()}
     for name, config in sorted(configs.items(), key=lambda x: bool(x[1].agent.warm_start)):
-        seeds, minutes = stored_runs(name)
+        took = stored_minutes(name)
+        seeds = took or DEFAULT_SEEDS
         given = ("--config", f"configs/{name}.yaml", "--ship", "--seeds", *map(str, seeds))
         kept = (*side, "--keep", str(keep / name))
         on_tensors = config.agent.name in ON_TENSORS
-        minutes = minutes and minutes / jobs
+        minutes = sum(took.values()) / jobs if took else None
         yield Step("trainings", ("benchmarks.training", *given), kept, minutes, on_tensors)
     yield Step("trainings", ("benchmarks.training.distilled",), ("--keep", str(keep)))
     for name, study in STUDIES.items():

@@ -370,7 +370,7 @@ def _summary(env_id: str, found: Bounds) -> str:
     unit, scale = ("mm RMS", 1e3) if is_moving(env_id) else ("s", 1.0)
     return (
         f"{count} episode{'s' * (count > 1)}, median {scale * np.median(found.best):.3g} {unit}; "
-        f"starts agree within {AGREED:.0%} in {found.agreement:.0%}"
+        f"starts agree within {100 * AGREED:g} % in {found.agreement:.0%}"
     )
 
 

@@ -24,7 +24,7 @@ from agents.leaderboard.tracks import TRACKS
 from agents.tune.learners import place_of
 from agents.tuned import tuned
 from benchmarks.output import RESULTS, ROOT, argument_parser, fill, table
-from benchmarks.training.experiments import stored_runs
+from benchmarks.training.experiments import stored_minutes
 
 PAGE = ROOT / "docs" / "leaderboard.md"
 FAMILIES = ("joint control", "linear-quadratic", "predictive")  # of classical control
@@ -127,15 +127,12 @@ def gains(stored: Tables) -> str:
 
 
 def trained() -> dict[str, float]:
-    """[min] of one training of every experiment, with that of its warm start: means over seeds.
+    """[min] of one training of every experiment, with that of its warm start.
 
-    Infinite for an experiment without stored results.
+    The shortest of its seeds, which other work disturbed least; infinite without stored results.
     """
     configs = {name: load_config(path) for name, path in shipped_experiments().items()}
-    own = {}
-    for name in configs:
-        seeds, minutes = stored_runs(name)
-        own[name] = math.inf if minutes is None else minutes / len(seeds)
+    own = {name: min(stored_minutes(name).values(), default=math.inf) for name in configs}
     return {name: own[name] + own.get(x.agent.warm_start or "", 0.0) for name, x in configs.items()}
 
 
@@ -196,7 +193,7 @@ def bounds(env_ids: Iterable[str]) -> str:
             x = stored_bounds(env_id, track)
             cells += ["", ""] if x is None else [str(len(x.seeds)), f"{x.agreement:.0%}"]
         rows.append([short(env_id), *cells])
-    agree = f"starts agree within {AGREED:.0%}"
+    agree = f"starts agree within {100 * AGREED:g} %"
     header = ["task", "`state`: episodes", agree, "`laboratory`: episodes", agree]
     return table(header, rows, "lrrrr")
 

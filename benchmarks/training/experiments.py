@@ -76,13 +76,11 @@ def stored(out: Path) -> list[dict[str, Any]]:
     return [data for data in found if "references" in data and "runs" in data]
 
 
-def stored_runs(name: str) -> tuple[list[int], float | None]:
-    """Seeds of an experiment's stored results and minutes of their trainings; else three seeds."""
-    stored = RESULTS / f"{name}.json"
-    if not stored.exists():
-        return [0, 1, 2], None
-    runs = json.loads(stored.read_text(encoding="utf-8"))["runs"]
-    return [run["seed"] for run in runs], sum(run["seconds"] for run in runs) / 60.0
+def stored_minutes(name: str) -> dict[int, float]:
+    """[min] of the trainings of an experiment's stored results, by seed; none without results."""
+    file = RESULTS / f"{name}.json"
+    runs = json.loads(file.read_text(encoding="utf-8"))["runs"] if file.exists() else []
+    return {run["seed"]: run["seconds"] / 60.0 for run in runs}
 
 
 def summarise_experiments(out: Path) -> None:

@@ -317,9 +317,3 @@ def test_every_start_is_improved_and_the_best_is_kept(
     _, starts = bound.bounded(env_id, "state", 7, batches, np.full((STEPS, 1), -0.25))
     assert [force for force, *_ in seen[2:]] == [0.0, -0.5, -0.25]
     assert len(starts) == 3
-
-
-def test_starts_agree_where_the_worse_is_within_a_twentieth_of_the_best() -> None:
-    starts = np.array([[1.0, 1.04], [1.06, 1.0], [2.0, 2.0]])
-    found = bound.Bounds(np.arange(3), starts.min(axis=1), starts, np.zeros((3, 1, 1)))
-    assert found.agreement == pytest.approx(2.0 / 3.0)
