@@ -323,7 +323,7 @@ def test_a_wrong_base_of_an_experiment_is_refused(base: Any, sentence: str) -> N
         (
             {"controller": "pd", "parameters": {"frequency_ratio": 0.2}},
             {},
-            "base.parameters.damping_ratio",
+            "base.parameters lacks damping_ratio; give all of",
         ),
     ],
 )
@@ -344,7 +344,7 @@ def test_a_base_that_cannot_act_is_refused_before_the_run(
         ({"controller": "os.system"}, "base.controller must be one of"),
         ({"scale": "large"}, "base.scale [-] must be a number"),
         ({"scale": -1.0}, "base.scale must not be negative"),
-        ({"parameters": {}}, "base.parameters.frequency_ratio"),
+        ({"parameters": {}}, "base.parameters lacks frequency_ratio, damping_ratio"),
         ({"parameters": {"code": 1.0}}, "Unknown key 'code' in base.parameters"),
         ({"controller": "zero"}, "in base.parameters; it takes none."),
         ({"learned": None}, "base.learned must be one of"),
