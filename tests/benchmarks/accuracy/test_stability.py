@@ -1,32 +1,16 @@
 """Short forms of the stability maps: failure and stability on both sides of each boundary."""
 
-import importlib.util
-from types import ModuleType
-
 import numpy as np
 import pytest
 
+from benchmarks.accuracy import stability
 from dynamics.integrators.table import INTEGRATORS
-from tests.paths import ROOT
 
 FROZEN = ("exponential", "numerov")  # methods that take the stiffness of the straight arm
 
 
-@pytest.fixture(scope="module")
-def stability() -> ModuleType:
-    path = ROOT / "benchmarks" / "stability.py"
-    spec = importlib.util.spec_from_file_location("stability", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_a_method_fails_exactly_where_its_amplification_predicts(
-    stability: ModuleType, integrator: str
-) -> None:
+def test_a_method_fails_exactly_where_its_amplification_predicts(integrator: str) -> None:
     """Over step and damping: an A-stable method never fails, others fail beyond their boundary.
 
     Exponential steps and Numerov's fail if the stiffness is far from the frozen one.
@@ -39,9 +23,7 @@ def test_a_method_fails_exactly_where_its_amplification_predicts(
     assert not failed.all()
 
 
-def test_the_linear_link_fails_when_it_spins_faster_than_its_own_frequency(
-    stability: ModuleType,
-) -> None:
+def test_the_linear_link_fails_when_it_spins_faster_than_its_own_frequency() -> None:
     """The instability is an artefact of the linear model; foreshortening removes it."""
     linear = stability.spin_map(False, 12)
     failed = np.array(linear["failed"])
@@ -51,7 +33,7 @@ def test_the_linear_link_fails_when_it_spins_faster_than_its_own_frequency(
     assert not np.any(stability.spin_map(True, 12)["failed"])
 
 
-def test_delay_destabilises_joint_pd_where_the_sampled_loop_predicts(stability: ModuleType) -> None:
+def test_delay_destabilises_joint_pd_where_the_sampled_loop_predicts() -> None:
     """One cell in twenty may be too near the boundary to grow or decay within 20 s."""
     found = stability.loop_map(0.1, 8)
     failed, predicted = np.array(found["failed"]), np.array(found["predicted"])
@@ -60,7 +42,7 @@ def test_delay_destabilises_joint_pd_where_the_sampled_loop_predicts(stability: 
     assert not failed[:, 0].any()
 
 
-def test_the_right_shapes_depend_on_the_hub(stability: ModuleType) -> None:
+def test_the_right_shapes_depend_on_the_hub() -> None:
     """One clamped mode errs by 10 % with a light hub, by 1e-4 with a heavy one; pinned: reverse."""
     found = stability.shape_map()
     error = {name: np.abs(values) for name, values in found["error"].items()}

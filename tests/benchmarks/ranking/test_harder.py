@@ -33,7 +33,7 @@ def test_shipped_policies_are_met_on_every_track(monkeypatch: pytest.MonkeyPatch
 
 def test_costs_are_those_of_the_environment() -> None:
     envs = make_batch("FlexArm/OneLink-ReachStrain-v0", 3)
-    found = costs(record(Full(n_joint=1), envs, range(3)), envs.unwrapped.core)
+    found = costs(record(Full(n_torque=1), envs, range(3)), envs.unwrapped.core)
     envs.reset(seed=[0, 1, 2])
     sums, largest, running = np.zeros(3), 0.0, np.ones(3, bool)
     while running.any():
