@@ -156,7 +156,7 @@ def test_links_bend_no_further_than_the_share_of_their_limit() -> None:
     limit = envs.unwrapped.core.arguments["deflection_limit"]
     found = {}
     for margin in (0.6, 0.8):
-        subject = mpc.MPC(envs, effort=1.0, lead=0.1, horizon=0.6, margin=margin)
+        subject = mpc.predictive(envs, "mpc", effort=1.0, lead=0.1, horizon=0.6, margin=margin)
         run = record(subject, envs, range(16))
         assert not run.failed.any()
         assert episode_metrics(run)["success"].all()
