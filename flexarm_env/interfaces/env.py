@@ -303,9 +303,9 @@ def check_keywords(arguments: Mapping[str, Any], *others: str) -> None:
     known = KEYWORDS | {*others}
     for name in arguments:
         if name not in known:
-            (near,) = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.0)
+            (near,) = difflib.get_close_matches(name[:80], sorted(known), n=1, cutoff=0.0)
             raise KeywordError(
-                f"An environment got an unexpected keyword argument {name!r}; nearest known: "
+                f"An environment got an unexpected keyword argument {shown(name)}; nearest known: "
                 f"{near!r}."
             )
     for name, such in (("task", 'task="Reach"'), ("arm", 'arm="slim"')):
