@@ -33,7 +33,7 @@ def accuracy(entry: Mapping[str, Any], command: str) -> str:
             kinds(c["episodes"]),
             causes(c),
             f"Model: {c['model']}. Reference: {c['reference']}.",
-            "Steps that keep the error, the best first:",
+            _heading(c["episodes"]),
             steps(entry["steps"]),
         ]
     )
@@ -61,6 +61,18 @@ def sentence(certificate: Mapping[str, Any], reach: float) -> str:
     return (
         f"In {round(100 * e['share'])} of 100 episodes of every kind the tip stays "
         f"{' and '.join(bounds)} of the reference; later it may be anywhere that the motion allows."
+    )
+
+
+def _heading(episodes: Mapping[str, Any]) -> str:
+    """The line above the steps; a step is not judged beyond the last of the levels."""
+    level = episodes["levels"][-1]
+    if all(kind["until"][-1] is None for kind in episodes["kinds"].values()):
+        return "Steps that keep the error, the best first:"
+    return (
+        f"Steps that keep close to the model until it errs by {level:g} of the reach, the best "
+        "first. No step is judged later, where motions grow apart; these errors are of whole "
+        "episodes, and say little of the step:"
     )
 
 

@@ -27,7 +27,7 @@ MARGIN = 0.8  # of TIP_ERROR: other episodes scatter by as much
 ALONE = 1.2  # [-] error with a step over that of the model, where this leaves no margin
 SLACK, SHAKEN = 3.5, 12.0  # [-] the same at every time, where the model errs by more than TIP_ERROR
 # SHAKEN where links vibrate from the start, which the model itself follows for long
-LOST = 1e-2  # [of the reach] error of the model beyond which no step is judged
+PARTED = 1e-2  # [of the reach] error of the model beyond which no step is judged
 MOMENTUM_ERROR = 1e-3  # [of the base's own momentum] that a step may lose on a floating base
 MOST_STEPS = 24  # per control step; more than that is never the cheapest
 MOST_WORK = 3.0  # evaluations over the fewest of the methods before
@@ -58,7 +58,7 @@ class Limits:
         for kind in shares.keys() - kept.keys():
             curve = model.curve(kind) / self.reach
             allowed = np.maximum(TIP_ERROR, (SHAKEN if KINDS[kind].shaken else SLACK) * curve)
-            self.curve[kind] = np.where(curve > LOST, np.inf, allowed)
+            self.curve[kind] = np.where(curve > PARTED, np.inf, allowed)
 
     def keep(self, found: Distances) -> bool:
         """True if errors over episodes stay within the limits."""

@@ -18,7 +18,7 @@ from flexarm_env.accuracy.table import CERTIFICATE, accuracy, kinds, sentence, s
 from flexarm_env.certify.certificate import DISTURBANCE
 from flexarm_env.certify.certificate import EPISODES as COUNT
 from flexarm_env.certify.run import FROZEN, command
-from flexarm_env.certify.search import BATCH, MOMENTUM_ERROR, SHAKEN, SLACK, TIP_ERROR
+from flexarm_env.certify.search import BATCH, MOMENTUM_ERROR, PARTED, SHAKEN, SLACK, TIP_ERROR
 from flexarm_env.compiled.termination import LOST
 from flexarm_env.core import Core
 from flexarm_env.hardware.sensors import PRESETS
@@ -55,6 +55,7 @@ def common_page() -> str:
         kinds=table(("kind", "actions"), [(name, kind.text) for name, kind in KINDS.items()]),
         disturbance=DISTURBANCE,
         slack=SLACK,
+        parted=PARTED,
         shaken=SHAKEN,
         momentum_error=MOMENTUM_ERROR,
         batch=BATCH,

@@ -210,8 +210,9 @@ the values of `fidelity`, so that anyone can play any motion on it.
 
 For each integrator the table of steps has the fewest substeps that keep the error of model and step
 together within {tip_error:g} of the reach, or within {slack:g} times that of the model where
-motions grow apart in time ({shaken:g} times where links vibrate from the start), and on a floating
-base the momentum within {momentum_error:g} of the base's own.
+motions grow apart in time ({shaken:g} times where links vibrate from the start), as long as the
+model keeps within {parted:g} of the reach, and on a floating base the momentum within
+{momentum_error:g} of the base's own.
 The environment uses the first row. It has the least CPU time, where a tenth more time is accepted
 for a tenth of the error. CPU time is per control step of one environment in a batch of {batch}, on
 the machine that measured.

@@ -1,12 +1,13 @@
 """Conditions that measured errors cover, and the sentence of a certificate."""
 
+import json
 from dataclasses import replace
 
 import pytest
 
-from flexarm_env.accuracy.certificates import covering
+from flexarm_env.accuracy.certificates import STORE, covering
 from flexarm_env.accuracy.conditions import Conditions
-from flexarm_env.accuracy.table import sentence
+from flexarm_env.accuracy.table import accuracy, sentence
 
 
 def conditions(**ranges: tuple[float, float]) -> Conditions:
@@ -55,3 +56,10 @@ def test_a_certificate_without_a_reach_is_told_in_words(until: float | None, wor
     kinds = {"random": {"until": [until], "share": 0.002}}
     found = {"episodes": {"kinds": kinds, "levels": [0.001], "share": 0.95}}
     assert words in sentence(found, 1.0)
+
+
+def test_steps_that_err_by_a_hundredth_of_the_reach_are_not_said_to_keep_the_error() -> None:
+    scenes = json.loads(STORE.read_text(encoding="utf-8")).values()
+    for found in (x for scene in scenes for x in scene["measured"]):
+        kept = "Steps that keep the error" in accuracy(found, "a command")
+        assert kept == (max(step["error"] for step in found["steps"]) < 1e-2)
