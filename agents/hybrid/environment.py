@@ -9,6 +9,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from agents.controllers.models.memory import part_of
 from agents.hybrid.controller import Base
 from dynamics.types import AnyArray
+from flexarm_env.interfaces.tensors.privileged import Privileged
 from flexarm_env.task.observations import BOUND
 
 
@@ -20,6 +21,7 @@ class HybridVecEnv(VecEnvWrapper):
         low, high = np.append(space.low, -added), np.append(space.high, added)
         super().__init__(venv, gym.spaces.Box(np.float32(low), np.float32(high)))
         self.base = base
+        self._true_state = Privileged(venv.envs.core)
         self._begun: Any = None  # the base's step that waits for the learner
         self._state: Any = None
 
@@ -28,6 +30,11 @@ class HybridVecEnv(VecEnvWrapper):
         """(N, m) actions of the controller itself at the present observations."""
         own, _ = self._begun
         return np.clip(own, -1.0, 1.0)
+
+    @property
+    def true_state(self) -> AnyArray:
+        """(N, size) numbers of `TorchVecEnv.privileged` at the present states."""
+        return self._true_state.on_host()
 
     def reset(self) -> AnyArray:
         """Start episodes; the base forgets the former ones."""

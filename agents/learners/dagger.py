@@ -8,8 +8,10 @@ Gymnasium 0.29 and stable-baselines3 2.2.
 from functools import partial
 from typing import Any, ClassVar
 
+import gymnasium as gym
 import numpy as np
 import torch
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
@@ -29,6 +31,11 @@ class DAgger(OffPolicyAlgorithm):
     from whole episodes, as many as have `batch_size` observations. After the last step a new
     network learns from all of them by `refit` gradient steps, unless that is zero: one that
     learned from few observations first learns worse from many.
+
+    With `estimation` above zero the network also learns to tell the true state and the drawn
+    parameters, `true_state` of the environment, by a linear layer behind its cells, or behind the
+    last layer of a policy without any, which a stored policy lacks. It weighs the mean square of
+    these errors, in units of their spread, beside that of the actions.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
@@ -47,6 +54,7 @@ class DAgger(OffPolicyAlgorithm):
         train_freq: int = 100,
         gradient_steps: int = 200,
         refit: int = 0,
+        estimation: float = 0.0,
         policy_kwargs: dict[str, Any] | None = None,
         tensorboard_log: str | None = None,
         verbose: int = 0,
@@ -59,9 +67,30 @@ class DAgger(OffPolicyAlgorithm):
             tensorboard_log=tensorboard_log, verbose=verbose, device=device, seed=seed,
             sde_support=False, support_multi_env=True,
         )  # fmt: skip
-        self._setup_model()
-        self.refit = refit
+        self.refit, self.estimation = refit, estimation
         self._memory: Any = None  # of the policy's cells
+        self._setup_model()
+
+    def _setup_model(self) -> None:
+        """Build the network, and a buffer of what the expert would have done and the true state."""
+        if self.estimation:
+            size = self.action_space.shape[0] + self.env.true_state.shape[1]
+            lessons = gym.spaces.Box(-np.inf, np.inf, (size,))
+            self.replay_buffer = ReplayBuffer(
+                self.buffer_size, self.observation_space, lessons, self.device, self.n_envs
+            )
+        super()._setup_model()
+        self._add_estimator()
+
+    def _add_estimator(self) -> None:
+        """Give the network the layer that tells the true state."""
+        if not self.estimation:
+            return
+        policy, size = self.policy, self.env.true_state.shape[1]
+        recurrent = isinstance(policy, LstmPolicy)
+        hidden = policy.lstm_output_dim if recurrent else policy.mlp_extractor.latent_dim_pi
+        policy.estimator = torch.nn.Linear(hidden, size).to(self.device)
+        policy.optimizer.add_param_group({"params": list(policy.estimator.parameters())})
 
     def _setup_learn(self, *given: Any, **keywords: Any) -> Any:
         """Begin a session; one that resets the environment continues no former episode."""
@@ -78,19 +107,25 @@ class DAgger(OffPolicyAlgorithm):
             self.policy = self.policy_class(
                 self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs
             ).to(self.device)
+            self._add_estimator()
             gradient_steps = self.refit
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         recurrent = isinstance(self.policy, LstmPolicy)
         batch = partial(self._of_episodes, self._episodes()) if recurrent else self._of_steps
+        usual = self._usual_state() if self.estimation else None
         losses = []
         for step in range(gradient_steps):
             if refit:
                 rate = self.lr_schedule(1.0 - step / gradient_steps)
                 update_learning_rate(self.policy.optimizer, rate)
-            loss = misses(*batch(batch_size)).square().mean()
+            memory, advice, true = batch(batch_size)
+            loss = total = misses(self._mean(memory), advice).square().mean()
+            if usual:
+                errors = self.policy.estimator(memory) - (true - usual[0]) / usual[1]
+                total = loss + self.estimation * errors.square().mean()
             self.policy.optimizer.zero_grad()
-            loss.backward()
+            total.backward()
             if recurrent:
                 torch.nn.utils.clip_grad_norm_(self.policy.parameters(), LARGEST_GRADIENT)
             self.policy.optimizer.step()
@@ -98,24 +133,44 @@ class DAgger(OffPolicyAlgorithm):
         self._n_updates += gradient_steps
         self.logger.record("train/loss", np.mean(losses))
 
+    def _mean(self, memory: torch.Tensor) -> torch.Tensor:
+        """Means (count, m) of the policy after what its cells, or its last hidden layer, hold."""
+        if isinstance(self.policy, LstmPolicy):
+            memory = self.policy.mlp_extractor.forward_actor(memory)
+        return self.policy.action_net(memory)
+
+    def _usual_state(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean and spread of the true states in the buffer; a spread of 1 where none differ."""
+        buffer, m = self.replay_buffer, self.action_space.shape[0]
+        true = buffer.actions[: buffer.size(), :, m:].reshape(-1, buffer.action_dim - m)
+        spread = true.std(axis=0)
+        return buffer.to_torch(true.mean(axis=0)), buffer.to_torch(np.where(spread > 0, spread, 1))
+
     def _sample_action(
         self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
     ) -> tuple[AnyArray, AnyArray]:
-        """Actions to take, and the expert's to store."""
+        """Actions to take, and the expert's to store, behind them the true state if it is told."""
         advice, buffer = self.env.advice, self.replay_buffer
         starts = buffer.dones[buffer.pos - 1] if buffer.size() else np.ones(n_envs)
         taken, self._memory = self.policy.predict(
             self._last_obs, self._memory, starts, deterministic=True
         )
-        return (advice if self.num_timesteps < learning_starts else taken), advice
+        lesson = np.hstack([advice, self.env.true_state]) if self.estimation else advice
+        return (advice if self.num_timesteps < learning_starts else taken), lesson
 
-    def _of_steps(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Means (count, m) of the policy at observations drawn at random, and the expert's."""
+    def _of_steps(self, count: int) -> tuple[torch.Tensor, ...]:
+        """Last hidden layer at observations drawn at random, the expert's actions, true states."""
         batch = self.replay_buffer.sample(count, env=self._vec_normalize_env)
-        return self.policy.get_distribution(batch.observations).mode(), batch.actions
+        features = self.policy.extract_features(batch.observations)
+        return self.policy.mlp_extractor.forward_actor(features), *self._lessons(batch.actions)
 
-    def _of_episodes(self, episodes: AnyArray, steps: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Means over episodes at random, about so many steps in all, and the expert's actions."""
+    def _lessons(self, stored: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The expert's actions and the true states, without numbers unless they are told."""
+        m = self.action_space.shape[0]
+        return stored[:, :m], stored[:, m:]
+
+    def _of_episodes(self, episodes: AnyArray, steps: int) -> tuple[torch.Tensor, ...]:
+        """`_remembered` of episodes at random, about so many steps in all."""
         _, first, last = episodes.T
         count = max(1, round(steps / (last - first + 1).mean()))
         chosen = np.random.randint(len(episodes), size=count)  # noqa: NPY002
@@ -142,16 +197,15 @@ class DAgger(OffPolicyAlgorithm):
         """Oldest row of the buffer."""
         return int(self.replay_buffer.pos) if self.replay_buffer.full else 0
 
-    def _remembered(self, episodes: AnyArray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Means (k, m) of the policy over whole episodes, and the expert's actions."""
+    def _remembered(self, episodes: AnyArray) -> tuple[torch.Tensor, ...]:
+        """What the cells hold over whole episodes, the expert's actions and the true states."""
         buffer, (env, first, last) = self.replay_buffer, episodes.T
         rows = first + np.arange((last - first).max() + 1)[:, None]
         lasting = rows <= last
         rows = (np.minimum(rows, last) + self._oldest) % buffer.buffer_size
         seen = buffer._normalize_obs(buffer.observations[rows, env], self._vec_normalize_env)
-        output, _ = self.policy.lstm_actor(buffer.to_torch(seen))
-        latent = self.policy.mlp_extractor.forward_actor(output[lasting])
-        return self.policy.action_net(latent), buffer.to_torch(buffer.actions[rows, env][lasting])
+        held, _ = self.policy.lstm_actor(buffer.to_torch(seen))
+        return held[lasting], *self._lessons(buffer.to_torch(buffer.actions[rows, env][lasting]))
 
 
 def misses(mean: torch.Tensor, advice: torch.Tensor) -> torch.Tensor:

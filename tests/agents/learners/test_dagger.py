@@ -23,6 +23,7 @@ from agents.run_folder.folder import RunFolder
 from agents.training import about_policy, base_description, build_model
 from agents.training import main as train
 from flexarm_env import SB3VecEnv
+from flexarm_env.interfaces.tensors.privileged import Privileged
 from tests.agents.tiny import ENV_ID
 
 KWARGS = {"learning_rate": 3e-3, "learning_starts": 400, "batch_size": 128, "train_freq": 50}
@@ -144,7 +145,7 @@ def test_cells_learn_from_whole_episodes_and_remember_them_alone() -> None:
     env, first, last = episodes.T
     assert sorted(set(last[env == 0])) == [29, 49, 79, 99]
     np.testing.assert_array_equal(first[env == 0], [0, 30, 50, 80])
-    means, advice = model._remembered(episodes[[1, 4, 6]])
+    held, advice, _ = model._remembered(episodes[[1, 4, 6]])
     policy = export_policy(model, {})
     says, wanted = np.empty((30, 3, 1), np.float32), np.empty((30, 3, 1), np.float32)
     lasting = np.zeros((30, 3), bool)
@@ -154,8 +155,43 @@ def test_cells_learn_from_whole_episodes_and_remember_them_alone() -> None:
             lasting[t, k], wanted[t, k] = True, buffer.actions[row, i]
             says[t, k], memory = policy.predict(buffer.observations[row, i], memory)
     assert 0 < lasting.sum() < lasting.size
-    np.testing.assert_allclose(means.detach().clip(-1, 1), says[lasting], atol=1e-5)
+    np.testing.assert_allclose(model._mean(held).detach().clip(-1, 1), says[lasting], atol=1e-5)
     np.testing.assert_array_equal(advice, wanted[lasting])
+
+
+@pytest.mark.parametrize("cells", [False, True])
+def test_a_network_tells_the_true_state_besides_acting(cells: bool) -> None:
+    """The target and the bending, which readings show late and coarse."""
+    given = remembering(1_500, max_episode_steps=30)
+    given["agent"]["kwargs"] |= {"estimation": 1.0, "gradient_steps": 100}
+    if not cells:
+        given["agent"] |= {"policy": "MlpPolicy"}
+        given["agent"]["kwargs"] |= {"policy_kwargs": {"net_arch": [8]}}
+    model = build_model(config_from_dict(given))
+    model.learn(1_500)
+    lessons = model._of_episodes(model._episodes(), 1_500) if cells else model._of_steps(1_500)
+    memory, _, true = lessons
+    centre, spread = model._usual_state()
+    missed = model.policy.estimator(memory).detach() * spread + centre - true
+    parts = Privileged(model.env.envs.core).slices
+    shares = missed.square().mean(0) / true.var(0)  # of the variance, 1 of the mean alone
+    assert float(shares[parts["target_now"]]) < 0.1
+    assert float(shares[parts["modal_amplitude"]][0]) < 0.5
+    assert export_policy(model, {}).layer_sizes[-1] == 1
+
+
+def test_a_true_state_is_stored_beside_its_own_observation() -> None:
+    given = remembering(1_200, max_episode_steps=30)
+    given["agent"]["kwargs"] |= {"estimation": 1.0, "learning_starts": 300}
+    model = build_model(config_from_dict(given))
+    model.learn(300)
+    told = SB3VecEnv(ENV_ID, 3, privileged=True, **given["env"]["kwargs"])
+    told.seed(model.seed)
+    seen, buffer = told.reset(), model.replay_buffer
+    for row in range(100):
+        np.testing.assert_array_equal(seen["observation"], buffer.observations[row])
+        np.testing.assert_array_equal(seen["privileged"], buffer.actions[row, :, 1:])
+        seen, *_ = told.step(buffer.actions[row, :, :1])
 
 
 def test_cells_learn_from_the_episodes_that_a_full_buffer_still_has_whole() -> None:
@@ -172,7 +208,7 @@ def test_cells_learn_from_the_episodes_that_a_full_buffer_still_has_whole() -> N
         assert not ends[1:].any()
     lengths = episodes[:, 2] - episodes[:, 1] + 1
     assert sorted(lengths.tolist()) == [20] * 6 + [30] * 3
-    _, advice = model._remembered(episodes[-1:])
+    _, advice, _ = model._remembered(episodes[-1:])
     rows = (np.arange(episodes[-1, 1], episodes[-1, 2] + 1) + buffer.pos) % 100
     np.testing.assert_array_equal(advice, buffer.actions[rows, episodes[-1, 0]])
 
