@@ -27,6 +27,20 @@ class Log:
     encoder: Array  # (N, n_joint) [rad] or [m], NaN between the readings of a slower one
     gauge: Array  # (N, n_gauge) [1/m] curvature, [-] strain or [rad]; NaN as above
 
+    def __post_init__(self) -> None:
+        validate.clean(self, time=validate.array(self.time, "Log.time", (None,)))
+        if np.any(np.diff(self.time) <= 0.0):
+            raise ValueError("Log.time must increase from sample to sample.")
+        for name in ("command", "encoder", "gauge"):
+            shape = np.shape(getattr(self, name))
+            if len(shape) != 2 or len(self.time) != shape[0]:
+                raise ValueError(
+                    f"Log.{name} must have a row for each of the {len(self.time)} times and a "
+                    f"column for each signal, got shape {shape}."
+                )
+        if not np.isfinite(self.command).all():
+            raise ValueError("Log.command must be finite; repeat the value that a motor holds.")
+
     def since(self, first: float, last: float = math.inf) -> "Log":
         """The samples from a time [s] on, such as the release of a plucked arm, up to another."""
         for time, noun in ((first, "first time"), (last, "last time")):

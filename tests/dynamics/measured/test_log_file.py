@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.io import savemat
 
-from dynamics.measured.log_file import MOST_BYTES, Columns, read_log
+from dynamics.measured.log_file import MOST_BYTES, Columns, Log, read_log
+from dynamics.types import Array
 
 COLUMNS = Columns(
     time="t",
@@ -170,3 +171,23 @@ def test_columns_are_titles_or_numbers(tmp_path: Path) -> None:
         Columns(time="t", gauge=(1.5,))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="needs at least one file"):
         read_log([], Columns(time="t"))
+
+
+T = np.arange(12.0)
+
+
+@pytest.mark.parametrize(
+    ("time", "command", "gauge", "sentence"),
+    [
+        (T, T, T[:, None], r"Log\.command must have a row for each of the 12 times and a column"),
+        (T, T[:, None], T[:10, None], r"Log\.gauge must have .*, got shape \(10, 1\)"),
+        (T, T[:, None] * np.nan, T[:, None], r"Log\.command must be finite"),
+        (T[::-1], T[:, None], T[:, None], r"Log\.time must increase"),
+        (T * np.nan, T[:, None], T[:, None], r"Log\.time"),
+    ],
+)
+def test_arrays_that_are_no_log_are_refused(
+    time: Array, command: Array, gauge: Array, sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        Log(time, command, np.zeros((12, 0)), gauge)
