@@ -11,7 +11,7 @@ from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.formulations.linearized import inertia
 from dynamics.load import ArmSource, load_arm
 from dynamics.measured import sensors, unknowns
-from dynamics.measured.log_file import Log
+from dynamics.measured.log_file import ROWS, Log
 from dynamics.measured.readings import Readings, delayed, low_passed
 from dynamics.measured.sensors import Sensor
 from dynamics.measured.unknowns import LOCKED, Bounds, Unknowns
@@ -79,11 +79,13 @@ class LoggedMotion:
         sensors.check(gauges, described, log.gauge)
         self.names = [f"encoder {k + 1}" for k in free] + sensors.named(gauges)
         self.measured = np.hstack([encoder[:, free], log.gauge])
-        _check_signals(self.names, self.measured)
-        self.deviation = np.nanstd(self.measured, axis=0)
         rows = unknowns.asked(bounds, described, self.names)
         asked, none = Unknowns(rows), np.zeros(len(self.names))
         delay, lag = (none + asked.changes(into, asked.high) for into in ("delay", "lag"))
+        late = delay + (start != "rest") * FORGOTTEN * lag
+        self.present = np.isfinite(self.measured) & (log.time[:, None] >= log.time[0] + late)
+        _check_signals(self.names, self.measured, self.present, late)
+        self.deviation = np.nanstd(self.measured, axis=0)
         arm = _with_held(unknowns.without_friction(described, bounds), held)
         scaled = [name for name in FREE_PARAMETERS if name in bounds]
         self.model = compile_arm(arm, free_parameters=scaled)
@@ -113,8 +115,6 @@ class LoggedMotion:
             self._check_rest()
         self.unknowns = Unknowns(rows)
         self._has_delays = bool(delay.any() or lag.any())
-        late = delay + (start != "rest") * FORGOTTEN * lag
-        self.present = np.isfinite(self.measured) & (log.time[:, None] >= log.time[0] + late)
         if self.present.sum() <= len(rows) + len(self.names):
             raise ValueError(
                 f"{len(log.time)} samples of {len(self.names)} signals are too few for the "
@@ -303,12 +303,19 @@ def _per_joint(
     return result
 
 
-def _check_signals(names: Sequence[str], measured: Array) -> None:
+def _check_signals(names: Sequence[str], measured: Array, present: Array, late: Array) -> None:
+    """Refuse signals of few readings after the time [s] by which each may be late."""
     if not names:
         raise ValueError(
             "A fit needs a gauge, or an encoder of a joint that is not held, got neither."
         )
-    for name, column in zip(names, measured.T, strict=True):
+    for name, column, there, wait in zip(names, measured.T, present.T, late, strict=True):
+        if there.sum() < ROWS[0]:
+            after = f" after the first {wait:.3g} s, in which it may be late" if wait else ""
+            raise ValueError(
+                f"{name} holds {there.sum()} readings{after}, and a fit needs {ROWS[0]}; take more "
+                "of the log, or name another column."
+            )
         readings = column[np.isfinite(column)]
         if not np.ptp(readings):
             held = "hold its joint if that was clamped, or " if name.startswith("encoder") else ""
@@ -362,7 +369,13 @@ def _with_held(arm: Arm, held: Mapping[int, float | None]) -> Arm:
 def _place(given: float | None, readings: Array) -> float:
     """Angle of a held joint: as given, or the mean of its encoder."""
     if given is None:
-        return float(np.nanmean(readings))
+        there = readings[np.isfinite(readings)]
+        if not there.size:
+            raise ValueError(
+                "The encoder of a held joint holds no readings; give the joint's angle, or leave "
+                "the column out."
+            )
+        return float(there.mean())
     return validate.number(given, "angle of a held joint")
 
 

@@ -86,7 +86,7 @@ def check(sensors: Sequence[Sensor], arm: Arm, readings: Array) -> None:
             raise ValueError(
                 f"{name} reads a change of curvature of {span / abs(sensor.distance):.3g} 1/m, "
                 f"which would roll link {sensor.link + 1} up; check the gauge's unit and its "
-                "distance from the neutral axis."
+                "distance from the neutral axis, and empty the cells of spikes."
             )
 
 

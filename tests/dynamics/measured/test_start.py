@@ -235,9 +235,10 @@ def test_an_encoder_reads_the_root_of_a_link_that_turns_there() -> None:
     assert_allclose(motion.rows[k, index : index + 1 + len(slopes)], [1.0, *slopes])
 
 
-def one_mode() -> Arm:
+def with_modes(count: int) -> Arm:
     arm = load_arm(PRESET)
-    return replace(arm, links=(replace(arm.links[0], modes=arm.links[0].modes[:1]),))
+    modes = tuple(replace(arm.links[0].modes[0], index=k + 1) for k in range(count))
+    return replace(arm, links=(replace(arm.links[0], modes=modes),))
 
 
 def sideways() -> Arm:
@@ -251,6 +252,13 @@ def noise(columns: int) -> Array:
     return np.random.default_rng(0).standard_normal((200, columns))
 
 
+def first(log: Log, *, encoder: int = 200, gauge: int = 200) -> Log:
+    """The log with the first readings of its signals alone."""
+    at, none = np.arange(log.time.size)[:, None], np.nan
+    return replace(log, encoder=np.where(at < encoder, log.encoder, none),
+                   gauge=np.where(at < gauge, log.gauge, none))  # fmt: skip
+
+
 T = 0.01 * np.arange(200.0)
 NOTHING = log_of(T, 1e-5 * noise(1))
 CLAMPED = replace(decay(0), encoder=1e-3 * noise(1))
@@ -258,6 +266,8 @@ STILL = replace(decay(0), encoder=np.full((200, 1), 0.3))
 PUSHED = replace(log_of(T, 1e-5 * noise(1), 1e-3 * noise(1)), command=np.full((200, 1), 1e-9))
 STIFFNESS = {"stiffness": (0.5, 2.0)}
 MASS = {"stiffness": (0.5, 2.0), "damping": (0.0, 5.0), "payload_mass": (0.0, 0.1)}
+SHORT = log_of(0.1 * T[:10], 1e-5 * noise(1)[:10])
+MOVING = first(replace(decay(0), encoder=np.sin(T)[:, None]), encoder=100)
 
 
 @pytest.mark.parametrize(
@@ -279,9 +289,14 @@ MASS = {"stiffness": (0.5, 2.0), "damping": (0.0, 5.0), "payload_mass": (0.0, 0.
         (decay(0), PRESET, {"gauges": []}, "got 1 columns and 0 places"),
         (decay(0), sideways(), {}, "gauge 1 reads bending along y, which link 1 lacks"),
         (log_of(T, noise(0)), PRESET, {"gauges": []}, "needs a gauge, or an encoder"),
-        (decay(0), PRESET, {"gauges": [Gauge(link=0, x=0.02, distance=1e-6)]}, "roll link 1 up"),
-        (decay(0), one_mode(), {"bounds": MASS}, "do not tell .* apart"),
-        (decay(0, duration=0.055), PRESET, {}, "6 samples of 1 signals are too few"),
+        (decay(0), PRESET, {"gauges": [Gauge(link=0, x=0.02, distance=1e-6)]}, "1 up; .*spikes"),
+        (decay(0), with_modes(1), {"bounds": MASS}, "do not tell .* apart"),
+        (MOVING.since(1.0), PRESET, {"held": {}}, "encoder 1 holds 0 readings, and a fit needs 10"),
+        (first(decay(0), gauge=9), PRESET, {}, "gauge 1 holds 9 readings, and a fit needs 10"),
+        (first(decay(0), gauge=12), PRESET, {"bounds": {"delay_gauge_1": (0.0, 0.1)}},
+         r"gauge 1 holds 2 readings after the first 0\.1 s, in which it may be late, and a fit"),
+        (first(CLAMPED, encoder=0), PRESET, {}, "encoder of a held joint holds no readings; give"),
+        (SHORT, with_modes(4), {}, "10 samples of 1 signals are too few"),
     ],
 )  # fmt: skip
 def test_a_fit_that_cannot_be_says_why(
