@@ -114,7 +114,8 @@ def _check(joint: UrdfJoint) -> None:
     if joint.type in ("floating", "planar"):
         raise ValueError(
             f"joint {joint.name!r}: a {joint.type} joint has several coordinates; an arm's joints "
-            "are revolute, continuous, prismatic or fixed. Choose a tip before it, or split it."
+            "are revolute, continuous, prismatic or fixed. Choose a tip before it, split it, or "
+            "make it fixed."
         )
     if joint.mimics:
         raise ValueError(

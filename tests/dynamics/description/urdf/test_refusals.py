@@ -57,7 +57,9 @@ REFUSED = {
     "joint 'ROD': damping of <dynamics> must not be negative, got -1.0": one_rod(
         content='<axis xyz="0 0 1"/><dynamics damping="-1"/>'
     ),
-    "joint 'ROD': a floating joint has several coordinates": one_rod(type="floating"),
+    "joint 'ROD': a floating joint has several coordinates; .* or make it fixed": one_rod(
+        type="floating"
+    ),
     "joint 'ROD': a joint that mimics another": one_rod(
         content='<axis xyz="0 0 1"/><mimic joint="other"/>'
     ),
