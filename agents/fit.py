@@ -2,7 +2,9 @@
 
 import argparse
 import math
+import shlex
 import sys
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +16,18 @@ from agents.sentences import refused
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.load import load_arm
-from dynamics.measured.columns import UNITS
+from dynamics.measured.columns import SLIDING, UNITS
 from dynamics.measured.fit import BOUNDS, CONFIDENCE, Fit, fit
 from dynamics.measured.log_file import Columns, Log, read_log
 from dynamics.measured.motion import STARTS
 from dynamics.measured.sensors import Gauge, LinkAngle, Sensor, TipSlope
 from dynamics.model import compile_arm
+from dynamics.types import Array
 
 UNEXPLAINED = 0.9  # [of a signal's deviation] residual of a signal that the fit does not follow
 WHITE = 0.2  # largest correlation of a residual's neighbours that counts as white
 CHANCE = 3.0  # deviations of that correlation, 1 / root of the readings, that chance may give
+FEW = 0.01  # [of a signal's readings] that hold half of the squared residual if they are spikes
 RESULTS = "fit.json"
 EXAMPLE = (
     "flexarm fit run.csv --arm slim --time t --command torque --encoder angle --gauge strain "
@@ -47,8 +51,9 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
             gauge=tuple(a.gauge), units=units, titles=tuple(a.titles),
         )  # fmt: skip
         log, arm = read_log(a.log, columns), load_arm(a.arm)
+        begin = float(log.time[0])
         if a.since is not None or a.to is not None:
-            first = log.time[0] if a.since is None else a.since
+            first = begin if a.since is None else a.since
             log = log.since(first, math.inf if a.to is None else a.to)
         if len(a.gauge_at) != len(a.gauge):
             raise ValueError(
@@ -61,13 +66,16 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
         ]
         numbered = validate.unique([_held(text, arm.n_joint) for text in a.held], "--held")
         held = {joint - 1: angle for joint, angle in numbered.items()}
+        _check_units(columns, arm, held)
         found = fit(arm, log, gauges, bounds, start=a.start, held=held, shooting=a.shooting)
     except (ValueError, FolderError) as error:
         return refused(prog, error)
     print(table(found))
     if "stiffness" in bounds and "payload_mass" not in bounds:
         print(frequencies(arm, found))
-    for sentence in doubts(found, bool(log.command.any())):
+    if a.since is not None and a.since < begin:
+        print(f"--from {a.since:g} leaves out nothing: the log begins at {begin:.6g} s.")
+    for sentence in [*doubts(found, bool(log.command.any())), *spikes(found, log.time)]:
         print(sentence)
     name = ", ".join(path.name for path in a.log)
     title = f"{a.log[0].name} and {arm.name or a.arm}"
@@ -207,6 +215,24 @@ def _counted(number: float, noun: str, count: int, option: str, text: str) -> in
     return int(number) - 1
 
 
+def _check_units(columns: Columns, arm: Arm, held: Collection[int]) -> None:
+    """Refuse units of angles and torques for joints that slide, and the reverse."""
+    free = [joint for joint in range(arm.n_joint) if joint not in held]
+    slides = [arm.links[k].joint.type == "prismatic" for k in arm.joints]
+    for kind, sliding in SLIDING.items():
+        names = getattr(columns, kind)
+        joints = free if len(names) == len(free) else range(arm.n_joint)
+        for name, joint in zip(names, joints, strict=False):  # other counts are refused by the fit
+            unit = columns.units.get(name, columns.units.get(kind))
+            if unit in UNITS[kind] and (unit in sliding) != slides[joint]:
+                fitting = [x for x in UNITS[kind] if (x in sliding) == slides[joint]]
+                raise ValueError(
+                    f"column {name!r} is in {unit}, but joint {joint + 1} "
+                    f"{'slides' if slides[joint] else 'turns'}; give its own unit, one of "
+                    f"{fitting}: --units {shlex.quote(f'{name}={fitting[0]}')}."
+                )
+
+
 def _unit(gauge: Sensor) -> str:
     if not isinstance(gauge, Gauge):
         return "[rad]"
@@ -315,6 +341,23 @@ def doubts(found: Fit, driven: bool = True) -> list[str]:
     clamped = [name.removeprefix("encoder ") for name in unexplained if name.startswith("encoder")]
     if clamped:
         result.append(f"If a joint was clamped, say so: --held {' '.join(clamped)}.")
+    return result
+
+
+def spikes(found: Fit, time: Array) -> list[str]:
+    """Sentences about signals of which FEW of the readings hold half of the squared residual."""
+    result = []
+    for name, residual in zip(found.signals, (found.measured - found.fitted).T, strict=True):
+        there = np.flatnonzero(np.isfinite(residual))
+        squares = residual[there] ** 2
+        order = np.argsort(squares)[::-1]
+        count = 1 + int(np.searchsorted(np.cumsum(squares[order]), 0.5 * squares.sum()))
+        if count <= max(1.0, FEW * there.size):
+            result.append(
+                f"Half of the squared residual of {name} is of {count} of its {there.size} "
+                f"readings, the largest at {time[there[order[0]]]:.6g} s: if they are spikes, or "
+                "codes of a lost reading, empty their cells."
+            )
     return result
 
 

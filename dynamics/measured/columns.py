@@ -16,6 +16,7 @@ UNITS: dict[str, dict[str, float]] = {  # kind of signal: unit: factor to SI
         "mrad": 1e-3,
     },
 }  # fmt: skip
+SLIDING = {"command": ("N",), "encoder": ("m", "mm")}  # units of joints that slide; others turn
 
 
 @dataclass(frozen=True, kw_only=True)

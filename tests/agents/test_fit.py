@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shlex
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,19 +17,22 @@ import flexarm_env  # noqa: F401
 from agents.fit import (
     EXAMPLE,
     PLUCK_EXAMPLE,
+    _check_units,
     _joint_units,
     _parser,
     doubts,
     draw,
     frequencies,
     main,
+    spikes,
 )
 from benchmarks.accuracy.measured_data import COMMAND, PLUCK_COMMAND, page_table
 from benchmarks.output import RESULTS
 from dynamics import compile_arm, load_arm
+from dynamics.measured.columns import Columns
 from dynamics.measured.fit import Fit
 from dynamics.measured.log_file import Log
-from dynamics.types import Vector3
+from dynamics.types import Array, Vector3
 from tests.paths import ROOT
 
 LOG = str(RESULTS / "measured_data.csv")
@@ -111,6 +115,7 @@ def changed(command: list[str], change: dict[str, list[str]]) -> list[str]:
         ({"--held": ["one"]}, "--held takes JOINT[:ANGLE], got 'one'"),
         ({"--held": ["1:nan"]}, "angle of a held joint"),
         ({"--from": ["7"]}, "its time runs from 0 to 2.995 s"),
+        ({"--units": ["encoder=mm", "gauge=strain"]}, "one of ['rad', 'deg', 'rev']: --units an"),
     ],
 )
 def test_bad_command_lines_end_with_one_sentence(
@@ -148,6 +153,7 @@ def test_places_of_gauges_count_links_behind_fixed_joints(
 @pytest.mark.parametrize(
     ("wrong", "sentences"),
     [
+        (["--from", "-1"], ["--from -1 leaves out nothing: the log begins at 0 s.\n"]),
         (["--from", "0"], ["gauge 1 is not white", "begin a free decay at its release by --from"]),
         (
             ["--fit", "stiffness=0.5:2", "damping=0:9", "gain_gauge_1=0.5:2"],
@@ -269,6 +275,44 @@ def test_a_full_disk_leaves_the_results_on_the_screen(
     assert "stiffness" in said.out
     assert "Everything" not in said.out
     assert said.err.endswith(f"writing to {out} failed (No space left on device).\n")
+
+
+@pytest.mark.parametrize(("units", "held", "sentence"), [
+    ({"encoder": "deg"}, [], "column 'e3' is in deg, but joint 3 slides; .* --units e3=m\\."),
+    ({"command": "mN m"}, [], "column 'u3' is in mN m, but joint 3 slides; .* --units u3=N\\."),
+    ({"encoder": "m", "e3": "m"}, [], "column 'e1' is in m, but joint 1 turns"),
+    ({"encoder": "deg"}, [0, 1], "column 'e1' is in deg, but joint 3"),
+    ({"encoder": "deg", "e3": "mm", "u3": "N"}, [], None),
+    ({"command": "-1"}, [], None),
+])  # fmt: skip
+def test_units_are_those_of_joints_that_turn_or_slide(
+    units: dict[str, str], held: list[int], sentence: str | None
+) -> None:
+    """Of the Stanford arm, the third joint of which slides."""
+    numbers = range(1, 7 - len(held))
+    columns = Columns(time="t", command=tuple(f"u{k}" for k in numbers),
+                      encoder=tuple(f"e{k}" for k in numbers), units=units)  # fmt: skip
+    with nullcontext() if sentence is None else pytest.raises(ValueError, match=sentence):
+        _check_units(columns, load_arm("stanford"), held)
+
+
+def test_spikes_of_a_signal_are_told_with_the_time_of_the_largest() -> None:
+    """Codes of a lost reading; neither noise nor a slow misfit is one."""
+    t: Array = 0.005 * np.arange(600.0)
+    read = np.random.default_rng(0).standard_normal((600, 3)) + [0.0, 0.0, 9.0] * t[:, None]
+    read[100::200, 1] = (-100.0, -999.0, -100.0)
+    read[50::7] = np.nan
+    found = Fit(
+        bounds={"damping": (0.2, 5.0)}, values=np.ones(1), intervals=np.ones((1, 2)),
+        covariance=np.eye(1), signals=("encoder 1", "gauge 1", "gauge 2"), measured=read,
+        nominal=0.0 * read, fitted=np.zeros((600, 3)), correlation=np.zeros(3), start={},
+        arm=load_arm("slim"),
+    )  # fmt: skip
+    there = int(np.isfinite(read[:, 1]).sum())
+    assert spikes(found, t) == [
+        f"Half of the squared residual of gauge 1 is of 1 of its {there} readings, the largest at "
+        "1.5 s: if they are spikes, or codes of a lost reading, empty their cells."
+    ]
 
 
 def test_joints_that_slide_are_drawn_in_metres_and_newtons(
