@@ -38,13 +38,13 @@ class Derivatives:
     """Control steps of the environments of `core`, and their derivatives.
 
     Arrays have a column per environment, actions and observations a row. They are padded to whole
-    blocks as `core.state`. Rows of the state are named by `core.signals.state`: coordinates, rates,
-    what actuators and sensors remember, targets, free parameters.
+    blocks as `core.state`; views in any order of memory are taken. Rows of the state are named by
+    `core.signals.state`: coordinates, rates, what actuators and sensors remember, targets, free
+    parameters.
 
     Raises
     ------
-    ValueError : the integrator has no derivatives, or an array of a state or of actions has another
-        shape.
+    ValueError : the integrator has no derivatives, or an array has another shape.
     """
 
     def __init__(self, core: Core) -> None:
@@ -64,11 +64,9 @@ class Derivatives:
 
     def record(self, state: Array, actions: AnyArray) -> Recorded:
         """A control step from `state`, which is left as it is."""
-        self._check(state=state, actions=actions)
+        state, actions = self._taken(state=state, actions=actions)
         after, stored = self._memory.copy(state), self._stored(state, actions)
-        fixed, per_substep = self._program.STACK
-        depth = fixed + per_substep * self._core.substeps
-        stack = self._memory.array((depth, state.shape[1]), state.dtype)
+        stack = self._memory.array(self._shapes()["stack"], state.dtype)
         self._run(self._program.record, actions, after, *stored, stack)
         return Recorded(state, actions, after, *stored, stack)
 
@@ -88,7 +86,9 @@ class Derivatives:
         state, actions, stack : before the step, and what `record` kept of it.
         after, obs, info : cotangents of what `record` gave; they are left as they are.
         """
-        self._check(state=state, actions=actions, after=after)
+        state, actions, stack, after, obs, info = self._taken(
+            state=state, actions=actions, stack=stack, after=after, obs=obs, info=info
+        )
         before = self._memory.copy(after)
         by = self._memory.array(actions.shape, actions.dtype)
         self._run(self._program.pull_back, actions, state, stack, by, before, obs, info)
@@ -102,28 +102,45 @@ class Derivatives:
         state, actions : before the step.
         along, by : (rows, width) direction of the state, (N, n_torque) direction of the actions.
         """
-        self._check(state=state, actions=actions, along=along, by=by)
+        state, actions, along, by = self._taken(state=state, actions=actions, along=along, by=by)
         moved, (obs, info, _) = self._memory.copy(along), self._stored(state, actions)
         given = (self._memory.copy(state), *self._stored(state, actions), by, moved, obs, info)
         self._run(self._program.push_forward, actions, *given)
         return Along(moved, obs, info)
 
-    def _check(self, **given: AnyArray) -> None:
-        """Refuse arrays of other shapes: compiled code would go past their ends."""
-        acting = (self._core.n_env, self._core.arm.n_torque)
+    def _taken(self, **given: AnyArray) -> list[AnyArray]:
+        """Arrays in one piece and of floating point, as compiled code reads them.
+
+        Other shapes are refused: it would go past their ends.
+        """
+        shapes = self._shapes()
         for name, array in given.items():
-            shape = acting if name in ("actions", "by") else self._core.state.shape
-            if array.shape != shape:
-                padded = "" if shape == acting else ", padded as core.state"
-                raise ValueError(f"{name} must have shape {shape}{padded}, got {array.shape}.")
+            shape = shapes[name]
+            if np.shape(array) != shape:
+                padded = "" if name in ("actions", "by", "obs") else ", padded as core.state"
+                raise ValueError(f"{name} must have shape {shape}{padded}, got {np.shape(array)}.")
+        return [np.ascontiguousarray(x, np.result_type(x, np.float32)) for x in given.values()]
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of all arrays by name."""
+        core, (fixed, per_substep) = self._core, self._program.STACK
+        state, width = core.state.shape, core.state.shape[1]
+        acting = (core.n_env, core.arm.n_torque)
+        return {
+            "state": state, "after": state, "along": state, "actions": acting, "by": acting,
+            "stack": (fixed + per_substep * core.substeps, width),
+            "obs": (core.n_env, core.layout.size),
+            "info": (core.signals.info.total, width),
+            "flags": (len(FLAGS), width),
+        }  # fmt: skip
 
     def _stored(self, state: Array, actions: AnyArray) -> tuple[AnyArray, Array, AnyArray]:
         """New arrays of observations, info and flags."""
-        core, width = self._core, state.shape[1]
+        shapes = self._shapes()
         return (
-            self._memory.array((core.n_env, core.layout.size), actions.dtype),
-            self._memory.array((core.signals.info.total, width), state.dtype),
-            self._memory.array((len(FLAGS), width), np.bool_),
+            self._memory.array(shapes["obs"], actions.dtype),
+            self._memory.array(shapes["info"], state.dtype),
+            self._memory.array(shapes["flags"], np.bool_),
         )
 
     def _run(self, entry: Any, actions: AnyArray, state: Array, *arrays: AnyArray) -> None:

@@ -137,3 +137,29 @@ def test_arrays_of_other_shapes_are_refused() -> None:
         derivatives.record(state, actions[1:])
     with pytest.raises(ValueError, match="along must have shape"):
         derivatives.push_forward(state, actions, state[:, :N], actions)
+    step = derivatives.record(state, actions)
+    given = {name: getattr(step, name) for name in ("stack", "after", "obs", "info")}
+    for name, array in given.items():
+        with pytest.raises(ValueError, match=rf"{name} must have shape .*, got \("):
+            derivatives.pull_back(state, actions, **given | {name: array[1:]})
+
+
+def test_views_and_whole_numbers_have_the_derivatives_of_their_copies() -> None:
+    """Actions of one time out of (N, T, m), and arrays by columns, gave other motions."""
+    core = Core(n_env=N, control_dt=0.02, arm="slim", task="Reach")
+    derivatives, rng = Derivatives(core), np.random.default_rng(5)
+    state = 0.01 * rng.normal(size=core.state.shape)
+    several = rng.integers(-1, 2, (N, 3, 1))
+    views = [np.asfortranarray(state), several[:, 1], np.asfortranarray(state), several[:, 2]]
+    copies = [aligned(x.astype(float)) for x in views]
+    found, expected = (derivatives.push_forward(*x) for x in (views, copies))
+    np.testing.assert_array_equal(results(found), results(expected))
+    step, same = (derivatives.record(*x[:2]) for x in (views, copies))
+    np.testing.assert_array_equal(results(step), results(same))
+    given = (step.stack, step.after, step.obs, step.info)
+    backs = [
+        derivatives.pull_back(*x[:2], *map(order, given))
+        for x, order in ((views, np.asfortranarray), (copies, np.ascontiguousarray))
+    ]
+    for back, exact in zip(*backs, strict=True):
+        np.testing.assert_array_equal(back, exact)
