@@ -126,12 +126,16 @@ def find_policy(subject: str, trust: bool) -> Policy | None:
     if subject in KNOWN:
         return None
     path = Path(subject)
-    if not path.exists():
+    try:
+        there, is_file = path.exists(), path.is_file()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}).") from None
+    if not there:
         raise UsageError(
             f"{subject!r} is neither a run's folder nor a controller; "
             f"controllers: {', '.join(KNOWN)}."
         )
-    if path.is_file() and path.name not in STORED:
+    if is_file and path.name not in STORED:
         return load_zip(path, trust=trust)
     return stored_policy(path)[0]
 

@@ -248,13 +248,13 @@ def load_policy(folder: str | Path) -> Policy:
     The files need not be trusted: sizes and types are checked before memory is allocated.
     """
     folder = Path(folder)
-    if not (folder / JSON_FILE).is_file() and (folder / "policy" / JSON_FILE).is_file():
-        folder = folder / "policy"
-    if not folder.exists():
-        raise PolicyError(f"{folder}: there is no such folder.")
-    if not all((folder / name).is_file() for name in (JSON_FILE, WEIGHTS_FILE)):
-        raise PolicyError(f"{folder}: holds no {JSON_FILE} with {WEIGHTS_FILE}.")
     try:
+        if not (folder / JSON_FILE).is_file() and (folder / "policy" / JSON_FILE).is_file():
+            folder = folder / "policy"
+        if not folder.is_dir():
+            raise ValueError("there is no such folder.")
+        if not all((folder / name).is_file() for name in (JSON_FILE, WEIGHTS_FILE)):
+            raise ValueError(f"holds no {JSON_FILE} with {WEIGHTS_FILE}.")
         d = read_description(folder / JSON_FILE)
         arrays = read_weights(folder / WEIGHTS_FILE, d["layer_sizes"], d[RECURRENT])
     except OSError as error:
@@ -305,6 +305,8 @@ def read_description(path: Path) -> dict[str, Any]:
         low, high = (validate.numbers(d[f"{name}_{end}"], f"{name}_{end}", size) for end in ENDS)
         if not all(a <= b for a, b in zip(low, high, strict=True)):
             raise ValueError(f"{name}_low must not be above {name}_high.")
+        if name == "action" and (set(low), set(high)) != ({-1.0}, {1.0}):
+            raise ValueError(f"actions must be in [-1, 1], got {validate.shown([low, high])}.")
     if not isinstance(d["about"], dict):
         raise ValueError(f"about must be a table, got {validate.shown(d['about'])}.")
     validate.text(d["about"].get("env_id", ""), "about.env_id")

@@ -8,6 +8,7 @@ policy has.
 """
 
 import argparse
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
@@ -350,7 +351,7 @@ def _check(options: argparse.Namespace) -> list[tuple[str, str, str]]:
     for name in options.controllers or ():
         if ":" not in name:
             known = sorted({*CONTROLLERS, *shipped_names, OPTIMAL})
-            if name not in known and (Path(name).exists() or Path(f"{name}.py").exists()):
+            if name not in known and any(map(os.path.exists, (name, f"{name}.py"))):
                 raise ValueError(
                     f"{name!r} is a file or a folder; --controllers takes a name of {known}, or a "
                     "class or function of yours as module:Class, which may load a policy."

@@ -176,6 +176,7 @@ def refusal(folder: Path) -> str:
         ({"observation_high": [1.0, 2.0, float("inf")]}, "must be a finite number"),
         ({"observation_high": [-9.0, 5.0, 5.0]}, "must not be above observation_high"),
         ({"action_low": [-1.0, "low"]}, "must be a number"),
+        ({"action_high": [1.0, 0.5]}, "actions must be in [-1, 1], got [(-1.0, -1.0), (1.0, 0.5)]"),
         ({"about": []}, "about must be a table, got []"),
         ({"about": None}, "about must be a table, got None"),
         ({"about": {"env_id": ["a"]}}, "about.env_id must be text"),
@@ -186,6 +187,11 @@ def test_wrong_fields_are_refused(folder: Path, damage: dict[str, Any], sentence
     path = folder / "policy.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | damage))
     assert sentence in refusal(folder)
+
+
+def test_a_folder_that_cannot_be_looked_into_is_refused(tmp_path: Path) -> None:
+    """As one without permission is, which root may enter all the same."""
+    assert refusal(tmp_path / ("x" * 300))
 
 
 @pytest.mark.parametrize("name", ["format", "layer_sizes", "action_high", "about"])

@@ -65,6 +65,7 @@ def test_evaluation_is_deterministic(run: RunFolder, tmp_path: Path) -> None:
     ("arguments", "sentence"),
     [
         (["nothing", "--env", ENV_ID], "neither a run's folder nor a controller"),
+        (["x" * 300, "--env", ENV_ID], "x" * 300),  # as without permission: no fault of --out
         (["pd", "--env", "FlexArm/NoSuch-Reach-v0"], "NoSuch"),
         (["pd"], "--env is needed, such as --env FlexArm/"),
         (

@@ -139,6 +139,7 @@ def test_optimal_torques_are_evaluated_where_bounds_are_stored(
         (["--tasks", "FlexArm/OneLink-Reech-v0"], "did you mean 'FlexArm/OneLink-Reach-v0'?"),
         (["--tracks", "lab"], "laboratory"),
         (["--tracks", "labratory"], "did you mean 'laboratory'?"),
+        (["--controllers", "x" * 300], "Unknown controller"),  # no name of a file either
         (["--controllers", "lqq"], "did you mean 'lqr'?"),
         ([*HERE, "nomodule:X"], "cannot be imported"),
         (["--tasks", ONE, "--tracks", "laboratory", "--controllers", "lqr"], "None of ['lqr']"),
