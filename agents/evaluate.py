@@ -1,6 +1,7 @@
 """`python -m agents.evaluate RUN_OR_CONTROLLER --env ID`: evaluate a policy or controller."""
 
 import argparse
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -22,7 +23,7 @@ from agents.metrics import make_batch
 from agents.policy import JSON_FILE, WEIGHTS_FILE, Controller, Policy, PolicyError, load_policy
 from agents.run_folder.folder import RunFolder, versions
 from agents.run_folder.lock import folder_lock
-from agents.sentences import refused
+from agents.sentences import one_line, refused
 from agents.signals import Interrupted, signals_to, stop_at_once
 from agents.tuned import is_tuned, parameters_of
 from dynamics.description import validate
@@ -206,7 +207,7 @@ def make_controller(
                 f"{subject}: takes {wanted[0][0]} observations and gives {wanted[1][0]} actions, "
                 f"but {env_id} has {shapes[0][0]} and {shapes[1][0]}.{remedy}"
             )
-        return Path(subject).name, acting_policy
+        return one_line(os.path.basename(os.path.abspath(subject))), acting_policy
 
 
 def bounds_of(env_id: str, kwargs: dict[str, Any], seeds: Sequence[int]) -> Controller:

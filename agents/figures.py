@@ -111,7 +111,7 @@ def plot_learning_curve(
         axes.set_xlim(left=0.0)
         tidy(axes)
     if len(runs) > 1:
-        figure.axes[0].legend(frameon=False, fontsize=8)
+        _as_written(figure.axes[0].legend(frameon=False, fontsize=8))
     figure.axes[1].set_ylim(-3.0, 103.0)
     _entitle(figure.axes[0], title)
     save_figure(figure, path)
@@ -119,7 +119,13 @@ def plot_learning_curve(
 
 def _entitle(axes: Any, title: str) -> None:
     """Title on the left, on as many lines as it needs."""
-    axes.set_title(textwrap.fill(title, LINE), loc="left", fontsize=10)
+    axes.set_title(textwrap.fill(title, LINE), loc="left", fontsize=10, parse_math=False)
+
+
+def _as_written(legend: Any) -> None:
+    """Show names as they are: a dollar sign begins no formula."""
+    for text in legend.get_texts():
+        text.set_parse_math(False)
 
 
 def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str) -> None:
@@ -140,7 +146,7 @@ def plot_recordings(path: Path, recordings: Mapping[str, Recording], title: str)
     error.set(yscale="log", ylabel="tip error [% of reach]")
     _entitle(error, title)
     error.set_ylim(bottom=max(0.01, error.get_ylim()[0]))
-    figure.legend(frameon=False, loc="outside upper right", ncols=len(recordings))
+    _as_written(figure.legend(frameon=False, loc="outside upper right", ncols=len(recordings)))
     curvature.set(xlabel="time [s]", ylabel="curvature at the root [1/m]\n(first episode)")
     curvature.set_xlim(0.0, max(r.time[-1] for r in recordings.values()))
     for axes in (error, curvature):
@@ -342,7 +348,7 @@ def draw_strips(
         curvature.plot(r.time, bending(r), color=colour, linewidth=1.2)
     error.axhspan(0.0, 100.0 * SETTLED_BAND, color="#009e73", alpha=0.2, linewidth=0.0)
     error.set_ylim(bottom=0.0)
-    error.set_title(title, loc="left", fontsize=8)
+    error.set_title(title, loc="left", fontsize=8, parse_math=False)
     error.set_ylabel("tip error\n[% of reach]", fontsize=8)
     curvature.set_ylabel("root\ncurvature [1/m]", fontsize=8)
     curvature.set_xlabel("time [s]", fontsize=8)

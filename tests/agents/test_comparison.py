@@ -3,11 +3,15 @@
 from pathlib import Path
 
 import pytest
+from matplotlib.text import Text
 
-from agents import comparison
+from agents import comparison, figures
 from agents.comparison import compare, titled
 from agents.controllers.simple import Zero
+from agents.evaluate import make_controller
+from agents.metrics import make_batch, record
 from flexarm_env import IDS
+from tests.agents.export.kinds import ENV_ID, policy_of
 
 
 @pytest.mark.parametrize(
@@ -47,3 +51,31 @@ def test_every_file_is_written_before_the_table_is_printed(
     written += [path.name for path in tmp_path.iterdir()]
     files = "arm.gif evaluation.csv evaluation.json replay.html trajectories.png"
     assert sorted(written) == files.split()
+
+
+@pytest.mark.parametrize(
+    ("subject", "name"), [("runs/first/", "first"), (".", "here"), ("runs/p\udcf6l", "p?l")]
+)
+def test_a_policy_is_named_as_its_folder(
+    subject: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In letters that a file can hold: a name of bytes that are no text is none."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    keywords = {"hardware": "laboratory"}
+    assert make_controller(subject, policy_of("tanh"), ENV_ID, keywords)[0] == name
+
+
+def test_charts_show_names_and_titles_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dollar signs of a folder began formulas, and broken ones ended the evaluation."""
+    name, drawn = r"a$\frac$b", []
+    monkeypatch.setattr(figures, "save_figure", lambda figure, _: drawn.append(figure))
+    found = record(Zero(n_torque=1), make_batch(ENV_ID, 2, {}), [0, 1], name)
+    figures.plot_recordings(tmp_path, {name: found}, name)
+    rows = [{"steps": k, "return": float(k), "settled": 0.5} for k in range(3)]
+    figures.plot_learning_curve(tmp_path, {name: rows, "other": rows}, name)
+    figures.draw_strips({name: found}, 400, name)
+    texts = [text for figure in drawn for text in figure.findobj(Text) if text.get_text() == name]
+    assert [text.get_parse_math() for text in texts] == 4 * [False]
