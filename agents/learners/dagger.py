@@ -198,7 +198,7 @@ class DAgger(OffPolicyAlgorithm):
         return int(self.replay_buffer.pos) if self.replay_buffer.full else 0
 
     def _remembered(self, episodes: AnyArray) -> tuple[torch.Tensor, ...]:
-        """What the cells hold over whole episodes, the expert's actions and the true states."""
+        """State of the cells along whole episodes, the expert's actions and the true states."""
         buffer, (env, first, last) = self.replay_buffer, episodes.T
         rows = first + np.arange((last - first).max() + 1)[:, None]
         lasting = rows <= last
