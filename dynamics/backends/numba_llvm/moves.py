@@ -196,14 +196,14 @@ def block_moves(lanes: int, columns: int) -> tuple[Any, Any]:
     gather, scatter = row_moves(lanes)
     whole = np.uint64(lanes)
 
-    @register_jitable
+    @register_jitable(inline="always")  # or each would bring copies of gather and scatter along
     def take_rows(w, at, rows, first):  # type: ignore[no-untyped-def]
         if first + whole <= np.uint64(rows.shape[0]):
             take_block(w, at, rows, first)
         else:
             gather(w, at, rows, first)
 
-    @register_jitable
+    @register_jitable(inline="always")
     def put_rows(w, at, rows, first):  # type: ignore[no-untyped-def]
         count = np.uint64(rows.shape[0])
         if first + whole <= count:
