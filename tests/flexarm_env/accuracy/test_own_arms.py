@@ -120,6 +120,7 @@ def test_a_drawn_stiffness_does_not_take_the_step_of_the_nominal_arm(
         "FlexArm/OneLink-Reach-v0", arm=OWN, randomize={"stiffness": (0.8, 1.2)}
     ).unwrapped
     assert len(env.arm.links[0].modes) == 1
+    assert (env.core.integrator, env.core.substeps) != ("midpoint", 2)
     assert env.certificate is None
 
 
