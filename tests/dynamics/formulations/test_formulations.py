@@ -79,10 +79,10 @@ def apart(x: Array, y: Array, M: Array) -> float:
     return float(np.sqrt((d @ M @ d) / (s @ M @ s)))
 
 
-# ---- against brute force -------------------------------------------------------------------------
+# ---- against brute force; of the recursion in test_gibbs_appell.py -------------------------------
 
 
-@every
+@sibling
 @some_arm
 def test_mass_matrix_is_the_metric_of_kinetic_energy(name: str, case: tuple[int, int, int]) -> None:
     arm = random_arm(*case)
@@ -114,7 +114,7 @@ def gibbs_residual(name: str, arm: Arm) -> float:
     return float(np.abs((M @ a + h - expected) / size).max())
 
 
-@every
+@sibling
 @some_arm
 def test_equations_are_the_gradient_of_the_energy_of_acceleration(
     name: str, case: tuple[int, int, int]
