@@ -4,10 +4,12 @@ import pickle
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import gymnasium as gym
+import numba
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
@@ -257,3 +259,12 @@ def test_bad_actions_get_a_sentence_and_change_nothing(family: str, action: Any)
         env.step(action)
     good = np.ones(env.action_space.shape)
     np.testing.assert_array_equal(env.step(good)[0], reference.step(good)[0])
+
+
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec])
+def test_without_numbas_compiler_an_environment_is_refused_when_it_is_made(
+    make: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    with pytest.raises(ValueError, match="unset the environment variable NUMBA_DISABLE_JIT"):
+        make("FlexArm/OneLink-Reach-v0")

@@ -11,6 +11,8 @@ import threading
 from collections.abc import Callable, Mapping
 from types import ModuleType
 
+from numba import config
+
 from dynamics import cache
 from dynamics.backends.numba_llvm.block_text import block_lines
 from dynamics.backends.numba_llvm.control_step_text import control_step_text
@@ -148,7 +150,15 @@ def sampled(arm: TracedArm) -> Addition:
 
 
 def cached_module(key: str, build: Callable[[], str]) -> ModuleType:
-    """The generated module of this key; `build` writes its text where the cache has none."""
+    """The generated module of this key; `build` writes its text where the cache has none.
+
+    Raises ValueError where numba compiles nothing.
+    """
+    if config.DISABLE_JIT:
+        raise ValueError(
+            "numba's compiler is switched off (NUMBA_DISABLE_JIT), and compiled code steps the "
+            "arms; unset the environment variable NUMBA_DISABLE_JIT and start Python again."
+        )
     name = f"flexarm_generated_{key}"
     with _importing:
         if name not in sys.modules:

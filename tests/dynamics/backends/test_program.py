@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numba
+import numpy as np
 import pytest
 
 from dynamics import Arm, Joint, Link, Mode, Stepper, compile_arm, load_arm
@@ -301,3 +303,17 @@ def test_a_jacobian_too_long_to_compile_is_refused(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(methods, "LONGEST", count - 1)
     with pytest.raises(ValueError, match=f"takes {count} operations .* 'midpoint'"):
         traced_method("rosenbrock", arm, at, inputs)
+
+
+def test_without_numbas_compiler_steps_are_refused_by_name_and_graphs_still_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model, rest = compile_arm("slim"), np.zeros(3)
+    mass = model.mass_matrix(rest)
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+
+    np.testing.assert_array_equal(model.mass_matrix(rest), mass)
+    with pytest.raises(ValueError, match="unset the environment variable NUMBA_DISABLE_JIT"):
+        model.accelerations(rest, rest, np.zeros(1))
+    with pytest.raises(ValueError, match="unset the environment variable NUMBA_DISABLE_JIT"):
+        Stepper(model, 2, dt=1e-4, substeps=1)
