@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import config, njit
 from numpy.typing import NDArray
 
 from dynamics.runtime.numba_internals import ENTRY_OPTIONS, keep_code
@@ -35,6 +35,15 @@ exact = on_disk(fastmath=False, error_model="numpy", nogil=True)
 # entry points: functions that Python calls. They use loops where they can: with the first sum of
 # arrays or assignment to a slice numba compiles its message about shapes, which takes seconds
 outermost = on_disk(**_FAST, **ENTRY_OPTIONS)
+
+
+def check_compiler() -> None:
+    """Refuse to go on where numba compiles nothing."""
+    if config.DISABLE_JIT:
+        raise ValueError(
+            "numba's compiler is switched off (NUMBA_DISABLE_JIT), and compiled code steps the "
+            "arms; unset the environment variable NUMBA_DISABLE_JIT and start Python again."
+        )
 
 
 def aligned_zeros(shape: int | tuple[int, ...], dtype: Any) -> NDArray[Any]:

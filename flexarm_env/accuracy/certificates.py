@@ -18,6 +18,7 @@ from dynamics.backends.numba_llvm.fingerprint import fingerprint, hash_of_files,
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.load import load_arm
+from dynamics.runtime.jit import check_compiler
 from flexarm_env.accuracy.conditions import Conditions
 
 Entry = dict[str, Any]  # steps, certificate
@@ -217,6 +218,7 @@ def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
     key = fingerprint("choice", _measuring(), described, repr(control_dt), repr(tolerance))
 
     def choose() -> str:
+        check_compiler()
         try:
             found = _chooser[0](arm, control_dt, tolerance)
         except (RuntimeError, ValueError) as error:

@@ -11,8 +11,6 @@ import threading
 from collections.abc import Callable, Mapping
 from types import ModuleType
 
-from numba import config
-
 from dynamics import cache
 from dynamics.backends.numba_llvm.block_text import block_lines
 from dynamics.backends.numba_llvm.control_step_text import control_step_text
@@ -22,6 +20,7 @@ from dynamics.backends.numba_llvm.integrator_text import setting
 from dynamics.backends.numba_llvm.module_text import module_text, straight_line_text
 from dynamics.backends.numba_llvm.motion_text import motion_text
 from dynamics.backends.numba_llvm.stepper_entries import FORCES, step_length, stepper_text
+from dynamics.runtime.jit import check_compiler
 from dynamics.runtime.numba_internals import DIGEST
 from dynamics.tracing import graphs
 from dynamics.tracing.assembly import Addition, assembled
@@ -150,15 +149,8 @@ def sampled(arm: TracedArm) -> Addition:
 
 
 def cached_module(key: str, build: Callable[[], str]) -> ModuleType:
-    """The generated module of this key; `build` writes its text where the cache has none.
-
-    Raises ValueError where numba compiles nothing.
-    """
-    if config.DISABLE_JIT:
-        raise ValueError(
-            "numba's compiler is switched off (NUMBA_DISABLE_JIT), and compiled code steps the "
-            "arms; unset the environment variable NUMBA_DISABLE_JIT and start Python again."
-        )
+    """The generated module of this key; `build` writes its text where the cache has none."""
+    check_compiler()
     name = f"flexarm_generated_{key}"
     with _importing:
         if name not in sys.modules:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numba
 import pytest
 
 from dynamics import Arm, load_arm
@@ -102,6 +103,18 @@ def test_a_failed_tolerance_is_an_error_that_is_not_searched_again(searched: lis
         with pytest.raises(RuntimeError, match=r"No model is within that\."):
             fit(arm, DT, "auto", 0.01)
     assert len(searched) == 1
+
+
+def test_a_search_without_numbas_compiler_is_refused_and_leaves_no_failure_in_the_cache(
+    searched: list[float],
+) -> None:
+    arm = load_arm(OWN)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(numba.config, "DISABLE_JIT", 1)
+        with pytest.raises(ValueError, match="NUMBA_DISABLE_JIT"):
+            fit(arm, DT, "auto", None)
+    assert searched == []
+    assert fit(arm, DT, "auto", None).entry is not None
 
 
 def test_the_environment_steps_the_measured_model_and_shows_it(searched: list[float]) -> None:
