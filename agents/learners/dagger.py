@@ -207,6 +207,10 @@ class DAgger(OffPolicyAlgorithm):
         held, _ = self.policy.lstm_actor(buffer.to_torch(seen))
         return held[lasting], *self._lessons(buffer.to_torch(buffer.actions[rows, env][lasting]))
 
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        """Names of what a checkpoint holds."""
+        return ["policy", "policy.optimizer"], []
+
 
 def misses(mean: torch.Tensor, advice: torch.Tensor) -> torch.Tensor:
     """Actions less the expert's; zero beyond a limit that the expert reaches."""

@@ -19,6 +19,7 @@ from agents.learners.dagger import misses
 from agents.learners.export import export_policy
 from agents.metrics import make_batch
 from agents.policy import load_policy, save_policy
+from agents.run_folder.checkpoints import cut_off, restore_checkpoint, save_checkpoint
 from agents.run_folder.folder import RunFolder
 from agents.training import about_policy, base_description, build_model
 from agents.training import main as train
@@ -259,3 +260,27 @@ def test_dagger_and_its_expert_go_together(agent: str, learned: str | None) -> N
         del given["base"]
     with pytest.raises(ConfigError, match=f"go together, got {agent} and"):
         config_from_dict(given)
+
+
+@pytest.mark.parametrize("estimation", [0.0, 1.0])
+def test_a_restored_learner_goes_on_as_the_one_that_was_never_stopped(
+    estimation: float, tmp_path: Path
+) -> None:
+    """Bit for bit, in the episodes that a new session starts; the optimizer remembers too."""
+    given = remembering(300, max_episode_steps=30)
+    given["agent"]["kwargs"] |= {"estimation": estimation}
+    first, second = models = [build_model(config_from_dict(given)) for _ in range(2)]
+    first.learn(150)
+    progress = {"session": 0, "seconds": 1.0}
+    restore_checkpoint(second, save_checkpoint(first, tmp_path, progress))
+    first.replay_buffer.timeouts = cut_off(first.replay_buffer)  # a stored buffer ends its episodes
+    written = []
+    for number, model in enumerate(models):
+        model.set_random_seed(7)
+        model._last_obs = None  # new episodes
+        model.learn(150, reset_num_timesteps=False)
+        written.append(save_checkpoint(model, tmp_path / str(number), progress))
+    with np.load(written[0] / "arrays.npz") as a, np.load(written[1] / "arrays.npz") as b:
+        assert a.files == b.files
+        for array in a.files:
+            np.testing.assert_array_equal(a[array], b[array])
