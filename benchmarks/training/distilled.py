@@ -165,9 +165,11 @@ def interval(found: Sequence[float] | None) -> str:
 
 def cells(found: dict[str, Any]) -> list[str]:
     """Texts of a row, in the order of HEADER."""
-    least, most = min(found["seconds"]), max(found["seconds"])
+    least, most, count = min(found["seconds"]), max(found["seconds"]), len(found["seeds"])
     times = (found[key] for key in ("expert_us", "policy_us", "c_us"))
-    training = f"{least:.0f} to {most:.0f}" if len(found["seeds"]) > 1 else f"{least:.0f}, one seed"
+    training = (
+        f"{least:.0f} to {most:.0f}, {count} seeds" if count > 1 else f"{least:.0f}, one seed"
+    )
     return [
         f"[{found['name']}]({found['name']}.md): {found['env']}",
         f"{found['expert']} {found['expert_score']:.3f}",
@@ -181,7 +183,6 @@ def cells(found: dict[str, Any]) -> list[str]:
 def page(results: dict[str, Any]) -> str:
     """Markdown page of the results."""
     rows = results["rows"]
-    count = max(len(row["seeds"]) for row in rows)
     machine = results["provenance"]["machine"]
     return f"""# Distilled policies
 
@@ -191,9 +192,9 @@ Made by `python -m benchmarks.training.distilled` on {machine["processor"]}, the
 A policy without a model learns from a classical controller, its expert, by DAgger
 ([training](../training.md#distilled-policies)); PPO may begin with its weights
 ([warm starts](../training.md#warm-starts)). Scores are means over {EPISODES} episodes from seed
-{FIRST} on, which neither training nor tuning uses, and over {count} training seeds, or one
-where its row says so. Gains: the policy's score less that of the expert, or of the policy with
-which it began, in the same episodes, with a bootstrap over seeds and episodes.
+{FIRST} on, which neither training nor tuning uses, and over the training seeds. Gains: the policy's
+score less that of the expert, or of the policy with which it began, in the same episodes, with a
+bootstrap over seeds and episodes.
 Times are of one decision: medians of the controllers in Python, and the mean of the
 [exported C header](../export.md) with `cc -O2`. Training: wall-clock time of one process, longer
 where other work kept the machine busy.
