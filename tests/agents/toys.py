@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 
 from agents.learners.algorithms import algorithms, policies
+from agents.run_folder.checkpoints import save_checkpoint
 from dynamics import ARMS, Arm
 
 
@@ -74,3 +76,19 @@ def trained(name: str, env: Any = None, **kwargs: Any) -> Any:
     last = [module for module in actor.modules() if isinstance(module, torch.nn.Linear)][-1]
     last.weight.data *= 2.0 / last.weight.abs().max()
     return model
+
+
+def check_alike(models: list[Any], steps: int, folder: Path) -> list[str]:
+    """Both models go on alike, bit for bit, in new episodes; names of the arrays they hold."""
+    written = []
+    for number, model in enumerate(models):
+        model.set_random_seed(7)
+        model._last_obs = None  # new episodes
+        model.learn(steps, reset_num_timesteps=False)
+        progress = {"session": 0, "seconds": 1.0}
+        written.append(save_checkpoint(model, folder / str(number), progress) / "arrays.npz")
+    with np.load(written[0]) as first, np.load(written[1]) as second:
+        assert first.files == second.files
+        for name in first.files:
+            np.testing.assert_array_equal(first[name], second[name])
+        return list(first.files)

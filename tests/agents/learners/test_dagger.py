@@ -26,6 +26,7 @@ from agents.training import main as train
 from flexarm_env import SB3VecEnv
 from flexarm_env.interfaces.tensors.privileged import Privileged
 from tests.agents.tiny import ENV_ID
+from tests.agents.toys import check_alike
 
 KWARGS = {"learning_rate": 3e-3, "learning_starts": 400, "batch_size": 128, "train_freq": 50}
 
@@ -271,16 +272,6 @@ def test_a_restored_learner_goes_on_as_the_one_that_was_never_stopped(
     given["agent"]["kwargs"] |= {"estimation": estimation}
     first, second = models = [build_model(config_from_dict(given)) for _ in range(2)]
     first.learn(150)
-    progress = {"session": 0, "seconds": 1.0}
-    restore_checkpoint(second, save_checkpoint(first, tmp_path, progress))
+    restore_checkpoint(second, save_checkpoint(first, tmp_path, {"session": 0, "seconds": 1.0}))
     first.replay_buffer.timeouts = cut_off(first.replay_buffer)  # a stored buffer ends its episodes
-    written = []
-    for number, model in enumerate(models):
-        model.set_random_seed(7)
-        model._last_obs = None  # new episodes
-        model.learn(150, reset_num_timesteps=False)
-        written.append(save_checkpoint(model, tmp_path / str(number), progress))
-    with np.load(written[0] / "arrays.npz") as a, np.load(written[1] / "arrays.npz") as b:
-        assert a.files == b.files
-        for array in a.files:
-            np.testing.assert_array_equal(a[array], b[array])
+    check_alike(models, 150, tmp_path)
