@@ -19,6 +19,7 @@ from agents.experiments import find_experiment, shipped_experiments
 from agents.figures import plot_learning_curve
 from agents.files import FolderError
 from agents.hybrid.controller import EXPERT, KEY, acting, base_of, description
+from agents.hybrid.informed import is_told
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.shipped import named_policy
 from agents.leaderboard.tracks import TRACKS, keywords, takes_part, track_of
@@ -269,9 +270,10 @@ def judge(run: RunFolder, config: Config) -> None:
     if track is not None:
         controllers |= classical(env, env_id, track)
         best = best_of(env_id, track, range(seed, seed + episodes))
-    if config.base is not None and config.base.learned == DISTILLED:
-        name = config.base.controller
-        about = base_description(config.base, config.env)
+    base = config.base
+    if base is not None and base.learned == DISTILLED and not is_told(base.controller, env):
+        name = base.controller
+        about = base_description(base, config.env)
         controllers[name] = controller(name, env, about["parameters"])
     env.close()
     print("Evaluating ...", flush=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
 from agents.controllers.models.reading import Reading
+from agents.hybrid.informed import expert
 from agents.leaderboard.tracks import takes_part, track_of
 from agents.policy import Controller, Policy, PolicyError
 from agents.tuned import parameters_of
@@ -230,7 +231,7 @@ def description(
             raise ValueError(
                 f"{KEY}.controller: {name} was not tuned for {env_id} with keywords "
                 f"{validate.shown(dict(kwargs))}; choose the id as it is or with hardware: "
-                "laboratory, or another controller."
+                "laboratory, or another controller, or give base.parameters."
             )
         parameters = parameters_of(name, env_id, track)
     return dict(zip(FIELDS, (name, learned, dict(parameters or {}), scale), strict=True))
@@ -253,4 +254,5 @@ def base_of(about: Any, env: Any) -> Base:
     learned = validate.choice(given.get("learned"), f"{KEY}.learned", LEARNED)
     parameters = CONTROLLERS[name].checked(given.get("parameters"), f"{KEY}.parameters")
     scale = validate.nonnegative(given.get("scale"), f"{KEY}.scale", "-")
-    return LEARNED[learned](controller(name, env, parameters), scale, env)
+    build = expert if LEARNED[learned] is Distilled else controller
+    return LEARNED[learned](build(name, env, parameters), scale, env)

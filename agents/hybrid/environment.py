@@ -50,7 +50,7 @@ class HybridVecEnv(VecEnvWrapper):
         """Advance all by one control step."""
         observation, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones)
-        if ended.size:
+        if ended.size and self.base.added:
             last = np.array([infos[i]["terminal_observation"] for i in ended])
             completed, _ = self.base.begin(last, part_of(self._state, ended), None)
             for i, seen in zip(ended, completed, strict=True):

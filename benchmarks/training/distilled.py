@@ -20,10 +20,10 @@ import numpy as np
 
 from agents.comparison import titled
 from agents.config import BaseConfig, Config, load_config
-from agents.controllers import controller
 from agents.experiments import shipped_experiments
 from agents.export.c_header import header
 from agents.export.signals import signals_of
+from agents.hybrid.informed import expert
 from agents.leaderboard.decisions import decision_times
 from agents.learners.algorithms import DISTILLED
 from agents.metrics import episode_metrics, make_batch, record
@@ -116,8 +116,8 @@ def row(config: Config, base: BaseConfig, seeds: Sequence[int], work: Path) -> d
     parameters = base_description(base, config.env)["parameters"]
     envs, single = (make_batch(env_id, n, kwargs) for n in (EPISODES, 1))
     with closing(envs), closing(single):
-        expert = controller(base.controller, envs, parameters)
-        theirs, *rest = (score(x, envs) for x in (expert, *policies, *warm))
+        taught, alone = (expert(base.controller, x, parameters) for x in (envs, single))
+        theirs, *rest = (score(x, envs) for x in (taught, *policies, *warm))
         ours, starts = np.array(rest[: len(seeds)]), np.array(rest[len(seeds) :])
         return {
             "name": config.name,
@@ -129,7 +129,7 @@ def row(config: Config, base: BaseConfig, seeds: Sequence[int], work: Path) -> d
             "gain": gain(ours, theirs),
             "gain_on_start": gain(ours, starts) if warm else None,
             "seconds": [seconds for _, seconds in trained],
-            "expert_us": 1e3 * float(np.median(decision_times(expert, single, FIRST))),
+            "expert_us": 1e3 * float(np.median(decision_times(alone, single, FIRST))),
             "policy_us": 1e3 * float(np.median(decision_times(policies[0], single, FIRST))),
             "c_us": in_c(policies[0], env_id, single.unwrapped.core),
         }

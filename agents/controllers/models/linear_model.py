@@ -26,7 +26,7 @@ from agents.controllers.models.memory import kept
 from dynamics import Arm, Model, Stepper, compile_arm
 from dynamics.description.parameters import with_parameters
 from dynamics.formulations.linearized import damping, stiffness
-from dynamics.types import Array
+from dynamics.types import AnyArray, Array
 from flexarm_env.task.observations import curvature_columns
 
 ROUND = 4  # decimals [rad] within which postures share a model
@@ -119,6 +119,14 @@ class LinearModels:
     def at(self, posture: Array, plant: int | None = None) -> LinearModel:
         """Model at joint angles (m,) [rad], of the middle plant if none is named."""
         return self._model(place_of(posture), self.middle if plant is None else plant)
+
+    def nearest(self, drawn: Array) -> AnyArray:
+        """(N,) plants nearest to payloads [kg] and factors of the stiffness (N, 2)."""
+        payload, factor = (
+            np.abs(np.subtract.outer(values, level)).argmin(axis=1)
+            for values, level in zip(drawn.T, self.levels, strict=True)
+        )
+        return payload * len(self.levels[1]) + factor
 
     def _linear_model(self, place: tuple[float, ...], plant_index: int) -> LinearModel:
         plant, m = self.plants[plant_index], self.model.n_joint

@@ -18,6 +18,7 @@ from agents.controllers.models.reference import Reference
 from dynamics.types import AnyArray, Array
 
 NEVER: Array = np.empty(0)  # [s] times of a preview that is not wanted
+PLANT = "plant"  # part of an observation: added payload [kg] and factor of the stiffness
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class _Sight:
 
 
 class ExactState:
-    """The state as obs="state" gives it; the plant is the middle one."""
+    """The state as obs="state" gives it; the plant is the middle one, unless PLANT is observed."""
 
     parts = ("joint_error", "joint_rate", "modal_amplitude", "modal_rate")
 
@@ -64,7 +65,10 @@ class ExactState:
         self.read, self.models = Reading.of(env), LinearModels.of(env)
         self.read.require(name, *self.parts)
         self.planner = planner or Planner(env, self.models)
-        self.reference = Reference(self.models, [self.models.middle])
+        every = range(len(self.models.plants))
+        self.reference = Reference(
+            self.models, every if PLANT in self.read else [self.models.middle]
+        )
         self.preview = Preview(env, self.models, times)
 
     def observe(
@@ -72,21 +76,25 @@ class ExactState:
     ) -> tuple[list[Estimate], _Sight]:
         """Estimates of N environments, and the memory for the next step."""
         dt, count = self.models.control_dt, len(x)
+        plants = self._plants(x)
         plan = self.planner.follow(x, memory.plan if memory else None, fresh)
         place, speed = np.zeros((2, count, self.models.model.n))
         place[:, self.models.joints] = self.read(x, "joint_error") - plan.remaining_error
         place[:, self.models.modal] = self.read(x, "modal_amplitude")
         speed[:, self.models.joints] = self.read(x, "joint_rate") - plan.motion.rate
         speed[:, self.models.modal] = self.read(x, "modal_rate")
-        offset, forward = (x[:, 0] for x in self.reference.along(plan.motion))
+        which = np.arange(count), np.searchsorted(self.reference.plants, plants)
+        offset, forward = (y[which] for y in self.reference.along(plan.motion))
         before = offset if memory is None else np.where(fresh[:, None], offset, memory.offset)
         speed -= (offset - before) / dt
         seen = self.preview.see(x, plan.target, memory.seen if memory else None, fresh)
-        ahead = self.preview.torques(plan.target, seen, np.full(count, self.models.middle))
+        ahead = self.preview.torques(plan.target, seen, plants)
         known: list[Any] = memory.models if memory else [None] * count
         models = [
-            self.models.at(posture) if new else model
-            for posture, new, model in zip(plan.target.posture, fresh, known, strict=True)
+            self.models.at(posture, plant) if new else model
+            for posture, plant, new, model in zip(
+                plan.target.posture, plants.tolist(), fresh, known, strict=True
+            )
         ]
         about = np.stack([place - offset, speed], axis=1)[..., None]
         states: list[Any] = [None] * count
@@ -96,6 +104,12 @@ class ExactState:
                 states[i] = state
         estimates = list(map(Estimate, models, states, forward, ahead))
         return estimates, _Sight(plan, models, offset, seen)
+
+    def _plants(self, x: AnyArray) -> AnyArray:
+        """(N,) plants."""
+        if PLANT in self.read:
+            return self.models.nearest(self.read(x, PLANT))
+        return np.full(len(x), self.models.middle)
 
     def act(self, memory: _Sight, torque: Array) -> None:
         """Nothing to note: torques (N, m) show in the next state."""

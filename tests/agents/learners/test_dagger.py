@@ -14,6 +14,7 @@ from agents.config import ConfigError, config_from_dict
 from agents.controllers import CONTROLLERS, controller
 from agents.hybrid.controller import acting, base_of
 from agents.hybrid.environment import HybridVecEnv
+from agents.hybrid.informed import expert
 from agents.leaderboard.shipped import name_of
 from agents.learners.dagger import misses
 from agents.learners.export import export_policy
@@ -42,10 +43,11 @@ def experiment(name: str, steps: int, updates: int = 10, **env: Any) -> dict[str
     }
 
 
-def test_the_expert_advises_what_it_does_alone_if_it_is_followed() -> None:
-    """With filters that must know the torques, through an end of episodes."""
+@pytest.mark.parametrize("name", ["lqg", "lqr"])
+def test_the_expert_advises_what_it_does_alone_if_it_is_followed(name: str) -> None:
+    """With filters that must know the torques, or told the state, through an end of episodes."""
     env = {"kwargs": {"hardware": "laboratory", "max_episode_steps": 12}, "n_envs": 3}
-    config = config_from_dict(experiment("lqg", 1_000, **env))
+    config = config_from_dict(experiment(name, 1_000, **env))
     assert config.base is not None
     batch = SB3VecEnv(ENV_ID, 3, **config.env.kwargs)
     batch.seed(4)
@@ -53,11 +55,11 @@ def test_the_expert_advises_what_it_does_alone_if_it_is_followed() -> None:
     advised = HybridVecEnv(batch, base_of(described, batch.envs))
     alone = SB3VecEnv(ENV_ID, 3, **config.env.kwargs)
     alone.seed(4)
-    expert = controller("lqg", alone.envs, described["parameters"])
+    beside = expert(name, alone.envs, described["parameters"])
     ours, theirs, state, starts = advised.reset(), alone.reset(), None, None
     for _ in range(30):
         np.testing.assert_array_equal(ours, theirs)
-        action, state = expert.predict(theirs, state, starts)
+        action, state = beside.predict(theirs, state, starts)
         np.testing.assert_allclose(advised.advice, np.clip(action, -1.0, 1.0), atol=1e-6)
         ours = advised.step(advised.advice)[0]
         theirs, _, starts, _ = alone.step(np.clip(action, -1.0, 1.0).astype(np.float32))
