@@ -221,12 +221,14 @@ def description(
 ) -> dict[str, Any]:
     """Description of a base with its parameters, the tuned ones by default.
 
-    Raises ValueError for a controller that was not tuned there.
+    An expert that is told exact states beside `hardware` has those of exact states. Raises
+    ValueError for a controller that was not tuned there.
     """
     validate.choice(learned, f"{KEY}.learned", LEARNED)
     validate.choice(name, f"{KEY}.controller", CONTROLLERS)
     if CONTROLLERS[name].ranges and not parameters:
-        track = track_of(name, env_id, kwargs)
+        told = learned == "distilled" and CONTROLLERS[name].obs == ("state",)
+        track = track_of(name, env_id, {} if told and [*kwargs] == ["hardware"] else kwargs)
         if track is None or not takes_part(name, env_id, track):
             raise ValueError(
                 f"{KEY}.controller: {name} was not tuned for {env_id} with keywords "

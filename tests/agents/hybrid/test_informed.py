@@ -7,8 +7,10 @@ import pytest
 
 from agents.controllers import CONTROLLERS, controller
 from agents.controllers.observers.exact import PLANT
+from agents.hybrid.controller import description
 from agents.hybrid.informed import Informed, Knowledge, expert
 from agents.metrics import make_batch
+from agents.tuned import parameters_of
 from dynamics.types import AnyArray
 
 SEEDS = [3, 8, 21]
@@ -81,6 +83,18 @@ def test_a_told_expert_assumes_the_plant_nearest_to_the_drawn_one() -> None:
         apart = np.abs(np.array([plant.payload, plant.factor]) - drawn)
         assert np.all(apart <= 0.51 * np.array(steps))
     assert len({model.plant for model in memory.models}) > 1
+
+
+def test_a_told_expert_has_its_parameters_of_exact_states() -> None:
+    """Hardware may hide the state; other keywords change the task."""
+    found, laboratory = parameters_of("mpc", ONE, "state"), {"hardware": "laboratory"}
+    assert description("mpc", "distilled", 0.3, ONE, laboratory)["parameters"] == found
+    for learned, kwargs in (
+        ("residual", laboratory),
+        ("distilled", laboratory | {"reward": "tip"}),
+    ):
+        with pytest.raises(ValueError, match="mpc was not tuned"):
+            description("mpc", learned, 0.3, ONE, kwargs)
 
 
 def test_a_controller_that_reads_the_sensors_is_told_nothing() -> None:
