@@ -252,7 +252,11 @@ def load_policy(folder: str | Path) -> Policy:
         if not (folder / JSON_FILE).is_file() and (folder / "policy" / JSON_FILE).is_file():
             folder = folder / "policy"
         if not folder.is_dir():
-            raise ValueError("there is no such folder.")
+            raise ValueError(
+                "is a file; name the folder of a run or of a policy."
+                if folder.exists()
+                else "there is no such folder."
+            )
         if not all((folder / name).is_file() for name in (JSON_FILE, WEIGHTS_FILE)):
             raise ValueError(f"holds no {JSON_FILE} with {WEIGHTS_FILE}.")
         d = read_description(folder / JSON_FILE)

@@ -10,7 +10,7 @@ from zipfile import ZipFile, is_zipfile
 import numpy as np
 
 from agents.learners.algorithms import algorithms, name_of
-from agents.learners.wrapped import lost_normalization, scaled_actions
+from agents.learners.wrapped import lost_normalization, other_actions
 from agents.policy import (
     ACTIVATIONS,
     LARGEST_LAYER,
@@ -85,11 +85,11 @@ def observed(model: Any) -> Any:
     """Space of what the actor sees; refuses what a stored policy cannot see or do."""
     from agents.learners.privileged import PrivilegedCriticPolicy
 
-    limits = scaled_actions(model)
-    if limits is not None:
+    actions = other_actions(model)
+    if actions is not None:
         raise PolicyError(
-            f"Only policies of actions in [-1, 1] can be stored, got {limits}; train without a "
-            "wrapper that scales them."
+            f"Only policies of actions in [-1, 1] can be stored, got {actions}; train without a "
+            "wrapper that converts them."
         )
     space = model.observation_space
     if isinstance(model.policy, PrivilegedCriticPolicy):
@@ -135,7 +135,8 @@ def folded(modules: list[Any]) -> tuple[list[tuple[AnyArray, AnyArray]], str]:
             factor = array(module.scale) / np.sqrt(array(module.ra_var) + module.eps)
             shift = array(module.bias) - array(module.ra_mean) * factor
         else:
-            activations.add(kind)
+            alpha = getattr(module, "alpha", 1.0)
+            activations.add(kind if alpha == 1.0 else f"{kind} of alpha {alpha:g}")
     if len(activations) > 1 or not activations <= set(ACTIVATIONS):
         raise PolicyError(
             f"Only networks with one activation out of {sorted(ACTIVATIONS)} can be stored, got "

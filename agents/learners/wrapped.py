@@ -20,16 +20,18 @@ def lost_normalization(model: Any) -> bool:
     return model.get_vec_normalize_env() is None
 
 
-def scaled_actions(model: Any) -> str | None:
-    """Limits of a model's actions where they are not those of an arm, [-1, 1]."""
+def other_actions(model: Any) -> str | None:
+    """Limits or kind of a model's actions where they are not those of an arm, [-1, 1]."""
     space = getattr(model, "action_space", None)
-    if not isinstance(space, gym.spaces.Box) or np.all((space.low == -1.0) & (space.high == 1.0)):
+    if not isinstance(space, gym.spaces.Box):
+        return str(space) if isinstance(space, gym.Space) else None
+    if np.all((space.low == -1.0) & (space.high == 1.0)):
         return None
     return f"[{space.low.min():g}, {space.high.max():g}]"
 
 
 def refuse_wrapped(controller: Any) -> None:
-    """Refuse a model whose observations or scale of actions are not those of the environment.
+    """Refuse a model whose observations or actions are not those of the environment.
 
     Raises
     ------
@@ -53,9 +55,9 @@ def refuse_wrapped(controller: Any) -> None:
             "The model's critic sees the true state, which is not among the observations; evaluate "
             "export_policy(model, {}) of agents.learners.export, the actor without the critic."
         )
-    limits = scaled_actions(controller)
-    if limits is not None:
+    actions = other_actions(controller)
+    if actions is not None:
         raise ValueError(
-            f"The model acts in {limits}, but an arm takes actions in [-1, 1]; give an object "
-            "whose predict scales them as the wrapper of the training did."
+            f"The model acts in {actions}, but an arm takes actions in [-1, 1]; give an object "
+            "whose predict converts them as the wrapper of the training did."
         )

@@ -1,8 +1,15 @@
 """Every algorithm's trained actor, stored without code, acts as the learner itself."""
 
+import base64
+import json
+import pickle
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -11,8 +18,11 @@ from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
+from agents import evaluate
+from agents.export import command as export
 from agents.learners.algorithms import ON_TENSORS, algorithms
 from agents.learners.export import export_policy, load_zip
+from agents.learners.wrapped import refuse_wrapped
 from agents.policy import Policy, PolicyError, load_policy, save_policy
 from flexarm_env import SB3VecEnv
 from tests.agents.toys import KWARGS, NETWORK, Toy, build, trained
@@ -67,9 +77,13 @@ def test_policies_whose_exploration_depends_on_the_state_are_stored(
 
 
 def test_networks_of_other_layers_are_refused() -> None:
-    model = build("ppo", policy_kwargs={"activation_fn": torch.nn.Sigmoid})
-    with pytest.raises(PolicyError, match=r"one activation out of .* got \['sigmoid'\]"):
-        export_policy(model, {})
+    for activation, named in (
+        (torch.nn.Sigmoid, "sigmoid"),
+        (partial(torch.nn.ELU, alpha=0.3), "elu of alpha 0.3"),
+    ):
+        model = build("ppo", policy_kwargs={"activation_fn": activation})
+        with pytest.raises(PolicyError, match=rf"one activation out of .* got \['{named}'\]"):
+            export_policy(model, {})
 
 
 class Doubled(FlattenExtractor):
@@ -98,6 +112,65 @@ def test_wrappers_that_a_stored_policy_lacks_are_refused(tmp_path: Path) -> None
     model.save(tmp_path / "model.zip")
     with pytest.raises(PolicyError, match="VecNormalize, whose statistics it does not hold"):
         export_policy(type(model).load(tmp_path / "model.zip"), {})
+
+
+class Listed(Toy):
+    """Two actions to choose from."""
+
+    action_space = gym.spaces.Discrete(2)
+
+
+def test_a_choice_of_listed_actions_is_no_policy_of_an_arm(tmp_path: Path) -> None:
+    """Its two logits would be taken for the torques of two joints."""
+    model = build("ppo", env=Listed())
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(PolicyError, match=r"actions in .* got Discrete\(2\); train without"):
+        load_zip(tmp_path / "model.zip", trust=True)
+    with pytest.raises(ValueError, match=r"The model acts in Discrete\(2\), but an arm takes"):
+        refuse_wrapped(model)
+
+
+class Mine:
+    """Code that leaves a file behind when it is unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self.mark,)
+
+
+@pytest.mark.parametrize("where", ["data", "statistics"])
+def test_a_hostile_zip_runs_nothing_before_it_is_trusted(
+    where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A pickle in the zip, or beside it; trusted, the very same files run their code."""
+    file, mark = tmp_path / "model.zip", tmp_path / "mark"
+    build("ppo").save(tmp_path / "own.zip")
+    hostile = pickle.dumps(Mine(mark))
+    with ZipFile(tmp_path / "own.zip") as own, ZipFile(file, "w") as made:
+        for name in own.namelist():
+            content = own.read(name)
+            if name == "data" and where == "data":
+                text = base64.b64encode(hostile).decode()
+                entry = {"lr_schedule": {":type:": "function", ":serialized:": text}}
+                content = json.dumps(json.loads(content) | entry).encode()
+            made.writestr(name, content)
+    if where == "statistics":
+        (tmp_path / "model").mkdir()
+        (tmp_path / "model" / "vecnormalize.pkl").write_bytes(hostile)
+    for load in (load_zip, load_policy):
+        with pytest.raises(PolicyError):
+            load(file)
+    assert export.main([str(file), "--format", "c"]) == 2
+    assert capsys.readouterr().err.endswith("name the folder of a run or of a policy.\n")
+    out = ["--env", "FlexArm/OneLink-Reach-v0", "--out", str(tmp_path / "out")]
+    assert evaluate.main([str(file), *out]) == 2
+    assert "pass --trust if you trust its author" in capsys.readouterr().err
+    assert not mark.exists()
+    with suppress(PolicyError):
+        load_zip(file, trust=True)
+    assert mark.exists()
 
 
 def test_a_zip_of_goals_is_refused_as_such(tmp_path: Path) -> None:

@@ -129,7 +129,7 @@ def test_a_loaded_model_without_its_statistics_is_not_evaluated(tmp_path: Path) 
 def test_a_model_of_scaled_actions_is_not_evaluated_on_those_of_an_arm() -> None:
     """An arm would take 0.8 of its torque for 0.4."""
     model = build("ppo", env=gym.wrappers.RescaleAction(Toy(), -2.0, 2.0))
-    with pytest.raises(ValueError, match=r"The model acts in \[-2, 2\].*predict scales them"):
+    with pytest.raises(ValueError, match=r"The model acts in \[-2, 2\].*predict converts them"):
         evaluated(model, ENV_ID, episodes=2)
 
 
