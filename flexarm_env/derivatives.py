@@ -44,7 +44,8 @@ class Derivatives:
 
     Raises
     ------
-    ValueError : the integrator has no derivatives, or an array has another shape.
+    ValueError : the integrator has no derivatives, or an array has another shape, or numbers that
+        are not real.
     """
 
     def __init__(self, core: Core) -> None:
@@ -61,6 +62,9 @@ class Derivatives:
         self._workspaces = [core.model.workspace(self._program) for _ in core.workspaces]
         self._settings: Settings | None = None  # by which the workspaces are filled
         self._memory = Recycled()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Derivatives, (self._core,)
 
     def record(self, state: Array, actions: AnyArray) -> Recorded:
         """A control step from `state`, which is left as it is."""
@@ -109,17 +113,21 @@ class Derivatives:
         return Along(moved, obs, info)
 
     def _taken(self, **given: AnyArray) -> list[AnyArray]:
-        """Arrays in one piece and of floating point, as compiled code reads them.
+        """Arrays in one piece, in single or double precision, as compiled code reads them.
 
         Other shapes are refused: it would go past their ends.
         """
-        shapes = self._shapes()
-        for name, array in given.items():
-            shape = shapes[name]
-            if np.shape(array) != shape:
+        shapes, taken = self._shapes(), []
+        for name, values in given.items():
+            array, shape = np.asarray(values), shapes[name]
+            if array.dtype.kind not in "biuf":
+                raise ValueError(f"{name} must hold real numbers, got dtype {array.dtype}.")
+            if array.shape != shape:
                 padded = "" if name in ("actions", "by", "obs") else ", padded as core.state"
-                raise ValueError(f"{name} must have shape {shape}{padded}, got {np.shape(array)}.")
-        return [np.ascontiguousarray(x, np.result_type(x, np.float32)) for x in given.values()]
+                raise ValueError(f"{name} must have shape {shape}{padded}, got {array.shape}.")
+            single = np.can_cast(array.dtype, np.float32)
+            taken.append(np.ascontiguousarray(array, np.float32 if single else np.float64))
+        return taken
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of all arrays by name."""

@@ -144,6 +144,18 @@ def test_arrays_of_other_shapes_are_refused() -> None:
             derivatives.pull_back(state, actions, **given | {name: array[1:]})
 
 
+def test_numbers_that_are_not_real_are_refused_and_lists_taken() -> None:
+    """They ended in tracebacks of the compiler."""
+    core = Core(n_env=N, control_dt=0.02, arm="slim", task="Reach")
+    derivatives, state, actions = Derivatives(core), core.state, np.full((N, 1), 0.25)
+    for wrong in (complex, object, str):
+        with pytest.raises(ValueError, match="actions must hold real numbers, got dtype"):
+            derivatives.record(state, actions.astype(wrong))
+    expected = results(derivatives.record(state, actions))
+    for same in (actions.tolist(), actions.astype(np.longdouble)):
+        np.testing.assert_array_equal(results(derivatives.record(state, same)), expected)
+
+
 def test_views_and_whole_numbers_have_the_derivatives_of_their_copies() -> None:
     """Actions of one time out of (N, T, m), and arrays by columns, gave other motions."""
     core = Core(n_env=N, control_dt=0.02, arm="slim", task="Reach")
