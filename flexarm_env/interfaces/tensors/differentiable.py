@@ -9,7 +9,7 @@ from dynamics.backends.cuda.kernel_text import RESTART, START
 from flexarm_env.core import DIVERGED, Core
 from flexarm_env.interfaces.tensors.device import DeviceBatch, DeviceDerivatives, Launcher
 from flexarm_env.interfaces.tensors.host import HostBatch, HostDerivatives
-from flexarm_env.interfaces.tensors.results import Info, Results, named_info
+from flexarm_env.interfaces.tensors.results import Info, Results, named_info, ordinary
 from flexarm_env.interfaces.vector import FlexArmVectorEnv
 
 
@@ -25,10 +25,6 @@ class DifferentiableBatch:
     batch : starts and restarts episodes.
     derivatives : steps, on the memory of `batch`.
     recomputed : whether the way back steps again, in place of keeping the stacks.
-
-    Attributes
-    ----------
-    state : (rows, N) state of all environments.
     """
 
     def __init__(
@@ -44,6 +40,19 @@ class DifferentiableBatch:
         self._padded = batch.padded()
         self.detach()
 
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_padded": self._padded.detach()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.detach()
+
+    @property
+    def state(self) -> torch.Tensor:
+        """(rows, N) state of all environments."""
+        return self._padded[:, : self._n]
+
+    @ordinary()
     def reset(self, options: Mapping[str, Any] | None) -> tuple[torch.Tensor, Info]:
         """Start episodes in all environments, without gradients: observations, info."""
         result = self._batch.reset(options)
@@ -51,24 +60,25 @@ class DifferentiableBatch:
         self.detach()
         return result
 
+    @ordinary()
     def detach(self) -> torch.Tensor:
         """Cut the graph at the present state (rows, M), which is returned, a leaf."""
         self._padded = self._padded.detach().requires_grad_()
-        self.state = self._padded[:, : self._n]
         return self._padded
 
+    @ordinary()
     def step(self, actions: torch.Tensor) -> Results:
         """Advance all by one control step; ended episodes restart."""
-        n = self._n
+        n, given = self._n, actions.clone() if actions.is_inference() else actions
         after, obs, info, flags = _Step.apply(
-            self._derivatives, self._core, self._recomputed, self._padded, actions
+            self._derivatives, self._core, self._recomputed, self._padded, given
         )
         last, begun = obs, self._batch.restarted(after.detach(), flags)
         if begun is not None:
             ended = flags[0] | flags[1]
             after = torch.where(ended, begun[0], after)
             obs = torch.where(ended[:n, None], begun[1], obs)
-        self._padded, self.state = after, after[:, :n]
+        self._padded = after
         named = named_info(info[:, :n], flags[:, :n], self._names)
         return Results(obs, last, info[0, :n], flags[0, :n], flags[1, :n], named)
 

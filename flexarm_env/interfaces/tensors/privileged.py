@@ -9,6 +9,7 @@ import torch
 from dynamics.tracing.traced_arm import slices
 from dynamics.types import AnyArray, Array
 from flexarm_env.core import Core
+from flexarm_env.interfaces.tensors.results import ordinary
 from flexarm_env.task.scales import EXTENT, MOVE
 
 NAMES = (
@@ -52,6 +53,7 @@ class Privileged:
         numbers: AnyArray = self(torch.from_numpy(core.state)[:, : core.n_env]).numpy()
         return numbers
 
+    @ordinary()
     def _prepare(self) -> None:
         """Rows of the parts that are linear in the state, their centres and factors."""
         core, scales = self._core, self._core.scales

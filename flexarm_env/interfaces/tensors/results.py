@@ -1,5 +1,7 @@
 """Results of a step as tensors."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import torch
@@ -11,6 +13,14 @@ from flexarm_env.task.rewards import TERMS
 from flexarm_env.task.tasks import SETTLED_BAND
 
 Info = dict[str, Any]  # tensors by name; "reward_terms" is a dict of tensors
+
+
+@contextmanager
+def ordinary() -> Iterator[None]:
+    """Context whose tensors may carry gradients later, even within torch's inference mode."""
+    with_gradients = torch.is_grad_enabled()
+    with torch.inference_mode(False), torch.set_grad_enabled(with_gradients):
+        yield
 
 
 class Results(NamedTuple):

@@ -175,6 +175,11 @@ class TorchVecEnv(Changeable):
                 f"Actions must be a torch tensor, got {validate.shown(actions)}; "
                 "torch.as_tensor(actions, dtype=torch.float32) makes one."
             )
+        if actions.is_complex() or actions.layout is not torch.strided:
+            raise ValueError(
+                f"Actions must be a dense tensor of real numbers, got {actions.dtype} in layout "
+                f"{actions.layout}; actions.to_dense() or actions.real makes one."
+            )
         if actions.device.type != self.device.type:
             raise ValueError(
                 f"Actions must be on {self.device}, where the batch is, got {actions.device}; "

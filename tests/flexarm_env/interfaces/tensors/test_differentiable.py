@@ -3,6 +3,8 @@
 Those of kernels, compiled for the host, are held against those of the processor.
 """
 
+import copy
+import pickle
 from typing import Any
 
 import numpy as np
@@ -289,3 +291,41 @@ def test_a_differentiable_batch_of_a_gpu_has_its_kernels(monkeypatch: pytest.Mon
     assert (core, on.index, recomputed) == (envs.core, 3, True)
     assert compiled.func is Kernels
     assert compiled.keywords == {"device": 3}
+
+
+@both
+def test_steps_in_inference_mode_leave_a_batch_that_has_gradients(kernels: bool) -> None:
+    """As those without gradients do: evaluation between two trainings, and its actions."""
+    found = []
+    for mode in (torch.no_grad, torch.inference_mode):
+        envs = batch(kernels, max_episode_steps=3)
+        with mode():
+            envs.reset(seed=0)
+            for action in drawn(10, 4, N, 1):
+                envs.step(action)
+            envs.envs.deflection_limit = 0.09
+            envs.privileged()
+            given = drawn(11, N, 1)
+        actions = drawn(12, N, 1).requires_grad_()
+        total = envs.step(given)[1].sum() + envs.step(actions)[1].sum() + envs.privileged().sum()
+        found.append(torch.autograd.grad(total, actions)[0])
+    assert found[0].all()
+    assert torch.equal(*found)
+
+
+def test_a_copy_of_a_differentiable_batch_has_gradients_from_its_present_state() -> None:
+    """By both ways of copying, in the middle of a graph; the graph stays with the first one."""
+    envs, early = batch(), drawn(13, N, 1).requires_grad_()
+    envs.reset(seed=0)
+    envs.step(early)
+    copies = copy.deepcopy(envs), pickle.loads(pickle.dumps(envs))
+    for other in copies:
+        assert other.core is not envs.core
+        assert torch.equal(other.state, envs.state)
+    actions = drawn(14, 2, N, 1).requires_grad_()
+    totals = [sum(x.step(a)[1].sum() for a in actions) for x in (envs, *copies)]
+    gradient, *others = (torch.autograd.grad(x, actions, retain_graph=True)[0] for x in totals)
+    assert all(torch.equal(gradient, x) for x in others)
+    assert torch.autograd.grad(totals[0], early)[0].any()
+    with pytest.raises(RuntimeError, match="not have been used in the graph"):
+        torch.autograd.grad(totals[1], early)

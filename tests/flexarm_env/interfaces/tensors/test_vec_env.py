@@ -185,6 +185,8 @@ def test_what_it_cannot_do_is_refused_with_a_remedy(
         (torch.zeros(2), r"shape \(2, 1\)"),
         (torch.full((2, 1), torch.nan), "finite"),
         (torch.zeros(2, 1, device="meta"), r"actions.to\('cpu'\)"),
+        (torch.zeros(2, 1, dtype=torch.complex64), r"real numbers, got torch.complex64 .*\.real"),
+        (torch.zeros(2, 1).to_sparse(), r"dense tensor .* layout torch.sparse_coo; .*to_dense"),
     ],
 )
 def test_wrong_actions_are_refused(given: Any, sentence: str) -> None:
