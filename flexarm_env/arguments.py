@@ -185,7 +185,11 @@ def _coordinates(name: str, values: Any, size: int, n_row: int) -> Array:
     """(size,) numbers for all environments or (n_row, size), one row each; zeros for None."""
     if values is None:
         return np.zeros(size)
-    shape = (size,) if np.ndim(np.asarray(values, dtype=object)) < 2 else (n_row, size)
+    try:
+        rows = np.ndim(np.asarray(values, dtype=object))
+    except (RuntimeError, TypeError) as error:  # of torch: with gradients, or on a GPU
+        raise ValueError(f"{name} must be numbers of the processor: {error}") from None
+    shape = (size,) if rows < 2 else (n_row, size)
     return validate.array(values, name, shape, FARTHEST_START)
 
 

@@ -176,6 +176,9 @@ def test_what_has_no_gradients_is_refused_with_the_remedy() -> None:
     envs = batch()
     assert isinstance(envs._batch, DifferentiableBatch)
     envs.reset()
+    placed = {"target": torch.zeros(1, requires_grad=True)}
+    with pytest.raises(ValueError, match=r"options\['target'\] .* Use tensor.detach"):
+        envs.reset(options=placed)
     with pytest.raises(ValueError, match="finite"):
         envs.step(torch.full((N, 1), torch.nan))
     actions = drawn(9, N, 1).requires_grad_()
