@@ -5,6 +5,7 @@
 | `speed` | a vector |
 | `data:2` | the second column of a matrix; its second row where the samples run along the rows |
 | `run.speed` | a field of a struct |
+| `run.Y:2.Data` | a field of the second struct of an array |
 | `scope.time` | of a structure with time, the time |
 | `scope.LABEL`, `scope.signals:2` | of a structure with time, a signal by label or number |
 
@@ -66,18 +67,26 @@ def _variables(path: Path) -> dict[str, Any]:
 
 def _columns(name: str, value: Any) -> Iterator[tuple[str, AnyArray | str]]:
     """Vectors of a variable by name; in place of other values, words that describe them."""
-    if isinstance(value, dict) and {"time", "signals"} <= set(value):
-        yield from _columns(f"{name}.time", value["time"])
-        signals = value["signals"] if isinstance(value["signals"], list) else [value["signals"]]
-        for k, signal in enumerate(signals, 1):
-            yield from _columns(f"{name}.signals:{k}", signal["values"])
-            if isinstance(signal.get("label"), str) and signal["label"]:
-                yield from _columns(f"{name}.{signal['label']}", signal["values"])
+    if isinstance(value, list):
+        for k, one in enumerate(value, 1):
+            yield from _columns(f"{name}:{k}", one)
     elif isinstance(value, dict):
         for key, one in value.items():
-            yield from _columns(f"{name}.{key}", one)
+            signals = _signals(one) if key == "signals" else []
+            for k, signal in enumerate(signals, 1):
+                for title in (f"signals:{k}", signal.get("label")):
+                    if isinstance(title, str) and title:
+                        yield from _columns(f"{name}.{title}", signal["values"])
+            if not signals:
+                yield from _columns(f"{name}.{key}", one)
     else:
         yield from _vectors(name, value)
+
+
+def _signals(value: Any) -> list[dict[str, Any]]:
+    """Signals of a structure with time; none of any other field."""
+    found = value if isinstance(value, list) else [value]
+    return found if all(isinstance(one, dict) and "values" in one for one in found) else []
 
 
 def _vectors(name: str, value: Any) -> Iterator[tuple[str, AnyArray | str]]:

@@ -204,6 +204,15 @@ MATLAB: dict[str, tuple[dict[str, Any], list[str]]] = {
     "one signal": ({"t": T, "a": {"time": T, "signals": {"values": ANGLE.reshape(1, 1, -1),
                                                          "label": "angle"}}, "u": U, "s": STRAIN},
                    ["a.time", "u", "a.angle", "s"]),
+    "struct beside a structure with time": (
+        {"scope": scope(strain=STRAIN), "run": {"time": T, "signals": TABLE[:, 1:3]}},
+        ["run.time", "run.signals:1", "run.signals:2", "scope.strain"],
+    ),
+    "array of structs": (
+        {"run": {"X": {"Data": T}, "Y": np.array([(U, 1), (ANGLE, 2), (STRAIN, 3)],
+                                                 dtype=[("Data", object), ("Raster", object)])}},
+        ["run.X.Data", "run.Y:1.Data", "run.Y:2.Data", "run.Y:3.Data"],
+    ),
     "integers": ({"t": T, "u": U, "a": ANGLE, "s": STRAIN, "k": np.arange(12, dtype=np.int16)},
                  ["t", "u", "a", "s"]),
 }  # fmt: skip
@@ -239,6 +248,8 @@ def test_the_mat_files_of_one_run_are_read_together(tmp_path: Path) -> None:
         ({"a": TABLE}, "a", "got a matrix of shape (12, 4): name a:1 to a:4"),
         ({"a": {"b": "text"}}, "a.b", "variable 'a.b' must be a vector of numbers, got str"),
         ({"a": scope()}, "a.angle", "holds no column 'a.angle'; it holds"),
+        ({"a": scope(signals={"label": "angle"})}, "a.angle", "no column 'a.angle'"),
+        ({"a": {"time": T, "signals": "none"}}, "a.signals", "vector of numbers, got str"),
         ({"a": np.ones((2, 3, 12))}, "a", "got float64 of shape (2, 3, 12)"),
         ({"a": np.array([1, "x"], dtype=object)}, "a", "got object of shape (2,)"),
     ],
