@@ -45,7 +45,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
     try:
         check_folder(a.out)
         bounds = validate.unique([*map(_range, a.fit)], "--fit") if a.fit else BOUNDS
-        units = validate.unique([_pair(text, "--units") for text in a.units], "--units")
+        units = validate.unique([*map(_unit_of, a.units)], "--units")
         columns = Columns(
             time=a.time, command=tuple(a.command), encoder=tuple(a.encoder),
             gauge=tuple(a.gauge), units=units, titles=tuple(a.titles),
@@ -149,11 +149,15 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     return parser
 
 
-def _pair(text: str, option: str) -> tuple[str, str]:
+def _pair(text: str, option: str, form: str) -> tuple[str, str]:
     name, equals, value = text.rpartition("=")
     if not equals:
-        raise ValueError(f"{option} takes NAME=VALUE, got {text!r}.")
+        raise ValueError(f"{option} takes {form}, got {text!r}.")
     return name, value
+
+
+def _unit_of(text: str) -> tuple[str, str]:
+    return _pair(text, "--units", "KIND=UNIT")
 
 
 def _numbers(text: str, option: str, form: str, counts: tuple[int, ...]) -> list[float]:
@@ -167,8 +171,9 @@ def _numbers(text: str, option: str, form: str, counts: tuple[int, ...]) -> list
 
 
 def _range(text: str) -> tuple[str, tuple[float, float]]:
-    name, value = _pair(text, "--fit")
-    low, high = _numbers(value, "--fit", "NAME=LOW:HIGH", (2,))
+    form = "NAME=LOW:HIGH"
+    name, value = _pair(text, "--fit", form)
+    low, high = _numbers(value, "--fit", form, (2,))
     return name, (low, high)
 
 
@@ -262,7 +267,7 @@ def table(found: Fit) -> str:
         found.signals, found.rms(found.nominal), found.rms(found.fitted),
         found.explained(found.fitted), found.correlation, strict=True,
     ):  # fmt: skip
-        lines.append(f"{name:14}{before:14.4g}{after:12.4g}{share:12.2%}  {rho:.2f}")
+        lines.append(f"{name:14}{before:14.4g}{after:12.4g} {share:11.2%}  {rho:.2f}")
     return "\n".join(lines)
 
 

@@ -13,7 +13,7 @@ from dynamics.description.data_file import MOST_BYTES, read_mapping
 from dynamics.description.plausibility import warn_if_implausible
 from dynamics.description.urdf.convert import Flexible, UrdfWarning, convert
 from dynamics.description.urdf.robot import SUFFIX
-from dynamics.description.validate import shown
+from dynamics.description.validate import shown, unknown
 
 ArmSource = str | PathLike[str] | Mapping[str, Any] | Arm  # accepted by `load_arm`
 
@@ -50,12 +50,12 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
     path = _path(source)
     if isinstance(source, str) and path.suffix == "":
         raise ValueError(
-            f"Unknown arm {shown(source)}. Presets: {sorted(ARMS)}; or give the path of a "
+            f"{unknown(source, 'arm', ARMS)} Presets: {sorted(ARMS)}; or give the path of a "
             f".json, .yaml or {SUFFIX} file."
         )
     if path.suffix.lower() not in MOST_BYTES:
         known = f"{', '.join(MOST_BYTES)} or {SUFFIX}"
-        raise ValueError(f"{path.name}: must end in {known}, got {shown(path.suffix)}.")
+        raise ValueError(f"{path}: must end in {known}, got {shown(path.suffix)}.")
     try:
         return arm_from_dict(read_mapping(path))
     except ValueError as error:

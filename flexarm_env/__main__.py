@@ -25,12 +25,12 @@ def main(arguments: list[str] | None = None, prog: str = "python -m flexarm_env"
         print("\ngym.make(ID, arm=ARM) puts any of them, or an arm file, in place of the id's own.")
         print("Sources of the arms: python -m dynamics list")
         return 0
-    at = options.file.name
+    at = str(options.file)
     try:
         flexible = _flexible(options.flexible)
         if options.out is not None:
             _check_new(options.out)
-        text = arm_text(convert(options.file, options.tip, flexible), at)
+        text = arm_text(convert(options.file, options.tip, flexible), options.file.name)
         if options.out is not None:
             at = str(options.out)
             options.out.write_text(text, encoding="utf-8")

@@ -109,10 +109,14 @@ def instance(value: object, name: str, kind: type[T]) -> T:
 def known(value: object, noun: str, names: Collection[str]) -> str:
     """Return a name if it is in a table; the message names the kind of entry, and a near name."""
     if not isinstance(value, str) or value not in names:
-        near = difflib.get_close_matches(str(value)[:80], sorted(names), n=1)
-        guess = f"; did you mean {near[0]!r}?" if near else "."
-        raise ValueError(f"Unknown {noun} {shown(value)}{guess} Known: {sorted(names)}.")
+        raise ValueError(f"{unknown(value, noun, names)} Known: {sorted(names)}.")
     return value
+
+
+def unknown(value: object, noun: str, names: Collection[str]) -> str:
+    """A sentence about a name that is not in a table, with a near one of the table."""
+    near = difflib.get_close_matches(str(value)[:80], sorted(names), n=1)
+    return f"Unknown {noun} {shown(value)}" + (f"; did you mean {near[0]!r}?" if near else ".")
 
 
 def unique(pairs: Collection[tuple[K, T]], where: str = "one object") -> dict[K, T]:

@@ -86,7 +86,7 @@ def read_log(path: str | Path | Sequence[str | Path], columns: Columns) -> Log:
 def _check_file(path: Path, alone: bool) -> None:
     suffix = path.suffix.lower()
     if suffix not in (*TEXT, *MAT):
-        raise ValueError(f"{path.name} must end in one of {[*TEXT, *MAT]}.")
+        raise ValueError(f"{path} must end in one of {[*TEXT, *MAT]}.")
     if suffix in TEXT and not alone:
         raise ValueError(f"{path.name}: only MAT files of one run are read together; join them.")
     try:

@@ -150,3 +150,8 @@ def test_a_conversion_replaces_no_file_and_drops_no_word(
     assert re.search(sentence, capsys.readouterr().err)
     assert [path.name for path in tmp_path.iterdir()] == ["there.yaml"]
     assert Path("there.yaml").read_text() == "# by hand"
+
+
+def test_a_folder_is_refused_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert flexarm.main(["arms", "convert", "."]) == 2
+    assert capsys.readouterr().err.startswith("flexarm arms convert: .: cannot read '.'")

@@ -134,6 +134,8 @@ def test_files_that_are_no_logs_are_refused(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=sentence[:8]) as refusal:
             read_log(tmp_path / name, COLUMNS)
         assert sentence in str(refusal.value)
+    with pytest.raises(ValueError, match=r"^\. must end in one of"):
+        read_log(".", COLUMNS)
 
 
 def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
