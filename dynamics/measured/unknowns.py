@@ -2,7 +2,8 @@
 
 The state at the start is not the user's question, but the motion depends on it. Bending starts as a
 sum of the arm's natural modes with its joints locked, as many as the samples can show. Their
-amplitudes and rates are known to no more than the size of the arm. Angles of joints start at the
+amplitudes and rates are known to no more than the size of the arm. Faster modes rest, and those
+that gravity bends do so at amplitudes of about their sag. Angles of joints start at the
 first reading of the encoder, which is as noisy as the others, or within what a joint may have
 turned between the first sample and a first reading that comes later or is itself late.
 """
@@ -25,6 +26,7 @@ Bounds = Mapping[str, tuple[float, float]]
 
 ASKED = ("parameters", "torque", "gain", "delay", "lag")  # of the arm, motors and signals
 LOCKED = 1e8  # [-] a locked rotor's inertia over the arm's
+NO_SAG = 1e-9  # [-] amplitude of a mode, of its large size, that counts as none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,12 +154,22 @@ def start(
             Unknown(name=f"{name} rate", into="v", direction=turn, size=rate, deviation=rate),
         ]
     shapes, omegas = locked_modes(model, q, rotors[list(rates)])
+    rigidities = np.sum(shapes @ model.stiffness * shapes, axis=1)
+    sags = -shapes @ model.bias(q, 0.0 * q) / rigidities
+    most = float(np.abs(sags).max(initial=0.0))
     for k, (shape, omega) in enumerate(zip(shapes, omegas.tolist(), strict=True), 1):
         if omega * period < np.pi:
             for name, into, by in ((f"mode {k}", "q", 1.0), (f"mode {k} rate", "v", omega)):
                 result.append(
                     Unknown(name=name, into=into, direction=by * shape, size=1.0, deviation=1.0)
                 )
+        elif most > NO_SAG:
+            result.append(
+                Unknown(
+                    name=f"mode {k}", into="q", direction=shape, size=1.0, nominal=sags[k - 1],
+                    deviation=most,
+                )
+            )  # fmt: skip
     return result
 
 

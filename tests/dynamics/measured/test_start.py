@@ -191,6 +191,18 @@ def test_a_held_arm_may_hang_in_gravity() -> None:
     assert_allclose(found.values, truth(), rtol=1e-4)
 
 
+def test_modes_faster_than_the_samples_start_at_their_sag() -> None:
+    """A ruler is plucked in gravity; its second mode is as fast as the samples, and at rest."""
+    ruler = rig()
+    clamped = replace(ruler.links[0], joint=replace(ruler.links[0].joint, rotor_inertia=1e7))
+    true_rig = replace(ruler, links=(clamped,), gravity=(0.0, -4.0, 0.0))
+    q = compile_arm(true_rig).equilibrium([0.2]).q + np.array([0.0, 0.02, 0.0])
+    log = moved(true_rig, q, 0.0 * q, [GAUGE], np.arange(0.0, 2.0, 0.05))
+    arm = replace(load_arm(PRESET), gravity=true_rig.gravity)
+    found = fit(arm, replace(log, encoder=log.encoder[:, :0]), [GAUGE], held={0: 0.2})
+    assert_allclose(found.values, truth(), rtol=1e-4)
+
+
 def test_a_log_from_rest_keeps_its_fit() -> None:
     """Values from before the start was fitted, with start "rest"; within their intervals else."""
     units = {"time": "ms", "command": "mN m", "encoder": "deg", "gauge": "microstrain"}
