@@ -13,6 +13,7 @@ from dynamics.load import ArmSource, load_arm
 from dynamics.measured import sensors, unknowns
 from dynamics.measured.log_file import ROWS, Log
 from dynamics.measured.readings import Readings, delayed, low_passed
+from dynamics.measured.sag import Sag
 from dynamics.measured.sensors import Sensor
 from dynamics.measured.unknowns import LOCKED, Bounds, Unknowns
 from dynamics.model import Model, compile_arm
@@ -46,7 +47,7 @@ class LoggedMotion:
     ----------
     bounds : (low, high) of the parameters.
     start : "estimated"; "rest": straight and at rest at the first readings; "measured": as the
-        readings say, where links bend as their first natural modes.
+        readings say, where links bend as their first natural modes, in others by gravity alone.
     held : by joint, counted from 0, the angle [rad] or place [m] where it is held; None: the mean
         of its encoder, or 0 without one.
     shooting : [s] after which the motion starts again from the readings, again and again.
@@ -101,6 +102,7 @@ class LoggedMotion:
             for k in range(n_joint)
         ]
         self._lift: Array | None = None
+        self._sag: Sag | None = None
         self.restarts = self._points(start, shooting)
         if start == "estimated":
             rates = {k: _fastest(log.time, encoder[:, k]) for k in free}
@@ -146,6 +148,9 @@ class LoggedMotion:
         basis = np.vstack([joints, shapes[:n_gauge]]).T
         self._lift = basis @ np.linalg.inv(self.rows @ basis)
         self._unread = self.start - joints.T @ (joints @ self.start)
+        if len(shapes) > n_gauge and any(self.model.arm.gravity):
+            unread = np.eye(self.model.n) - self._lift @ self.rows
+            self._sag = Sag(self.model, shapes, unread)
         span = WINDOW * 2.0 * np.pi / float(omegas[0]) if len(omegas) else 0.0
         self._readings = Readings(self.log.time, self.measured, span)
 
@@ -168,7 +173,14 @@ class LoggedMotion:
         times = self.log.time[sample] + delay + POLES * lag + np.zeros(len(self.names))
         read, rates = self._readings.at(times)
         true = (read - self.unknowns.changes("zero", values)) / gain
-        return self._unread + true @ self._lift.T, rates / gain @ self._lift.T
+        q = self._unread + true @ self._lift.T
+        sag = self._sag(q, self._parameters(values)) if self._sag else 0.0
+        return q + sag, rates / gain @ self._lift.T
+
+    def _parameters(self, values: AnyArray) -> AnyArray:
+        """(..., p) free parameters of the arm."""
+        none = np.zeros((*values.shape[:-1], len(self.model.free_parameters)))
+        return none + self.unknowns.changes("parameters", values)
 
     def signals(self, values: AnyArray, samples: int | None = None) -> AnyArray:
         """(P, N, c) signals for values (P, k) of the unknowns; NaN of a motion that diverges.
@@ -209,8 +221,7 @@ class LoggedMotion:
         Where a signal may be late, their rates too: (2, N, P, c).
         """
         n, count = self.model.n, len(values)
-        parameters = self.unknowns.changes("parameters", values)
-        parameters = parameters + np.zeros((count, len(self.model.free_parameters)))
+        parameters = self._parameters(values)
         torque = torque + np.zeros((count, self.model.n_torque))
         steps = np.diff(self.log.time[:samples]) / self.substeps
         first = [0, *sorted(k for k in self.restarts if k < len(steps))]

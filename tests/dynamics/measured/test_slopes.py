@@ -1,5 +1,6 @@
 """Derivatives of logged motions by the unknowns of a fit, held against differences."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.accuracy.measured_data import GAUGE, PRESET, clean_log, noisy, rig
+from dynamics import load_arm
 from dynamics.measured.fit import BOUNDS, fit
 from dynamics.measured.log_file import Log
 from dynamics.measured.motion import LoggedMotion
@@ -36,10 +38,11 @@ def differences(
     return np.asarray((ahead - behind) / (2.0 * width * motion.unknowns.size[:, None, None]))
 
 
-@pytest.mark.parametrize("start", STARTS)
-def test_slopes_are_derivatives_of_the_signals(start: str, log: Log) -> None:
+@pytest.mark.parametrize(("start", "gravity"), [*((x, 0.0) for x in STARTS), ("measured", -4.0)])
+def test_slopes_are_derivatives_of_the_signals(start: str, gravity: float, log: Log) -> None:
     """By every unknown, by extrapolated differences."""
-    motion = LoggedMotion(PRESET, log.since(0.5, 1.0), [GAUGE], EVERY, **STARTS[start])
+    arm = replace(load_arm(PRESET), gravity=(0.0, gravity, 0.0))
+    motion = LoggedMotion(arm, log.since(0.5, 1.0), [GAUGE], EVERY, **STARTS[start])
     motion.substeps = 8
     table = motion.unknowns
     share = np.random.default_rng(0).uniform(0.2, 0.4, table.size.size)

@@ -203,6 +203,44 @@ def test_modes_faster_than_the_samples_start_at_their_sag() -> None:
     assert_allclose(found.values, truth(), rtol=1e-4)
 
 
+@pytest.mark.parametrize("angle", [0.2, 1.0])
+def test_a_measured_start_at_rest_in_gravity_is_the_equilibrium(angle: float) -> None:
+    """Of the arm with the parameters' values, in both modes, from the strain of one gauge."""
+    ruler = replace(load_arm(PRESET), gravity=(0.0, -4.0, 0.0))
+    link = ruler.links[0]
+    heavier = replace(link, EIz=STIFFER * (link.EIz or 0.0), tip_mass=0.02)
+    model = compile_arm(replace(ruler, links=(heavier,)))
+    q = model.equilibrium([angle]).q
+    t = np.arange(0.0, 1.0, 0.01)  # signals are cubics, of which readings are exact
+    log = log_of(t, GAUGE.row(model) @ q + 1e-3 * t[:, None] ** 3, angle + t[:, None] ** 2)
+    bounds = {"stiffness": (0.5, 2.0), "payload_mass": (0.0, 0.1)}
+    motion = LoggedMotion(ruler, log, [GAUGE], bounds, start="measured")
+    values = dict(zip(motion.unknowns.names, motion.unknowns.nominal, strict=True))
+    values |= {"stiffness": STIFFER, "payload_mass": 0.02}
+    found = motion.state(np.array([*values.values()]))
+    assert_allclose(found[0], q, rtol=1e-9)
+    assert_allclose(motion.state(np.array([[*values.values()]] * 2))[0], [found[0]] * 2)
+
+
+@pytest.mark.parametrize("shooting", [None, 0.5])
+def test_gravity_leaves_a_measured_start_its_fit(shooting: float | None) -> None:
+    """The clamped ruler is linear: gravity adds a sag, and to the strain a constant."""
+    ruler = rig()
+    clamped = replace(ruler.links[0], joint=replace(ruler.links[0].joint, rotor_inertia=1e7))
+    fits = []
+    for gravity in ((0.0, 0.0, 0.0), (0.0, -4.0, 0.0)):
+        true_rig = replace(ruler, links=(clamped,), gravity=gravity)
+        model = compile_arm(true_rig)
+        q = model.equilibrium([0.2]).q + np.array([0.0, 0.02, 0.0])
+        log = moved(true_rig, q, 0.0 * q, [GAUGE], np.arange(0.0, 2.0, 0.005))
+        arm = replace(load_arm(PRESET), gravity=gravity)
+        log = replace(log, encoder=log.encoder[:, :0])
+        how = {"held": {0: 0.2}, "start": "measured", "shooting": shooting}
+        fits.append(fit(arm, log, [GAUGE], **how).values)  # type: ignore[arg-type]
+    assert_allclose(fits[1], fits[0], rtol=1e-5)
+    assert_allclose(fits[1], truth(), rtol=2e-3)
+
+
 def test_a_log_from_rest_keeps_its_fit() -> None:
     """Values from before the start was fitted, with start "rest"; within their intervals else."""
     units = {"time": "ms", "command": "mN m", "encoder": "deg", "gauge": "microstrain"}
