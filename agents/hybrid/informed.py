@@ -1,4 +1,4 @@
-"""Experts that are told what sensors hide: the exact state, and the plant that was drawn.
+"""Experts that are told what sensors hide: the exact state, and the present plant.
 
 A policy that sees less than its expert learns the mean of what the expert does in the states that
 may lie behind its observations. For a linear law that is the law at the mean of these states, which
@@ -20,7 +20,7 @@ from flexarm_env.task.observations import observation_layout
 
 
 class Knowledge:
-    """A batch as controllers see it, with exact states and drawn plants for observations."""
+    """A batch as controllers see it, with exact states and present plants for observations."""
 
     def __init__(self, env: Any) -> None:
         seen, core = env.unwrapped, env.unwrapped.core
@@ -52,13 +52,18 @@ class Knowledge:
         return found
 
     def _plants(self) -> Array:
-        """(N, 2) values of NOMINAL."""
+        """(N, 2) values of NOMINAL: as drawn, without a payload that has been dropped."""
         core, drawn = self.core, list(self.core.randomize)
         columns = [
             core.parameters[:, drawn.index(name)] if name in drawn else np.full(core.n_env, usual)
             for name, usual in NOMINAL.items()
         ]
-        return np.stack(columns, axis=1).astype(np.float64)
+        plants = np.stack(columns, axis=1).astype(np.float64)
+        if core.happening and core.happening.name == "drop":
+            rows = core.signals.state.slices
+            now = {x: core.state[rows[x], : core.n_env][0] for x in ("event_time", "elapsed")}
+            plants[core.happening.happened(now), 0] = 0.0
+        return plants
 
 
 class Informed:
@@ -86,7 +91,8 @@ class Informed:
 
 def is_told(name: str, env: Any) -> bool:
     """True if a controller of this name must be told what the observations hide."""
-    sensors = "root_curvature" in env.unwrapped.observation_slices
+    seen = env.unwrapped.observation_slices
+    sensors = "joint_error" in seen and "tip_error" not in seen
     return sensors and CONTROLLERS[name].obs == ("state",)
 
 

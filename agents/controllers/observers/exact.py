@@ -91,7 +91,7 @@ class ExactState:
         ahead = self.preview.torques(plan.target, seen, plants)
         known: list[Any] = memory.models if memory else [None] * count
         models = [
-            self.models.at(posture, plant) if new else model
+            self.models.at(posture, plant) if new or plant != model.plant else model
             for posture, plant, new, model in zip(
                 plan.target.posture, plants.tolist(), fresh, known, strict=True
             )

@@ -1,5 +1,6 @@
 """Experts that are told what the observations of sensors hide."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,12 @@ from agents.hybrid.controller import description
 from agents.hybrid.informed import Informed, Knowledge, expert
 from agents.metrics import make_batch
 from agents.tuned import parameters_of
+from dynamics import load_arm
 from dynamics.types import AnyArray
 
 SEEDS = [3, 8, 21]
 ONE, TWO = "FlexArm/OneLink-Track-v0", "FlexArm/TwoLink-Reach-v0"
+DROP = "FlexArm/OneLink-TrackDrop-v0"
 
 
 def pair(env_id: str, hardware: Any) -> tuple[Any, Any]:
@@ -83,6 +86,48 @@ def test_a_told_expert_assumes_the_plant_nearest_to_the_drawn_one() -> None:
         apart = np.abs(np.array([plant.payload, plant.factor]) - drawn)
         assert np.all(apart <= 0.51 * np.array(steps))
     assert len({model.plant for model in memory.models}) > 1
+
+
+def test_a_dropped_payload_is_no_longer_told() -> None:
+    """The environment tells the drop itself; the models are those of the lightest plant."""
+    sensors = make_batch(DROP, len(SEEDS), {"hardware": "laboratory"})
+    seen, _ = sensors.reset(seed=SEEDS)
+    informed: Any = expert("lqr", sensors, CONTROLLERS["lqr"].middle)
+    knowledge, core = Knowledge(sensors), sensors.unwrapped.core
+    dropped, memory = np.zeros(len(SEEDS)), None
+    for _ in range(core.max_steps - 1):
+        action, memory = informed.predict(seen, memory)
+        payload = knowledge.told(seen)[:, knowledge.observation_slices[PLANT]][:, 0]
+        np.testing.assert_array_equal(payload, core.parameters[:, 0] * (dropped == 0.0))
+        models = informed._controller.observer.models
+        drawn = np.stack([payload, core.parameters[:, 1]], axis=1)
+        assert [model.plant for model in memory.models] == models.nearest(drawn).tolist()
+        seen, _, ended, _, info = sensors.step(np.zeros_like(action, dtype=np.float32))
+        dropped = info["event"]
+        assert not ended.any()
+    assert dropped.all()
+
+
+RIGID = replace(load_arm("two-link"), links=tuple(
+    replace(link, modes=(), EIz=None, joint=replace(link.joint, rotor_inertia=0.05))
+    for link in load_arm("two-link").links
+))  # fmt: skip
+SPRUNG = replace(RIGID, links=tuple(
+    replace(link, joint=replace(link.joint, stiffness=50.0)) for link in RIGID.links
+))  # fmt: skip
+
+
+def test_an_arm_without_gauges_has_its_state_told() -> None:
+    """Joint springs bend it; without them the expert says what it takes."""
+    sensors = make_batch(TWO, len(SEEDS), {"hardware": "laboratory", "arm": SPRUNG})
+    assert "root_curvature" not in sensors.unwrapped.observation_slices
+    told = expert("lqr", sensors, CONTROLLERS["lqr"].middle)
+    assert isinstance(told, Informed)
+    seen, _ = sensors.reset(seed=SEEDS)
+    assert np.isfinite(told.predict(seen)[0]).all()
+    rigid = make_batch(TWO, len(SEEDS), {"hardware": "laboratory", "arm": RIGID})
+    with pytest.raises(ValueError, match="lqr takes an arm that bends"):
+        expert("lqr", rigid, CONTROLLERS["lqr"].middle)
 
 
 def test_a_told_expert_has_its_parameters_of_exact_states() -> None:
