@@ -15,7 +15,6 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
-from stable_baselines3.common.utils import update_learning_rate
 
 from agents.learners.recurrent import LstmPolicy
 from dynamics.types import AnyArray
@@ -28,9 +27,7 @@ class DAgger(OffPolicyAlgorithm):
 
     The replay buffer holds observations with what the expert would have done, `advice` of the
     environment, so that all of them must fit in: `buffer_size`. A policy with LSTM cells learns
-    from whole episodes, as many as have `batch_size` observations. After the last step a new
-    network learns from all of them by `refit` gradient steps, unless that is zero: one that
-    learned from few observations first learns worse from many.
+    from whole episodes, as many as have `batch_size` observations.
 
     With `estimation` above zero the network also learns to tell the true state and the drawn
     parameters, `true_state` of the environment, by a linear layer behind its cells, or behind the
@@ -53,7 +50,6 @@ class DAgger(OffPolicyAlgorithm):
         batch_size: int = 512,
         train_freq: int = 100,
         gradient_steps: int = 200,
-        refit: int = 0,
         estimation: float = 0.0,
         policy_kwargs: dict[str, Any] | None = None,
         tensorboard_log: str | None = None,
@@ -67,7 +63,7 @@ class DAgger(OffPolicyAlgorithm):
             tensorboard_log=tensorboard_log, verbose=verbose, device=device, seed=seed,
             sde_support=False, support_multi_env=True,
         )  # fmt: skip
-        self.refit, self.estimation = refit, estimation
+        self.estimation = estimation
         self._memory: Any = None  # of the policy's cells
         self._setup_model()
 
@@ -101,24 +97,14 @@ class DAgger(OffPolicyAlgorithm):
         return begun
 
     def train(self, gradient_steps: int, batch_size: int) -> None:
-        """Least squares on the aggregated observations, at last with new weights."""
-        refit = self.refit > 0 and self.num_timesteps >= self._total_timesteps
-        if refit:
-            self.policy = self.policy_class(
-                self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs
-            ).to(self.device)
-            self._add_estimator()
-            gradient_steps = self.refit
+        """Least squares on the aggregated observations."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         recurrent = isinstance(self.policy, LstmPolicy)
         batch = partial(self._of_episodes, self._episodes()) if recurrent else self._of_steps
         usual = self._usual_state() if self.estimation else None
         losses = []
-        for step in range(gradient_steps):
-            if refit:
-                rate = self.lr_schedule(1.0 - step / gradient_steps)
-                update_learning_rate(self.policy.optimizer, rate)
+        for _ in range(gradient_steps):
             memory, advice, true = batch(batch_size)
             loss = total = misses(self._mean(memory), advice).square().mean()
             if usual:

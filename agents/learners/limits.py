@@ -24,7 +24,6 @@ LIMITS: dict[str, tuple[float, float]] = {
     "learning_starts": (0, 10**9),
     "train_freq": (1, 10**6),
     "gradient_steps": (-1, 10**6),
-    "refit": (0, 10**6),
     "estimation": (0.0, 1e3),
     "target_update_interval": (1, 10**9),
     "n_critics": (1, 10),

@@ -23,7 +23,7 @@ from agents.config import BaseConfig, Config, load_config
 from agents.experiments import shipped_experiments
 from agents.export.c_header import header
 from agents.export.signals import signals_of
-from agents.hybrid.informed import expert
+from agents.hybrid.informed import expert, is_told
 from agents.leaderboard.decisions import decision_times
 from agents.learners.algorithms import DISTILLED
 from agents.metrics import episode_metrics, make_batch, record
@@ -122,7 +122,7 @@ def row(config: Config, base: BaseConfig, seeds: Sequence[int], work: Path) -> d
         return {
             "name": config.name,
             "env": titled(env_id, kwargs),
-            "expert": base.controller,
+            "expert": base.controller + ", told" * is_told(base.controller, envs),
             "seeds": list(seeds),
             "expert_score": float(theirs.mean()),
             "scores": ours.mean(axis=1).tolist(),
@@ -194,7 +194,8 @@ A policy without a model learns from a classical controller, its expert, by DAgg
 ([warm starts](../training.md#warm-starts)). Scores are means over {EPISODES} episodes from seed
 {FIRST} on, which neither training nor tuning uses, and over the training seeds. Gains: the policy's
 score less that of the expert, or of the policy with which it began, in the same episodes, with a
-bootstrap over seeds and episodes.
+bootstrap over seeds and episodes. "Told": the expert knows the exact state and the plant, and the
+policy sees the sensors alone.
 Times are of one decision: medians of the controllers in Python, and the mean of the
 [exported C header](../export.md) with `cc -O2`. Training: wall-clock time of one process, longer
 where other work kept the machine busy.

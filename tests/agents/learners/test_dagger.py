@@ -233,26 +233,6 @@ def test_cells_forget_at_an_end_and_at_a_new_session(monkeypatch: pytest.MonkeyP
     assert np.flatnonzero(forgot).tolist() == [0, 30, 50, 80]
 
 
-def test_a_refit_begins_with_new_weights_and_the_whole_rate(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The updates before it keep the network of the beginning."""
-    given = experiment("lqr", 1_200, updates=3)
-    given["agent"]["kwargs"] |= {"refit": 4, "learning_rate": "lin_1e-3"}
-    model = build_model(config_from_dict(given))
-    before, rates = model.policy, []
-    monkeypatch.setattr(
-        "agents.learners.dagger.update_learning_rate", lambda _, rate: rates.append(rate)
-    )
-    start = before.action_net.weight.detach().clone()
-    model.learn(1_200)
-    np.testing.assert_allclose(rates, [1e-3, 7.5e-4, 5e-4, 2.5e-4])
-    assert model._n_updates == 3 + 4
-    assert 0.0 < (before.action_net.weight - start).detach().abs().max() < 3 * 1.1e-3
-    first = [x.mlp_extractor.policy_net[0].weight.detach() for x in (before, model.policy)]
-    assert (first[1] - first[0]).abs().max() > 0.1
-
-
 @pytest.mark.parametrize(
     ("agent", "learned"), [("dagger", None), ("dagger", "residual"), ("ppo", "distilled")]
 )
