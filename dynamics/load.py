@@ -55,7 +55,7 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
         )
     if path.suffix.lower() not in MOST_BYTES:
         known = f"{', '.join(MOST_BYTES)} or {SUFFIX}"
-        raise ValueError(f"{path}: must end in {known}, got {shown(path.suffix)}.")
+        raise ValueError(f"{path.name or path}: must end in {known}, got {shown(path.suffix)}.")
     try:
         return arm_from_dict(read_mapping(path))
     except ValueError as error:
