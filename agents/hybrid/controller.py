@@ -227,7 +227,7 @@ def description(
     validate.choice(learned, f"{KEY}.learned", LEARNED)
     validate.choice(name, f"{KEY}.controller", CONTROLLERS)
     if CONTROLLERS[name].ranges and not parameters:
-        told = learned == "distilled" and CONTROLLERS[name].obs == ("state",)
+        told = LEARNED[learned] is Distilled and CONTROLLERS[name].obs == ("state",)
         track = track_of(name, env_id, {} if told and [*kwargs] == ["hardware"] else kwargs)
         if track is None or not takes_part(name, env_id, track):
             raise ValueError(

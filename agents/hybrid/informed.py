@@ -13,6 +13,7 @@ import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
 from agents.controllers.models.linear_model import NOMINAL
+from agents.controllers.models.memory import Remembering
 from agents.controllers.observers.exact import PLANT
 from agents.policy import Controller
 from dynamics.types import AnyArray, Array
@@ -66,7 +67,7 @@ class Knowledge:
         return plants
 
 
-class Informed:
+class Informed(Remembering):
     """A controller of exact states in a batch whose observations are those of sensors.
 
     It acts at the present state of the batch; of an observation it reads the target's path alone.
@@ -74,19 +75,12 @@ class Informed:
 
     def __init__(self, name: str, env: Any, parameters: Mapping[str, float] | None) -> None:
         self._knowledge = Knowledge(env)
-        self._controller = controller(name, self._knowledge, parameters)
+        self._controller: Any = controller(name, self._knowledge, parameters)
 
-    def predict(
-        self,
-        observation: AnyArray,
-        state: Any = None,
-        episode_start: AnyArray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[AnyArray, Any]:
-        """Actions (..., m) in [-1, 1], and the controller's state."""
-        told = self._knowledge.told(np.atleast_2d(observation))
-        action, state = self._controller.predict(told, state, episode_start, deterministic)
-        return action.reshape(*np.shape(observation)[:-1], -1), state
+    def act(self, x: AnyArray, memory: Any, fresh: AnyArray) -> tuple[AnyArray, Any]:
+        """The controller's actions and memory at what it is told."""
+        action, memory = self._controller.act(self._knowledge.told(x), memory, fresh)
+        return action, memory
 
 
 def is_told(name: str, env: Any) -> bool:
