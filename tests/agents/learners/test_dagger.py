@@ -45,7 +45,7 @@ def experiment(name: str, steps: int, updates: int = 10, **env: Any) -> dict[str
 
 @pytest.mark.parametrize("name", ["lqg", "lqr"])
 def test_the_expert_advises_what_it_does_alone_if_it_is_followed(name: str) -> None:
-    """With filters that must know the torques, or told the state, through an end of episodes."""
+    """With filters that must know the torques, or told the state, through ends of episodes."""
     env = {"kwargs": {"hardware": "laboratory", "max_episode_steps": 12}, "n_envs": 3}
     config = config_from_dict(experiment(name, 1_000, **env))
     assert config.base is not None
@@ -57,6 +57,10 @@ def test_the_expert_advises_what_it_does_alone_if_it_is_followed(name: str) -> N
     alone.seed(4)
     beside = expert(name, alone.envs, described["parameters"])
     ours, theirs, state, starts = advised.reset(), alone.reset(), None, None
+    for core in (batch.core, alone.core):
+        core.state[core.signals.state.slices["elapsed"], 1] = (
+            5  # one of them ends before the others
+        )
     for _ in range(30):
         np.testing.assert_array_equal(ours, theirs)
         action, state = beside.predict(theirs, state, starts)
