@@ -58,9 +58,7 @@ def test_the_expert_advises_what_it_does_alone_if_it_is_followed(name: str) -> N
     beside = expert(name, alone.envs, described["parameters"])
     ours, theirs, state, starts = advised.reset(), alone.reset(), None, None
     for core in (batch.core, alone.core):
-        core.state[core.signals.state.slices["elapsed"], 1] = (
-            5  # one of them ends before the others
-        )
+        core.state[core.signals.state.slices["elapsed"], 1] = 5  # it ends before the others
     for _ in range(30):
         np.testing.assert_array_equal(ours, theirs)
         action, state = beside.predict(theirs, state, starts)

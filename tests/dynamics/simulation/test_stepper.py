@@ -347,7 +347,7 @@ def test_a_batch_in_use_refuses_another_python_thread() -> None:
 
     def step() -> None:
         ready.wait(10.0)
-        for _ in range(5):
+        while errors.count(None) < 5 or not (any(errors) or len(errors) > 1000):
             try:
                 stepper.advance()
                 errors.append(None)
@@ -363,7 +363,7 @@ def test_a_batch_in_use_refuses_another_python_thread() -> None:
     done = errors.count(None)
     refused = [str(error) for error in errors if error is not None]
     assert done >= 5
-    assert done < 20, "no two calls overlapped"
+    assert refused, "no two calls overlapped"
     assert all("in use by another thread" in text for text in refused)
     for _ in range(done):
         one.advance()
