@@ -2,13 +2,14 @@
 
     python -m benchmarks.speed.gpu
 
-Needs an NVIDIA GPU with the extras `gpu` and `tensors`. An estimate of its time is under four
-minutes: 150 s of compilation, 30 s of rates, 30 s of training. Batches of Reach take random
-actions, and ended episodes restart. Agreement is the largest difference from the processor over 40
-steps, relative to numbers above 1; that of the gradient of their rewards is relative to its largest
-number. Writes docs/results/gpu_NAME.json and .md, where NAME is that of the GPU.
+Needs an NVIDIA GPU with the extra `gpu`. An estimate of its time is under four minutes: 150 s of
+compilation and 30 s of rates. Batches of Reach take random actions, and ended episodes restart.
+Agreement is the largest difference from the processor over 40 steps, relative to numbers above 1;
+that of the gradient of their rewards is relative to its largest number.
+Writes docs/results/gpu_NAME.json and .md, where NAME is that of the GPU.
 """
 
+import argparse
 import re
 import statistics
 import time
@@ -20,7 +21,7 @@ import torch
 
 from benchmarks.output import RESULTS, argument_parser, paragraphs, provenance, save_results, table
 from benchmarks.speed import kernels
-from benchmarks.speed.kernels import DTYPES, SCENES, Row
+from benchmarks.speed.kernels import DTYPES, SCENES
 from dynamics.backends.cuda.function_text import prelude
 from flexarm_env import TorchVecEnv
 from flexarm_env.compiled.termination import FLAGS
@@ -43,19 +44,6 @@ FORMS = {
 SPARED = (("SixLink", "float64"),)  # whose derivatives take minutes to compile
 CHAINS, ROUNDS = 16, 4096  # of multiply-adds in a thread
 THREADS = 2**18
-TRAINING = {
-    "env": {"id": "FlexArm/OneLink-Reach-v0", "n_envs": 4096},
-    "agent": {
-        "name": "rsl-ppo",
-        "kwargs": {
-            "n_steps": 32, "batch_size": 32_768, "n_epochs": 4, "gamma": 0.9827,
-            "gae_lambda": 0.9957, "learning_rate": 1e-3, "desired_kl": 0.01,
-            "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -0.5},
-        },
-    },
-    "total_steps": 10_000_000,
-    "device": "cuda",
-}  # fmt: skip
 
 
 def seconds(call: Callable[[], Any], device: str) -> float:
@@ -208,30 +196,8 @@ def multiply_adds(dtype: str) -> float:
     return 2.0 * THREADS * CHAINS * ROUNDS / taken
 
 
-def trained(config: dict[str, Any]) -> Row:
-    """A training with rsl-ppo: steps, time, steps per second, and success of 100 episodes."""
-    from agents.config import config_from_dict
-    from agents.learners.export import export_policy
-    from agents.metrics import evaluated
-    from agents.training import build_model
-
-    checked = config_from_dict(config)
-    model = build_model(checked)
-    begin = time.perf_counter()
-    model.learn(checked.total_steps, log_interval=None)
-    taken = time.perf_counter() - begin
-    found = evaluated(export_policy(model, {}), checked.env.id)
-    return {
-        "steps": model.num_timesteps,
-        "seconds": taken,
-        "steps_per_second": model.num_timesteps / taken,
-        "success": float(np.mean(found["success"])),
-        "score": float(np.mean(found["score"])),
-    }
-
-
 def measure(device: str, batches: Sequence[int] = BATCHES, batch: int = BATCH) -> dict[str, Any]:
-    """Everything but the multiply-add peak and the training, on a device."""
+    """Everything but the multiply-add peak, on a device."""
     return {
         "bandwidth": bandwidth(device),
         "scenes": {
@@ -276,9 +242,8 @@ def page(results: dict[str, Any]) -> str:
         return [*listed, f"{100.0 * share:.0f} %", f"{found['agreement']:.1g}"]
 
     peaks = ", ".join(f"{x:.3g} in {dtype}" for dtype, x in results["multiply_adds"].items())
-    training, name = results["training"], results["gpu"]
     return paragraphs(
-        f"# Control steps on an {name}",
+        f"# Control steps on an {results['gpu']}",
         f"`{results['command']}`, of Reach with random actions and restarts.",
         f"Copies move {results['bandwidth']:.3g} bytes/s; multiply-adds reach {peaks} "
         "operations/s.",
@@ -299,29 +264,35 @@ def page(results: dict[str, Any]) -> str:
             [[form, f"{x:.2g}"] for form, x in results["forms"].items()],
             "lr",
         ),
-        f"PPO of rsl_rl takes {training['seconds']:.0f} s for {training['steps']:,} steps of "
-        f"{TRAINING['env']['id']} ({training['steps_per_second']:.3g}/s); "  # type: ignore[index]
-        f"success {100.0 * training['success']:.0f} %, score {training['score']:.3f}.",
     )
+
+
+def require_gpu(parser: argparse.ArgumentParser, instead: str) -> None:
+    """End a command with one sentence where torch sees no GPU."""
+    if not torch.cuda.is_available():
+        name = parser.prog.removeprefix("python -m ")
+        parser.exit(
+            2,
+            f"{name}: needs an NVIDIA GPU and a torch with CUDA, which sees none here; "
+            f"{instead}.\n",
+        )
+
+
+def slug(name: str) -> str:
+    """Name of a GPU in the names of files."""
+    return re.sub(r"\W+", "_", name).strip("_").lower()
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure and write; without a GPU, say so."""
     parser = argument_parser("speed.gpu", __doc__)
     parser.parse_args(arguments)
-    if not torch.cuda.is_available():
-        parser.exit(
-            2,
-            "benchmarks.speed.gpu: needs an NVIDIA GPU and a torch with CUDA, which sees none "
-            "here; python -m benchmarks.speed.kernels compiles the kernels without one.\n",
-        )
+    require_gpu(parser, "python -m benchmarks.speed.kernels compiles the kernels without one")
     name = torch.cuda.get_device_name()
-    results = provenance("torch", "cuda-core", "rsl-rl-lib") | {"gpu": name} | measure("cuda")
+    results = provenance("torch", "cuda-core") | {"gpu": name} | measure("cuda")
     results["multiply_adds"] = {dtype: multiply_adds(dtype) for dtype in DTYPES}
     results["forms"] = forms("cuda")
-    results["training"] = trained(TRAINING)
-    slug = re.sub(r"\W+", "_", name).strip("_").lower()
-    save_results(results, page(results), RESULTS / f"gpu_{slug}.json")
+    save_results(results, page(results), RESULTS / f"gpu_{slug(name)}.json")
 
 
 if __name__ == "__main__":

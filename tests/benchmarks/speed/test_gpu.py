@@ -10,7 +10,6 @@ from benchmarks.speed import gpu, kernels
 from dynamics.backends.cuda.kernel_text import STEP
 from flexarm_env import TorchVecEnv
 from flexarm_env.interfaces.tensors.device import DeviceBatch, kernel_source
-from tests.agents.tiny import KWARGS
 from tests.host_kernels import COMPILER, HostKernels
 
 
@@ -49,9 +48,6 @@ def test_a_device_is_measured_and_its_page_shows_it(monkeypatch: pytest.MonkeyPa
         "multiply_adds": {"x": 1.0},
     }
     results["forms"] = {"as printed": 1.5e8}
-    results["training"] = {
-        "steps": 9, "seconds": 3.0, "steps_per_second": 3.0, "success": 1.0, "score": 0.5,
-    }  # fmt: skip
     text = gpu.page(results)
     assert "| 2e+09 | 50 % | 0 |" in text
     assert "| as printed | 1.5e+08 |" in text
@@ -89,15 +85,6 @@ def test_bytes_of_a_step_are_those_of_its_arrays() -> None:
     actions = torch.zeros(4, 1)
     moved = [batch.state, batch.state, actions, *batch._run(STEP, actions)]
     assert sum(x.nbytes for x in moved) == 4 * gpu.moved(envs)
-
-
-def test_the_training_of_the_benchmark_runs() -> None:
-    pytest.importorskip("rsl_rl")
-    agent = {"name": "rsl-ppo", "kwargs": KWARGS["rsl-ppo"]}
-    small = {"agent": agent, "env": gpu.TRAINING["env"] | {"n_envs": 8}}  # type: ignore[operator]
-    found = gpu.trained(gpu.TRAINING | small | {"total_steps": 128, "device": "cpu"})
-    assert found["steps"] == 128
-    assert found["success"] == 0.0
 
 
 def test_every_form_changes_the_text_of_a_kernel() -> None:
