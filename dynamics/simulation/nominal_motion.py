@@ -62,10 +62,10 @@ class NominalTorque:
     def __init__(self, arm: Arm, motion: Cycloidal) -> None:
         self.motion, self.gravity = motion, arm.gravity
         self.links = rigid_links(stiffened(arm))
-        if len(motion.start) != len(self.links):
+        if len(motion.start) != arm.n_joint:
             raise ValueError(
-                f"Cycloidal.start must have {len(self.links)} numbers, one per joint of the arm, "
-                f"got {len(motion.start)}."
+                f"Cycloidal.start must have {arm.n_joint} numbers, one per joint of the arm that "
+                f"moves, got {len(motion.start)}."
             )
         self.breakpoints = (motion.duration,)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from dynamics import ARMS, Arm, Base, Body, Link, Model, load_arm, simulate
+from dynamics import ARMS, Arm, Base, Body, Joint, Link, Model, load_arm, simulate
 from dynamics.description.denavit_hartenberg import Row, arm, links
 from dynamics.formulations.newton_euler import inverse_dynamics, rigid_links
 from dynamics.simulation.nominal_motion import Cycloidal, NominalTorque, stiffened
@@ -172,6 +172,19 @@ def test_puma_returns_from_its_own_torques() -> None:
 def test_a_motion_of_another_arm_is_refused() -> None:
     with pytest.raises(ValueError, match="start must have 6 numbers"):
         NominalTorque(ARMS["stanford"], Cycloidal(start=(0.0,), goal=(1.0,), duration=1.0))
+
+
+def test_a_motion_has_one_number_per_joint_that_moves() -> None:
+    """A welded link has none; the arm of two links swings under the torque of its one joint."""
+    tool = Link(length=0.5, rho_A=1.0, joint=Joint(type="fixed"))
+    arm = Arm(links=(Link(length=1.0, rho_A=1.0, joint=Joint(hub_inertia=0.1)), tool))
+
+    torque = NominalTorque(arm, Cycloidal(start=(0.0,), goal=(1.0,), duration=2.0))
+
+    inertia = 0.1 + 1.5**3 / 3.0
+    assert_allclose(torque(0.5), inertia * torque.motion(0.5)[2], rtol=1e-12)
+    with pytest.raises(ValueError, match="must have 1 numbers, one per joint of the arm that mov"):
+        NominalTorque(arm, Cycloidal(start=(0.0, 0.0), goal=(1.0, 1.0), duration=2.0))
 
 
 # ---- bodies --------------------------------------------------------------------------------------
