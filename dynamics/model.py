@@ -108,7 +108,8 @@ class Model:
         With rotation "linear" H v are these only in the formulation "book", whose energy is kept.
         """
         self._require_fixed_base("christoffel")
-        return np.array(self._christoffel(self._q(q), self._q(v, "v")))
+        H = np.array(self._christoffel(self._q(q), self._q(v, "v")))
+        return validate.finite(H, "christoffel")
 
     def accelerations(self, q: Array, v: Array, tau: Array) -> Array:
         """Accelerations (n,) under torques tau (n_torque,) [N m]: joints, then a driven base."""
@@ -176,7 +177,9 @@ class Model:
         size = described.length / described.segments
         k = min(int(x / size), described.segments - 1)
         _, delta = self.chain.split(self._q(q).tolist())[self.bodies[link].start + k]
-        return np.asarray(delta) @ curvature(parts(described)[k], x - k * size)
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = np.asarray(delta) @ curvature(parts(described)[k], x - k * size)
+        return validate.finite(found, "strain")
 
     def frequencies(self, q: Array | None = None, joints: str = "locked") -> Array:
         """Natural frequencies [rad/s] of the undeflected arm at the joint angles of q, no gravity.
@@ -226,7 +229,8 @@ class Model:
             turn[:3, :3] = rotation_matrix(state[2])
             dq, dv, dtau = turn @ dq @ turn.T, turn @ dv @ turn.T, turn @ dtau
         A = np.block([[kinematic, np.eye(n)], [dq, dv]])
-        return A, np.vstack([np.zeros((n, self.n_torque)), dtau])
+        B = np.vstack([np.zeros((n, self.n_torque)), dtau])
+        return validate.finite(A, "linearize"), validate.finite(B, "linearize")
 
     def operation_count(self) -> dict[str, dict[str, int]]:
         """Operations of each kind in the expression graphs of the arm."""

@@ -234,7 +234,10 @@ class _ErrorControlled:
         """Evaluations per second of motion, over the first TRIAL evaluations."""
         solver = self.solver(name, self.start, self.knots[0], self.knots[1])
         while solver.status == "running" and solver.nfev < TRIAL:
-            solver.step()
+            try:
+                solver.step()
+            except ValueError:  # SciPy refuses a matrix that is not finite
+                return float("inf")
         return float(solver.nfev / max(solver.t - self.knots[0], np.finfo(float).tiny))
 
 

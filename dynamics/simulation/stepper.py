@@ -59,8 +59,7 @@ class Stepper:
         validate.instance(model, "model", Model)
         validate.known(integrator, "integrator", INTEGRATORS)
         self.n_env = validate.integer(n_env, "n_env", 1, MOST_ENVIRONMENTS)
-        self.substeps = validate.integer(substeps, "substeps", 1, MOST_SUBSTEPS)
-        self.dt = validate.positive(dt, "dt", "s")
+        self.substeps, self.dt = substeps, dt
         threads = validate.integer(threads, "threads", 1, MOST_THREADS)
         self.model, self.integrator = model, integrator
         self._q, self._v = np.zeros((self.n_env, model.n)), np.zeros((self.n_env, model.n))
@@ -77,6 +76,24 @@ class Stepper:
         self._w = [model.workspace(self._program) for _ in range(self.threads)]
         self._pool = ThreadPool(self.threads)
         self._lock = Lock()
+
+    @property
+    def dt(self) -> float:
+        """[s] integration step; another may be set."""
+        return self._dt
+
+    @dt.setter
+    def dt(self, value: float) -> None:
+        self._dt = validate.positive(value, "dt", "s")
+
+    @property
+    def substeps(self) -> int:
+        """Steps per call of `advance`; another number may be set."""
+        return self._substeps
+
+    @substeps.setter
+    def substeps(self, value: int) -> None:
+        self._substeps = validate.integer(value, "substeps", 1, MOST_SUBSTEPS)
 
     # read-only properties: compiled code relies on the shapes and types of these arrays
     q = property(lambda self: self._q)

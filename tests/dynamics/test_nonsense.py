@@ -155,6 +155,38 @@ def test_a_torque_of_another_length_is_refused() -> None:
             motion(lambda t: [0.1, 0.2], integrator)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("dt", 0.0), ("dt", -1e-3), ("dt", math.nan), ("substeps", 0), ("substeps", 2.5)],
+)
+def test_a_bad_step_is_refused_where_it_is_set_too(name: str, value: Any) -> None:
+    """Compiled code would take 2 of 2.5 substeps."""
+    with pytest.raises(ValueError, match=rf"^{name} .*got {value}\b"):
+        setattr(STEPPER, name, value)
+    assert (STEPPER.dt, STEPPER.substeps) == (1e-3, 1)
+
+
+@pytest.mark.parametrize("quantity", ["strain", "linearize", "christoffel", "mass_matrix"])
+def test_a_state_beyond_double_precision_is_refused_by_name(quantity: str) -> None:
+    far = np.full(3, 1e300)
+    calls: dict[str, Callable[[], Any]] = {
+        "strain": lambda: MODEL.strain(1e8 * far, 0, 0.0),
+        "linearize": lambda: MODEL.linearize(far, far, [0.0]),
+        "christoffel": lambda: MODEL.christoffel(far, far),
+        "mass_matrix": lambda: MODEL.mass_matrix(far),
+    }
+    with pytest.raises(ValueError, match=f"^{quantity} at this state must be finite"):
+        calls[quantity]()
+
+
+def test_a_motion_that_neither_trial_can_begin_has_diverged() -> None:
+    """The automatic choice of a method tries Radau's, whose matrix is not finite either."""
+    with pytest.raises(Diverged, match="diverged at t = 0 s"):
+        motion([1e300])
+    still = simulate(MODEL, REST, REST, None, [0.0, 1e-320])
+    assert not still.q.any()
+
+
 def test_the_arrays_of_a_stepper_cannot_be_replaced() -> None:
     """Compiled code would read beyond the end of a smaller array."""
     for name in ("q", "v", "torque", "parameters", "status", "measured"):
