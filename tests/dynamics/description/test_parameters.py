@@ -28,13 +28,13 @@ ARM = Arm(
     links=(
         Link(length=0.6, rho_A=0.4, EIz=9.0, damping_ratio=0.02, modes=bending("clamped-tip-mass"),
              tip_mass=0.2, joint=Joint(rotor_inertia=0.02, viscous=0.1, coulomb=0.03)),
-        Link(length=0.4, rho_A=0.2, EIz=4.0, damping_beta=1e-3, modes=bending("hierarchical"),
+        Link(length=0.4, rho_A=0.2, EIz=4.0, damping_ratio=0.03, modes=bending("hierarchical"),
              segments=2, body=Body(mass=0.1), joint=Joint(
                  rotor_inertia=0.01, stiffness=30.0, spring_damping=0.02, viscous=0.05,
                  rotation={"rpy": [0.4, 0.0, 0.2]})),  # type: ignore[arg-type]
         Link(sections=(Section(length=0.2, rho_A=0.2, EIz=(3.0, 2.0)),
                        Section(length=0.1, rho_A=0.1, EIz=1.0)),
-             damping_ratio=0.03, modes=bending("clamped-free"), joint=Joint(rotor_inertia=0.01)),
+             damping_beta=1e-3, modes=bending("clamped-free"), joint=Joint(rotor_inertia=0.01)),
     ),
     payload=Payload(mass=0.1, com=(0.05, 0.0, 0.0)),
     gravity=(0.0, -9.81, 1.0),

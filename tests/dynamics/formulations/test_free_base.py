@@ -123,6 +123,37 @@ def test_a_renewed_attitude_is_turned_by_the_rotation_vector() -> None:
     assert_allclose(found, (ends[1] - ends[0]) / (2.0 * step), rtol=0.0, atol=1e-7)
 
 
+def test_a_renewed_reference_frame_leaves_the_motion_of_the_base() -> None:
+    """Position and velocity in the world; angular velocity by central differences."""
+    rng = np.random.default_rng(1)
+    attitude = from_rotation_vector(rng.normal(0.0, 1.0, 3).tolist())
+    six, rates = rng.normal(0.0, 1.0, (2, 6))
+    place, fresh_rates, fresh = free_base.renewed(six.tolist(), rates.tolist(), attitude)
+    for before, after in ((six, place), (rates, fresh_rates)):
+        world = free_base.local(free_base.world(before.tolist(), attitude), fresh)
+        assert_allclose(after[:3], world[:3], atol=1e-12)
+    assert place[3:] == [0.0, 0.0, 0.0]
+    step = 1e-4
+    back, ahead = (Rotation.from_rotvec(six[3:] + t * rates[3:]) for t in (-step, step))
+    omega = (back.inv() * ahead).as_rotvec() / (2.0 * step)
+    assert_allclose(fresh_rates[3:], omega, rtol=0.0, atol=1e-7)
+
+
+def test_a_small_rotation_is_turned_back_in_the_frame_of_a_turning_base() -> None:
+    """`Model.linearize` beside two bodies that turn alike from attitudes a small angle apart."""
+    arm = flyer(0, 1, 1)
+    q, v = random_state(arm)
+    A, _ = compiled(arm).linearize(q, v, random_torque(arm))
+    small, step = 1e-6, 1e-4
+    for k, axis in enumerate(np.eye(3)):
+        apart = []
+        for t in (-step, step):
+            turn = Rotation.from_rotvec(t * v[3:6])
+            apart.append((turn.inv() * Rotation.from_rotvec(small * axis) * turn).as_rotvec())
+        slope = (apart[1] - apart[0]) / (2.0 * step * small)
+        assert_allclose(A[3:6, 3 + k], slope, rtol=0.0, atol=1e-6)
+
+
 def test_a_planar_base_is_carried_along_at_zero_momentum() -> None:
     """Against an integration of the rates for which the momentum is zero, over 1.3 rad."""
     arm = ARMS["free-flyer"]
