@@ -58,7 +58,12 @@ def main(arguments: list[str] | None = None) -> int:
         for name in options.controllers:
             validate.known(name, "controller", CONTROLLERS)
         for track in options.tracks:
-            validate.known(track, "track", TRACKS)
+            design = TRACKS[validate.known(track, "track", TRACKS)].design
+            if design != track:
+                raise ValueError(
+                    f"--tracks {track} ranks the controllers of {design}, unchanged, so that what "
+                    f"is found there would act nowhere; tune on --tracks {design}."
+                )
         for env_id in options.tasks:
             validate.known(env_id, "task", RANKED)
         validate.integer(options.trials, "--trials", 1, 100_000)
@@ -130,13 +135,21 @@ def tune_experiments(experiments: Mapping[Place, Config], options: argparse.Name
 
 
 def _placed(given: Sequence[str]) -> dict[Place, Config]:
-    """Experiments by the place where they are ranked; a ValueError for one that is not."""
+    """Experiments by the place where they are ranked; a ValueError for one without its own."""
     if not given:
         return {}
     from agents.tune.learners import place_of
 
-    configs = [load_config(find_experiment(x)) for x in given]
-    return {place_of(config): config for config in configs}
+    placed: dict[Place, Config] = {}
+    for config in (load_config(find_experiment(x)) for x in given):
+        place = place_of(config)
+        if (other := placed.setdefault(place, config)) != config:
+            raise ValueError(
+                f"--experiments: {other.name} and {config.name} have one place, "
+                f"{', '.join(place)}, where one result is stored; search them one after the other, "
+                "each with its --out."
+            )
+    return placed
 
 
 def _folder(keep: Path, env_id: str, track: str, name: str) -> Path:

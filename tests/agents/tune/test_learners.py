@@ -17,7 +17,7 @@ from agents.leaderboard.tracks import RANKED
 from agents.learners.export import export_policy
 from agents.policy import Policy, save_policy
 from agents.training import TrainingError, build_model
-from agents.tune.__main__ import main
+from agents.tune.__main__ import _placed, main
 from agents.tune.learners import NINTHS, judged, place_of, trained, tune_experiment
 from agents.tune.search import SEED
 from agents.tuned import tuned
@@ -203,6 +203,20 @@ def test_experiments_that_cannot_be_ranked_are_refused(
     assert main(["--experiments", str(cold), *options]) == 2
     assert "agent.warm_start: neither a run nor a shipped" in one_sentence(capsys)
     assert not out.exists()
+
+
+def test_two_experiments_of_one_place_are_refused_before_either_is_searched(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One result is stored there; the same experiment named twice is one."""
+    config, out = write_config(tmp_path, "ppo", STEPS), tmp_path / "tuned.json"
+    other = config.with_name("mine.yaml")
+    other.write_text(config.read_text())
+    options = ["--trials", "1", "--episodes", "2", "--out", str(out), "--keep", str(tmp_path / "k")]
+    assert main(["--experiments", str(config), str(other), *options]) == 2
+    assert f"tiny_ppo and mine have one place, {ENV_ID}, state, ppo," in one_sentence(capsys)
+    assert not out.exists()
+    assert _placed([str(config)] * 2) == {(ENV_ID, "state", "ppo"): load_config(config)}
 
 
 def test_shipped_experiments_have_the_keywords_that_were_found() -> None:

@@ -261,6 +261,17 @@ def test_another_file_of_results_is_refused_before_the_search(
     assert not (tmp_path / "keep").exists()
 
 
+def test_a_track_with_the_controllers_of_another_is_not_tuned(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`transfer` ranks the controllers of `laboratory`: its own results would act nowhere."""
+    command = ["--tasks", ENV_ID, "--controllers", "pd", "--trials", "1", "--episodes", "1"]
+    command += ["--out", str(tmp_path / "tuned.json"), "--keep", str(tmp_path / "keep")]
+    assert main([*command, "--tracks", "state", "transfer"]) == 2
+    assert one_sentence(capsys).endswith("tune on --tracks laboratory.\n")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("name", ["zero", "nmpc"])
 def test_a_search_of_nothing_says_so(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
