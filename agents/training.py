@@ -291,7 +291,7 @@ def train(run: RunFolder, config: Config) -> None:
     """Run the experiment in an existing run folder: train, evaluate, record."""
     begin = time.monotonic()
     run.write_config(config)
-    origin = {"seed": config.seed, ARM: arm_digest(config)}
+    origin = {"seed": config.seed, ARM: arm_digest(config.env.kwargs)}
     run.write_versions(origin)
     steps = learn(run, config)
     judge(run, config)
@@ -311,7 +311,7 @@ def resume(run: RunFolder, steps: int | None, prog: str) -> None:
     """Continue a run, unless it is finished; `prog` is the command that is running."""
     run.refuse_links()
     config = with_overrides(run.read_config(), None, steps)
-    run.refuse_other_arm(config)
+    run.refuse_other_arm(config.env.kwargs)
     finished = run.finished_at()
     if finished is not None and finished >= config.total_steps:
         print(

@@ -16,6 +16,7 @@ from agents.export.signals import Signals, signals_of
 from agents.files import FolderError, atomic_write, check_folder
 from agents.metrics import make_batch
 from agents.policy import Policy, PolicyError
+from agents.run_folder.folder import RunFolder
 from agents.sentences import refused
 from dynamics.description import validate
 
@@ -55,7 +56,14 @@ def export(run: Path, form: str, out: Path | None = None) -> Path:
     out = run / f"policy{SUFFIXES[form]}" if out is None else out
     name = checked_name(out, SUFFIXES[form])
     check_folder(out.parent)
+    if not policy.about.get("env_id"):
+        raise PolicyError(
+            f"{run}: the policy names no environment, from which scales and units come; store it "
+            "with env_id and env_kwargs in the table `about` of export_policy(model, about)."
+        )
     env_id, kwargs = find_env(policy, None, None)
+    for folder in (run, run.parent):  # of the run, or of a policy in it
+        RunFolder(folder).refuse_other_arm(kwargs)
     try:
         env = make_batch(env_id, 1, kwargs)
     except REFUSALS as error:

@@ -92,15 +92,15 @@ class RunFolder:
             return None
         return steps if is_count(steps) else None
 
-    def refuse_other_arm(self, config: Config) -> None:
+    def refuse_other_arm(self, kwargs: Mapping[str, Any]) -> None:
         """Refuse an arm file that has changed since the run began."""
         try:
             began = read_mapping(self.versions).get(ARM)
         except ValueError:
             return
-        if None not in (began, now := arm_digest(config)) and began != now:
+        if None not in (began, now := arm_digest(kwargs)) and began != now:
             raise FolderError(
-                f"{config.env.kwargs['arm']}: has changed since the run in {self.path} began; give "
+                f"{kwargs['arm']}: has changed since the run in {self.path} began; give "
                 "the file its former content, or begin a new run."
             )
 
@@ -182,9 +182,9 @@ def new_run(out: Path | None, config: Config) -> RunFolder:
         raise FolderError(f"{out or base}: cannot be made ({error.strerror}).") from None
 
 
-def arm_digest(config: Config) -> str | None:
-    """SHA-256 of the arm file that an experiment names; None if it names none."""
-    source = config.env.kwargs.get("arm")
+def arm_digest(kwargs: Mapping[str, Any]) -> str | None:
+    """SHA-256 of the arm file that an environment's keywords name; None if they name none."""
+    source = kwargs.get("arm")
     path = Path(os.path.expanduser(source)) if isinstance(source, str) else None
     return digest(path) if path is not None and path.is_file() else None
 

@@ -7,11 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import yaml
 
 from agents.export.command import main
 from agents.leaderboard.shipped import place
 from agents.policy import save_policy
-from tests.agents.export.kinds import ENV_ID, policy_of
+from agents.run_folder.folder import ARM, RunFolder, arm_digest
+from tests.agents.export.kinds import ENV_ID, laboratory, policy_of
 from tests.agents.tiny import one_sentence
 
 
@@ -39,7 +41,7 @@ def test_a_policy_on_a_controller_is_refused_with_the_reason(
     [
         ({}, ["--out", "x/class-1.h"], "such as policy.h, named in lower-case letters"),
         ({}, ["--out", "x/policy.c"], r"such as policy.h, named in .*, got 'x/policy.c'"),
-        ({"env_id": ""}, [], "a policy that stores none"),
+        ({"env_id": ""}, [], r"names no environment, .* of export_policy\(model, about\)\.$"),
         ({"env_id": "CartPole-v1"}, [], "not allowed"),
         ({"env_kwargs": {}}, [], "takes 4 observations and gives 1 actions, but .* has 8 and 1"),
     ],
@@ -58,6 +60,29 @@ def test_bad_requests_are_refused_and_write_nothing(
     assert main([".", "--format", "c", *arguments]) == 2
     assert re.search(sentence, one_sentence(capsys))
     assert [path.name for path in tmp_path.iterdir()] == ["policy"]
+
+
+@pytest.mark.parametrize("named", [".", "policy"])
+def test_an_arm_file_that_has_changed_since_the_run_began_is_refused(
+    named: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Scales and limits of another arm would go into the file."""
+    monkeypatch.chdir(tmp_path)
+    policy, arm = policy_of("tanh"), tmp_path / "arm.yaml"
+    kwargs = policy.about["env_kwargs"] | {"arm": str(arm)}
+    save_policy(replace(policy, about=policy.about | {"env_kwargs": kwargs}), tmp_path / "policy")
+    former = laboratory().arm.to_dict()
+    arm.write_text(yaml.safe_dump(former))
+    RunFolder(tmp_path).write_versions({ARM: arm_digest(kwargs)})
+    assert main([named, "--format", "c", "--out", "former.h"]) == 0
+    arm.write_text(yaml.safe_dump(former | {"name": "another"}))
+    capsys.readouterr()
+    assert main([named, "--format", "c", "--out", "later.h"]) == 2
+    assert f"{arm}: has changed since the run" in one_sentence(capsys)
+    assert not Path("later.h").exists()
 
 
 def test_a_folder_that_is_not_there_is_told_as_such(

@@ -314,10 +314,10 @@ def test_an_arm_file_that_changes_during_a_run_is_refused(
     monkeypatch.setattr(training, "learn", lambda run, config: 64)
     monkeypatch.setattr(training, "judge", lambda run, config: None)
     training.train(run, config)
-    run.refuse_other_arm(config)
+    run.refuse_other_arm(config.env.kwargs)
     arm.write_text(link.replace("10.0", "20.0"))
     capsys.readouterr()
     assert train(["--resume", str(run.path)]) == 2
     assert f"{arm}: has changed since the run in {run.path} began" in one_sentence(capsys)
     arm.write_text(link)
-    run.refuse_other_arm(config)
+    run.refuse_other_arm(config.env.kwargs)
