@@ -137,7 +137,7 @@ def benchmark(
         if gif:
             policy = acting(load_policy(folders[0].policy), envs)
             write_film(config, {"trained policy": policy, "joint PD": pd}, out)
-    summarise_experiments(out)
+    summarise_experiments(out, config.name)
     print((out / f"{config.name}.md").read_text(encoding="utf-8"))
 
 

@@ -83,14 +83,16 @@ def stored_minutes(name: str) -> dict[int, float]:
     return {run["seed"]: run["seconds"] / 60.0 for run in runs}
 
 
-def summarise_experiments(out: Path) -> None:
-    """Write all pages and learning curves of the experiments in a folder."""
+def summarise_experiments(out: Path, only: str | None = None) -> None:
+    """Write all pages of the experiments in a folder, and the learning curves of all or of one."""
     experiments = stored(out)
     (out / "experiments.md").write_text(overview(experiments), encoding="utf-8")
     save_figure(learning_curves(experiments), out / "experiments.png")
     for data in experiments:
         (out / f"{data['name']}.md").write_text(page(data), encoding="utf-8")
-        plot_learning_curve(out / f"{data['name']}.png", stored_curves(data), curves_title(data))
+        if only in (None, data["name"]):
+            picture = out / f"{data['name']}.png"
+            plot_learning_curve(picture, stored_curves(data), curves_title(data))
 
 
 def stored_curves(data: Mapping[str, Any]) -> dict[str, list[dict[str, float | None]]]:

@@ -18,6 +18,7 @@ from benchmarks.training.experiments import (
     page,
     stored,
     stored_curves,
+    summarise_experiments,
 )
 
 
@@ -135,3 +136,13 @@ def test_what_to_expect_has_the_median_and_the_range_of_the_seeds() -> None:
 # from docs/results/reach.json
 """
     )
+
+
+def test_pictures_of_other_experiments_stay_as_they_are(tmp_path: Path) -> None:
+    """All pages are written, since one names the others."""
+    names = ("one_link_reach_ppo", "one_link_track_ppo")
+    for name in names:
+        (tmp_path / f"{name}.json").write_bytes((RESULTS / f"{name}.json").read_bytes())
+    summarise_experiments(tmp_path, names[0])
+    assert {path.stem for path in tmp_path.glob("*.md")} == {"experiments", *names}
+    assert {path.stem for path in tmp_path.glob("*.png")} == {"experiments", names[0]}
