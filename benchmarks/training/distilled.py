@@ -195,7 +195,7 @@ A policy without a model learns from a classical controller, its expert, by DAgg
 {FIRST} on, which neither training nor tuning uses, and over the training seeds. Gains: the policy's
 score less that of the expert, or of the policy with which it began, in the same episodes, with a
 bootstrap over seeds and episodes. "Told": the expert knows the exact state and the plant, and the
-policy sees the sensors alone.
+policy sees the sensors alone; the [ranking](leaderboard.md#kinds) has controllers that see no more.
 Times are of one decision: medians of the controllers in Python, and the mean of the
 [exported C header](../export.md) with `cc -O2`. Training: wall-clock time of one process, longer
 where other work kept the machine busy.
