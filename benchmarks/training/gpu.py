@@ -25,11 +25,13 @@ from agents.leaderboard.tracks import RANKED, TRACKS
 from agents.metrics import make_batch
 from agents.policy import load_policy
 from agents.run_folder.folder import RunFolder
+from agents.sentences import one_line
 from agents.training import build_model
 from benchmarks.output import RESULTS, argument_parser, paragraphs, provenance, save_results, table
 from benchmarks.speed.gpu import require_gpu, slug
 from benchmarks.training.distilled import EPISODES, FIRST, score
 from benchmarks.training.runs import run_seed
+from dynamics.description import validate
 
 Row = dict[str, Any]
 TRACK = "laboratory"
@@ -135,6 +137,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--only", nargs="+", choices=RANKED, default=RANKED, metavar="ID")
     parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
     options = parser.parse_args(arguments)
+    try:
+        validate.positive(options.seconds, "--seconds", "s")
+    except ValueError as error:
+        parser.error(one_line(error))
     require_gpu(parser, "python train.py configs/one_link_reach_ppo.yaml trains without one")
     with tempfile.TemporaryDirectory() as temporary:
         keep = options.keep or Path(temporary)

@@ -26,6 +26,13 @@ def test_without_a_gpu_nothing_is_written(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_training_of_no_time_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        gpu.main(["--seconds", "nan"])
+    assert ended.value.code == 2
+    assert "--seconds [s] must be a finite number, got nan" in capsys.readouterr().err
+
+
 def test_a_task_is_trained_judged_and_shown_on_a_page(tmp_path: Path) -> None:
     pytest.importorskip("rsl_rl")
     results = gpu.measure([TASK], 1e-3, "cpu", tmp_path, parallel=8)
