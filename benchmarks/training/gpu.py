@@ -21,6 +21,7 @@ import torch
 
 from agents.config import Config, config_from_dict
 from agents.leaderboard.kinds import CLASSICAL
+from agents.leaderboard.output import best_of_each, ranked
 from agents.leaderboard.tracks import RANKED, TRACKS
 from agents.metrics import make_batch
 from agents.policy import load_policy
@@ -91,15 +92,11 @@ def judged(row: Row) -> Row:
 
 
 def best_classical(env_id: str) -> tuple[str, float]:
-    """Classical controller with the highest mean score of the stored ranking."""
+    """Best classical controller of the stored ranking, and its mean score."""
     stored = json.loads((RESULTS / "leaderboard.json").read_text(encoding="utf-8"))
-    means = {
-        name: float(x["score_mean"])
-        for name, x in stored[env_id][TRACK].items()
-        if x["kind"] == CLASSICAL
-    }
-    best = max(means, key=means.__getitem__)
-    return best, means[best]
+    found = ranked(stored[env_id][TRACK])
+    best = best_of_each(found)[CLASSICAL]
+    return best, found[best]["score_mean"]
 
 
 def page(results: Row) -> str:
