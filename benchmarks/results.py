@@ -67,7 +67,7 @@ def steps(jobs: int, keep: Path) -> Iterator[Step]:
         on_tensors = config.agent.name in ON_TENSORS
         minutes = sum(took.values()) / jobs if took else None
         yield Step("trainings", ("benchmarks.training", *given), kept, minutes, on_tensors)
-    yield Step("trainings", ("benchmarks.training.distilled",), ("--keep", str(keep)))
+    yield Step("trainings", ("benchmarks.training.distilled",))
     for name, study in STUDIES.items():
         on_tensors = load_config(study.learner).agent.name in ON_TENSORS
         yield Step("studies", ("benchmarks.training.studies", name), side, on_gpu=on_tensors)

@@ -85,6 +85,13 @@ def policies_of(env_id: str, track: str) -> dict[str, list[Policy]]:
     return shipped(env_id, TRACKS[track].design) | shipped(env_id, track)
 
 
+def shipped_policies(config: Config) -> list[Policy]:
+    """Policies that an experiment made, one per training seed; none if it is not shipped."""
+    env = config.env
+    track = track_of(config.agent.name, env.id, env.kwargs)
+    return [] if track is None else shipped(env.id, track).get(name_made_by(config), [])
+
+
 def named_policy(name: str, seed: int) -> Policy:
     """The policy in a run's folder, or that of a shipped experiment, if possible of this seed.
 
@@ -100,10 +107,7 @@ def named_policy(name: str, seed: int) -> Policy:
             raise ConfigError(
                 f"agent.warm_start: neither a run nor a shipped experiment: {error}"
             ) from None
-    config = load_config(known[name])
-    env = config.env
-    track = track_of(config.agent.name, env.id, env.kwargs)
-    found = [] if track is None else shipped(env.id, track).get(name_made_by(config), [])
+    found = shipped_policies(load_config(known[name]))
     if not found:
         raise ConfigError(
             f"agent.warm_start: no policy of {name} is shipped; train it and give its run's folder."

@@ -1,11 +1,12 @@
 """Train an experiment with several seeds and compare every run with the best joint PD.
 
     python -m benchmarks.training --config configs/one_link_reach_ppo.yaml --seeds 0 1 2 3 4
+    python -m benchmarks.training --config configs/one_link_reach_ppo.yaml --seeds 5 6 --add
     python -m benchmarks.training --film configs/one_link_reach_ppo.yaml
 
 Writes docs/results/NAME.json, NAME.md and NAME.png (learning curves), with --gif also NAME.gif (the
-first seed and joint PD), and the overview of `benchmarks.training.experiments`. Without training,
-`--film` makes NAME.gif with the shipped policy.
+first seed and joint PD), and the overview of `benchmarks.training.experiments`. With `--add` the
+stored seeds and references stay. Without training, `--film` makes NAME.gif with the shipped policy.
 """
 
 import json
@@ -41,7 +42,13 @@ from agents.sentences import one_line
 from agents.signals import workers
 from agents.training import with_overrides
 from benchmarks.output import argument_parser, command, count
-from benchmarks.training.experiments import COLUMNS, FASTER, cells, summarise_experiments
+from benchmarks.training.experiments import (
+    COLUMNS,
+    FASTER,
+    cells,
+    number,
+    summarise_experiments,
+)
 from benchmarks.training.runs import episode_seeds, recorded, run_seed
 
 # A policy wins if its medians are at most these shares of joint PD's; the rules state it in words.
@@ -118,7 +125,7 @@ def benchmark(
     config: Config, trained: Mapping[int, tuple[RunFolder, float]], out: Path, gif: bool,
     pool: Executor,
 ) -> None:  # fmt: skip
-    """Evaluate every seed's policy and the references, write JSON, pages and pictures."""
+    """Evaluate every seed's policy and the references, write JSON, trajectories and the film."""
     env_id, kwargs = config.env.id, config.env.kwargs
     folders = [run for run, _ in trained.values()]
     coming = pool.map(
@@ -137,8 +144,18 @@ def benchmark(
         if gif:
             policy = acting(load_policy(folders[0].policy), envs)
             write_film(config, {"trained policy": policy, "joint PD": pd}, out)
-    summarise_experiments(out, config.name)
-    print((out / f"{config.name}.md").read_text(encoding="utf-8"))
+
+
+def add(
+    config: Config, trained: Mapping[int, tuple[RunFolder, float]], data: dict[str, Any],
+    out: Path, pool: Executor,
+) -> None:  # fmt: skip
+    """Evaluate the policies of further seeds, write them into the JSON of the stored results."""
+    folders = [run.policy for run, _ in trained.values()]
+    seeds = dict(zip(trained, pool.map(partial(recorded, config), folders), strict=True))
+    judge(data, trained, seeds)
+    data["command"] += f"; {command()}"
+    write_json(out / f"{config.name}.json", data)
 
 
 def results(
@@ -151,21 +168,7 @@ def results(
     summaries[f"joint PD, {FASTER} x control rate"] = faster_pd(
         env_id, kwargs, episode_seeds(config)
     )
-    runs, curves = [], {}
-    for seed, (run, seconds) in trained.items():
-        summary = summarise(episode_metrics(seeds[seed]))
-        curves[f"seed {seed}"] = curve = run.curve()
-        runs.append(
-            {
-                "seed": seed,
-                "steps": curve[-1]["steps"],
-                "seconds": seconds,
-                "summary": summary,
-                "verdict": verdict(summary, summaries["joint PD"], task == "Track"),
-            }
-        )
-        print(f"seed {seed}: {dict(zip(COLUMNS, cells(summary), strict=True))}", flush=True)
-    return {
+    data = {
         "name": config.name,
         "command": command(),
         "env": env_id,
@@ -181,15 +184,59 @@ def results(
             "pairs": len(tuned.table),
         },
         "references": summaries,
-        "runs": runs,
-        "curves": {
-            name: {
-                key: [row[key] for row in rows[:: max(1, len(rows) // POINTS)]]
-                for key in ("steps", "return", "settled")
-            }
-            for name, rows in curves.items()
-        },
+        "runs": [],
+        "curves": {},
     }
+    judge(data, trained, seeds)
+    return data
+
+
+def judge(
+    data: dict[str, Any],
+    trained: Mapping[int, tuple[RunFolder, float]],
+    seeds: Mapping[int, Recording],
+) -> None:
+    """Add the runs of training seeds, with their verdicts and learning curves, to the results."""
+    pd = {name: number(value) for name, value in data["references"]["joint PD"].items()}
+    for seed, (run, seconds) in trained.items():
+        curve, summary = run.curve(), summarise(episode_metrics(seeds[seed]))
+        data["runs"].append(
+            {
+                "seed": seed,
+                "steps": curve[-1]["steps"],
+                "seconds": seconds,
+                "summary": summary,
+                "verdict": verdict(summary, pd, data["task"] == "Track"),
+            }
+        )
+        rows = curve[:: max(1, len(curve) // POINTS)]
+        data["curves"][f"seed {seed}"] = {
+            key: [row[key] for row in rows] for key in ("steps", "return", "settled")
+        }
+        print(f"seed {seed}: {dict(zip(COLUMNS, cells(summary), strict=True))}", flush=True)
+    data["runs"].sort(key=lambda run: run["seed"])
+
+
+def extended(config: Config, seeds: Sequence[int], out: Path) -> dict[str, Any]:
+    """Stored results of an experiment that take further seeds; a ValueError where they cannot."""
+    file = out / f"{config.name}.json"
+    if not file.exists():
+        raise ValueError(f"--add: {file} does not exist; leave --add out.")
+    data: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    now = {"config": config.to_dict(), "versions": versions()["packages"]}
+    changed = [
+        f"{part}.{key}"
+        for part, values in now.items()
+        for key in sorted({*values, *data[part]})
+        if key != "seed" and values.get(key) != data[part].get(key)
+    ]
+    if changed:
+        raise ValueError(
+            f"--add: {', '.join(changed)} changed since {file}; train all seeds again."
+        )
+    if known := sorted({run["seed"] for run in data["runs"]} & {*seeds}):
+        raise ValueError(f"--seeds: {file} has those of {known} already; leave them or --add out.")
+    return data
 
 
 def draw(
@@ -202,21 +249,23 @@ def draw(
     plot_recordings(out / f"{config.name}_trajectories.png", shown, title)
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Command line."""
     parser = argument_parser("training", __doc__, ".")
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument("--config", type=Path, help="experiment file")
     task.add_argument("--film", type=Path, help="only NAME.gif of an experiment file")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    parser.add_argument("--gif", action="store_true", help="film the first seed and joint PD")
+    first = parser.add_mutually_exclusive_group()
+    first.add_argument("--add", action="store_true", help="add the seeds to the stored results")
+    first.add_argument("--gif", action="store_true", help="film the first seed and joint PD")
     parser.add_argument(
         "--jobs", type=count, default=1, help="seeds that are trained, and judged, side by side"
     )
     parser.add_argument("--steps", type=count, help="replaces the experiment's total_steps")
     parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
     parser.add_argument("--ship", action="store_true", help="keep the policies in agents/policies")
-    a = parser.parse_args()
+    a = parser.parse_args(arguments)
     try:
         config = with_overrides(load_config(a.film or a.config), None, a.steps)
     except ConfigError as error:
@@ -224,12 +273,22 @@ def main() -> None:
     if a.film:
         film_shipped(config, a.out)
         return
+    try:
+        stored = extended(config, a.seeds, a.out) if a.add else None
+    except ValueError as error:
+        parser.error(one_line(error))
     with tempfile.TemporaryDirectory() as temporary:
         work = a.keep or Path(temporary)
         # a process per seed: what a training leaves behind would fill the memory of the next
         with workers(a.jobs, tasks_each=1) as pool:
-            runs = list(pool.map(partial(run_seed, config, work), a.seeds))
-            benchmark(config, dict(zip(a.seeds, runs, strict=True)), a.out, a.gif, pool)
+            runs = pool.map(partial(run_seed, config, work), a.seeds)
+            trained = dict(zip(a.seeds, runs, strict=True))
+            if stored is None:
+                benchmark(config, trained, a.out, a.gif, pool)
+            else:
+                add(config, trained, stored, a.out, pool)
+        summarise_experiments(a.out, config.name)
+        print((a.out / f"{config.name}.md").read_text(encoding="utf-8"))
         track = track_of(config.agent.name, config.env.id, config.env.kwargs)
         if a.ship and track is not None:
             for seed in a.seeds:

@@ -1,10 +1,10 @@
 """Policies distilled from classical controllers, beside their experts in the same episodes.
 
-    python -m benchmarks.training.distilled [--seeds 0 1 2] [--only NAME ...] [--keep FOLDER]
+    python -m benchmarks.training.distilled [--only NAME ...]
 
-Takes every shipped experiment with `learned: distilled` and every one with a warm start from such
-an experiment, or those that are named; the others stay as they are stored. Writes
-docs/results/distilled.json and distilled.md.
+Takes the shipped policies of every experiment with `learned: distilled` and of every one with a
+warm start from such an experiment, or those that are named; the others stay as they are stored.
+Writes docs/results/distilled.json and distilled.md.
 """
 
 import json
@@ -25,13 +25,14 @@ from agents.export.c_header import header
 from agents.export.signals import signals_of
 from agents.hybrid.informed import expert, is_told
 from agents.leaderboard.decisions import decision_times
+from agents.leaderboard.shipped import named_policy, shipped_policies
 from agents.learners.algorithms import DISTILLED
 from agents.metrics import episode_metrics, make_batch, record
-from agents.policy import Controller, Policy, load_policy
+from agents.policy import Controller, Policy
 from agents.sentences import one_line
 from agents.training import base_description
 from benchmarks.output import argument_parser, provenance, save_results, table
-from benchmarks.training.runs import run_seed
+from benchmarks.training.experiments import stored_minutes
 from dynamics.description import validate
 from dynamics.types import AnyArray
 
@@ -107,11 +108,12 @@ def stored_rows(path: Path, only: Sequence[str] | None) -> dict[str, dict[str, A
     return kept
 
 
-def row(config: Config, base: BaseConfig, seeds: Sequence[int], work: Path) -> dict[str, Any]:
+def row(config: Config, base: BaseConfig) -> dict[str, Any]:
     """Scores, training times and times of decisions of an experiment beside its expert."""
-    trained = [run_seed(config, work / config.name, seed) for seed in seeds]
-    policies = [load_policy(run.policy) for run, _ in trained]
-    warm = [load_policy(run.untrained) for run, _ in trained if config.agent.warm_start]
+    policies, minutes = shipped_policies(config), stored_minutes(config.name)
+    seeds = [policy.about["seed"] for policy in policies]
+    begun = config.agent.warm_start
+    warm = [named_policy(begun, seed) for seed in seeds] if begun else []
     env_id, kwargs = config.env.id, config.env.kwargs
     parameters = base_description(base, config.env)["parameters"]
     envs, single = (make_batch(env_id, n, kwargs) for n in (EPISODES, 1))
@@ -123,12 +125,12 @@ def row(config: Config, base: BaseConfig, seeds: Sequence[int], work: Path) -> d
             "name": config.name,
             "env": titled(env_id, kwargs),
             "expert": base.controller + ", told" * is_told(base.controller, envs),
-            "seeds": list(seeds),
+            "seeds": seeds,
             "expert_score": float(theirs.mean()),
             "scores": ours.mean(axis=1).tolist(),
             "gain": gain(ours, theirs),
             "gain_on_start": gain(ours, starts) if warm else None,
-            "seconds": [seconds for _, seconds in trained],
+            "seconds": [60.0 * minutes[seed] for seed in seeds],
             "expert_us": 1e3 * float(np.median(decision_times(alone, single, FIRST))),
             "policy_us": 1e3 * float(np.median(decision_times(policies[0], single, FIRST))),
             "c_us": in_c(policies[0], env_id, single.unwrapped.core),
@@ -207,17 +209,13 @@ where other work kept the machine busy.
 def main() -> None:
     """Command line."""
     parser = argument_parser("training.distilled", __doc__, "distilled.json")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--only", nargs="+", metavar="NAME", help="experiments to measure")
-    parser.add_argument("--keep", type=Path, help="folder of the runs, which go on from there")
     a = parser.parse_args()
     try:
         kept = stored_rows(a.out, a.only)
     except ValueError as error:
         parser.error(one_line(error))
-    with tempfile.TemporaryDirectory() as temporary:
-        work = a.keep or Path(temporary)
-        rows = [kept.get(c.name) or row(c, base, a.seeds, work) for c, base in distilled()]
+    rows = [kept.get(config.name) or row(config, base) for config, base in distilled()]
     results = {"rows": rows, "provenance": provenance("flexarm", "torch", "stable_baselines3")}
     save_results(results, page(results), a.out)
 

@@ -6,15 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agents.leaderboard.shipped import shipped_policies
 from benchmarks.output import RESULTS
 from benchmarks.training.distilled import distilled, gain, page, stored_rows
+from benchmarks.training.experiments import stored_minutes
 
 
 def test_the_stored_page_is_that_of_the_stored_results() -> None:
     """If not: python -m benchmarks.training.distilled"""
     results = json.loads((RESULTS / "distilled.json").read_text(encoding="utf-8"))
     assert (RESULTS / "distilled.md").read_text(encoding="utf-8") == page(results)
-    assert [row["name"] for row in results["rows"]] == [config.name for config, _ in distilled()]
+    seeds = {row["name"]: row["seeds"] for row in results["rows"]}
+    shipped = {c.name: [p.about["seed"] for p in shipped_policies(c)] for c, _ in distilled()}
+    assert seeds == shipped
+    assert {name: list(stored_minutes(name)) for name in seeds} == shipped
 
 
 def test_a_gain_in_the_same_episodes_is_without_what_makes_them_hard() -> None:

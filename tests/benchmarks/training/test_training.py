@@ -1,5 +1,6 @@
 """Film of a shipped policy, and runs that are kept."""
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -8,10 +9,11 @@ from typing import Any
 import pytest
 
 from agents.config import load_config
+from agents.controllers.pd import TunedPD
 from agents.figures import Film
 from agents.metrics import episode_metrics, make_batch
 from benchmarks.output import RESULTS
-from benchmarks.training.__main__ import faster_pd, film_shipped, verdict
+from benchmarks.training.__main__ import faster_pd, film_shipped, main, verdict
 from benchmarks.training.runs import run_seed
 from tests.agents.tiny import ENV_ID, write_config
 from tests.paths import ROOT
@@ -63,6 +65,34 @@ def test_a_kept_run_is_not_trained_again(tmp_path: Path) -> None:
     assert (run.rows(), run.policy.joinpath("weights.npz").read_bytes()) == before
     with pytest.raises(SystemExit, match="seed3 holds a run of another experiment"):
         run_seed(replace(config, total_steps=512), tmp_path, 3)
+
+
+@pytest.mark.slow
+def test_seeds_that_are_added_are_those_of_a_command_with_all_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those that cannot be added are refused before anything is trained."""
+    tuned = TunedPD(frequency_ratio=0.1, damping_ratio=0.7, table=())
+    monkeypatch.setattr("benchmarks.training.__main__.tune_pd", lambda *_: tuned)
+    config, once, twice = write_config(tmp_path, "ppo", 256), tmp_path / "once", tmp_path / "twice"
+    keep = ["--keep", str(tmp_path / "kept")]
+
+    def train(out: Path, *options: str) -> dict[str, Any]:
+        main([*keep, "--config", str(config), "--out", str(out), *options])
+        found: dict[str, Any] = json.loads((out / f"{config.stem}.json").read_text("utf-8"))
+        return found
+
+    with pytest.raises(SystemExit):
+        train(twice, "--seeds", "0", "--add")
+    assert not any((tmp_path / "kept").iterdir())
+    together = train(once, "--seeds", "0", "1")
+    train(twice, "--seeds", "0")
+    added = train(twice, "--seeds", "1", "--add")
+    assert len(added["runs"]) == 2
+    assert added | {"command": ""} == together | {"command": ""}
+    for refused in (("--seeds", "1"), ("--seeds", "2", "--steps", "512")):
+        with pytest.raises(SystemExit):
+            train(twice, *refused, "--add")
 
 
 def test_a_faster_joint_pd_has_episodes_as_long_as_the_experiments(
