@@ -71,7 +71,7 @@ def test_a_kept_run_is_not_trained_again(tmp_path: Path) -> None:
 def test_seeds_that_are_added_are_those_of_a_command_with_all_of_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those that cannot be added are refused before anything is trained."""
+    """Before anything is trained, seeds that cannot be added are refused."""
     tuned = TunedPD(frequency_ratio=0.1, damping_ratio=0.7, table=())
     monkeypatch.setattr("benchmarks.training.__main__.tune_pd", lambda *_: tuned)
     config, once, twice = write_config(tmp_path, "ppo", 256), tmp_path / "once", tmp_path / "twice"
