@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.comparison import beginning, titled
-from agents.config import Config, ConfigError, load_config
+from agents.config import Config, ConfigError, config_from_dict, load_config
 from agents.controllers import joint_pd, tune_pd
 from agents.controllers.pd import TunedPD
 from agents.figures import film, plot_recordings, write_gif
@@ -223,12 +223,14 @@ def extended(config: Config, seeds: Sequence[int], out: Path) -> dict[str, Any]:
     if not file.exists():
         raise ValueError(f"--add: {file} does not exist; leave --add out.")
     data: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    before = config_from_dict(data["config"], name=config.name).to_dict()  # with today's defaults
+    then = {"config": before, "versions": data["versions"]}
     now = {"config": config.to_dict(), "versions": versions()["packages"]}
     changed = [
         f"{part}.{key}"
         for part, values in now.items()
-        for key in sorted({*values, *data[part]})
-        if key != "seed" and values.get(key) != data[part].get(key)
+        for key in sorted({*values, *then[part]})
+        if key != "seed" and values.get(key) != then[part].get(key)
     ]
     if changed:
         raise ValueError(

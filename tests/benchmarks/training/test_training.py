@@ -71,7 +71,10 @@ def test_a_kept_run_is_not_trained_again(tmp_path: Path) -> None:
 def test_seeds_that_are_added_are_those_of_a_command_with_all_of_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before anything is trained, seeds that cannot be added are refused."""
+    """Before anything is trained, seeds that cannot be added are refused.
+
+    A stored setting that was left out before it existed had its default.
+    """
     tuned = TunedPD(frequency_ratio=0.1, damping_ratio=0.7, table=())
     monkeypatch.setattr("benchmarks.training.__main__.tune_pd", lambda *_: tuned)
     config, once, twice = write_config(tmp_path, "ppo", 256), tmp_path / "once", tmp_path / "twice"
@@ -86,10 +89,13 @@ def test_seeds_that_are_added_are_those_of_a_command_with_all_of_them(
         train(twice, "--seeds", "0", "--add")
     assert not any((tmp_path / "kept").iterdir())
     together = train(once, "--seeds", "0", "1")
-    train(twice, "--seeds", "0")
+    first = train(twice, "--seeds", "0")
+    del first["config"]["env"]["privileged"]
+    (twice / f"{config.stem}.json").write_text(json.dumps(first))
     added = train(twice, "--seeds", "1", "--add")
     assert len(added["runs"]) == 2
-    assert added | {"command": ""} == together | {"command": ""}
+    own = {"command": "", "config": {}}
+    assert added | own == together | own
     for refused in (("--seeds", "1"), ("--seeds", "2", "--steps", "512")):
         with pytest.raises(SystemExit):
             train(twice, *refused, "--add")
