@@ -60,6 +60,7 @@ QUICK = {
     "dynamics/tracing/test_differentiated.py",
     "dynamics/tracing/test_measure.py",
     "dynamics/tracing/test_recorded_steps.py",
+    "dynamics/tracing/test_singular.py",
     "dynamics/tracing/test_statements.py",
     "flexarm_env/hardware/test_actuators.py",
     "flexarm_env/task/test_events.py",

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.description.deflection import curvature
-from dynamics.description.validate import double_precision
+from dynamics.description.validate import shown
 from dynamics.formulations.algebra import Scalar, add, combine, matmul, matvec, transpose
 from dynamics.formulations.articulated_body import Implicit
 from dynamics.formulations.free_base import (
@@ -30,9 +30,12 @@ from dynamics.formulations.free_base import (
 )
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.formulations.kinematics import Chain, outward, poses
+from dynamics.formulations.linearized import inertia
 from dynamics.formulations.link_constants import parts
 from dynamics.formulations.table import Recursion
 from dynamics.tracing.traced_arm import TracedArm
+
+SINGULAR = 1e-9  # [-] eigenvalue of a mass matrix with a diagonal of ones, that counts as zero
 
 
 class _State(NamedTuple):
@@ -195,8 +198,11 @@ def accelerations(traced: TracedArm, implicit: bool = False) -> Any:
     A free base has its position and rotation vector in a frame that does not move, so that its
     rates are derivatives. Gravity in that frame comes last in the parameters: see free_base.py.
     """
-    with double_precision("The arm's accelerations"):
-        return _accelerations(traced, implicit)
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            return _accelerations(traced, implicit)
+    except ArithmeticError:
+        raise _not_finite(traced) from None
 
 
 def _accelerations(traced: TracedArm, implicit: bool) -> Any:
@@ -277,10 +283,24 @@ def check_rest(traced: TracedArm) -> None:
     parameters = [*traced.nominal_parameters, *traced.n_gravity * [0.0]]
     rest = np.array(accelerations(traced)(0.0, 0.0, 0.0, parameters, []))
     if not np.isfinite(rest).all():
-        raise ValueError(
-            "The arm's accelerations at rest are not finite: its lengths, masses and stiffnesses "
-            "are too far apart for double precision."
-        )
+        raise _not_finite(traced)
+
+
+def _not_finite(traced: TracedArm) -> ValueError:
+    """Refusal of an arm without finite accelerations, with coordinates that move no mass."""
+    M = inertia(traced.chain, np.zeros(traced.n))
+    size = np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
+    values, motions = np.linalg.eigh(M / np.outer(size, size))
+    share = np.abs(motions[:, values < SINGULAR]).max(axis=1, initial=0.0)
+    idle = [name for name, x in zip(traced.arm.names, share, strict=True) if x > SINGULAR]
+    apart = "lengths, masses and stiffnesses are too far apart for double precision."
+    if not idle:
+        return ValueError(f"The arm's accelerations at rest are not finite: its {apart}")
+    return ValueError(
+        f"The arm's mass matrix is singular at rest: {shown(idle)} can move without moving mass. "
+        "Give the links between these joints mass off the axes or inertia (Link.body, "
+        f"Joint.hub_inertia), or the joints a Joint.rotor_inertia. If they have these, {apart}"
+    )
 
 
 def with_parameters(traced: TracedArm, p: Any) -> Chain:
