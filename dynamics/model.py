@@ -56,7 +56,10 @@ def compile_arm(
     validate.known(dtype, "dtype", LANES_OF)
     names = validate.sequence(free_parameters, "free_parameters")
     free = [validate.known(name, "free parameter", FREE_PARAMETERS) for name in names]
-    return Model(load_arm(arm), tuple(dict.fromkeys(free)), dtype, formulation)
+    model = Model(load_arm(arm), tuple(dict.fromkeys(free)), dtype, formulation)
+    for parameter in map(FREE_PARAMETERS.__getitem__, free):
+        parameter.apply(model.chain, parameter.nominal)  # refuses one that the arm does not have
+    return model
 
 
 class Model:

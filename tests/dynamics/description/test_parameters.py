@@ -91,3 +91,14 @@ def test_nominal_values_change_nothing() -> None:
     assert with_parameters(ARM, nominal) == ARM
     bare = replace(ARM, payload=None)
     assert with_parameters(bare, {"payload_mass": 0.2}).payload == Payload(mass=0.2)
+
+
+@pytest.mark.parametrize("name", FREE_PARAMETERS)
+def test_a_free_parameter_is_one_that_the_arm_has(name: str) -> None:
+    """Friction of a joint that the arm has not is refused when the arm is compiled."""
+    joint = int(name.rsplit("_", 1)[1]) if name[-1].isdigit() else 1
+    if joint <= ARM.n_joint:
+        assert compile_arm(ARM, free_parameters=[name]).free_parameters == (name,)
+        return
+    with pytest.raises(ValueError, match=f"{name} is of no joint: this arm has 3 joints"):
+        compile_arm(ARM, free_parameters=[name])
