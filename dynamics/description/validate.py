@@ -155,6 +155,7 @@ def array(
     value: object, name: str, shape: tuple[int | None, ...], most: float = sys.float_info.max
 ) -> np.ndarray:
     """Return a copy as a float64 array of finite numbers; None in `shape` allows any length."""
+    unmasked(value, name)
     try:
         given = np.asarray(value)
         result = np.array(given, dtype=np.float64) if given.dtype.kind in "iufO" else None
@@ -170,6 +171,15 @@ def array(
         size = f" of at most {most:g} in size" if most < sys.float_info.max else ""
         raise ValueError(f"{name} must hold finite numbers{size}, got {shown(value)}.")
     return result
+
+
+def unmasked(value: object, name: str) -> None:
+    """Refuse a masked array with masked entries, whose hidden numbers would be used."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
+        raise ValueError(
+            f"{name} must have no masked entries, got {int(np.ma.count_masked(value))} of "
+            f"{value.size}; fill them, as with filled(nan), or leave them out."
+        )
 
 
 def finite(values: np.ndarray, name: str) -> np.ndarray:

@@ -32,6 +32,7 @@ class Log:
         if np.any(np.diff(self.time) <= 0.0):
             raise ValueError("Log.time must increase from sample to sample.")
         for name in ("command", "encoder", "gauge"):
+            validate.unmasked(getattr(self, name), f"Log.{name}")
             shape = np.shape(getattr(self, name))
             if len(shape) != 2 or len(self.time) != shape[0]:
                 raise ValueError(

@@ -25,6 +25,7 @@ Signal = Callable[[float], Array]  # a torque signal whose values are validated
 
 REFERENCES = {"dop853": DOP853, "radau": Radau, "bdf": BDF}
 RTOL = 1e-10  # default of the methods with error control
+FINEST = 3e-14  # the smallest that SciPy's methods take
 STEP_TIMES_RATE = 0.1  # default dt of a fixed-step method times the fastest rate of the arm
 MOST_STEPS = 1e9  # of a fixed-step method: hours
 TRY_RADAU = 100_000  # evaluations of DOP853 (a few seconds) above which "auto" tries Radau's method
@@ -62,7 +63,7 @@ def simulate(
         fixed-step method of INTEGRATORS, each step of which takes the torque at its midpoint. At
         equal tolerance BDF's error is at least ten times the others'.
     dt : [s] largest step of a fixed-step method; default 0.1 over the fastest frequency or decay.
-    rtol : relative tolerance of error control; default 1e-10.
+    rtol : relative tolerance of error control, 3e-14 to below 1; default 1e-10.
 
     Warns
     -----
@@ -89,7 +90,9 @@ def simulate(
             raise ValueError(
                 f"dt ({validate.shown(dt)} s) is for fixed-step methods; give {integrator} an rtol."
             )
-        accuracy = RTOL if rtol is None else validate.positive(rtol, "rtol", "-")
+        accuracy = RTOL if rtol is None else validate.number(rtol, "rtol", "-")
+        if not FINEST <= accuracy < 1.0:
+            raise ValueError(f"rtol must be at least {FINEST:g} and below 1, got {accuracy!r}.")
         motion = _ErrorControlled(model, start, signal, jumps, grid, accuracy)
         integrator = motion.cheapest() if integrator == "auto" else integrator
         states = motion.solve(integrator)

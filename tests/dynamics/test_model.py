@@ -381,6 +381,7 @@ def test_an_invalid_argument_is_refused_with_its_name_and_shape() -> None:
         (lambda: model.frequencies(q, joints="loose"), "joints must be .* got 'loose'"),
         (lambda: simulate(model, q, q, None, []), "times must be at least one number"),
         (lambda: simulate(model, q, q, None, [0.0, 1.0, 1.0]), "times must .* strictly increasing"),
+        (lambda: model.bias(q, np.ma.array(q, mask=[0, 1, 0])), "v must have no masked .* 1 of 3"),
         (lambda: simulate(model, q + 1e30, q, None, [0.0, 1.0]), r"q\[0\] must be .* got 1e\+30"),
         (lambda: simulate(model, q, q - 1e9, None, [0.0, 1.0]), r"v\[0\] must be .* got -1e\+09"),
     ):

@@ -30,6 +30,15 @@ def csv_file(folder: Path, lines: list[str], header: str = HEADER) -> Path:
     return path
 
 
+def test_masked_readings_are_refused_in_place_of_what_they_hide() -> None:
+    time, hidden = np.arange(12.0), np.ma.masked_greater(np.ones((12, 1)) * 7.0, 5.0)
+    columns = {"command": np.zeros((12, 1)), "encoder": np.zeros((12, 1)), "gauge": hidden}
+    with pytest.raises(ValueError, match=r"Log.gauge must have no masked entries, got 12 of 12"):
+        Log(time, **columns)
+    with pytest.raises(ValueError, match=r"Log.time must have no masked entries, got 1 of 12"):
+        Log(np.ma.masked_equal(time, 3.0), **columns | {"gauge": hidden.filled(np.nan)})
+
+
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_columns_are_found_by_name_and_given_in_si_units(tmp_path: Path, separator: str) -> None:
     path = csv_file(tmp_path, [row.replace(",", separator) for row in rows()],
