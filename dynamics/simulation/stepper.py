@@ -36,6 +36,8 @@ class Stepper:
     integrator : a name in `dynamics.integrators.table.INTEGRATORS`.
     threads : greatest number of worker threads; a batch with too little work uses fewer.
 
+    All but `dt` and `substeps` are fixed from then on.
+
     Attributes
     ----------
     q, v : (n_env, n) coordinates and their rates; [rad], [m].
@@ -58,10 +60,10 @@ class Stepper:
     ) -> None:
         validate.instance(model, "model", Model)
         validate.known(integrator, "integrator", INTEGRATORS)
-        self.n_env = validate.integer(n_env, "n_env", 1, MOST_ENVIRONMENTS)
+        self._n_env = validate.integer(n_env, "n_env", 1, MOST_ENVIRONMENTS)
         self.substeps, self.dt = substeps, dt
         threads = validate.integer(threads, "threads", 1, MOST_THREADS)
-        self.model, self.integrator = model, integrator
+        self._model, self._integrator = model, integrator
         self._q, self._v = np.zeros((self.n_env, model.n)), np.zeros((self.n_env, model.n))
         self._torque = np.zeros((self.n_env, model.n_torque))
         self._parameters = np.tile(model.nominal_parameters, (self.n_env, 1))
@@ -70,7 +72,7 @@ class Stepper:
         self._program = model.program(1 if self.n_env == 1 else model.lanes, integrator)
         evaluations = INTEGRATORS[integrator].evaluations(self.substeps)
         operations = self.n_env * evaluations * int(self._program.OPERATIONS)
-        self.threads = useful_threads(threads, -(-self.n_env // model.lanes), operations)
+        self._threads = useful_threads(threads, -(-self.n_env // model.lanes), operations)
         self._shares = shares(self.n_env, model.lanes, self.threads)
         self._rows = self._shares.copy()
         self._w = [model.workspace(self._program) for _ in range(self.threads)]
@@ -95,7 +97,11 @@ class Stepper:
     def substeps(self, value: int) -> None:
         self._substeps = validate.integer(value, "substeps", 1, MOST_SUBSTEPS)
 
-    # read-only properties: compiled code relies on the shapes and types of these arrays
+    # read-only properties: compiled code relies on them, and on the shapes and types of the arrays
+    model = property(lambda self: self._model)
+    n_env = property(lambda self: self._n_env)
+    integrator = property(lambda self: self._integrator)
+    threads = property(lambda self: self._threads)
     q = property(lambda self: self._q)
     v = property(lambda self: self._v)
     torque = property(lambda self: self._torque)

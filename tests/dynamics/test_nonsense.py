@@ -187,11 +187,23 @@ def test_a_motion_that_neither_trial_can_begin_has_diverged() -> None:
     assert not still.q.any()
 
 
+@pytest.mark.parametrize("rtol", [10.0, 1.0, 0.0, -1.0, 1e-15])
+def test_a_relative_tolerance_that_controls_no_error_is_refused(rtol: float) -> None:
+    with pytest.raises(ValueError, match=f"rtol must be at least 3e-14 and below 1, got {rtol!r}"):
+        motion(None, rtol=rtol)
+
+
 def test_the_arrays_of_a_stepper_cannot_be_replaced() -> None:
     """Compiled code would read beyond the end of a smaller array."""
     for name in ("q", "v", "torque", "parameters", "status", "measured"):
         with pytest.raises(AttributeError):
             setattr(STEPPER, name, np.zeros(1))
+
+
+@pytest.mark.parametrize("name", ["model", "n_env", "integrator", "threads"])
+def test_what_a_stepper_is_compiled_for_cannot_be_changed_without_effect(name: str) -> None:
+    with pytest.raises(AttributeError):
+        setattr(STEPPER, name, getattr(STEPPER, name))
 
 
 # ---- descriptions --------------------------------------------------------------------------------

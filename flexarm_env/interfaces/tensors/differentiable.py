@@ -39,6 +39,7 @@ class DifferentiableBatch:
         self._n, self._names = core.n_env, core.signals.info
         self._padded = batch.padded()
         self.detach()
+        self._close_copies()
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"_padded": self._padded.detach()}
@@ -46,6 +47,12 @@ class DifferentiableBatch:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self.detach()
+        self._close_copies()
+
+    def _close_copies(self) -> None:
+        """Make the core's states, which only follow those of the graph, read-only."""
+        for copied in (self._core.q, self._core.v, self._core.parameters):
+            copied.flags.writeable = False
 
     @property
     def state(self) -> torch.Tensor:

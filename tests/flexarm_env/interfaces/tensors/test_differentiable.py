@@ -332,3 +332,20 @@ def test_a_copy_of_a_differentiable_batch_has_gradients_from_its_present_state()
     assert torch.autograd.grad(totals[0], early)[0].any()
     with pytest.raises(RuntimeError, match="not have been used in the graph"):
         torch.autograd.grad(totals[1], early)
+
+
+def test_the_states_that_only_follow_the_graph_are_read_only() -> None:
+    """In a copy too; a plain batch, which steps them, takes what a program writes."""
+    envs = batch()
+    for own in (envs, pickle.loads(pickle.dumps(envs))):
+        own.reset(seed=0)
+        for array in (own.core.q, own.core.v, own.core.parameters):
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0.1
+        own.step(torch.zeros(N, 1))
+        np.testing.assert_array_equal(own.core.q.T, own.state[own.core.signals.state.slices["q"]]
+                                      .detach().numpy())  # fmt: skip
+    plain = TorchVecEnv(ENV_ID, N)
+    plain.reset(seed=0)
+    plain.core.q[...] = 0.1
+    assert (plain.state[plain.core.signals.state.slices["q"]] == 0.1).all()
