@@ -48,6 +48,16 @@ def read_mapping(path: Path) -> dict[str, Any]:
 def read_text(path: Path, most: int) -> str:
     """Read a regular file of UTF-8 text of at most `most` bytes; raises ValueError as above."""
     try:
+        return read_bytes(path, most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"must be UTF-8 text ({error.reason} at byte {error.start}); save it as UTF-8."
+        ) from None
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """Read a regular file of at most `most` bytes; raises ValueError as above."""
+    try:
         if not stat.S_ISREG(path.stat().st_mode):  # reading a pipe would block
             raise OSError("not a regular file")
         with open(path, "rb") as file:
@@ -58,10 +68,7 @@ def read_text(path: Path, most: int) -> str:
         raise ValueError(f"cannot read {shown(str(path))}: {error}.") from None
     if len(content) > most:
         raise ValueError(f"must have at most {most} bytes, got more.")
-    try:
-        return content.decode()
-    except UnicodeDecodeError as error:
-        raise ValueError(f"must be UTF-8 text ({error.reason} at byte {error.start}).") from None
+    return content
 
 
 def _integer(digits: str) -> float:

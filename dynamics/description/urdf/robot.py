@@ -6,6 +6,8 @@ A document type is refused, and with it every entity that a file defines. No oth
 meshes, geometry, materials, transmissions and the elements of simulators are not read.
 """
 
+import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +18,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from dynamics.description import validate
-from dynamics.description.data_file import read_text
+from dynamics.description.data_file import read_bytes
 from dynamics.description.link import Body, about_origin
 from dynamics.description.rotations import from_euler, rotation_matrix
 from dynamics.description.validate import shown
@@ -27,6 +29,7 @@ MOST_BYTES = 1_048_576
 TURNING = ("revolute", "continuous")
 TYPES = (*TURNING, "prismatic", "fixed", "floating", "planar")
 LIMITS = ("lower", "upper", "velocity", "effort")
+DECLARED = re.compile(rb"""(?:\xef\xbb\xbf)?<\?xml[^>]*\sencoding\s*=\s*["']([\w.-]+)["']""")
 
 
 class Pose(NamedTuple):
@@ -127,7 +130,7 @@ def read_robot(path: Path) -> Robot:
     ------
     ValueError : if the file cannot be read or is not a tree of links; one sentence with the reason.
     """
-    text = read_text(path, MOST_BYTES)
+    text = _decoded(read_bytes(path, MOST_BYTES))
     if "<!DOCTYPE" in text:
         raise ValueError(
             "must not contain a document type (<!DOCTYPE ...>), with which a file may define "
@@ -146,6 +149,23 @@ def read_robot(path: Path) -> Robot:
                 "xacro FILE > robot.urdf."
             )
     return _tree(top)
+
+
+def _decoded(content: bytes) -> str:
+    """Text of an XML file in the encoding that its byte order mark or its first line declares."""
+    declared = DECLARED.match(content)
+    encoding = declared[1].decode() if declared else "utf-8-sig"
+    if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        encoding = "utf-16"
+    try:
+        return content.decode(encoding)
+    except LookupError:
+        raise ValueError(f"declares the unknown encoding {encoding!r}; save it as UTF-8.") from None
+    except UnicodeError as error:
+        raise ValueError(
+            f"must be text in {encoding} ({error}); save it as UTF-8, or declare its encoding in "
+            '<?xml version="1.0" encoding="ISO-8859-1"?>.'
+        ) from None
 
 
 def together(bodies: list[Body]) -> Body:

@@ -24,7 +24,7 @@ BAD_FILES = {
     "arm.yaml: is not valid YAML": ("arm.yaml", b"links: ["),
     "'links'. stand twice": ("arm.json", b'{"links": [], "links": []}'),
     "'length'. stand twice": ("arm.yaml", b"links: [{length: 1.0, length: 2.0}]"),
-    "must be UTF-8": ("arm.json", b"\xff\xfe"),
+    "must be UTF-8 text .*; save it as UTF-8": ("arm.json", b"\xff\xfe"),
     "must hold a mapping": ("arm.json", b"[]"),
     "must end in .json": ("arm.toml", b""),
     "nested too deeply": ("arm.json", b"[" * 100_000),
@@ -57,3 +57,14 @@ def test_a_bad_file_is_refused_by_name(sentence: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=sentence) as caught:
         load_arm(tmp_path / name)
     assert str(caught.value).startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize("name", ["arm.json", "arm.yaml"])
+def test_a_byte_order_mark_changes_nothing(name: str, tmp_path: Path) -> None:
+    """As Windows writes it in front of a file."""
+    content = b'{"links": [{"length": 1.0, "rho_A": 2.0}]}'
+    arms = []
+    for mark in (b"", b"\xef\xbb\xbf"):
+        (tmp_path / name).write_bytes(mark + content)
+        arms.append(load_arm(tmp_path / name))
+    assert arms[0] == arms[1]

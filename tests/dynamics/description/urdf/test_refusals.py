@@ -2,13 +2,14 @@
 
 import builtins
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dynamics import load_arm
+from dynamics import Arm, UrdfWarning, load_arm
 from dynamics.description.urdf.arm_text import arm_text
 from dynamics.description.urdf.convert import convert
 from dynamics.description.urdf.robot import MOST_BYTES
@@ -23,6 +24,13 @@ from tests.dynamics.description.urdf.robots import (
     robot,
     written,
 )
+
+
+def arm_of(path: Path) -> Arm:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UrdfWarning)
+        return load_arm(path)
+
 
 BASE, END = link("base", ""), link("end", "")
 TIP = joint("rod", "end", type="fixed", xyz="0.8 0 0")
@@ -232,3 +240,41 @@ def test_no_name_of_a_file_becomes_a_line_of_the_written_one(tmp_path: Path) -> 
         path = tmp_path / "robot.yaml"
         path.write_text(text, encoding="utf-8")
         assert load_arm(path) == convert(named).arm
+
+
+@pytest.mark.parametrize(
+    ("declared", "encoding"),
+    [
+        ("ISO-8859-1", "latin-1"), ("windows-1252", "cp1252"), ("UTF-8", "utf-8-sig"),
+        ("UTF-16", "utf-16"), ("utf-16", "utf-16-be"), (None, "utf-8"), (None, "utf-8-sig"),
+    ],
+)  # fmt: skip
+def test_a_file_is_read_in_the_encoding_that_it_declares(
+    declared: str | None, encoding: str, tmp_path: Path
+) -> None:
+    text = one_rod().replace('name="rods"', 'name="Bügel"')
+    line = f'<?xml version="1.0" encoding="{declared}"?>\n' if declared else ""
+    mark = b"\xfe\xff" if encoding == "utf-16-be" else b""
+    path = tmp_path / "robot.urdf"
+    path.write_bytes(mark + (line + text).encode(encoding))
+    found, expected = arm_of(path), arm_of(written(tmp_path, text))
+    assert found.name == "Bügel"
+    assert found == expected
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("", "must be text in utf-8.* byte .*; save it as UTF-8, or declare its encoding in"),
+        ('<?xml version="1.0" encoding="UTF-8"?>', "must be text in UTF-8 .*; save it as UTF-8"),
+        ("<?xml version='1.0' encoding='klingon'?>", "declares the unknown encoding 'klingon'"),
+        ("<?xml version='1.0' encoding='zip'?>", "declares the unknown encoding 'zip'"),
+    ],
+)
+def test_a_file_in_another_encoding_than_it_declares_is_refused(
+    line: str, sentence: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_bytes((line + one_rod().replace('name="rods"', 'name="Bügel"')).encode("latin-1"))
+    with pytest.raises(ValueError, match=f"robot.urdf: {sentence}"):
+        load_arm(path)
