@@ -152,7 +152,19 @@ def _columns(
             f"holds no line with numbers in all of the columns {shown(names)}; name the columns by "
             "their titles, or by their numbers from 1."
         )
+    if not header:
+        _check_first(*rows[first])
     return places, len(header or early[first]), rows[first:]
+
+
+def _check_first(line: int, row: list[str]) -> None:
+    """Refuse a first sample that counts the columns from 0 or 1, as a header may."""
+    cells = _trimmed(row)
+    if any(cells == [str(k + first) for k in range(len(cells))] for first in (0, 1)):
+        raise ValueError(
+            f"line {line} holds {shown(row)}, which are numbers of columns or the first sample; "
+            "remove the line, or give the titles of all columns if it is a sample."
+        )
 
 
 def _places(names: list[str], header: list[str]) -> list[int]:

@@ -89,6 +89,21 @@ def test_columns_without_a_header_are_named_by_number_or_by_the_user(tmp_path: P
         time="t", command=("2",), encoder=("angle",), gauge=("4",))))  # fmt: skip
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_first_line_that_counts_the_columns_is_not_taken_as_a_sample(
+    first: int, tmp_path: Path
+) -> None:
+    """A log that starts later than 1 s would else have one sample too many."""
+    later = [f"{5.0 + 0.005 * k:.3f};{-0.5 * k};{k + 0.25};{1e-6 * k:.1e}" for k in K]
+    header = ";".join(str(k + first) for k in range(4))
+    with pytest.raises(ValueError, match=r"log.csv: line 1 holds .*; remove the line, or give"):
+        read_log(written(tmp_path, [header, *later]), NUMBERED)
+    titled = read_log(written(tmp_path, [header, *later]), replace(COLUMNS, titles=TITLES))
+    assert titled.time.size == K.size + 1
+    at_rest = ["0;0;0;0", *later]
+    assert read_log(written(tmp_path, at_rest), NUMBERED).time.size == K.size + 1
+
+
 def test_empty_cells_are_the_gaps_of_a_slower_channel(tmp_path: Path) -> None:
     """Half of the encoder's and all but one of the command's samples, which holds."""
     rows = []
