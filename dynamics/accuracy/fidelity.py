@@ -164,11 +164,14 @@ def _possible(arm: Arm, i: int, bending: int, torsion: int) -> Counts:
 def lumped(arm: Arm, counts: tuple[Counts, ...]) -> tuple[Counts, ...]:
     """Mode counts per link as far as lumped links can have them.
 
-    A tip without inertia about the axis of bending has one mode there, under a tip force.
+    A tip without inertia about the axis of bending has one mode there, under a tip force. A damping
+    ratio is that of the link without its payload.
     """
     result = []
     for row, link, payload in zip(counts, arm.links, arm.carried, strict=True):
-        inertia = np.diag(link.tip_inertia) + (np.diag(about_origin(payload)) if payload else 0.0)
+        inertia = np.diag(link.tip_inertia)
+        if payload and not link.damping_ratio:
+            inertia = inertia + np.diag(about_origin(payload))
         most = (1 + (inertia[2] > 0.0), 1 + (inertia[1] > 0.0), 1, 1)
         result.append(tuple(map(min, row, most)))
     return tuple(result)

@@ -298,6 +298,15 @@ class Link:
                     f"Link.modes of a lumped link may hold {most} along {direction!r}, got "
                     f"{count}: the tip body moves in no more; leave out modes or lumped."
                 )
+        for direction, axis in (("y", 2), ("z", 1)):
+            two = len(self.in_direction(direction)) > 1
+            if self.damping_ratio and two and not self.tip_inertia[axis][axis]:
+                raise ValueError(
+                    f"Link.damping_ratio ({self.damping_ratio!r}) of a lumped link with two modes "
+                    f"along {direction!r} needs Link.tip_inertia[{axis}][{axis}], got 0.0: without "
+                    "it the link alone has one natural mode there. Give inertia, one mode, or "
+                    "damping_beta."
+                )
 
     @property
     def beam(self) -> Beam:

@@ -3,8 +3,8 @@
 A damping ratio is that of every natural mode of the link alone, clamped at its joint, with its tip
 body and without a payload. Listed beam shapes and powers have it each for itself
 (link_constants.py), which is the same for shapes that are natural modes. Hierarchical and
-unconstrained shapes, more than one polynomial of torsion or stretching, and segments get it from
-the natural modes phi that the link has in its own coordinates, with phi' M phi = 1:
+unconstrained shapes, more than one polynomial of torsion or stretching, lumped links and segments
+get it from the natural modes phi that the link has in its own coordinates, with phi' M phi = 1:
 
     C = sum 2 zeta omega (M phi)(M phi)'
 
@@ -97,7 +97,8 @@ def yields(link: Link, direction: str) -> bool:
 def _as_a_whole(link: Link) -> bool:
     """True if the ratio of a link in one piece is that of its natural modes, not of its shapes."""
     kinds = [mode.kind for mode in link.modes]
-    return bool(WHOLE.intersection(kinds)) or any(kinds.count(kind) > 1 for kind in SERIES)
+    several = any(kinds.count(kind) > 1 for kind in SERIES)
+    return link.lumped or several or bool(WHOLE.intersection(kinds))
 
 
 def _matrix(link: Link) -> tuple[tuple[float, ...], ...]:

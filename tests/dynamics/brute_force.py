@@ -204,7 +204,7 @@ def _damping_of_the_whole(link: Link, viscous: bool = False) -> Array | None:
     """
     kinds = [mode.kind for mode in link.modes]
     several = any(kinds.count(kind) > 1 for kind in ("torsion-poly", "axial-poly"))
-    whole = link.segments > 1 or several or WHOLE & {*kinds}
+    whole = link.segments > 1 or link.lumped or several or WHOLE & {*kinds}
     if not (link.damping_ratio and link.modes and whole):
         return None
     joint = replace(link.joint, parallel=False)

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from dynamics import Arm, Link, Mode, Model
+from dynamics.formulations.linearized import damping, inertia, stiffness
 from dynamics.formulations.link_constants import link_constants
 
 
@@ -44,6 +45,43 @@ def test_a_straight_lumped_link_keeps_its_inertia() -> None:
     assert_allclose(rigid[0], rigid[1], rtol=1e-14)
     assert np.count_nonzero(c.s) == np.count_nonzero(c.epsilon) == 0
     assert c.tip_mass - 0.3 == pytest.approx(0.9 * 0.7 / 4.0)
+
+
+@pytest.mark.parametrize("kind", ["clamped-free", "clamped-tip-mass", "poly", "hierarchical"])
+@pytest.mark.parametrize("segments", [1, 3])
+def test_every_natural_mode_of_a_lumped_link_has_the_damping_ratio(
+    kind: str, segments: int
+) -> None:
+    """The eight slowest, by the roots of the damped link: fewer than six along a direction."""
+    modes = tuple(
+        Mode(kind=kind, index=k, direction=direction) for direction in "yz" for k in (1, 2)
+    )
+    link = Link(
+        length=0.7, rho_A=0.9, EIz=6.0, EIy=9.0, tip_mass=0.3, tip_inertia=np.diag((0, 1e-3, 2e-3)),  # type: ignore[arg-type]
+        modes=modes, segments=segments, lumped=True, damping_ratio=0.02,
+    )  # fmt: skip
+    model = Model(Arm(links=(link,)))
+    M, K, C = (
+        f(model.chain, *given)[1:, 1:]
+        for f, given in ((inertia, (np.zeros(model.n),)), (stiffness, ()), (damping, ()))
+    )
+    zero, one = np.zeros_like(M), np.eye(len(M))
+    rates = np.block([[zero, one], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
+    roots = np.linalg.eigvals(rates)
+    roots = sorted(roots[roots.imag > 0.0], key=abs)[:8]
+    ratios = [-root.real / abs(root) for root in roots]
+    assert_allclose(ratios, 0.02, rtol=1e-9)
+    assert_allclose(np.abs(roots), model.frequencies()[: len(roots)], rtol=1e-9)
+
+
+@pytest.mark.parametrize("segments", [1, 2])
+def test_a_damping_ratio_of_a_mode_without_mass_is_refused(segments: int) -> None:
+    """What lies beyond another joint gives the second mode mass in the arm, but not alone."""
+    modes = tuple(Mode(kind="clamped-free", index=k, direction="z") for k in (1, 2))
+    given = {"length": 0.7, "rho_A": 0.9, "EIy": 6.0, "modes": modes, "segments": segments}
+    with pytest.raises(ValueError, match=r"damping_ratio \(0.01\) .* along 'z' needs .*\[1\]\[1\]"):
+        Link(**given, lumped=True, damping_ratio=0.01)
+    assert Link(**given, lumped=True, damping_beta=0.01).lumped
 
 
 @pytest.mark.parametrize(
