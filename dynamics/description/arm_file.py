@@ -73,9 +73,7 @@ def _link(data: object, where: str) -> Link:
     silent = "modes" not in values
     if silent:
         values["modes"] = []
-    elif isinstance(values["modes"], str):
-        pass  # "auto"; the link refuses any other text
-    else:
+    elif not isinstance(mode_rule.listed(values["modes"], f"{where}: Link.modes"), str):
         modes = validate.sequence(values["modes"], f"{where}.modes", MOST_MODES)
         values["modes"] = [_build(Mode, m, f"{where}.modes[{j}]") for j, m in enumerate(modes)]
     link: Link = _build(Link, values, where)

@@ -1,6 +1,7 @@
 """Read untrusted JSON and YAML files as plain data, within size limits."""
 
 import json
+import re
 import stat
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ from dynamics.description.validate import shown, unique
 
 MOST_BYTES = {".json": 16_777_216, ".yaml": 1_048_576, ".yml": 1_048_576}
 _MERGE = "tag:yaml.org,2002:merge"
+_NUMBERS = {f"tag:yaml.org,2002:{kind}" for kind in ("int", "float")}
+_ODD = re.compile(r"[-+]?0[0-9_]+$|.*:")  # octal numbers, and sexagesimal ones such as 1:30
 MOST_NODES = 50_000  # values of a YAML file with aliases expanded
 
 
@@ -105,7 +108,7 @@ class _Loader(yaml.SafeLoader):
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         """Build a value; raise ValueError with its place for one that its tag cannot read."""
         try:
-            return super().construct_object(node, deep)
+            value = super().construct_object(node, deep)
         except (ArithmeticError, AttributeError, LookupError, ValueError):  # from PyYAML
             if not isinstance(node, yaml.ScalarNode):
                 raise
@@ -114,6 +117,13 @@ class _Loader(yaml.SafeLoader):
                 f"holds a value that cannot be read: {shown(node.value)} at line {mark.line + 1}, "
                 f"column {mark.column + 1}."
             ) from None
+        if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and _ODD.match(node.value):
+            mark = node.start_mark
+            raise ValueError(
+                f"holds {node.value} at line {mark.line + 1}, column {mark.column + 1}, which YAML "
+                f"reads as {value!r}; write {value!r}, or the decimal number that you mean."
+            )
+        return value
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Merge the mappings of "<<" into the node, whose own keys must differ."""

@@ -28,8 +28,11 @@ from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+import numpy as np
+
 from dynamics.description.joint import Joint
 from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, shape
+from dynamics.description.validate import shown
 
 AUTO = "auto"
 BENDING = 2  # modes per bending direction
@@ -101,11 +104,14 @@ def _bending(
 
 
 def stated(modes: object) -> object:
-    """Modes as described; None becomes (), and text other than AUTO raises ValueError."""
-    if modes is None:
-        return ()
-    if isinstance(modes, str) and modes != AUTO:
-        raise ValueError(f"Link.modes must be a list, got {modes[:60]!r}; {_REMEDY}.")
+    """Modes as described; None becomes (), and what is neither a list nor AUTO is refused."""
+    return () if modes is None else listed(modes, "Link.modes")
+
+
+def listed(modes: object, name: str) -> object:
+    """Modes as described, a list or AUTO; ValueError for anything else."""
+    if not isinstance(modes, list | tuple | np.ndarray) and modes != AUTO:
+        raise ValueError(f"{name} must be a list, got {shown(modes)}; {_REMEDY}.")
     return modes
 
 

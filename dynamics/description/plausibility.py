@@ -36,6 +36,7 @@ from dynamics.description.welds import StiffSegmentsWarning, stiff_end
 from dynamics.types import Array, Matrix3
 
 LENGTHS = (1e-3, 100.0)  # [m] of a link, or of a joint's offset
+STRONGEST = 1000.0  # [m/s^2] gravity: a hundred times that of the earth
 HEAVIEST = 1e5  # [kg] link with its tip and body
 FREQUENCIES = (0.01, 1e5)  # [Hz] first bending mode of a clamped link with its tip
 ROUNDED = 0.01  # [-] of a sum of two moments, which rounded entries may miss
@@ -57,20 +58,27 @@ def warn_if_implausible(arm: Arm, stacklevel: int) -> None:
     """Warn of an arm; of the same lengths of links once in a process, but for welds."""
     _warn_of_welds(arm, stacklevel + 1)
     _warn_of_inertias(arm, stacklevel + 1)
-    found = [(k, text) for k, link in enumerate(arm.links, 1) for text in _oddities(link)]
+    found = [
+        (k, f"link {k} has {text}")
+        for k, link in enumerate(arm.links, 1)
+        for text in _oddities(link)
+    ]
+    gravity = math.hypot(*arm.gravity)
+    if gravity > STRONGEST:
+        found.insert(0, (0, f"gravity is {gravity:g} m/s^2"))
     lengths = tuple(link.length for link in arm.links)
     if not found:
         _warn_if_thick(arm, stacklevel + 1)
     if not found or lengths in _told:
         return
     _told.add(lengths)
-    k, text = found[0]
+    text = found[0][1]
     name = f"The arm {arm.name!r}" if arm.name else "The arm"
-    count = len({link for link, _ in found})
+    count = len({link for link, _ in found if link})
     also = f", and {count} links are implausible" if count > 1 else ""
     warnings.warn(
-        f"{name} may not be in SI units: link {k} has {text}{also}. Give lengths in m, masses in "
-        "kg, mass per length in kg/m and EI in N m^2; if they are, ignore this warning.",
+        f"{name} may not be in SI units: {text}{also}. Give lengths in m, masses in kg, mass per "
+        "length in kg/m, EI in N m^2 and gravity in m/s^2; if they are, ignore this warning.",
         ImplausibleArmWarning,
         stacklevel=stacklevel + 1,
     )

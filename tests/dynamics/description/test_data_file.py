@@ -46,6 +46,18 @@ BAD_FILES = {
         "arm.yaml",
         b"links: [{length: " + 5000 * b"9" + b", rho_A: 1.0}]",
     ),
+    "holds 010 at line 1, column 18, which YAML reads as 8; write 8, or the decimal": (
+        "arm.yaml",
+        b"links: [{length: 010, rho_A: 1.0}]",
+    ),
+    "holds 1:30 at line 1, column 18, which YAML reads as 90; write 90": (
+        "arm.yaml",
+        b"links: [{length: 1:30, rho_A: 1.0}]",
+    ),
+    "holds 0:01.5 at line 2, column 8, which YAML reads as 1.5": (
+        "arm.yaml",
+        b"links: [{length: 1.0,\nrho_A: 0:01.5}]",
+    ),
     "got the text '5e-1' .*3.0e-4": ("arm.yaml", b"links: [{length: 5e-1, rho_A: 1.0}]"),
 }
 

@@ -270,8 +270,8 @@ def test_an_automatic_arm_survives_the_round_trip_and_follows_changes() -> None:
     assert listed.to_dict()["links"][0]["modes"][0]["kind"] == "unconstrained"
 
 
-@pytest.mark.parametrize("value", ["automatic", "rigid", ""])
-def test_other_text_for_modes_is_refused_with_the_remedy(value: str) -> None:
+@pytest.mark.parametrize("value", ["automatic", "rigid", "", 2, {"y": 2}])
+def test_modes_that_are_no_list_are_refused_with_the_remedy(value: object) -> None:
     sentence = rf'Link\.modes must be a list, got {value!r}; .*"auto" .*\[\]'
     with pytest.raises(ValueError, match=rf"links\[0\]: {sentence}"):
         load_arm({"links": [{**BEAM, "modes": value}]})

@@ -95,8 +95,8 @@ def test_the_warning_names_the_quantity_its_value_and_the_other_links() -> None:
         load_arm(arm)
     assert sentences(recorded) == [
         "The arm 'mine' may not be in SI units: link 1 has a length of 800 m, and 3 links are "
-        "implausible. Give lengths in m, masses in kg, mass per length in kg/m and EI in N "
-        "m^2; if they are, ignore this warning."
+        "implausible. Give lengths in m, masses in kg, mass per length in kg/m, EI in N "
+        "m^2 and gravity in m/s^2; if they are, ignore this warning."
     ]
     for link, words in (
         ({"length": 2e-4, "rho_A": 1.0}, r"a length of 0\.0002 m"),
@@ -113,6 +113,14 @@ def test_the_warning_names_the_quantity_its_value_and_the_other_links() -> None:
     ):  # fmt: skip
         with pytest.warns(ImplausibleArmWarning, match=rf"^The arm .* link 1 has {words}\. Give"):
             load_arm({"links": [link]})
+
+
+def test_gravity_in_millimetres_is_warned_of_beside_links_that_are_real() -> None:
+    link = {"length": 0.5, "rho_A": 1.0}
+    with pytest.warns(ImplausibleArmWarning, match=r"units: gravity is 9810 m/s\^2\. Give"):
+        load_arm({"gravity": [0.0, -9810.0, 0.0], "links": [link]})
+    with pytest.warns(ImplausibleArmWarning, match=r"is 9810 m/s\^2, and 2 links are implaus"):
+        load_arm({"gravity": [0.0, -9810.0, 0.0], "links": 2 * [{**link, "length": 500.0}]})
 
 
 ROD, TURNED = {"length": 0.5, "rho_A": 1.0}, Rotation.from_rotvec([0.4, -0.9, 0.3]).as_matrix()

@@ -76,7 +76,7 @@ def test_every_natural_mode_of_a_lumped_link_has_the_damping_ratio(
 
 @pytest.mark.parametrize("segments", [1, 2])
 def test_a_damping_ratio_of_a_mode_without_mass_is_refused(segments: int) -> None:
-    """What lies beyond another joint gives the second mode mass in the arm, but not alone."""
+    """Links beyond another joint give the second mode mass in the arm, but not alone."""
     modes = tuple(Mode(kind="clamped-free", index=k, direction="z") for k in (1, 2))
     given = {"length": 0.7, "rho_A": 0.9, "EIy": 6.0, "modes": modes, "segments": segments}
     with pytest.raises(ValueError, match=r"damping_ratio \(0.01\) .* along 'z' needs .*\[1\]\[1\]"):
