@@ -6,6 +6,7 @@
 | `data:2` | the second column of a matrix; its second row where the samples run along the rows |
 | `run.speed` | a field of a struct |
 | `run.Y:2.Data` | a field of the second struct of an array |
+| `cells:2` | the second vector of a cell array |
 | `scope.time` | of a structure with time, the time |
 | `scope.LABEL`, `scope.signals:2` | of a structure with time, a signal by label or number |
 
@@ -67,6 +68,8 @@ def _variables(path: Path) -> dict[str, Any]:
 
 def _columns(name: str, value: Any) -> Iterator[tuple[str, AnyArray | str]]:
     """Vectors of a variable by name; in place of other values, words that describe them."""
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        value = value.ravel("F").tolist()  # the cells of an array, in MATLAB's order
     if isinstance(value, list):
         for k, one in enumerate(value, 1):
             yield from _columns(f"{name}:{k}", one)

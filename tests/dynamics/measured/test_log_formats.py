@@ -266,7 +266,11 @@ def test_the_mat_files_of_one_run_are_read_together(tmp_path: Path) -> None:
         ({"a": scope(signals={"label": "angle"})}, "a.angle", "no column 'a.angle'"),
         ({"a": {"time": T, "signals": "none"}}, "a.signals", "vector of numbers, got str"),
         ({"a": np.ones((2, 3, 12))}, "a", "got float64 of shape (2, 3, 12)"),
-        ({"a": np.array([1, "x"], dtype=object)}, "a", "got object of shape (2,)"),
+        (
+            {"a": np.array([1, "x"], dtype=object)},
+            "a:2",
+            "'a:2' must be a vector of numbers, got str",
+        ),
     ],
 )
 def test_what_is_no_vector_is_refused(
@@ -299,3 +303,18 @@ def test_a_column_may_have_its_own_unit(tmp_path: Path) -> None:
     log = read_log(written(tmp_path, rows), columns)
     assert_allclose(log.encoder[:, 0], np.radians(K + 0.25))
     assert_allclose(log.gauge, np.outer(1e-6 * K, [1e-3, 1e-6]))
+
+
+@pytest.mark.parametrize("shape", [(1, 4), (4, 1), (2, 2)])
+def test_the_vectors_of_a_cell_array_are_columns_in_the_order_of_matlab(
+    shape: tuple[int, int], tmp_path: Path
+) -> None:
+    cells = np.empty(4, dtype=object)
+    cells[:] = [0.005 * K, -0.5 * K, K + 0.25, 1e-6 * K]
+    savemat(tmp_path / "log.mat", {"c": cells.reshape(shape, order="F")})
+    columns = Columns(time="c:1", command=("c:2",), encoder=("c:3",), gauge=("c:4",))
+    check(read_log(tmp_path / "log.mat", columns))
+    with pytest.raises(
+        ValueError, match=r"no column 'c:5'; it holds \['c:1', 'c:2', 'c:3', 'c:4'\]"
+    ):
+        read_log(tmp_path / "log.mat", replace(columns, gauge=("c:5",)))
