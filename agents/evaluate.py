@@ -21,12 +21,13 @@ from agents.learners.export import load_zip
 from agents.learners.limits import LIMITS
 from agents.metrics import make_batch
 from agents.policy import JSON_FILE, WEIGHTS_FILE, Controller, Policy, PolicyError, load_policy
-from agents.run_folder.folder import RunFolder, versions
+from agents.run_folder.folder import RunFolder, refuse_other_arm, versions
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, refused
 from agents.signals import Interrupted, signals_to, stop_at_once
 from agents.tuned import is_tuned, parameters_of
 from dynamics.description import validate
+from dynamics.description.data_file import user_path
 from flexarm_env import registered
 
 KNOWN = sorted({*CONTROLLERS, OPTIMAL})
@@ -54,7 +55,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.evalu
     parser.add_argument("--episodes", type=int, default=100, metavar="N")
     parser.add_argument("--seed", type=int, default=10_000, metavar="S", help="first of N seeds")
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR",
+        "--out", type=user_path, required=True, metavar="DIR",
         help="folder, whose former evaluation is replaced",
     )  # fmt: skip
     parser.add_argument("--trust", action="store_true", help="allow unpickling an SB3 zip")
@@ -126,11 +127,13 @@ def find_policy(subject: str, trust: bool) -> Policy | None:
     """The stored policy that the subject names; None if it names a controller."""
     if subject in KNOWN:
         return None
-    path = Path(subject)
     try:
+        path = user_path(subject)
         there, is_file = path.exists(), path.is_file()
+    except ValueError as error:
+        raise UsageError(str(error)) from None
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}).") from None
+        raise UsageError(f"{subject}: cannot be read ({error.strerror}).") from None
     if not there:
         raise UsageError(
             f"{subject!r} is neither a run's folder nor a controller; "
@@ -159,7 +162,8 @@ def find_env(
     """Environment id and keywords from the command line, by default those of the training.
 
     With an id on the command line, the keywords of the training do not count. A policy file may
-    name only environments of this package; the command line may name any, also of a user's module.
+    name only environments of this package, and an arm file as it was; the command line may name
+    any, also of a user's module.
     """
     if env_id is not None and ":" in env_id:
         look_in_present_folder()
@@ -173,7 +177,10 @@ def find_env(
     try:
         if kwargs is None and env_id is None:
             kwargs = check_keywords(about.get("env_kwargs", {}), "about.env_kwargs")
+            refuse_other_arm(about, kwargs)
         return registered(own) if env_id is None else env_id, kwargs or {}
+    except FolderError:
+        raise
     except ValueError as error:
         raise UsageError(
             f"The policy file names an environment that is not allowed: {error}"

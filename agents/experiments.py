@@ -4,6 +4,7 @@ from pathlib import Path
 
 from agents.config import ConfigError, hint
 from dynamics.description import validate
+from dynamics.description.data_file import user_path
 
 HERE = Path(__file__).resolve().parent
 FOLDERS = (HERE / "configs", HERE.parent / "configs")  # of a wheel; of a checkout
@@ -22,7 +23,10 @@ def find_experiment(given: str) -> Path:
     ------
     ConfigError : for text that is neither; text with a suffix is always a path.
     """
-    path, known = Path(given), shipped_experiments()
+    try:
+        path, known = user_path(given), shipped_experiments()
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
     if path.suffix or path.exists():
         return path
     if given not in known:

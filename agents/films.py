@@ -24,6 +24,7 @@ from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 from agents.policy import Controller
 from agents.sentences import refused
+from dynamics.description.data_file import user_path
 from flexarm_env import IDS
 from flexarm_env.pages.environments import film_name, filmed
 
@@ -68,7 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m agents.films", description=__doc__)
     parser.add_argument("ids", nargs="*", metavar="ID", help="default: all")
-    parser.add_argument("--out", type=Path, default=Path("docs/envs/films"), metavar="DIR")
+    parser.add_argument("--out", type=user_path, default=Path("docs/envs/films"), metavar="DIR")
     a = parser.parse_args(arguments)
     unknown = sorted(set(a.ids) - set(FILMED))
     if unknown:

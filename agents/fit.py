@@ -15,6 +15,7 @@ from agents.metrics import write_json
 from agents.sentences import refused
 from dynamics.description import validate
 from dynamics.description.arm import Arm
+from dynamics.description.data_file import user_path
 from dynamics.load import load_arm
 from dynamics.measured.columns import SLIDING, UNITS
 from dynamics.measured.fit import BOUNDS, CONFIDENCE, Fit, fit
@@ -102,7 +103,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("log", type=Path, nargs="+", metavar="LOG",
+    add("log", type=user_path, nargs="+", metavar="LOG",
         help="text of a logger or a spreadsheet (.csv, .txt, .dat), or .mat files of one run; a "
         "COLUMN is its title, its number from 1, or as VARIABLE, VARIABLE:COLUMN, STRUCT.FIELD of "
         "a .mat file")  # fmt: skip
@@ -144,7 +145,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "the logged one; of a signal gain_gauge_1, delay_gauge_1 [s] and lag_gauge_1 [s], the time "
         "constant of a low pass of second order, or of encoder_1, "
         f"link_angle_1, tip_slope_1 (default: {default})")  # fmt: skip
-    add("--out", type=Path, default=Path("fit"), metavar="DIR",
+    add("--out", type=user_path, default=Path("fit"), metavar="DIR",
         help="folder, whose former fit is replaced (default: %(default)s)")  # fmt: skip
     return parser
 

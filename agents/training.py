@@ -34,7 +34,7 @@ from agents.learners.export import begin_with, export_policy
 from agents.learners.limits import LIMITS
 from agents.learners.normalization import normalized
 from agents.metrics import make_batch, write_json
-from agents.policy import Controller, PolicyError, load_policy, save_policy
+from agents.policy import Controller, Policy, PolicyError, load_policy, save_policy
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint
 from agents.run_folder.folder import (
@@ -52,6 +52,7 @@ from agents.sentences import one_line, refused, speaker
 from agents.signals import Interrupted, StopLater, signals_to, stop_at_once
 from agents.tuned import parameters_of
 from dynamics.description import validate
+from dynamics.description.data_file import user_path
 
 BESIDE = ("pd-zv", "lqr", "lqg")  # tuned controllers that a policy is compared with
 SESSION_STRIDE = 1_000_003  # seed increment per resumed session
@@ -153,14 +154,19 @@ def begin_warm(model: Any, config: Config) -> None:
 def learn(run: RunFolder, config: Config) -> int:
     """Train from the newest intact checkpoint, or from the beginning, and save the policy.
 
-    Returns the number of steps of the trained policy.
+    Returns the number of steps of the trained policy. Nothing is written before the model has all
+    that it goes on from.
     """
-    for sentence in run.repair_log():
-        print(sentence)
     model = build_model(config)
     about = about_policy(config)
-    begin(run, config, model, about)
+    first = begin(run, config, model, about)
     progress = restore_newest(run, config, model)
+    run.write_config(config)
+    run.write_versions({"seed": config.seed})
+    for sentence in run.repair_log():
+        print(sentence)
+    if first is not None:
+        save_policy(first, run.untrained)
     if model.num_timesteps < config.total_steps:
         run_session(run, config, model, progress)
     refuse_divergence(model)
@@ -172,12 +178,10 @@ def learn(run: RunFolder, config: Config) -> int:
 def about_policy(config: Config) -> dict[str, Any]:
     """Origin of a policy, which is stored beside its weights."""
     about: dict[str, Any] = {"env_id": config.env.id, "env_kwargs": config.env.kwargs}
-    about |= {
-        "stack": config.env.stack,
-        "config": config.name,
-        "seed": config.seed,
-        "versions": versions()["packages"],
-    }
+    about |= {"stack": config.env.stack, "config": config.name, "seed": config.seed}
+    about["versions"] = versions()["packages"]
+    if (arm := arm_digest(config.env.kwargs)) is not None:
+        about[ARM] = arm
     if config.agent.warm_start:
         about["warm_start"] = config.agent.warm_start
     if config.base is not None:
@@ -186,16 +190,16 @@ def about_policy(config: Config) -> dict[str, Any]:
     return about
 
 
-def begin(run: RunFolder, config: Config, model: Any, about: dict[str, Any]) -> None:
-    """Save the network with which the run begins, or take the one that it has already."""
+def begin(run: RunFolder, config: Config, model: Any, about: dict[str, Any]) -> Policy | None:
+    """Let the model begin as the run did; returns its network if the run does not have it yet."""
     try:
         first = load_policy(run.untrained)
     except PolicyError:
         begin_warm(model, config)
-        save_policy(export_policy(model, about | {"steps": 0}), run.untrained)
-    else:
-        if config.agent.warm_start:
-            begin_with(model, first)
+        return export_policy(model, about | {"steps": 0})
+    if config.agent.warm_start:
+        begin_with(model, first)
+    return None
 
 
 def restore_newest(run: RunFolder, config: Config, model: Any) -> dict[str, Any]:
@@ -290,13 +294,11 @@ def classical(env: Any, env_id: str, track: str) -> dict[str, Controller]:
 def train(run: RunFolder, config: Config) -> None:
     """Run the experiment in an existing run folder: train, evaluate, record."""
     begin = time.monotonic()
-    run.write_config(config)
-    origin = {"seed": config.seed, ARM: arm_digest(config.env.kwargs)}
-    run.write_versions(origin)
     steps = learn(run, config)
+    run.refuse_other_arm(config.env.kwargs)
     judge(run, config)
     seconds = round(time.monotonic() - begin, 1)
-    run.write_versions(origin | {"seconds": seconds, FINISHED: steps})
+    run.write_versions({"seed": config.seed, "seconds": seconds, FINISHED: steps})
     print(f"Done in {seconds:.0f} s. Everything is in {run.path}/")
 
 
@@ -339,8 +341,8 @@ def main(arguments: list[str] | None = None, prog: str = "python train.py") -> i
     experiment.add_argument("--config", metavar="EXPERIMENT", help=f"the same (default: {DEFAULT})")
     parser.add_argument("--seed", type=int, help="replaces the experiment's seed")
     parser.add_argument("--steps", type=int, help="replaces the experiment's total_steps")
-    parser.add_argument("--out", type=Path, help="folder of the run (runs/NAME/seedN)")
-    parser.add_argument("--resume", type=Path, metavar="RUN", help="continue the run in RUN")
+    parser.add_argument("--out", type=user_path, help="folder of the run (runs/NAME/seedN)")
+    parser.add_argument("--resume", type=user_path, metavar="RUN", help="continue the run in RUN")
     a = parser.parse_args(arguments)
     run = None if a.resume is None else RunFolder(a.resume)
     named = a.config or a.experiment

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.arms import ARMS
+from dynamics.description.data_file import user_path
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import load_arm
 from dynamics.simulation.case_file import Case, Motion, load_case
@@ -71,8 +72,10 @@ def _parser() -> argparse.ArgumentParser:
     evaluation = commands.add_parser(
         "evaluate", help="M, h, accelerations, frequencies and motion of a case, as JSON"
     )
-    evaluation.add_argument("case", type=Path, metavar="CASE", help="arm file (.json, .yaml)")
-    evaluation.add_argument("--out", type=Path, metavar="FILE", help="instead of standard output")
+    evaluation.add_argument("case", type=user_path, metavar="CASE", help="arm file (.json, .yaml)")
+    evaluation.add_argument(
+        "--out", type=user_path, metavar="FILE", help="instead of standard output"
+    )
     commands.add_parser("list", help="the preset arms")
     printing = commands.add_parser("source", help="the generated code of an arm, as text")
     printing.add_argument("arm", metavar="ARM", help="a preset's name or an arm file")

@@ -9,7 +9,7 @@ from typing import Any
 from dynamics.arms import ARMS
 from dynamics.description.arm import Arm
 from dynamics.description.arm_file import arm_from_dict
-from dynamics.description.data_file import MOST_BYTES, read_mapping
+from dynamics.description.data_file import MOST_BYTES, read_mapping, user_path
 from dynamics.description.plausibility import warn_if_implausible
 from dynamics.description.urdf.convert import Flexible, UrdfWarning, convert
 from dynamics.description.urdf.robot import SUFFIX
@@ -30,7 +30,7 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
     `dynamics.description.urdf.convert`; an UrdfWarning says what the arm does not take over.
     """
     if _is_urdf(source):
-        return _from_urdf(_path(source), flexible, tip)  # type: ignore[arg-type]
+        return _from_urdf(user_path(source), flexible, tip)  # type: ignore[arg-type]
     if flexible is not None or tip is not None:
         raise ValueError(
             f"flexible and tip are of a {SUFFIX} file, got {shown(source)}; leave them out."
@@ -47,7 +47,7 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
         raise ValueError(
             f"An arm is a preset name, a path, a dict or an Arm, got {type(source).__name__}."
         )
-    path = _path(source)
+    path = user_path(source)
     if isinstance(source, str) and path.suffix == "":
         raise ValueError(
             f"{unknown(source, 'arm', ARMS)} Presets: {sorted(ARMS)}; or give the path of a "
@@ -60,16 +60,6 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
         return arm_from_dict(read_mapping(path))
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
-
-
-def _path(source: str | PathLike[str]) -> Path:
-    path = Path(fspath(source))
-    try:
-        return path.expanduser()
-    except RuntimeError:
-        raise ValueError(
-            f"{shown(str(path))} begins with the home of a user who has none; write the whole path."
-        ) from None
 
 
 def _is_urdf(source: ArmSource) -> bool:

@@ -9,6 +9,7 @@ import yaml
 
 from dynamics.arms import ARMS
 from dynamics.description import validate
+from dynamics.description.data_file import user_path
 from dynamics.description.urdf.arm_text import arm_text
 from dynamics.description.urdf.convert import convert
 from flexarm_env.registration import IDS, SCENES
@@ -54,12 +55,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "convert", help="write the arm file of a robot in a URDF file, to complete by hand"
     )
     add = conversion.add_argument
-    add("file", type=Path, metavar="FILE", help="URDF file")
+    add("file", type=user_path, metavar="FILE", help="URDF file")
     add("--tip", metavar="LINK", help="end of the arm, needed if the tree has several ends")
     add("--flexible", nargs="+", action="append", default=[], metavar=("LINK", "KEY=VALUE"),
         help="a link that bends, with keys of an arm file's link: --flexible link_3 EIz=40 EIy=40; "
         "repeated for every such link")  # fmt: skip
-    add("--out", type=Path, metavar="ARM.yaml", help="a new file, instead of standard output")
+    add("--out", type=user_path, metavar="ARM.yaml", help="a new file, instead of standard output")
     return parser
 
 

@@ -16,9 +16,9 @@ from agents.export.signals import Signals, signals_of
 from agents.files import FolderError, atomic_write, check_folder
 from agents.metrics import make_batch
 from agents.policy import Policy, PolicyError
-from agents.run_folder.folder import RunFolder
 from agents.sentences import refused
 from dynamics.description import validate
+from dynamics.description.data_file import user_path
 
 SUFFIXES = {"c": ".h", "onnx": ".onnx"}
 IDENTIFIER = re.compile(r"[a-z][a-z0-9_]{0,62}")
@@ -29,11 +29,13 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.expor
     parser = argparse.ArgumentParser(
         prog=prog, description="Write the policy of a run as a C99 header or as an ONNX model."
     )
-    parser.add_argument("run", metavar="RUN", type=Path, help="folder of a run, or of a policy")
+    parser.add_argument(
+        "run", metavar="RUN", type=user_path, help="folder of a run, or of a policy"
+    )
     parser.add_argument("--format", choices=SUFFIXES, required=True, help="c, or onnx")
     parser.add_argument(
         "--out",
-        type=Path,
+        type=user_path,
         metavar="FILE",
         help="file to write, named as a variable of C (default: policy.h or policy.onnx in RUN)",
     )
@@ -62,8 +64,6 @@ def export(run: Path, form: str, out: Path | None = None) -> Path:
             "with env_id and env_kwargs in the table `about` of export_policy(model, about)."
         )
     env_id, kwargs = find_env(policy, None, None)
-    for folder in (run, run.parent):  # of the run, or of a policy in it
-        RunFolder(folder).refuse_other_arm(kwargs)
     try:
         env = make_batch(env_id, 1, kwargs)
     except REFUSALS as error:

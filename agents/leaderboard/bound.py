@@ -38,6 +38,7 @@ from agents.sentences import refused
 from agents.signals import workers
 from agents.tuned import parameters_of
 from dynamics.description import validate
+from dynamics.description.data_file import user_path
 from dynamics.types import Array
 from flexarm_env import IDS, TASKS
 from flexarm_env.task.tasks import SETTLED_BAND
@@ -333,7 +334,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--again", action="store_true", help="search what is stored, and from it")
     parser.add_argument("--replay", action="store_true", help="check what is stored")
     parser.add_argument(
-        "--out", type=Path, default=FOLDER, metavar="DIR",
+        "--out", type=user_path, default=FOLDER, metavar="DIR",
         help="folder of the bounds (default: that of the package, which rankings use)",
     )  # fmt: skip
     options = parser.parse_args(arguments)

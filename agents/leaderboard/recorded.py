@@ -17,6 +17,7 @@ import numpy as np
 from agents.leaderboard.run import built
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch, record
+from dynamics.description.data_file import user_path
 from dynamics.types import AnyArray
 from flexarm_env.accuracy.motions import AGILE, LEVELS, RECORDED
 from flexarm_env.certify.certificate import EPISODES
@@ -67,7 +68,7 @@ def write(folder: Path, env_id: str, names: Mapping[str, str]) -> Path:
 def main() -> int:
     """Write the recordings; the exit status."""
     parser = argparse.ArgumentParser(description="Record the torques of the best controllers.")
-    parser.add_argument("--out", type=Path, default=RECORDED, metavar="FOLDER")
+    parser.add_argument("--out", type=user_path, default=RECORDED, metavar="FOLDER")
     folder = parser.parse_args().out
     folder.mkdir(parents=True, exist_ok=True)
     ranking = json.loads(RANKING.read_text(encoding="utf-8"))

@@ -40,6 +40,7 @@ from agents.sentences import Failures
 from agents.signals import workers
 from agents.tuned import is_tuned, parameters_of
 from dynamics.description import validate
+from dynamics.description.data_file import user_path
 from dynamics.types import AnyArray
 
 SEED, EPISODES = 10_000, 100
@@ -273,7 +274,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=SEED, help="of the first test episode")
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument(
-        "--beside", type=Path, metavar="FOLDER",
+        "--beside", type=user_path, metavar="FOLDER",
         help="of a former ranking of these episodes, whose other controllers are kept",
     )  # fmt: skip
     parser.add_argument(
@@ -290,7 +291,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1, help="processes, which time decisions")
     parser.add_argument(
-        "--out", type=Path, default=Path("leaderboard"), metavar="DIR",
+        "--out", type=user_path, default=Path("leaderboard"), metavar="DIR",
         help="folder, whose former ranking is replaced (default: %(default)s)",
     )  # fmt: skip
     return parser

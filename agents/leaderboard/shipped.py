@@ -8,8 +8,9 @@ from typing import Any
 from agents.config import Config, ConfigError, load_config
 from agents.experiments import shipped_experiments
 from agents.leaderboard.tracks import TRACKS, designed_for, is_spread, track_of
-from agents.policy import Policy, PolicyError, load_policy, save_policy
+from agents.policy import Policy, load_policy, save_policy
 from dynamics.description import validate
+from dynamics.description.data_file import user_path
 
 FOLDER = Path(__file__).parents[1] / "policies"
 LINKS = {"residual": "on", "advised": "advised-by", "alone": "watching", "reference": "ahead-of"}
@@ -102,8 +103,8 @@ def named_policy(name: str, seed: int) -> Policy:
     known = shipped_experiments()
     if name not in known:
         try:
-            return load_policy(name)
-        except PolicyError as error:
+            return load_policy(user_path(name))
+        except ValueError as error:
             raise ConfigError(
                 f"agent.warm_start: neither a run nor a shipped experiment: {error}"
             ) from None

@@ -19,13 +19,14 @@ import yaml
 from agents.config import Config, load_config
 from agents.files import FolderError, atomic_write, check_folder, digest
 from agents.metrics import without_infinities, write_json
+from agents.policy import PolicyError, load_policy
 from agents.run_folder.log import append_row, is_count, read_rows, repair_log
 from dynamics.description.data_file import read_mapping
 
 PACKAGES = "flexarm numpy scipy numba casadi gymnasium stable_baselines3 sb3_contrib torch "
 PACKAGES += "matplotlib pillow"
 FINISHED = "finished_at_steps"  # key in versions.json, written last
-ARM = "arm_sha256"  # key in versions.json: of the experiment's arm file, if it names one
+ARM = "arm_sha256"  # key in the description of a policy: of its arm file, if it names one
 CURVE_COLUMNS = "session steps seconds episodes return tip_error settled failed steps_per_second"
 
 
@@ -94,15 +95,8 @@ class RunFolder:
 
     def refuse_other_arm(self, kwargs: Mapping[str, Any]) -> None:
         """Refuse an arm file that has changed since the run began."""
-        try:
-            began = read_mapping(self.versions).get(ARM)
-        except ValueError:
-            return
-        if None not in (began, now := arm_digest(kwargs)) and began != now:
-            raise FolderError(
-                f"{kwargs['arm']}: has changed since the run in {self.path} began; give "
-                "the file its former content, or begin a new run."
-            )
+        with suppress(PolicyError):
+            refuse_other_arm(load_policy(self.untrained).about, kwargs)
 
     def refuse_links(self) -> None:
         """Refuse a folder with links or devices, through which writes would leave the folder."""
@@ -187,6 +181,15 @@ def arm_digest(kwargs: Mapping[str, Any]) -> str | None:
     source = kwargs.get("arm")
     path = Path(os.path.expanduser(source)) if isinstance(source, str) else None
     return digest(path) if path is not None and path.is_file() else None
+
+
+def refuse_other_arm(about: Mapping[str, Any], kwargs: Mapping[str, Any]) -> None:
+    """Refuse an arm file that has changed since the training of a policy, described here, began."""
+    if None not in (began := about.get(ARM), now := arm_digest(kwargs)) and began != now:
+        raise FolderError(
+            f"{kwargs['arm']}: has changed since the training of the policy began; give the file "
+            "its former content, or train another policy."
+        )
 
 
 def versions() -> dict[str, Any]:

@@ -9,6 +9,7 @@ import os
 import shlex
 import shutil
 import socket
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,8 @@ from agents.config import Config, ConfigError, config_from_dict, load_config
 from agents.experiments import find_experiment, shipped_experiments
 from agents.files import FolderError, atomic_write, check_folder
 from agents.learners.ranges import at_random, drawn
-from agents.policy import PolicyError
-from agents.run_folder.folder import refuse_used
+from agents.policy import PolicyError, load_policy
+from agents.run_folder.folder import refuse_other_arm, refuse_used
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, refused
 from agents.sweep.trial import POLICY, REPORTS, train_trial
@@ -29,6 +30,7 @@ from agents.training import prepare
 from agents.tune.learners import ranges_of
 from dynamics.arms import ARMS
 from dynamics.description import validate
+from dynamics.description.data_file import user_path
 from dynamics.extras import installation
 
 TRIALS, SEED = 20, 0  # where the command line says none
@@ -61,11 +63,11 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.sweep
     parser.add_argument("--steps", type=int, help="of every trial (the experiment's)")
     parser.add_argument("--address", metavar="A", help="of a Ray cluster (started on this machine)")
     parser.add_argument(
-        "--out", type=Path, metavar="DIR",
+        "--out", type=user_path, metavar="DIR",
         help="folder of the results (runs/NAME/sweep); all machines of a cluster must reach it",
     )  # fmt: skip
     parser.add_argument("--keep-all", action="store_true", help="stop no trial early")
-    parser.add_argument("--resume", type=Path, metavar="DIR", help="continue the sweep in DIR")
+    parser.add_argument("--resume", type=user_path, metavar="DIR", help="continue the sweep in DIR")
     a = parser.parse_args(arguments)
     try:
         if a.resume is not None:
@@ -121,7 +123,7 @@ def located(config: Config) -> Config:
         kwargs = {**config.env.kwargs, "arm": str(Path(arm).absolute())}
         config = replace(config, env=replace(config.env, kwargs=kwargs))
     if warm and warm not in shipped_experiments():
-        agent = replace(config.agent, warm_start=str(Path(warm).absolute()))
+        agent = replace(config.agent, warm_start=str(user_path(warm).absolute()))
         config = replace(config, agent=agent)
     return config
 
@@ -133,6 +135,10 @@ def resume(out: Path, address: str | None) -> None:
         raise SweepError(
             f"{out} holds no sweep to resume; begin one by CONFIG --out {shlex.quote(str(out))}."
         )
+    for folder in (out / TUNE).glob(f"*/*/{POLICY}"):
+        with suppress(PolicyError):
+            about = load_policy(folder).about
+            refuse_other_arm(about, about["env_kwargs"])
     require_cluster(address)
     with folder_lock(out):
         run(out.absolute(), address, None)

@@ -29,7 +29,7 @@ def train_trial(settings: dict[str, Any]) -> None:
     from stable_baselines3.common.callbacks import BaseCallback
 
     config = config_from_dict(settings["planned"]["experiment"])
-    model = build_model(config)
+    model, about = build_model(config), about_policy(config)
     progress = {"session": 0, "seconds": 0.0}
     checkpoint, found = tune.get_checkpoint(), None
     if checkpoint is not None:
@@ -47,7 +47,7 @@ def train_trial(settings: dict[str, Any]) -> None:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             save_checkpoint(model, folder, progress)
-            policy = export_policy(model, about_policy(config) | {"steps": model.num_timesteps})
+            policy = export_policy(model, about | {"steps": model.num_timesteps})
             save_policy(policy, folder / POLICY)
             entry = judged(config, policy, EPISODES)
             entry |= {"steps": model.num_timesteps, "restarts": progress["session"], "node": node}

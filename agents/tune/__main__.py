@@ -32,6 +32,7 @@ from agents.tune.controllers import tune
 from agents.tune.search import EPISODES, TRIALS
 from agents.tuned import STORE, read, store
 from dynamics.description import validate
+from dynamics.description.data_file import user_path
 
 Place = tuple[str, str, str]  # task, track and name
 
@@ -48,9 +49,9 @@ def main(arguments: list[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("--trials", type=int, default=TRIALS)
     parser.add_argument("--episodes", type=int, default=EPISODES)
-    parser.add_argument("--out", type=Path, default=STORE)
+    parser.add_argument("--out", type=user_path, default=STORE)
     parser.add_argument(
-        "--keep", type=Path, default=Path("runs/tune"), metavar="DIR",
+        "--keep", type=user_path, default=Path("runs/tune"), metavar="DIR",
         help="folder of unfinished searches, which go on from there (default: %(default)s)",
     )  # fmt: skip
     options = parser.parse_args(arguments)

@@ -3,6 +3,7 @@
 import json
 import re
 import stat
+from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,17 @@ _MERGE = "tag:yaml.org,2002:merge"
 _NUMBERS = {f"tag:yaml.org,2002:{kind}" for kind in ("int", "float")}
 _ODD = re.compile(r"[-+]?0[0-9_]+$|.*:")  # octal numbers, and sexagesimal ones such as 1:30
 MOST_NODES = 50_000  # values of a YAML file with aliases expanded
+
+
+def user_path(given: str | PathLike[str]) -> Path:
+    """Path as a user writes it, where `~` is a home; shells leave it in quotes and behind `=`."""
+    path = Path(fspath(given))
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        raise ValueError(
+            f"{shown(str(path))} begins with the home of a user who has none; write the whole path."
+        ) from None
 
 
 def read_mapping(path: Path) -> dict[str, Any]:

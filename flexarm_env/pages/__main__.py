@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from dynamics.description.data_file import user_path
 from flexarm_env.pages.environments import common_page, file_name, page
 from flexarm_env.registration import IDS
 
@@ -10,7 +11,7 @@ from flexarm_env.registration import IDS
 def main() -> None:
     """Write all pages into a folder."""
     parser = argparse.ArgumentParser(description="Write the pages of the environments.")
-    parser.add_argument("--out", type=Path, default=Path("docs/envs"))
+    parser.add_argument("--out", type=user_path, default=Path("docs/envs"))
     folder = parser.parse_args().out
     folder.mkdir(parents=True, exist_ok=True)
     for env_id in IDS:

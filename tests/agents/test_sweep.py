@@ -21,6 +21,7 @@ import yaml
 from agents.config import load_config
 from agents.learners.export import export_policy
 from agents.policy import load_policy, save_policy
+from agents.run_folder.folder import ARM, arm_digest
 from agents.sweep.command import located, main, run
 from agents.sweep.trial import train_trial
 from agents.training import about_policy, build_model
@@ -155,6 +156,26 @@ def test_workers_in_other_folders_find_the_arm_and_the_warm_start(
     for given, found in (("a/b", str(tmp_path / "a" / "b")), ("one_link_reach_ppo",) * 2):
         warm = replace(plain, agent=replace(plain.agent, warm_start=given))
         assert located(warm).agent.warm_start == found
+
+
+def test_a_sweep_follows_no_arm_file_that_has_changed_since_it_began(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, planned = load_config(write_config(tmp_path, "ppo", 64)), []
+    policy = export_policy(build_model(config), about_policy(config))
+    arm = tmp_path / "mine.yaml"
+    arm.write_text("links: []")
+    kwargs = {"arm": str(arm)}
+    about = policy.about | {"env_kwargs": kwargs, ARM: arm_digest(kwargs)}
+    folder = tmp_path / "out" / "tune" / "trial" / "checkpoint_000000" / "policy"
+    save_policy(replace(policy, about=about), folder)
+    monkeypatch.setattr("agents.sweep.command.require_ray", lambda: None)
+    monkeypatch.setattr("agents.sweep.command.run", lambda *given: planned.append(given))
+    assert main(["--resume", str(tmp_path / "out")]) == 0
+    arm.write_text("links: [{}]")
+    assert main(["--resume", str(tmp_path / "out")]) == 2
+    assert f"{arm}: has changed since the training of the policy began" in one_sentence(capsys)
+    assert len(planned) == 1
 
 
 @pytest.mark.parametrize(

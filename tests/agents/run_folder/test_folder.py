@@ -3,9 +3,11 @@
 import errno
 import os
 import shlex
+import shutil
 import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +18,16 @@ from stable_baselines3 import PPO
 
 from agents import training
 from agents.config import load_config
+from agents.evaluate import find_policy
 from agents.evaluate import main as evaluate
+from agents.experiments import find_experiment
 from agents.files import FolderError
-from agents.policy import PolicyError, load_policy
+from agents.leaderboard.shipped import named_policy
+from agents.policy import PolicyError, load_policy, save_policy
 from agents.run_folder.checkpoints import list_checkpoints, newest_intact
-from agents.run_folder.folder import RunFolder, new_run, refuse_used, versions
+from agents.run_folder.folder import FINISHED, RunFolder, new_run, refuse_used, versions
 from agents.run_folder.lock import folder_lock
+from agents.training import about_policy
 from agents.training import main as train
 from tests.agents.tiny import ENV_ID, one_sentence, train_py, wait_for_steps, write_config
 from tests.paths import ROOT
@@ -303,21 +309,86 @@ def test_the_command_that_resumes_a_folder_is_one_for_a_shell(tmp_path: Path) ->
     assert shlex.split(advised) == [str(used)]
 
 
-def test_an_arm_file_that_changes_during_a_run_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+LINK = "links: [{length: 1.0, rho_A: 0.3, EIz: 10.0}]\n"
+
+
+def with_arm(run: RunFolder, arm: Path) -> None:
+    """Make a run one of an arm file, as if it had begun with it."""
+    arm.write_text(LINK)
+    text = run.config.read_text().replace("  kwargs: {}\n", f"  kwargs: {{arm: {arm}}}\n")
+    run.config.write_text(text)
+    about = about_policy(run.read_config())
+    for folder in (run.untrained, run.policy):
+        save_policy(replace(load_policy(folder), about=about), folder)
+
+
+def test_an_arm_file_that_has_changed_since_a_run_began_is_refused(
+    run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arm, link = tmp_path / "arm.yaml", "links: [{length: 1.0, rho_A: 0.3, EIz: 10.0}]\n"
-    arm.write_text(link)
-    config = load_config(write_config(tmp_path, "ppo", 128, kwargs={"arm": str(arm)}))
-    run = RunFolder(tmp_path / "run")
-    run.path.mkdir()
-    monkeypatch.setattr(training, "learn", lambda run, config: 64)
-    monkeypatch.setattr(training, "judge", lambda run, config: None)
-    training.train(run, config)
-    run.refuse_other_arm(config.env.kwargs)
-    arm.write_text(link.replace("10.0", "20.0"))
-    capsys.readouterr()
+    """Also where the policy alone has been copied out of its run."""
+    arm, alone = tmp_path / "arm.yaml", tmp_path / "alone"
+    with_arm(run, arm)
+    shutil.copytree(run.policy, alone)
+    out = ["--out", str(tmp_path / "evaluation")]
+    commands = [(train, ["--resume", str(run.path)]), *((evaluate, [str(x), *out]) for x in
+                (run.path, run.policy, alone))]  # fmt: skip
+    run.refuse_other_arm({"arm": str(arm)})
+    arm.write_text(LINK.replace("10.0", "20.0"))
+    for main, arguments in commands:
+        assert main(arguments) == 2
+        assert f"{arm}: has changed since the training of the policy" in one_sentence(capsys)
+    assert not (tmp_path / "evaluation").exists()
+
+
+def test_an_arm_file_that_changes_during_a_training_is_not_evaluated_with(
+    run: RunFolder,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    unjudged: list[RunFolder],
+) -> None:
+    arm = tmp_path / "arm.yaml"
+    with_arm(run, arm)
+    monkeypatch.setattr(training, "prepare", lambda config: None)
+    monkeypatch.setattr(training, "learn", lambda run, config: arm.write_text("links: []"))
     assert train(["--resume", str(run.path)]) == 2
-    assert f"{arm}: has changed since the run in {run.path} began" in one_sentence(capsys)
-    arm.write_text(link)
-    run.refuse_other_arm(config.env.kwargs)
+    assert f"{arm}: has changed since the training of the policy" in one_sentence(capsys)
+    assert unjudged == []
+    assert run.finished_at() is None
+
+
+@pytest.mark.parametrize("damage", ["layers", "warm start"])
+def test_a_resume_that_is_refused_leaves_the_run_as_it_is(
+    damage: str, run: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = run.config.read_text()
+    if damage == "layers":
+        run.config.write_text(text.replace("- 8\n", "- 9\n"))
+    else:  # and the network that began with it
+        run.config.write_text(text.replace("warm_start: ''", "warm_start: nowhere"))
+        shutil.rmtree(run.untrained)
+    run.write_versions({FINISHED: 256})
+    run.log.write_bytes(run.log.read_bytes() + b'{"session": 0, ')
+    before = {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
+    assert train(["--resume", str(run.path), "--steps", "512"]) == 2
+    assert {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()} == before
+
+
+def test_a_home_in_quotes_is_that_of_the_user(
+    run: RunFolder,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    own = load_policy(run.policy).about
+    assert find_experiment("~/tiny_ppo.yaml") == tmp_path / "tiny_ppo.yaml"
+    assert named_policy("~/out", 0).about == own
+    policy = find_policy("~/out/policy/policy.json", trust=False)
+    assert policy is not None
+    assert policy.about == own
+    assert train(["--resume", "~/none"]) == 2
+    assert f"{tmp_path}/none: is not a run" in one_sentence(capsys)
+    for main, arguments in (train, ["--config"]), (evaluate, ["--out", str(tmp_path / "new")]):
+        assert main([*arguments, "~nobody-here/x.yaml"]) == 2
+        assert "home of a user who has none; write the whole path" in one_sentence(capsys)

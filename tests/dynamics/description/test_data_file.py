@@ -80,3 +80,13 @@ def test_a_byte_order_mark_changes_nothing(name: str, tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(mark + content)
         arms.append(load_arm(tmp_path / name))
     assert arms[0] == arms[1]
+
+
+def test_a_home_that_no_shell_has_replaced_is_the_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert data_file.user_path("~/arm.yaml") == tmp_path / "arm.yaml"
+    assert data_file.user_path("arms/~arm.yaml") == Path("arms/~arm.yaml")
+    with pytest.raises(ValueError, match="home of a user who has none; write the whole path"):
+        data_file.user_path("~nobody-here/arm.yaml")
