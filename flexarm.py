@@ -8,6 +8,7 @@ import argparse
 import os
 import sys
 import warnings
+from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -29,9 +30,7 @@ COMMANDS = {  # module whose `main` runs the command, and its line in the help
 EXTRAS = {"sweep": "scale"}  # other than `train`
 PACKAGES = ("dynamics", "flexarm_env", "agents")
 MISSING = 2  # exit status: something is not installed, ours is hidden, or no folder is present
-UNWRITTEN = 1  # exit status: the output cannot be written
 INTERRUPTED = 130  # exit status, as a shell has it: Ctrl-C
-UNREAD = 141  # exit status, as a shell has it: nobody reads the output any more
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -42,35 +41,32 @@ def main(arguments: list[str] | None = None) -> int:
     if faults := [sentence for sentence in (gone(), *map(shadow, PACKAGES)) if sentence]:
         print(f"flexarm: {faults[0]}", file=sys.stderr)
         return MISSING
+    from dynamics.command import completed
+
     name = given[0]
     try:
-        try:
-            run = import_module(COMMANDS[name][0]).main
-        except ModuleNotFoundError as error:
-            print(
-                f"flexarm: {name} needs {error.name}, which is not installed; "
-                f"{installation(EXTRAS.get(name, 'train'))}",
-                file=sys.stderr,
-            )
-            return MISSING
-        with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_, **__: print(
-                f"flexarm {name}: {message}", file=sys.stderr
-            )
-            status: int = run(given[1:], prog=f"flexarm {name}")
-        if sys.stdout is not None:  # as where the shell has closed it
-            sys.stdout.flush()
-    except OSError as error:
-        if sys.stdout is not None:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if isinstance(error, BrokenPipeError):
-            return UNREAD
-        place = error.filename or "standard output"
-        print(f"flexarm {name}: {place}: {error.strerror}.", file=sys.stderr)
-        return UNWRITTEN
+        return completed(f"flexarm {name}", partial(command, name, given[1:]))
     except KeyboardInterrupt:
         print(f"flexarm {name}: interrupted.", file=sys.stderr)
         return INTERRUPTED
+
+
+def command(name: str, arguments: list[str]) -> int:
+    """Import the module of a command, and run it; returns its exit status."""
+    try:
+        run = import_module(COMMANDS[name][0]).main
+    except ModuleNotFoundError as error:
+        print(
+            f"flexarm: {name} needs {error.name}, which is not installed; "
+            f"{installation(EXTRAS.get(name, 'train'))}",
+            file=sys.stderr,
+        )
+        return MISSING
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: print(
+            f"flexarm {name}: {message}", file=sys.stderr
+        )
+        status: int = run(arguments, prog=f"flexarm {name}")
     return status
 
 

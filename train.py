@@ -3,6 +3,7 @@
 import sys
 
 from agents.training import main
+from dynamics.command import completed
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(completed("train.py", main))

@@ -26,6 +26,7 @@ from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, refused
 from agents.signals import Interrupted, signals_to, stop_at_once
 from agents.tuned import is_tuned, parameters_of
+from dynamics.command import completed
 from dynamics.description import validate
 from dynamics.description.data_file import user_path
 from flexarm_env import registered
@@ -254,4 +255,4 @@ def classical(name: str, env: Any, env_id: str, kwargs: dict[str, Any]) -> Contr
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(completed("agents.evaluate", main))

@@ -24,6 +24,7 @@ from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch
 from agents.policy import Controller
 from agents.sentences import refused
+from dynamics.command import completed
 from dynamics.description.data_file import user_path
 from flexarm_env import IDS
 from flexarm_env.pages.environments import film_name, filmed
@@ -90,4 +91,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(completed("agents.films", main))

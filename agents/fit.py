@@ -13,6 +13,7 @@ from agents.figures import COLOURS, new_figure, save_figure, tidy
 from agents.files import FolderError, check_folder
 from agents.metrics import write_json
 from agents.sentences import refused
+from dynamics.command import completed
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.description.data_file import user_path
@@ -53,9 +54,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m agents.fit")
         )  # fmt: skip
         log, arm = read_log(a.log, columns), load_arm(a.arm)
         begin = float(log.time[0])
-        if a.since is not None or a.to is not None:
-            first = begin if a.since is None else a.since
-            log = log.since(first, math.inf if a.to is None else a.to)
+        log = log.since(begin if a.since is None else a.since, a.to)
         if len(a.gauge_at) != len(a.gauge):
             raise ValueError(
                 "--gauge-at needs a place LINK:X[:DISTANCE] for each column of --gauge, got "
@@ -137,7 +136,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add("--from", dest="since", type=float, metavar="SECONDS",
         help="leave out the samples before this time, such as those before a plucked tip is let "
         "go")  # fmt: skip
-    add("--to", type=float, metavar="SECONDS", help="leave out the samples after this time")
+    add("--to", type=float, default=math.inf, metavar="SECONDS",
+        help="leave out the samples after this time")  # fmt: skip
     default = " ".join(f"{name}={low:g}:{high:g}" for name, (low, high) in BOUNDS.items())
     add("--fit", nargs="+", action="extend", metavar="NAME=LOW:HIGH",
         help="parameters and their bounds: stiffness, damping, friction, times the arm's own; "
@@ -397,4 +397,4 @@ def draw(path: Path, log: Log, found: Fit, units: list[str], title: str) -> None
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(completed("agents.fit", main))

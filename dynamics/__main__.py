@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.arms import ARMS
+from dynamics.command import completed
 from dynamics.description.data_file import user_path
 from dynamics.integrators.table import INTEGRATORS
 from dynamics.load import load_arm
@@ -36,8 +37,8 @@ def main(arguments: list[str] | None = None) -> int:
         if options.command == "evaluate":
             return _evaluate(options.case, options.out)
         print(listing() if options.command == "list" else source(options))
-    except BrokenPipeError:  # the reader of a pipe, such as `head`, has gone
-        sys.stdout = None
+    except BrokenPipeError:
+        raise
     except (ValueError, OSError) as error:
         return _fail(error, BAD_INPUT)
     return 0
@@ -221,4 +222,4 @@ def _fail(error: Exception, status: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(completed("dynamics", main))

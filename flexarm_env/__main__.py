@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from dynamics.arms import ARMS
+from dynamics.command import completed
 from dynamics.description import validate
 from dynamics.description.data_file import user_path
 from dynamics.description.urdf.arm_text import arm_text
@@ -121,4 +122,4 @@ def environments(name: str) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(completed("flexarm_env", main))

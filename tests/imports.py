@@ -18,6 +18,7 @@ ROOMS = (
     "dynamics.types",
     "dynamics.extras",
     "dynamics.cache",
+    "dynamics.progress",
     "dynamics.description",
     "dynamics.integrators",
     "dynamics.formulations",

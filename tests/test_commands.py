@@ -1,8 +1,10 @@
 """`flexarm COMMAND`: what each command runs, and what hides it."""
 
+import os
 import runpy
 import subprocess
 import sys
+from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -10,10 +12,13 @@ from pathlib import Path
 import pytest
 
 import flexarm
+from agents.training import main as train
 from dynamics import extras
 from dynamics.arms import ARMS
+from dynamics.command import UNREAD, UNWRITTEN, completed
 from flexarm_env import IDS
 from flexarm_env.__main__ import environments, table
+from tests.imports import sources
 from tests.paths import ROOT
 
 
@@ -129,7 +134,30 @@ def test_output_that_nobody_reads_ends_a_command_quietly(tmp_path: Path) -> None
         assert run.stderr is not None
         run.stdout.close()
         assert run.stderr.read() == b""
-    assert run.returncode == flexarm.UNREAD
+    assert run.returncode == UNREAD
+
+
+def test_a_help_that_nobody_reads_ends_quietly_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ends by SystemExit, with its text in a buffer that Python would write as it closes."""
+    source, sink = os.pipe()
+    os.close(source)
+    with os.fdopen(sink, "w", encoding="utf-8") as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        assert completed("train.py", partial(train, ["--help"])) == UNREAD
+    assert capsys.readouterr().err == ""
+
+
+RUNS = [x for x in (*sources(*flexarm.PACKAGES), ROOT / "train.py") if "sys.exit(" in x.read_text()]
+
+
+@pytest.mark.parametrize("path", RUNS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_every_module_that_runs_ends_as_a_command(path: Path) -> None:
+    name = path.relative_to(ROOT).as_posix()
+    if name != "train.py":
+        name = name.removesuffix(".py").removesuffix("/__main__").replace("/", ".")
+    assert f'sys.exit(completed("{name}", main))' in path.read_text()
 
 
 def test_closed_output_lets_a_command_end_well(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,7 +171,7 @@ def test_output_that_cannot_be_written_is_told(
 ) -> None:
     with open("/dev/full", "w", encoding="utf-8") as full:
         monkeypatch.setattr(sys, "stdout", full)
-        assert flexarm.main(["arms"]) == flexarm.UNWRITTEN
+        assert flexarm.main(["arms"]) == UNWRITTEN
     said = capsys.readouterr().err
     assert said == "flexarm arms: standard output: No space left on device.\n"
 

@@ -17,6 +17,7 @@ from agents.files import FolderError, atomic_write, check_folder
 from agents.metrics import make_batch
 from agents.policy import Policy, PolicyError
 from agents.sentences import refused
+from dynamics.command import completed
 from dynamics.description import validate
 from dynamics.description.data_file import user_path
 
@@ -98,4 +99,4 @@ def checked_name(out: Path, suffix: str) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(completed("agents.export.command", main))

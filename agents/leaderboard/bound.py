@@ -37,6 +37,7 @@ from agents.metrics import Best
 from agents.sentences import refused
 from agents.signals import workers
 from agents.tuned import parameters_of
+from dynamics.command import completed
 from dynamics.description import validate
 from dynamics.description.data_file import user_path
 from dynamics.types import Array
@@ -376,4 +377,4 @@ def _summary(env_id: str, found: Bounds) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(completed("agents.leaderboard.bound", main))

@@ -17,6 +17,7 @@ import numpy as np
 from agents.leaderboard.run import built
 from agents.leaderboard.tracks import keywords
 from agents.metrics import make_batch, record
+from dynamics.command import completed
 from dynamics.description.data_file import user_path
 from dynamics.types import AnyArray
 from flexarm_env.accuracy.motions import AGILE, LEVELS, RECORDED
@@ -81,4 +82,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(completed("agents.leaderboard.recorded", main))

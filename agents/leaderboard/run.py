@@ -9,7 +9,6 @@ policy has.
 
 import argparse
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from functools import partial
@@ -378,7 +377,3 @@ def _check(options: argparse.Namespace) -> list[tuple[str, str, str]]:
     if not found:
         raise ValueError(f"None of {options.controllers} acts on these tasks and tracks.")
     return found
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -31,6 +31,7 @@ from agents.training import TrainingError
 from agents.tune.controllers import tune
 from agents.tune.search import EPISODES, TRIALS
 from agents.tuned import STORE, read, store
+from dynamics.command import completed
 from dynamics.description import validate
 from dynamics.description.data_file import user_path
 
@@ -177,4 +178,4 @@ def _line(found: Mapping[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(completed("agents.tune", main))

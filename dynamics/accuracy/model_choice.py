@@ -22,7 +22,6 @@ from dynamics.accuracy.fidelity import (
     lumped,
     rigid,
 )
-from dynamics.accuracy.progress import Progress
 from dynamics.accuracy.reference import ModelErrors, largest_distance
 from dynamics.accuracy.rollout import SAMPLES, STRIDES
 from dynamics.accuracy.scene import Scene
@@ -30,6 +29,7 @@ from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS, usable
 from dynamics.load import ArmSource, load_arm
+from dynamics.progress import Progress
 
 STABILITY_SHARE = 0.7  # of a method's stability limit: frequencies change with the pose
 TRIALS = 3  # changes with the largest known gain that are measured again at each refinement

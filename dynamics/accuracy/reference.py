@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.accuracy.fidelity import Fidelity, divisible, everything, rigid
-from dynamics.accuracy.progress import Progress
 from dynamics.accuracy.rollout import NotConverged, Rollout, distance
 from dynamics.accuracy.scene import Scene
 from dynamics.description.arm import Arm
+from dynamics.progress import Progress
 from dynamics.validity import LARGEST_DEFLECTION
 
 _log = logging.getLogger(__name__)

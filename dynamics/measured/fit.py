@@ -26,6 +26,7 @@ from dynamics.measured.sensors import LinkAngle as LinkAngle
 from dynamics.measured.sensors import Sensor
 from dynamics.measured.sensors import TipSlope as TipSlope
 from dynamics.measured.unknowns import Bounds, without_friction
+from dynamics.progress import Progress
 from dynamics.types import Array
 
 BOUNDS = {"stiffness": (0.2, 5.0), "damping": (0.0, 20.0)}  # times the arm's own
@@ -125,6 +126,7 @@ def fit(
     start: str = "estimated",
     held: Mapping[int, float | None] | None = None,
     shooting: float | None = None,
+    progress: bool | None = None,
 ) -> Fit:
     """Fit parameters of a rig within bounds to a log.
 
@@ -141,6 +143,7 @@ def fit(
     held : by joint, counted from 0, that cannot move, its angle [rad] or place [m]; None: the mean
         of its encoder, or 0 without one. The log may leave out command and encoder of held joints.
     shooting : [s] after which the motion starts again as measured, so that no drift grows.
+    progress : True shows a line of progress on standard error; None only on a terminal.
 
     Raises
     ------
@@ -150,14 +153,17 @@ def fit(
     within = checked_bounds(BOUNDS if bounds is None else bounds)
     motion = LoggedMotion(arm, log, gauges, within, start=start, held=held, shooting=shooting)
     table = motion.unknowns
-    x = search(motion, within)
     weights = 1.0 / motion.deviation
     count = motion.present.sum(axis=0)
-    for _ in range(3):  # weights from the residual before
-        motion.refine(x[None], error=STEP_ERROR / weights / np.sqrt(len(log.time)))
-        x, residual, slopes = solve(motion, x, weights)
-        spread = np.sqrt(np.sum(residual**2, axis=0) / count)
-        weights = 1.0 / np.maximum(spread, 1e-12 * motion.deviation)
+    with Progress(progress) as motion.line:
+        motion.line.stage("search")
+        x = search(motion, within)
+        motion.line.stage("solution")
+        for _ in range(3):  # weights from the residual before
+            motion.refine(x[None], error=STEP_ERROR / weights / np.sqrt(len(log.time)))
+            x, residual, slopes = solve(motion, x, weights)
+            spread = np.sqrt(np.sum(residual**2, axis=0) / count)
+            weights = 1.0 / np.maximum(spread, 1e-12 * motion.deviation)
     as_described = np.where(table.asked, table.nominal, x)
     before, after = motion.signals(np.vstack([as_described, x]))
     _check_motion(motion, after, weights)

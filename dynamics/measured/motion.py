@@ -17,6 +17,7 @@ from dynamics.measured.sag import Sag
 from dynamics.measured.sensors import Sensor
 from dynamics.measured.unknowns import LOCKED, Bounds, Unknowns
 from dynamics.model import Model, compile_arm
+from dynamics.progress import Progress
 from dynamics.simulation.sampled_motion import SampledMotion
 from dynamics.types import AnyArray, Array
 
@@ -72,7 +73,7 @@ class LoggedMotion:
         for joint in held:
             validate.integer(joint, "held joint (counted from 0)", 0, n_joint - 1)
         free = [joint for joint in range(n_joint) if joint not in held]
-        self.log, self.substeps = log, 1
+        self.log, self.substeps, self.line = log, 1, Progress(False)
         self.command = _per_joint(
             log.command, "commands", n_joint, free, ", or none if the torque is zero throughout"
         )
@@ -205,6 +206,7 @@ class LoggedMotion:
 
     def _signals(self, values: AnyArray, samples: int) -> AnyArray:
         """Signals (P, N, c): before each new start, and of the state when each was late."""
+        self.line.motion(len(values))
         torque, gain, delay, lag = self.scales(values)
         before, after = self._paths(values, torque, samples)
         read = before[0]
@@ -221,7 +223,6 @@ class LoggedMotion:
         Where a signal may be late, their rates too: (2, N, P, c).
         """
         n, count = self.model.n, len(values)
-        parameters = self._parameters(values)
         torque = torque + np.zeros((count, self.model.n_torque))
         steps = np.diff(self.log.time[:samples]) / self.substeps
         first = [0, *sorted(k for k in self.restarts if k < len(steps))]
@@ -234,7 +235,7 @@ class LoggedMotion:
         for start, k, last in zip(starts, first, [*first[1:], len(steps)], strict=True):
             path[k + 1 : last + 1] = self._follow(
                 steps[k:last], self.substeps, self.command[k:last, :, None] * torque.T,
-                np.hstack([start, parameters]).T,
+                np.hstack([start, self._parameters(values)]).T,
             )  # fmt: skip
         path[..., ~np.isfinite(path).all(axis=(0, 1))] = np.nan
         if not self._has_delays:
@@ -355,12 +356,11 @@ def _check_moving(names: Iterable[str], held: Iterable[int]) -> None:
     """Refuse friction and torque constants of joints that are held."""
     for joint in sorted(held):
         still = {f"{word}_{joint + 1}" for word in ("viscous", "coulomb", "torque")}
-        for name in names:
-            if name in still:
-                raise ValueError(
-                    f"{name} has no effect: joint {joint + 1} is held; leave {name} out of the "
-                    "fit, or let the joint move."
-                )
+        for name in (x for x in names if x in still):
+            raise ValueError(
+                f"{name} has no effect: joint {joint + 1} is held; leave {name} out of the fit, "
+                "or let the joint move."
+            )
 
 
 def _with_held(arm: Arm, held: Mapping[int, float | None]) -> Arm:

@@ -2,6 +2,7 @@
 
 import sys
 
+from dynamics.command import completed
 from flexarm_env.certify.run import main
 
-sys.exit(main())
+sys.exit(completed("flexarm_env.certify", main))

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.stats import binom
 
 from dynamics.accuracy.fidelity import Fidelity, everything, fidelity_of, rigid
-from dynamics.accuracy.progress import Progress
 from dynamics.description.arm import Arm
 from dynamics.integrators.table import INTEGRATORS
+from dynamics.progress import Progress
 from dynamics.tracing.traced_arm import TracedArm
 from dynamics.types import Array
 from flexarm_env import arguments

@@ -12,13 +12,13 @@ from dataclasses import replace
 from typing import Any
 
 from dynamics.accuracy.model_choice import choose_model
-from dynamics.accuracy.progress import Progress
 from dynamics.description.arm import Arm
 from dynamics.description.link import Link
 from dynamics.description.mode_rule import ModesByRule
 from dynamics.description.mode_shapes import STIFFNESS
 from dynamics.formulations.damping import yields
 from dynamics.load import load_arm
+from dynamics.progress import Progress
 from flexarm_env.accuracy.certificates import reference
 from flexarm_env.accuracy.motions import KINDS
 from flexarm_env.accuracy.scene import scene

@@ -21,10 +21,10 @@ from typing import Any
 
 import yaml
 
-from dynamics.accuracy.progress import Progress
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.load import load_arm
+from dynamics.progress import Progress
 from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import STORE, Entry, Fitted, fit, keep
 from flexarm_env.accuracy.table import accuracy

@@ -1,6 +1,7 @@
 """Fits of logs that this package makes: known parameters come back within their intervals."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,8 @@ from dynamics import Arm, compile_arm, load_arm, simulate
 from dynamics.measured.fit import Gauge, fit
 from dynamics.measured.log_file import Log
 from dynamics.measured.motion import LoggedMotion
+from dynamics.progress import Progress
+from dynamics.simulation.sampled_motion import SampledMotion
 
 N_LOG = 12
 
@@ -135,3 +138,25 @@ def test_the_steps_are_halved_until_the_signals_converge(clean: Log) -> None:
     change = np.abs(motion.signals(corner) - coarse).max(axis=(0, 1)) / motion.deviation
     assert np.all(change < 1e-3)
     assert np.isfinite(coarse).all()
+
+
+def test_a_fit_tells_its_stage_and_its_motions_if_asked(
+    clean: Log, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As many as are simulated before the two that it returns; one that is not asked is silent."""
+    simulated = [0]
+    follow = SampledMotion.__call__
+
+    def counted(self: SampledMotion, *given: Any) -> Any:
+        simulated[0] += given[-1].shape[-1]
+        return follow(self, *given)
+
+    monkeypatch.setattr(SampledMotion, "__call__", counted)
+    shown, bounds = Progress(True), {"stiffness": (0.5, 2.0)}
+    monkeypatch.setattr("dynamics.measured.fit.Progress", lambda asked: shown)
+    fit(PRESET, clean, [GAUGE], bounds, start="rest", progress=True)
+    assert f"solution: {simulated[0] - 2} motions" in str(shown._bar)
+    assert "search: " in capsys.readouterr().err
+    monkeypatch.undo()
+    fit(PRESET, clean, [GAUGE], bounds, start="rest")
+    assert capsys.readouterr().err == ""

@@ -11,7 +11,7 @@ import pytest
 
 from dynamics import Arm, load_arm
 from dynamics.accuracy.fidelity import everything, rigid
-from dynamics.accuracy.progress import Progress
+from dynamics.progress import Progress
 from flexarm_env.accuracy.certificates import fit
 from flexarm_env.accuracy.motions import KINDS, bang_bang, held, recorded, sines, white
 from flexarm_env.accuracy.scene import scene

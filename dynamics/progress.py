@@ -1,7 +1,7 @@
-"""Progress of a choice or a certificate: one line on standard error, on a terminal or if asked.
+"""Progress of a choice, a certificate or a fit, on a terminal or if asked.
 
-The number of motions to come is not known, so the line shows the stage, the motions measured, the
-time taken and the last result.
+The number of motions to come is not known, so one line on standard error shows the stage, the
+motions so far, the time taken and the last result.
 """
 
 import sys
@@ -20,12 +20,12 @@ class Progress:
         self._bar = tqdm(disable=hidden, bar_format=LINE, file=sys.stderr, leave=False)
 
     def stage(self, name: str) -> None:
-        """Begin a stage: "reference", "models" or "steps"."""
+        """Begin a stage, such as "reference", "models" or "steps"."""
         self._bar.set_description_str(name)
 
-    def motion(self) -> None:
-        """Count one measured motion."""
-        self._bar.update()
+    def motion(self, count: int = 1) -> None:
+        """Count motions, measured or simulated."""
+        self._bar.update(count)
 
     def result(self, text: str) -> None:
         """Show the last result."""
