@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from hashlib import sha256
 from textwrap import wrap
 from typing import Any
 
@@ -20,6 +21,16 @@ ACTIVATIONS = {
 }
 SQUASHINGS = {"clip": "NAME_clip(y[i], 1.0)", "tanh": "tanhf(y[i])"}
 
+GUARD = """\
+#ifndef NAME_CONTENT
+#define NAME_CONTENT
+#ifdef NAME_H
+#error "another policy is named so too: export one of them by --out with another name"
+#endif
+#define NAME_H
+
+#include <math.h>
+"""
 HELPERS = """\
 static inline double NAME_clip(double x, double most)
 {
@@ -108,7 +119,7 @@ def header(policy: Policy, signals: Signals, name: str) -> str:
     helpers = [HELPERS] + [CELLS] * (policy.recurrent > 0)
     sections = [
         "\n".join(["/*", *(f" * {line}".rstrip() for line in about(policy, signals)), " */"]),
-        "#ifndef NAME_H\n#define NAME_H\n\n#include <math.h>\n",
+        GUARD,
         sizes(policy, signals),
         numbers(policy, signals),
         memory(policy),
@@ -118,6 +129,7 @@ def header(policy: Policy, signals: Signals, name: str) -> str:
         "#endif\n",
     ]
     code = "\n".join(sections).replace("OUTPUT[", f"{signals.output}[")
+    code = code.replace("CONTENT", sha256(code.encode()).hexdigest()[:16].upper())
     return re.sub("NAME_(?=[A-Z])", f"{name.upper()}_", code).replace("NAME_", f"{name}_")
 
 

@@ -56,6 +56,7 @@ class DAgger(OffPolicyAlgorithm):
         verbose: int = 0,
         device: str = "auto",
         seed: int | None = None,
+        _init_setup_model: bool = True,
     ) -> None:
         super().__init__(
             policy, env, learning_rate, buffer_size, learning_starts, batch_size,
@@ -64,13 +65,15 @@ class DAgger(OffPolicyAlgorithm):
             sde_support=False, support_multi_env=True,
         )  # fmt: skip
         self.estimation = estimation
+        self.estimated = self.env.true_state.shape[1] if estimation else 0  # numbers
         self._memory: Any = None  # of the policy's cells
-        self._setup_model()
+        if _init_setup_model:
+            self._setup_model()
 
     def _setup_model(self) -> None:
         """Build the network, and a buffer of what the expert would have done and the true state."""
         if self.estimation:
-            size = self.action_space.shape[0] + self.env.true_state.shape[1]
+            size = self.action_space.shape[0] + self.estimated
             lessons = gym.spaces.Box(-np.inf, np.inf, (size,))
             self.replay_buffer = ReplayBuffer(
                 self.buffer_size, self.observation_space, lessons, self.device, self.n_envs
@@ -82,10 +85,10 @@ class DAgger(OffPolicyAlgorithm):
         """Give the network the layer that tells the true state."""
         if not self.estimation:
             return
-        policy, size = self.policy, self.env.true_state.shape[1]
+        policy = self.policy
         recurrent = isinstance(policy, LstmPolicy)
         hidden = policy.lstm_output_dim if recurrent else policy.mlp_extractor.latent_dim_pi
-        policy.estimator = torch.nn.Linear(hidden, size).to(self.device)
+        policy.estimator = torch.nn.Linear(hidden, self.estimated).to(self.device)
         policy.optimizer.add_param_group({"params": list(policy.estimator.parameters())})
 
     def _setup_learn(self, *given: Any, **keywords: Any) -> Any:

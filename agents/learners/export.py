@@ -9,7 +9,7 @@ from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 
-from agents.learners.algorithms import CRITICS, algorithms, name_of
+from agents.learners.algorithms import CRITICS, DAGGER, algorithms, name_of
 from agents.learners.wrapped import lost_normalization, other_actions
 from agents.policy import (
     ACTIVATIONS,
@@ -33,7 +33,7 @@ ZIPPED = {
     "sb3_contrib.crossq.policies": "crossq",
     "sb3_contrib.tqc.policies": "tqc",
 }
-LOADED = sorted({*ZIPPED.values(), *CRITICS, "ddpg"})  # algorithms of zips
+LOADED = sorted({*ZIPPED.values(), *CRITICS, DAGGER, "ddpg"})  # algorithms of zips
 ON_POLICY = ("agents.learners.privileged", "stable_baselines3.common.policies")  # a2c, ppo, trpo
 COLD = ("ars", "crossq")  # algorithms without a warm start
 LAYOUT = {  # what a policy and a model it begins share, and the remedy otherwise
@@ -340,6 +340,8 @@ def zipped_algorithm(settings: Any) -> str:
             "(HerReplayBuffer); load it by stable-baselines3 with an environment."
         )
     module = settings["policy_class"].get("__module__")
+    if "estimation" in settings:
+        return DAGGER
     if module in ON_POLICY:
         return "ppo" if "n_epochs" in settings else "trpo" if "cg_max_steps" in settings else "a2c"
     if module not in ZIPPED:

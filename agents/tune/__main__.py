@@ -35,6 +35,7 @@ from dynamics.command import completed
 from dynamics.description import validate
 from dynamics.description.data_file import user_path
 
+SEARCHED = ("tasks", "tracks", "controllers")  # options of a search of controllers
 Place = tuple[str, str, str]  # task, track and name
 
 
@@ -56,7 +57,12 @@ def main(arguments: list[str] | None = None) -> int:
         help="folder of unfinished searches, which go on from there (default: %(default)s)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
+    unused = [name for name in SEARCHED if getattr(options, name) != parser.get_default(name)]
     try:
+        if options.experiments and unused:
+            raise ValueError(
+                f"--experiments name their own tasks, tracks and learners; leave --{unused[0]} out."
+            )
         for name in options.controllers:
             validate.known(name, "controller", CONTROLLERS)
         for track in options.tracks:

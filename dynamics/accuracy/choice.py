@@ -7,6 +7,10 @@ from typing import Any
 from dynamics.description.arm import Arm
 
 
+class NoModel(RuntimeError):
+    """A search has ended without a model, a step or a reference that keeps the tolerance."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rung:
     """One measured model or step; errors are the largest distance of the tip [m]."""

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from dynamics.accuracy.choice import Choice, Rung, metres
+from dynamics.accuracy.choice import Choice, NoModel, Rung, metres
 from dynamics.accuracy.fidelity import (
     MOST_MODES,
     MOST_SEGMENTS,
@@ -58,8 +58,8 @@ def choose_model(
     Raises
     ------
     ValueError : for a scene that does not fit the arm, or a tolerance that is not positive.
-    RuntimeError : if the reference does not converge, or no model or step is accurate enough; the
-        message states the error reached.
+    NoModel, a RuntimeError : if the reference does not converge, or no model or step is accurate
+        enough; the message states the error reached.
     """
     arm = load_arm(arm)
     validate.instance(scene, "scene", Scene).check(arm)
@@ -84,7 +84,7 @@ def _choice(errors: ModelErrors) -> Choice:
     chosen, best = step.model, step.rung
     if best.cost is None:
         least = min(k.rung.error for k in steps)
-        raise RuntimeError(
+        raise NoModel(
             f"No step keeps '{chosen}' within {errors.tolerance:.3g} m of the reference; the "
             f"smallest error is {least:.3g} m. Take a larger tolerance."
         )
@@ -167,7 +167,7 @@ def _cheapest_sufficient(errors: ModelErrors, ladder: list[Rung]) -> Fidelity:
         if sufficient:
             return min(sufficient, key=errors.operations)
     last = ladder[-1]
-    raise RuntimeError(
+    raise NoModel(
         f"No model is within {errors.model_tolerance:.3g} m of the reference; the last one tried, "
         f"'{last.description}', has an error of {last.error:.3g} m. Take a larger tolerance."
     )

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.accuracy.choice import NoModel
 from dynamics.accuracy.fidelity import Fidelity, divisible, everything, rigid
 from dynamics.accuracy.rollout import NotConverged, Rollout, distance
 from dynamics.accuracy.scene import Scene
@@ -120,7 +121,7 @@ class ModelErrors:
                 f"moved the tip by {change:.2g} m, {REFERENCE_SHARE * self.tolerance:.2g} m allowed"
             )
         if change > REFERENCE_SHARE * self.tolerance:
-            raise RuntimeError(
+            raise NoModel(
                 f"The reference does not converge: with '{level}' the tip still moves by "
                 f"{change:.3g} m; a tolerance of {self.tolerance:.3g} m needs "
                 f"{REFERENCE_SHARE * self.tolerance:.3g} m. Take a larger tolerance or a shorter "
@@ -138,7 +139,7 @@ class ModelErrors:
                 continue
             bent = max(self.rollout(level).deflection(m, i) for m in self.scene.motions)
             if bent > LARGEST_DEFLECTION:
-                raise RuntimeError(
+                raise NoModel(
                     f"No reference for link {i + 1}: it bends by {bent:.0%} of its length, and "
                     f"Joint.parallel of link {i + 2} (True) forbids segments, without which "
                     f"{LARGEST_DEFLECTION:.0%} are allowed. Take smaller torques, or set "
@@ -149,7 +150,7 @@ class ModelErrors:
         try:
             self._tips[fidelity] = self._converged(self.rollout(fidelity))
         except NotConverged as error:
-            raise RuntimeError(f"No reference from '{fidelity}': {error}") from error
+            raise NoModel(f"No reference from '{fidelity}': {error}") from error
         return self._tips[fidelity]
 
     def _converged(self, rollout: Rollout) -> Tips:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.accuracy.choice import NoModel
 from dynamics.accuracy.scene import JointMotion
 from dynamics.description.arm import Arm
 from dynamics.formulations.free_base import SIZE, local, renewed, world
@@ -44,7 +45,7 @@ REMEDY = "Take a larger tolerance or a shorter scene."
 MOST_WORK = 5e9  # [operations] after which a motion is given up
 
 
-class NotConverged(RuntimeError):
+class NotConverged(NoModel):
     """A motion diverges, or still depends on the step at the smallest affordable step."""
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dynamics import cache
+from dynamics.accuracy.choice import NoModel
 from dynamics.accuracy.fidelity import Fidelity, divisible, everything, fidelity_of, rigid
 from dynamics.backends.numba_llvm.fingerprint import fingerprint, hash_of_files, sources
 from dynamics.description import validate
@@ -134,7 +135,7 @@ def fit(arm: Arm, control_dt: float, fidelity: str | Fidelity, tolerance: float 
     Raises
     ------
     ValueError : for an unknown fidelity, or a fidelity beside a tolerance.
-    RuntimeError : if no model meets the tolerance, see `dynamics.choose_model`.
+    NoModel : if no model meets the tolerance, see `dynamics.choose_model`.
     """
     if isinstance(fidelity, Fidelity):
         return Fitted(fidelity.arm(arm), REFERENCE_METHOD)
@@ -190,7 +191,7 @@ def _chosen(arm: Arm, control_dt: float, tolerance: float) -> Fitted:
     """Model that is found over episodes."""
     found = _choice(arm, control_dt, tolerance)
     if "failed" in found:
-        raise (ValueError if found["refused"] else RuntimeError)(found["failed"])
+        raise (ValueError if found["refused"] else NoModel)(found["failed"])
     return _fitted(found, control_dt)
 
 
@@ -221,7 +222,7 @@ def _choice(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
         check_compiler()
         try:
             found = _chooser[0](arm, control_dt, tolerance)
-        except (RuntimeError, ValueError) as error:
+        except (NoModel, ValueError) as error:
             found = {"failed": str(error), "refused": isinstance(error, ValueError)}
         return json.dumps(found, indent=2)
 

@@ -11,6 +11,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from dynamics.accuracy.choice import NoModel
 from dynamics.accuracy.model_choice import choose_model
 from dynamics.description.arm import Arm
 from dynamics.description.link import Link
@@ -45,7 +46,7 @@ def chosen(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
 
     Raises
     ------
-    ValueError, RuntimeError : if `dynamics.choose_model` finds nothing on the short motions.
+    ValueError, NoModel : if `dynamics.choose_model` finds nothing on the short motions.
     """
     rigid = _rigid_as_stated(arm)
     stiff = tuple(_rigid(x) if k in rigid else x for k, x in enumerate(arm.links))
@@ -96,7 +97,7 @@ def _searched(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
     for search in range(SEARCHES):
         try:
             found = choose_model(arm, motions, wanted).to_dict()
-        except RuntimeError:
+        except NoModel:
             if search == 0:
                 raise
             break
@@ -108,7 +109,7 @@ def _searched(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
             break
         wanted *= MARGIN * min(1.0, max(LEAST, tolerance / measured["error"]))
     if math.isinf(best["error"]):
-        raise RuntimeError(
+        raise NoModel(
             "Every model that keeps the tolerance on short motions diverges in whole episodes."
         )
     if best["error"] > tolerance:

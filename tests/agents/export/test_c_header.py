@@ -95,6 +95,21 @@ def test_a_policy_of_every_kind_acts_in_c_as_in_python(kind: str, tmp_path: Path
     assert np.ptp(expected) > 0.05 * most
 
 
+def test_two_policies_of_one_name_are_an_error_and_one_may_be_included_twice(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "main.c").write_text('#include "a/policy.h"\n#include "b/policy.h"\n' + MAIN)
+    for kinds, status in (("tanh", "tanh"), 0), (("tanh", "relu"), 1):
+        for folder, kind in zip("ab", kinds, strict=True):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            policy = policy_of(kind)
+            (tmp_path / folder / "policy.h").write_text(header(policy, signals(policy), "policy"))
+        command = [str(COMPILER), *STRICT, "-fsyntax-only", "-I", "a", "main.c"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == status
+    assert "another policy is named so too" in done.stderr
+
+
 def test_a_trained_policy_gives_the_torques_of_its_environment(tmp_path: Path) -> None:
     """Readings of an episode in the laboratory go in; info has the torques that acted."""
     env_id, kwargs = "FlexArm/OneLink-Reach-v0", {"hardware": "laboratory"}

@@ -16,8 +16,8 @@ from agents.hybrid.controller import acting, base_of
 from agents.hybrid.environment import HybridVecEnv
 from agents.hybrid.informed import expert
 from agents.leaderboard.shipped import name_of
-from agents.learners.dagger import misses
-from agents.learners.export import export_policy
+from agents.learners.dagger import DAgger, misses
+from agents.learners.export import export_policy, load_zip
 from agents.metrics import make_batch
 from agents.policy import load_policy, save_policy
 from agents.run_folder.checkpoints import cut_off, restore_checkpoint, save_checkpoint
@@ -112,6 +112,29 @@ def test_a_distilled_policy_is_stored_without_its_expert(
     assert acting(policy, envs) is policy
     state = np.load(sorted(run.checkpoints.iterdir())[-1] / "arrays.npz")
     assert len(state["replay/actions"]) == 1600 / 8
+
+
+@pytest.mark.parametrize("network", ["MlpPolicy", "MlpLstmPolicy"])
+@pytest.mark.parametrize("estimation", [0.0, 0.1])
+def test_a_saved_learner_is_loaded_with_what_it_has_learned(
+    estimation: float, network: str, tmp_path: Path
+) -> None:
+    """To go on in an environment, and as a policy without one."""
+    given = experiment("lqr", 240)
+    kwargs = KWARGS | {"learning_starts": 80, "gradient_steps": 2, "estimation": estimation}
+    given["agent"] |= {"policy": network, "kwargs": kwargs}
+    model = build_model(config_from_dict(given))
+    model.learn(160)
+    model.save(tmp_path / "model.zip")
+    again = DAgger.load(tmp_path / "model.zip", env=model.env, device="cpu")
+    for found in (export_policy(again, {}), load_zip(tmp_path / "model.zip", trust=True)):
+        assert found.about["algorithm"] == "dagger"
+        for ours, theirs in zip(found.weights, export_policy(model, {}).weights, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    for name, value in model.get_parameters()["policy"].items():
+        torch.testing.assert_close(again.get_parameters()["policy"][name], value)
+    again.learn(400)
+    assert again.num_timesteps >= 400
 
 
 def test_a_policy_is_compared_with_its_expert_where_the_ranking_has_other_parameters(

@@ -272,6 +272,17 @@ def test_a_track_with_the_controllers_of_another_is_not_tuned(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    "option", [("--tasks", ENV_ID), ("--tracks", "laboratory"), ("--controllers", "pd")]
+)
+def test_experiments_take_no_option_of_controllers(
+    option: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["--experiments", str(write_config(tmp_path, "ppo", 1152)), *option]
+    assert main([*command, "--out", str(tmp_path / "tuned.json")]) == 2
+    assert one_sentence(capsys).endswith(f"leave {option[0]} out.\n")
+
+
 @pytest.mark.parametrize("name", ["zero", "nmpc"])
 def test_a_search_of_nothing_says_so(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -9,6 +9,7 @@ import numba
 import pytest
 
 from dynamics import Arm, load_arm
+from dynamics.accuracy.choice import NoModel
 from flexarm_env.accuracy import certificates
 from flexarm_env.accuracy.certificates import AUTO_TOLERANCE, fit
 from flexarm_env.accuracy.scene import scene
@@ -34,7 +35,7 @@ def searched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[float]:
     def answer(arm: Arm, control_dt: float, tolerance: float) -> dict[str, Any]:
         tolerances.append(tolerance)
         if arm.name == "hard":
-            raise RuntimeError("No model is within that.")
+            raise NoModel("No model is within that.")
         link = arm.with_listed_modes().to_dict()["links"][0]
         _, conditions = scene(arm, control_dt)
         return {
@@ -103,6 +104,23 @@ def test_a_failed_tolerance_is_an_error_that_is_not_searched_again(searched: lis
         with pytest.raises(RuntimeError, match=r"No model is within that\."):
             fit(arm, DT, "auto", 0.01)
     assert len(searched) == 1
+
+
+def test_an_error_that_is_none_of_the_arm_is_not_kept_for_the_next_search(
+    searched: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where no further thread can be started, which is a RuntimeError too."""
+
+    def starved(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    arm = load_arm(OWN)
+    with monkeypatch.context() as patch:
+        patch.setattr(choice, "chosen", starved)
+        for tolerance in (None, 0.01):
+            with pytest.raises(RuntimeError, match="can't start new thread"):
+                fit(arm, DT, "auto", tolerance)
+    assert fit(arm, DT, "auto", None).entry is not None
 
 
 def test_a_search_without_numbas_compiler_is_refused_and_leaves_no_failure_in_the_cache(
