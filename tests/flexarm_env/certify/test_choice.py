@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dynamics import Arm, load_arm
+from dynamics.accuracy.choice import NoModel
 from dynamics.accuracy.fidelity import everything, rigid
 from dynamics.progress import Progress
 from flexarm_env.accuracy.certificates import fit
@@ -45,7 +46,7 @@ def searching(monkeypatch: pytest.MonkeyPatch, errors: dict[float, float]) -> li
     def search(arm: Arm, motions: object, tolerance: float) -> Any:
         wanted.append(round(tolerance, 6))
         if wanted[-1] not in errors:
-            raise RuntimeError("No model is within that.")
+            raise NoModel("No model is within that.")
         return SimpleNamespace(to_dict=lambda: {"of": wanted[-1]})
 
     monkeypatch.setattr(choice, "choose_model", search)
