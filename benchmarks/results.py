@@ -24,7 +24,7 @@ from agents.learners.algorithms import ON_TENSORS
 from agents.metrics import write_json
 from benchmarks.output import ROOT, argument_parser, count, table
 from benchmarks.ranking.harder import REACH as WIDE
-from benchmarks.training.experiments import stored_minutes
+from benchmarks.training.experiments import stored_seconds
 from benchmarks.training.studies import STUDIES
 from dynamics.description import validate
 
@@ -60,12 +60,12 @@ def steps(jobs: int, keep: Path) -> Iterator[Step]:
     yield Step("parameters", ("agents.tune", *wide), ("--keep", str(keep / "tune")))
     configs = {name: load_config(path) for name, path in shipped_experiments().items()}
     for name, config in sorted(configs.items(), key=lambda x: bool(x[1].agent.warm_start)):
-        took = stored_minutes(name)
+        took = stored_seconds(name)
         seeds = took or DEFAULT_SEEDS
         given = ("--config", f"configs/{name}.yaml", "--ship", "--seeds", *map(str, seeds))
         kept = (*side, "--keep", str(keep / name))
         on_tensors = config.agent.name in ON_TENSORS
-        minutes = sum(took.values()) / jobs if took else None
+        minutes = sum(took.values()) / 60.0 / jobs if took else None
         yield Step("trainings", ("benchmarks.training", *given), kept, minutes, on_tensors)
     yield Step("trainings", ("benchmarks.training.distilled",))
     for name, study in STUDIES.items():

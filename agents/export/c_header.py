@@ -129,7 +129,7 @@ def header(policy: Policy, signals: Signals, name: str) -> str:
         "#endif\n",
     ]
     code = "\n".join(sections).replace("OUTPUT[", f"{signals.output}[")
-    code = code.replace("CONTENT", sha256(code.encode()).hexdigest()[:16].upper())
+    code = code.replace("NAME_CONTENT", f"NAME_{sha256(code.encode()).hexdigest()[:16].upper()}")
     return re.sub("NAME_(?=[A-Z])", f"{name.upper()}_", code).replace("NAME_", f"{name}_")
 
 

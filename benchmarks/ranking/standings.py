@@ -24,7 +24,7 @@ from agents.leaderboard.tracks import TRACKS
 from agents.tune.learners import place_of
 from agents.tuned import tuned
 from benchmarks.output import RESULTS, ROOT, argument_parser, fill, table
-from benchmarks.training.experiments import stored_minutes
+from benchmarks.training.experiments import stored_seconds
 
 PAGE = ROOT / "docs" / "leaderboard.md"
 FAMILIES = ("joint control", "linear-quadratic", "predictive")  # of classical control
@@ -132,7 +132,7 @@ def trained() -> dict[str, float]:
     The shortest of its seeds, which other work disturbed least; infinite without stored results.
     """
     configs = {name: load_config(path) for name, path in shipped_experiments().items()}
-    own = {name: min(stored_minutes(name).values(), default=math.inf) for name in configs}
+    own = {name: min(stored_seconds(name).values(), default=math.inf) / 60.0 for name in configs}
     return {name: own[name] + own.get(x.agent.warm_start or "", 0.0) for name, x in configs.items()}
 
 

@@ -25,7 +25,7 @@ from agents.controllers import joint_pd, tune_pd
 from agents.controllers.pd import TunedPD
 from agents.figures import film, plot_recordings, write_gif
 from agents.hybrid.controller import acting
-from agents.leaderboard.shipped import name_made_by, ship, shipped
+from agents.leaderboard.shipped import ship, shipped_policies
 from agents.leaderboard.tracks import track_of
 from agents.metrics import (
     METRICS,
@@ -97,17 +97,16 @@ def faster_pd(env_id: str, kwargs: Mapping[str, Any], tasks: Sequence[int]) -> d
 def film_shipped(config: Config, out: Path) -> None:
     """Film the shipped policy of the first seed and joint PD with the stored gains as NAME.gif."""
     env_id, kwargs = config.env.id, config.env.kwargs
-    track = track_of(config.agent.name, env_id, kwargs)
-    policies, made = {} if track is None else shipped(env_id, track), name_made_by(config)
-    if made not in policies:
+    policies = shipped_policies(config)
+    if not policies:
         raise SystemExit(
-            f"No policy of {config.name} is shipped, but {sorted(policies)} of {env_id}; train it "
-            f"with --config configs/{config.name}.yaml --gif."
+            f"No policy of {config.name} is shipped; train it with "
+            f"--config configs/{config.name}.yaml --gif."
         )
     gains = json.loads((out / f"{config.name}.json").read_text(encoding="utf-8"))["pd"]
     envs = make_batch(env_id, 1, kwargs)
     pair: dict[str, Controller] = {
-        "trained policy": acting(policies[made][0], envs),
+        "trained policy": acting(policies[0], envs),
         "joint PD": joint_pd(envs, gains["frequency_ratio"], gains["damping_ratio"]),
     }
     envs.close()

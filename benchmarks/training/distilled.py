@@ -32,7 +32,7 @@ from agents.policy import Controller, Policy
 from agents.sentences import one_line
 from agents.training import base_description
 from benchmarks.output import argument_parser, provenance, save_results, table
-from benchmarks.training.experiments import stored_minutes
+from benchmarks.training.experiments import stored_seconds
 from dynamics.description import validate
 from dynamics.types import AnyArray
 
@@ -110,7 +110,7 @@ def stored_rows(path: Path, only: Sequence[str] | None) -> dict[str, dict[str, A
 
 def row(config: Config, base: BaseConfig) -> dict[str, Any]:
     """Scores, training times and times of decisions of an experiment beside its expert."""
-    policies, minutes = shipped_policies(config), stored_minutes(config.name)
+    policies, seconds = shipped_policies(config), stored_seconds(config.name)
     seeds = [policy.about["seed"] for policy in policies]
     begun = config.agent.warm_start
     warm = [named_policy(begun, seed) for seed in seeds] if begun else []
@@ -130,7 +130,7 @@ def row(config: Config, base: BaseConfig) -> dict[str, Any]:
             "scores": ours.mean(axis=1).tolist(),
             "gain": gain(ours, theirs),
             "gain_on_start": gain(ours, starts) if warm else None,
-            "seconds": [60.0 * minutes[seed] for seed in seeds],
+            "seconds": [seconds[seed] for seed in seeds],
             "expert_us": 1e3 * float(np.median(decision_times(alone, single, FIRST))),
             "policy_us": 1e3 * float(np.median(decision_times(policies[0], single, FIRST))),
             "c_us": in_c(policies[0], env_id, single.unwrapped.core),

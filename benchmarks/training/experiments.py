@@ -76,11 +76,11 @@ def stored(out: Path) -> list[dict[str, Any]]:
     return [data for data in found if "references" in data and "runs" in data]
 
 
-def stored_minutes(name: str) -> dict[int, float]:
-    """[min] of the trainings of an experiment's stored results, by seed; none without results."""
+def stored_seconds(name: str) -> dict[int, float]:
+    """[s] of the trainings of an experiment's stored results, by seed; none without results."""
     file = RESULTS / f"{name}.json"
     runs = json.loads(file.read_text(encoding="utf-8"))["runs"] if file.exists() else []
-    return {run["seed"]: run["seconds"] / 60.0 for run in runs}
+    return {run["seed"]: run["seconds"] for run in runs}
 
 
 def summarise_experiments(out: Path, only: str | None = None) -> None:

@@ -9,7 +9,7 @@ import pytest
 from agents.leaderboard.shipped import shipped_policies
 from benchmarks.output import RESULTS
 from benchmarks.training.distilled import distilled, gain, page, stored_rows
-from benchmarks.training.experiments import stored_minutes
+from benchmarks.training.experiments import stored_seconds
 
 
 def test_the_stored_page_is_that_of_the_stored_results() -> None:
@@ -19,7 +19,7 @@ def test_the_stored_page_is_that_of_the_stored_results() -> None:
     seeds = {row["name"]: row["seeds"] for row in results["rows"]}
     shipped = {c.name: [p.about["seed"] for p in shipped_policies(c)] for c, _ in distilled()}
     assert seeds == shipped
-    assert {name: list(stored_minutes(name)) for name in seeds} == shipped
+    assert {name: list(stored_seconds(name)) for name in seeds} == shipped
 
 
 def test_a_gain_in_the_same_episodes_is_without_what_makes_them_hard() -> None:
