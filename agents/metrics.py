@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from flexarm_env.task.tasks import SETTLED_BAND
 HOLD = 0.25  # [s] least time in the band at the end of a settled episode
 RESIDUAL_WINDOW = 1.0  # [s] at the end of the episode
 MOST_REGRET = 4.0  # [-]
+NUMBERS = re.compile(r'\[\n([^][{}"]*)\n *\]')  # a list without lists, objects and texts
 SATURATED = 0.999  # [-] an action of this magnitude or more is saturated
 
 METRICS = {  # name: (unit, meaning)
@@ -229,8 +231,9 @@ def without_infinities(value: Any) -> Any:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write strict JSON, without NaN and Infinity."""
+    """Write strict JSON, without NaN and Infinity; a list of numbers is one line."""
     text = json.dumps(without_infinities(data), indent=1, allow_nan=False)
+    text = NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", text)
     with atomic_write(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 

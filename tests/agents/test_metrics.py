@@ -25,6 +25,7 @@ from agents.metrics import (
     settling_time,
     summarise,
     without_infinities,
+    write_json,
     write_results,
 )
 
@@ -302,6 +303,15 @@ def test_regrets_are_of_episodes_with_a_best_above_zero() -> None:
     assert regrets(metrics, best).tolist() == [[0.5, -0.5], [2.0, 1.0]]
     with pytest.raises(FrozenInstanceError):
         best.metric = ""  # type: ignore[misc]
+
+
+def test_json_has_a_list_of_numbers_in_one_line(tmp_path: Path) -> None:
+    """Texts stay as they are, also those that look like such lists."""
+    data = {"curve": [[0.1, math.inf], [2, None], []], "text": ["[\n 1,\n 2\n]"], "of": [{"a": 1}]}
+    write_json(tmp_path / "data.json", data)
+    text = (tmp_path / "data.json").read_text()
+    assert json.loads(text) == without_infinities(data)
+    assert [line.strip() for line in text.splitlines()[2:4]] == ["[0.1, null],", "[2, null],"]
 
 
 def test_trees_without_infinities_are_plain_and_whole() -> None:
