@@ -9,6 +9,7 @@ by themselves, and whole episodes, the same in all rows: comparisons stay within
 one run the interval covers the choice of the episodes alone.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -83,6 +84,7 @@ def figures(
         "episodes": score.shape[-1],
         "success_rate": float(metrics["success"].mean()),
         "score_mean": float(score.mean()),
+        "score_mean_moves": moves(score),
         "score_iqm": interquartile_mean(score),
         "score_ci": interval(score),
         "regret_iqm": None if regret is None else interquartile_mean(regret),
@@ -116,6 +118,11 @@ def decisions(milliseconds: AnyArray, control_dt: float) -> Figures:
 def interquartile_mean(values: AnyArray) -> float:
     """Mean of the middle half of values (runs, episodes)."""
     return float(stats.trim_mean(values, 0.25, axis=None))
+
+
+def moves(values: AnyArray) -> float:
+    """Standard deviation of the difference of two means, of so many episodes each."""
+    return float(values.mean(axis=0).std(ddof=1) * math.sqrt(2.0 / values.shape[-1]))
 
 
 def interval(values: AnyArray) -> list[float]:

@@ -18,6 +18,7 @@ from agents.leaderboard.statistics import (
     improvements,
     interquartile_mean,
     interval,
+    moves,
     profile,
     quartiles,
     rounded,
@@ -244,6 +245,7 @@ def test_figures_of_known_metrics() -> None:
         "excess_ci": None,
         "success_rate": 7 / 8,
         "score_mean": pytest.approx(0.35),
+        "score_mean_moves": pytest.approx(math.sqrt(0.05 / 3.0 * 2.0 / 4.0)),
         "score_iqm": pytest.approx(0.35),
         "regret_iqm": pytest.approx(sum(middle) / 4),
         "regret_episodes": 4,
@@ -253,6 +255,14 @@ def test_figures_of_known_metrics() -> None:
         "residual_vibration_median": pytest.approx(1.05),
         "residual_vibration_quartiles": pytest.approx([0.3, 1.5]),
     }
+
+
+def test_a_mean_moves_as_much_as_those_of_many_pairs_of_sets() -> None:
+    """Two training seeds have one episode's difficulty in common."""
+    rng = np.random.default_rng(1)
+    sets = rng.normal(size=(400, 2, 1, 200)) + 0.5 * rng.normal(size=(400, 2, 2, 200))
+    apart = np.std(sets[:, 0].mean(axis=(1, 2)) - sets[:, 1].mean(axis=(1, 2)))
+    assert np.mean([moves(x) for x in sets[:, 0]]) == pytest.approx(apart, rel=0.1)
 
 
 def test_decisions_have_their_median_and_tail_beside_the_control_step() -> None:
@@ -357,6 +367,7 @@ def test_excess_is_infinite_where_a_quarter_of_the_episodes_failed(
     rms = np.full((1, 8), 1.5)
     rms[0, :failed] = np.inf
     best = Best("tip_error_rms", np.full(8, 0.5))
-    found = figures(dict.fromkeys(METRICS, rms), best)
+    metrics = dict.fromkeys(METRICS, rms) | {"score": np.isfinite(rms).astype(float)}
+    found = figures(metrics, best)
     assert found["excess_iqm"] == middle
     assert found["excess_ci"] == ends
