@@ -79,7 +79,7 @@ class ShapedPD(Remembering):
         frequency_ratio: float,
         damping_ratio: float,
         rise: float,
-        modes: int = 1,
+        modes: int,
     ) -> None:
         core = env.unwrapped.core
         self.read, self.shaper, self.modes = Reading.of(env), shaper, modes

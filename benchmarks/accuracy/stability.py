@@ -172,8 +172,9 @@ def driven(
     return stepper.measured[0, model.measurements["tip"]].copy()
 
 
-def loop_map(payload: float, cells: int, period: float = 1e-3) -> dict[str, Any]:
+def loop_map(payload: float, cells: int) -> dict[str, Any]:
     """Stability of joint PD with delayed measurements on SLIM, over delay and gain."""
+    period = 1e-3  # [s] of control
     model = compile_arm("slim", free_parameters=("payload_mass",))
     loaded = Arm(links=model.arm.links, payload=Payload(mass=payload) if payload else None)
     delays = np.unique(np.linspace(0, 40, cells).astype(int))  # control periods

@@ -22,7 +22,7 @@ import flexarm_env
 from benchmarks.output import argument_parser, paragraphs, provenance, save_results, table
 from flexarm_env import FlexArmVectorEnv
 
-BATCH = 4096
+BATCH, THREADS = 4096, 2
 OVERDRIVEN, OVERDRIVE = 0.1, 20.0  # share of the steps, and their torque over the torque limit
 SWITCHES = 0.15  # probability per control step that a bang-bang torque changes its sign
 
@@ -36,10 +36,10 @@ def side_by_side(obs: Any) -> NDArray[np.float32]:
 class Soak:
     """A batch of one environment, and counts of its steps, ends and faults."""
 
-    def __init__(self, env_id: str, torque: float, threads: int = 2) -> None:
+    def __init__(self, env_id: str, torque: float) -> None:
         nominal: Any = gym.make(env_id).unwrapped
         limit = (torque * np.array(nominal.torque_limit)).tolist()
-        keywords: Any = {"threads": threads, "torque_limit": limit}
+        keywords: Any = {"threads": THREADS, "torque_limit": limit}
         self.envs = cast(FlexArmVectorEnv, gym.make_vec(env_id, num_envs=BATCH, **keywords))
         self.rng = np.random.default_rng(0)
         obs, _ = self.envs.reset(seed=0)

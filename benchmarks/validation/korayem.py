@@ -79,7 +79,7 @@ EXTREMES = {  # name: modes, payload [kg], smallest and largest w1, w2 over one 
 }
 
 
-def hanging(modes: int, payload: float = 0.0, kind: str = "clamped-free", segments: int = 1) -> Arm:
+def hanging(modes: int, payload: float, kind: str = "clamped-free", segments: int = 1) -> Arm:
     """The arm with `modes` modes per link or segment; segments are foreshortened."""
     shapes = tuple(Mode(kind=kind, index=k, direction="y") for k in range(1, modes + 1))
     link = replace(DATA, modes=shapes, segments=segments)

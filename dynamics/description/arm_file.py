@@ -52,7 +52,7 @@ def _arm(data: Mapping[str, Any]) -> Arm:
     if TABLE in keys:
         if "links" in keys:
             raise ValueError(f"links and {TABLE} exclude each other; give one.")
-        values["links"] = denavit_hartenberg.links(denavit_hartenberg.rows(keys[TABLE]))
+        values["links"] = denavit_hartenberg.links(denavit_hartenberg.rows(keys[TABLE], TABLE))
         return Arm(**values)  # type: ignore[arg-type]
     links = validate.sequence(values.get("links", []), "links", MOST_LINKS)
     values["links"] = [_link(entry, f"links[{i}]") for i, entry in enumerate(links)]

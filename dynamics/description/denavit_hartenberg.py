@@ -50,7 +50,7 @@ class Row:
             validate.radians([getattr(self, name)], f"Row.{name}")
 
 
-def rows(data: object, where: str = "denavit_hartenberg") -> tuple[Row, ...]:
+def rows(data: object, where: str) -> tuple[Row, ...]:
     """Build a table from the plain mappings of an arm file."""
     known = [entry.name for entry in fields(Row)]
     result = []

@@ -213,7 +213,7 @@ def _accelerations(traced: TracedArm, implicit: bool) -> Any:
     return ca.Function("accelerations", s.inputs, [ca.cse(ca.vertcat(*a))])
 
 
-def imbalance(traced: TracedArm, implicit: bool = False) -> Any:
+def imbalance(traced: TracedArm, implicit: bool) -> Any:
     """CasADi Function (inputs of `accelerations`, a) -> (n,) B tau - h + W guess - (M + W) a."""
     import casadi as ca
 
@@ -223,7 +223,7 @@ def imbalance(traced: TracedArm, implicit: bool = False) -> Any:
     return ca.Function("imbalance", [*s.inputs, a], [ca.cse(ca.vertcat(*off))])
 
 
-def response(traced: TracedArm, implicit: bool = False) -> Any:
+def response(traced: TracedArm, implicit: bool) -> Any:
     """CasADi Function (inputs of `accelerations`, forces) -> (n,) accelerations by these alone."""
     import casadi as ca
 
@@ -232,7 +232,7 @@ def response(traced: TracedArm, implicit: bool = False) -> Any:
     return ca.Function("response", [*s.inputs, forces], [ca.cse(ca.vertcat(*x))])
 
 
-def pushed(traced: TracedArm, implicit: bool = False) -> Any:
+def pushed(traced: TracedArm, implicit: bool) -> Any:
     """CasADi Function (inputs of `accelerations`, force) -> (n,) accelerations by the force alone.
 
     The force (3,) [N] acts at the tip, along the axes of the last link at its bent tip.

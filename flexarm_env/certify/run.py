@@ -132,7 +132,7 @@ def _with_motors(arm: Arm, keywords: Mapping[str, Any]) -> Arm:
     return mounted(arm, load_actuators(keywords.get("actuator"), arm.n_joint))
 
 
-def measure_all(line: Progress, only: str = ALL) -> None:
+def measure_all(line: Progress, only: str) -> None:
     """Measure the registered scenes under all their conditions, and write certificates.json."""
     for scene, (arm, dt, steps) in SCENES.items():
         if only not in (ALL, arm):

@@ -82,9 +82,7 @@ def sufficient_steps(certifier: Certifier) -> list[Step]:
     return found
 
 
-def fewest_steps(
-    certifier: Certifier, limits: Limits, integrator: str, most: float = math.inf
-) -> Step | None:
+def fewest_steps(certifier: Certifier, limits: Limits, integrator: str, most: float) -> Step | None:
     """Step with the fewest stable and accurate substeps of a method.
 
     None above MOST_STEPS, or above `most` evaluations of the accelerations.

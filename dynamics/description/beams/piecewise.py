@@ -64,7 +64,7 @@ def gauss(edges: Edges, count: int) -> tuple[Array, Array]:
 
 def natural(
     index: int, edges: Edges, rigidity: Profile, density: Profile, order: int,
-    tip: tuple[float, float] = (0.0, 0.0), hub: float | None = None,
+    tip: tuple[float, float], hub: float | None,
 ) -> PieceShape:  # fmt: skip
     """Natural mode `index` of a beam that is clamped, or hinged to a hub, at its root.
 
