@@ -1,31 +1,84 @@
 """Comparisons that tests of several kinds of arm share."""
 
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.testing import assert_allclose
 
 from dynamics import Arm, Model
-from dynamics.formulations import articulated_body
+from dynamics.formulations import articulated_body, gibbs_appell
 from dynamics.types import Array
 from tests.dynamics import brute_force
-from tests.dynamics.random_arms import floats, random_state, random_torque, torque_matrix
+from tests.dynamics.random_arms import (
+    compiled,
+    floats,
+    random_state,
+    random_torque,
+    torque_matrix,
+)
 
 
-def recursion(model: Model) -> Callable[[Array, Array, Array], Array]:
-    """Accelerations by the recursion on floats."""
-    return lambda q, v, tau: np.array(
-        articulated_body.accelerations(model.chain, floats(q), floats(v), floats(tau))
-    )
+def composite(arm: Arm, q: Array, v: Array, equations: Any = gibbs_appell) -> tuple[Array, Array]:
+    """M and h of the recursion on floats."""
+    chain = compiled(arm).chain
+    M = equations.mass_matrix(chain, floats(q))
+    return np.array(M), np.array(equations.bias(chain, floats(q), floats(v)))
+
+
+def accelerations(arm: Arm, q: Array, v: Array, tau: Array) -> Array:
+    """Accelerations by the O(n) recursion on floats."""
+    chain = compiled(arm).chain
+    return np.array(articulated_body.accelerations(chain, floats(q), floats(v), floats(tau)))
+
+
+def central(f: Callable[[float], Any], step: float = 1e-5) -> Any:
+    """Derivative at zero by central differences of order four."""
+    return (8.0 * (f(step) - f(-step)) - (f(2 * step) - f(-2 * step))) / (12.0 * step)
+
+
+def assert_slopes(model: Model, A: Array, q: Array, v: Array, tau: Array) -> None:
+    """Compare the lower rows of A (2n, 2n) with differences of the accelerations."""
+    n, size = model.n, np.abs(A[model.n :]).max()
+    for k, e in enumerate(np.eye(n)):
+        by_q = central(lambda x, e=e: model.accelerations(q + x * e, v, tau))
+        by_v = central(lambda x, e=e: model.accelerations(q, v + x * e, tau))
+        assert_allclose(A[n:, k], by_q, rtol=0.0, atol=1e-6 * size)
+        assert_allclose(A[n:, n + k], by_v, rtol=0.0, atol=1e-6 * size)
+
+
+def assert_equations(arm: Arm, q: Array, v: Array) -> None:
+    """Compare M and h of the recursion with energies of all bodies and forces by definition."""
+    M, h = composite(arm, q, v)
+    expected = brute_force.mass_matrix(arm, q)
+    forces = brute_force.inertial_forces(arm, q, v, 0.0 * v)
+    forces += brute_force.resisting_forces(arm, q, v)
+    assert_allclose(M, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
+    assert_allclose(h, forces, rtol=0.0, atol=1e-11 * np.abs(forces).max())
+    assert np.array_equal(M, M.T)
+
+
+def assert_eliminated(arm: Arm, q: Array, v: Array) -> None:
+    """Compare O(n) accelerations with M a = B tau - h."""
+    tau = random_torque(arm)
+    M, h = composite(arm, q, v)
+    a = accelerations(arm, q, v, tau)
+    assert brute_force.imbalance(M, a, torque_matrix(arm) @ tau - h) < 1e-13
 
 
 def assert_compiled(
-    model: Model, lanes: int, expected: Callable[[Array, Array, Array], Array], within: float
+    model: Model,
+    lanes: int,
+    within: float,
+    expected: Callable[[Array, Array, Array], Array] | None = None,
 ) -> None:
     """Compare compiled accelerations in every lane, including a partly filled block.
 
-    `within` is the largest error over the largest acceleration of a state.
+    `within` is the largest error over the largest acceleration of a state; `expected` are those
+    of the recursion on floats, unless they are given.
     """
+    expected = expected or partial(accelerations, model.arm)
     count = lanes + 3
     q, v = np.stack([random_state(model.arm, seed) for seed in range(count)], axis=1)
     tau = np.stack([random_torque(model.arm, seed) for seed in range(count)])

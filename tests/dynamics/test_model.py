@@ -12,6 +12,7 @@ from dynamics import ARMS, Arm, Joint, Link, Mode, Model, Payload, compile_arm, 
 from dynamics.description.validate import ZEROS
 from dynamics.formulations.free_parameters import FREE_PARAMETERS
 from dynamics.types import Array
+from tests.dynamics.agreement import assert_slopes, central
 from tests.dynamics.random_arms import (
     compiled,
     random_arm,
@@ -243,11 +244,6 @@ def test_the_static_bias_is_the_gradient_of_the_potential_energy(model: Model) -
     assert_allclose(slope, h, rtol=0.0, atol=1e-7 * np.abs(h).max())
 
 
-def central(f: object, step: float = 1e-5) -> Array:
-    """Derivative at zero by central differences of order four."""
-    return (8.0 * (f(step) - f(-step)) - (f(2 * step) - f(-2 * step))) / (12.0 * step)
-
-
 def test_inverse_dynamics_undoes_the_accelerations(model: Model) -> None:
     """M a + h = B tau for the accelerations under tau."""
     (q, v), tau = random_state(model.arm), random_torque(model.arm)
@@ -270,12 +266,7 @@ def test_linearisation_equals_central_differences_of_the_accelerations(model: Mo
     assert B.shape == (2 * n, m)
     assert np.array_equal(A[:n], np.eye(2 * n)[n:])
     assert not B[:n].any()
-    size = np.abs(A[n:]).max()
-    for k, e in enumerate(np.eye(n)):
-        by_q = central(lambda x, e=e: model.accelerations(q + x * e, v, tau))
-        by_v = central(lambda x, e=e: model.accelerations(q, v + x * e, tau))
-        assert_allclose(A[n:, k], by_q, rtol=0.0, atol=1e-6 * size)
-        assert_allclose(A[n:, n + k], by_v, rtol=0.0, atol=1e-6 * size)
+    assert_slopes(model, A, q, v, tau)
     for k, e in enumerate(np.eye(m)):
         by_tau = central(lambda x, e=e: model.accelerations(q, v, tau + x * e), 1.0)
         assert_allclose(B[n:, k], by_tau, rtol=0.0, atol=1e-9 * np.abs(B).max())

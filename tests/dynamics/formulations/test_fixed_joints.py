@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from dynamics import Arm, Body, Joint, Link, Model, Payload, load_arm, simulate
 from dynamics.formulations import newton_euler
 from tests.dynamics import brute_force
-from tests.dynamics.agreement import assert_compiled, assert_implicit, recursion
+from tests.dynamics.agreement import accelerations, assert_compiled, assert_implicit
 from tests.dynamics.random_arms import (
     compiled,
     floats,
@@ -103,7 +103,7 @@ def test_accelerations_solve_the_equations_of_motion(case: tuple[int, int, int])
     model, (q, v), tau = Model(arm), random_state(arm), random_torque(arm)
     M, h = model.mass_matrix(q), model.bias(q, v)
 
-    a = recursion(model)(q, v, tau)
+    a = accelerations(arm, q, v, tau)
 
     assert brute_force.imbalance(M, a, torque_matrix(arm) @ tau - h) < 1e-12
     assert_implicit(arm, M, h, np.random.default_rng(1).normal(size=arm.n), 3e-3, 2e-3)
@@ -112,7 +112,7 @@ def test_accelerations_solve_the_equations_of_motion(case: tuple[int, int, int])
 @pytest.mark.compiles
 def test_compiled_accelerations_are_those_of_floats() -> None:
     model = compiled(built_up(*CASES[3]))
-    assert_compiled(model, 1, recursion(model), 1e-11)
+    assert_compiled(model, 1, 1e-11)
 
 
 @pytest.mark.parametrize("case", [CASES[1], CASES[6]], ids=str)
@@ -179,7 +179,7 @@ def test_a_randomised_payload_is_added_at_its_centre() -> None:
 
     found = model.graph(q, v, tau, 0.7, [])
 
-    assert_allclose(np.array(found).ravel(), recursion(Model(heavier))(q, v, tau), rtol=1e-10)
+    assert_allclose(np.array(found).ravel(), accelerations(heavier, q, v, tau), rtol=1e-10)
 
 
 @pytest.mark.compiles

@@ -16,11 +16,17 @@ from dynamics import Arm, Joint
 from dynamics.backends.numba_llvm.stepper_entries import LANES
 from dynamics.description.arm import FOURTH_ORDER
 from dynamics.description.mode_shapes import KINDS
-from dynamics.formulations import articulated_body, gibbs_appell, kinematics
+from dynamics.formulations import gibbs_appell, kinematics
 from dynamics.formulations.kinematics import energies
 from dynamics.types import Array
 from tests.dynamics import brute_force
-from tests.dynamics.agreement import assert_compiled, assert_implicit, recursion
+from tests.dynamics.agreement import (
+    accelerations,
+    assert_compiled,
+    assert_eliminated,
+    assert_implicit,
+    composite,
+)
 from tests.dynamics.random_arms import (
     compiled,
     floats,
@@ -40,19 +46,6 @@ FEW = [
 
 any_arm = pytest.mark.parametrize("case", ANY, ids=str)
 some_arm = pytest.mark.parametrize("case", FEW, ids=str)
-
-
-def composite(arm: Arm, q: Array, v: Array, recursion: Any = gibbs_appell) -> tuple[Array, Array]:
-    """M and h of the recursion, evaluated with floats."""
-    chain = compiled(arm).chain
-    M = recursion.mass_matrix(chain, floats(q))
-    return np.array(M), np.array(recursion.bias(chain, floats(q), floats(v)))
-
-
-def accelerations(arm: Arm, q: Array, v: Array, tau: Array) -> Array:
-    """Accelerations by the O(n) recursion, evaluated with floats."""
-    chain = compiled(arm).chain
-    return np.array(articulated_body.accelerations(chain, floats(q), floats(v), floats(tau)))
 
 
 def rate(along: Callable[[Any], Any]) -> float:
@@ -92,14 +85,8 @@ def test_random_arms_have_everything() -> None:
 
 @any_arm
 def test_elimination_solves_the_composite_equations(case: tuple[int, int, int]) -> None:
-    """O(n) accelerations equal M^-1 (B tau - h)."""
     arm = random_arm(*case)
-    (q, v), tau = random_state(arm), random_torque(arm)
-    M, h = composite(arm, q, v)
-
-    a = accelerations(arm, q, v, tau)
-
-    assert brute_force.imbalance(M, a, torque_matrix(arm) @ tau - h) < 1e-13
+    assert_eliminated(arm, *random_state(arm))
 
 
 @any_arm
@@ -260,7 +247,7 @@ CODE = [random_arm(18, 1, 2), random_arm(3, 2, 3), two_link_spatial()]
 def test_compiled_code_is_the_recursion_on_floats(arm: Arm, lanes: int) -> None:
     """Compared in every lane, including a partly filled block."""
     model = compiled(arm)
-    assert_compiled(model, lanes, recursion(model), 1e-12)
+    assert_compiled(model, lanes, 1e-12)
 
 
 @some_arm

@@ -11,17 +11,19 @@ from scipy.spatial.transform import Rotation
 from dynamics import ARMS, Arm, Body, Joint, Link, Model, simulate
 from dynamics.backends.numba_llvm.stepper_entries import LANES
 from dynamics.description.mode_shapes import Mode
-from dynamics.formulations import articulated_body, gibbs_appell
-from dynamics.types import Array
+from dynamics.formulations import articulated_body
 from tests.dynamics import brute_force
-from tests.dynamics.agreement import assert_compiled, assert_implicit, recursion
+from tests.dynamics.agreement import (
+    assert_compiled,
+    assert_eliminated,
+    assert_equations,
+    assert_implicit,
+    composite,
+)
 from tests.dynamics.random_arms import (
     compiled,
-    floats,
     random_arm,
     random_state,
-    random_torque,
-    torque_matrix,
 )
 
 CASES = [(seed, 1 + seed % 5, seed % 4) for seed in range(12)]  # seed, links, most modes per link
@@ -61,12 +63,6 @@ def random_body(rng: np.random.Generator) -> Body:
     return Body(mass=rng.uniform(0.5, 2.0), com=com, inertia=tuple(map(tuple, inertia)))
 
 
-def composite(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
-    chain = Model(arm).chain
-    M = gibbs_appell.mass_matrix(chain, floats(q))
-    return np.array(M), np.array(gibbs_appell.bias(chain, floats(q), floats(v)))
-
-
 def test_mixed_arms_have_everything() -> None:
     links = [link for case in CASES for link in mixed_arm(*case).links]
     kinds = {(k.joint.type, k.joint.elastic, bool(k.modes), k.body is None) for k in links}
@@ -77,28 +73,14 @@ def test_mixed_arms_have_everything() -> None:
 
 @any_arm
 def test_mass_matrix_and_bias_are_those_of_brute_force(case: tuple[int, int, int]) -> None:
-    """Brute force: energies of all bodies, and spring forces by their definition."""
     arm = mixed_arm(*case)
-    q, v = random_state(arm)
-    M, h = composite(arm, q, v)
-
-    expected = brute_force.mass_matrix(arm, q)
-    forces = brute_force.inertial_forces(arm, q, v, 0.0 * v)
-    forces += brute_force.resisting_forces(arm, q, v)
-
-    assert_allclose(M, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
-    assert_allclose(h, forces, rtol=0.0, atol=1e-11 * np.abs(forces).max())
+    assert_equations(arm, *random_state(arm))
 
 
 @any_arm
 def test_elimination_solves_the_composite_equations(case: tuple[int, int, int]) -> None:
     arm = mixed_arm(*case)
-    (q, v), tau = random_state(arm), random_torque(arm)
-    M, h = composite(arm, q, v)
-
-    a = articulated_body.accelerations(Model(arm).chain, floats(q), floats(v), floats(tau))
-
-    assert brute_force.imbalance(M, a, torque_matrix(arm) @ tau - h) < 1e-13
+    assert_eliminated(arm, *random_state(arm))
 
 
 @any_arm
@@ -135,9 +117,7 @@ def _without_friction(link: Link) -> Link:
 @pytest.mark.parametrize("case", [CASES[3], CASES[6]], ids=str)
 @pytest.mark.parametrize("lanes", [1, LANES])
 def test_compiled_accelerations_are_those_of_floats(case: tuple[int, int, int], lanes: int) -> None:
-    arm = mixed_arm(*case)
-    model = compiled(arm)
-    assert_compiled(model, lanes, recursion(model), 1e-11)
+    assert_compiled(compiled(mixed_arm(*case)), lanes, 1e-11)
 
 
 @pytest.mark.compiles

@@ -9,12 +9,18 @@ from numpy.testing import assert_allclose
 
 from dynamics import Arm, Joint, Link, Mode, Model, load_arm, simulate
 from dynamics.backends.numba_llvm.stepper_entries import LANES
-from dynamics.formulations import articulated_body, gibbs_appell
 from dynamics.formulations.kinematics import outward, poses
 from dynamics.formulations.newton_euler import rigid_links
 from dynamics.types import Array
 from tests.dynamics import brute_force
-from tests.dynamics.agreement import assert_compiled, assert_implicit, recursion
+from tests.dynamics.agreement import (
+    accelerations,
+    assert_compiled,
+    assert_eliminated,
+    assert_equations,
+    assert_implicit,
+    composite,
+)
 from tests.dynamics.random_arms import (
     compiled,
     floats,
@@ -22,7 +28,6 @@ from tests.dynamics.random_arms import (
     random_arm,
     random_state,
     random_torque,
-    torque_matrix,
     undamped,
 )
 
@@ -71,13 +76,6 @@ def at_origin(arm: Arm) -> tuple[Array, Array]:
     return q, v
 
 
-def forms(arm: Arm, q: Array, v: Array) -> tuple[Array, Array]:
-    """M and h of the recursion, evaluated with floats."""
-    chain = Model(arm).chain
-    M = gibbs_appell.mass_matrix(chain, floats(q))
-    return np.array(M), np.array(gibbs_appell.bias(chain, floats(q), floats(v)))
-
-
 def test_the_arms_have_everything() -> None:
     arms = [parallel_arm(*case) for case in CASES]
     before = [
@@ -100,41 +98,25 @@ def test_the_arms_have_everything() -> None:
 @any_arm
 @pytest.mark.parametrize("base", ["fixed", "free"])
 def test_equations_are_those_of_brute_force(case: Case, base: str) -> None:
-    """M from the kinetic energy, h from the energy of acceleration."""
     arm = parallel_arm(*case)
     arm = flying(arm) if base == "free" else arm
-    q, v = at_origin(arm)
-    M, h = forms(arm, q, v)
-
-    expected = brute_force.mass_matrix(arm, q)
-    forces = brute_force.inertial_forces(arm, q, v, 0.0 * v)
-    forces += brute_force.resisting_forces(arm, q, v)
-
-    assert_allclose(M, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
-    assert_allclose(h, forces, rtol=0.0, atol=1e-11 * np.abs(forces).max())
-    assert np.array_equal(M, M.T)
+    assert_equations(arm, *at_origin(arm))
 
 
 @any_arm
 @pytest.mark.parametrize("base", ["fixed", "free"])
 @pytest.mark.parametrize("rotation", ["exp", "linear"])
 def test_elimination_solves_the_composite_equations(case: Case, base: str, rotation: str) -> None:
-    """O(n) accelerations equal M^-1 (B tau - h)."""
     arm = replace(parallel_arm(*case), rotation=rotation)
     arm = flying(arm) if base == "free" else arm
-    (q, v), tau = at_origin(arm), random_torque(arm)
-    M, h = forms(arm, q, v)
-
-    a = articulated_body.accelerations(Model(arm).chain, floats(q), floats(v), floats(tau))
-
-    assert brute_force.imbalance(M, a, torque_matrix(arm) @ tau - h) < 1e-13
+    assert_eliminated(arm, *at_origin(arm))
 
 
 @any_arm
 def test_implicit_elimination_solves_the_augmented_equations(case: Case) -> None:
     """(M + W) a = B tau - h + W guess, W = s K + d C."""
     arm = parallel_arm(*case)
-    M, h = forms(arm, *random_state(arm))
+    M, h = composite(arm, *random_state(arm))
     guess = np.random.default_rng(case[0]).normal(0.0, 5.0, arm.n)
     assert_implicit(arm, M, h, guess, s=1e-4, d=1e-2)
 
@@ -145,7 +127,7 @@ def test_mass_matrix_is_the_metric_of_the_kinetic_energy(case: Case, rotation: s
     """T is computed from velocities; also with a linear tip rotation, which brute force lacks."""
     arm = replace(parallel_arm(*case), rotation=rotation)
     q, v = random_state(arm)
-    M, _ = forms(arm, q, v)
+    M, _ = composite(arm, q, v)
 
     kinetic, elastic, _ = Model(arm).energy(q, v)
 
@@ -194,9 +176,7 @@ COMPILED = [CASES[1], CASES[4]]
 @pytest.mark.parametrize("case", COMPILED, ids=str)
 @pytest.mark.parametrize("lanes", [1, LANES])
 def test_compiled_accelerations_are_those_of_floats(case: Case, lanes: int) -> None:
-    arm = parallel_arm(*case)
-    model = compiled(arm)
-    assert_compiled(model, lanes, recursion(model), 1e-11)
+    assert_compiled(compiled(parallel_arm(*case)), lanes, 1e-11)
 
 
 def two_links(**joint: Any) -> Arm:
@@ -225,8 +205,7 @@ def test_a_flying_arm_keeps_its_momentum() -> None:
     """Moments that bypass a link act on the base, so there is no external moment."""
     arm = undamped(replace(flying(parallel_arm(2, 3, 2, (1,))), gravity=(0.0, 0.0, 0.0)))
     (q, v), tau = at_origin(arm), random_torque(arm)
-    chain = Model(arm).chain
-    a = np.array(articulated_body.accelerations(chain, floats(q), floats(v), floats(tau)))
+    a, chain = accelerations(arm, q, v, tau), Model(arm).chain
 
     def momentum(t: float) -> Array:
         from dynamics.formulations.free_base import momentum
@@ -249,7 +228,7 @@ def test_a_rigid_planar_arm_is_the_textbooks() -> None:
     q, v = np.array([0.3, 1.4]), np.array([1.7, -2.2])
     turned = q[1] - q[0]
 
-    M, h = forms(arm, q, v)
+    M, h = composite(arm, q, v)
 
     M12 = coupling * np.cos(turned)
     M11, M22 = r1 * l1**3 / 3.0 + m2 * l1**2, m2 * l2**2 / 3.0 + rotor
@@ -267,8 +246,8 @@ def test_it_is_the_serial_arm_in_other_coordinates() -> None:
     T = np.array([[1.0, 0.0], [1.0, 1.0]])  # parallel = T serial
     x, rates = np.array([0.5, 0.8]), np.array([1.1, -0.4])
 
-    M, h = forms(rigid, T @ x, T @ rates)
-    M_serial, h_serial = forms(serial, x, rates)
+    M, h = composite(rigid, T @ x, T @ rates)
+    M_serial, h_serial = composite(serial, x, rates)
 
     assert_allclose(T.T @ M @ T, M_serial, rtol=1e-13)
     assert_allclose(T.T @ h, h_serial, rtol=1e-12)

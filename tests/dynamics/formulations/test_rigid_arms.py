@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from dynamics import ARMS, Arm, Body, Joint, Link, Model, Payload
-from dynamics.formulations import articulated_body, gibbs_appell
 from dynamics.formulations.newton_euler import inverse_dynamics, rigid_links
 from dynamics.types import Array
+from tests.dynamics.agreement import accelerations, composite
 from tests.dynamics.random_arms import compiled, floats
 
 pin = pytest.importorskip("pinocchio", reason="pin (extra `test`) has no wheel for this platform")
@@ -117,11 +117,10 @@ def test_random_arms_turn_and_slide_with_beams_and_bodies() -> None:
 
 def test_mass_matrix_bias_and_accelerations_are_pinocchios(arm: Arm) -> None:
     (q, v, tau, _), other = random_motion(arm.n, 0), pinocchio(arm)
-    data, chain = other.createData(), Model(arm).chain
+    data = other.createData()
 
-    M = gibbs_appell.mass_matrix(chain, floats(q))
-    h = gibbs_appell.bias(chain, floats(q), floats(v))
-    a = articulated_body.accelerations(chain, floats(q), floats(v), floats(tau))
+    M, h = composite(arm, q, v)
+    a = accelerations(arm, q, v, tau)
 
     upper = np.triu(pin.crba(other, data, q))
     assert_close(M, upper + np.triu(upper, 1).T)

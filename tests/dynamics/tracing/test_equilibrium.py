@@ -23,10 +23,10 @@ from dynamics import (
     ValidityWarning,
     simulate,
 )
-from dynamics.formulations import articulated_body
 from dynamics.tracing.equilibrium import settled
 from dynamics.types import Array
-from tests.dynamics.random_arms import floats, random_arm, random_state
+from tests.dynamics.agreement import accelerations
+from tests.dynamics.random_arms import random_arm, random_state
 
 G = 9.81
 SHAPES = tuple(Mode(kind="hierarchical", index=k, direction="y") for k in range(1, 5))
@@ -115,14 +115,10 @@ def test_the_torques_hold_the_arm_at_rest(seed: int) -> None:
     rest = model.equilibrium(angles)
 
     assert_allclose(rest.q[joints], angles, rtol=0.0, atol=0.0)
-    a = articulated_body.accelerations(
-        model.chain, floats(rest.q), arm.n * [0.0], floats(rest.torque)
-    )
+    a = accelerations(arm, rest.q, np.zeros(arm.n), rest.torque)
     straight = np.zeros(arm.n)
     straight[joints] = angles
-    fallen = articulated_body.accelerations(
-        model.chain, floats(straight), arm.n * [0.0], floats(rest.torque)
-    )
+    fallen = accelerations(arm, straight, np.zeros(arm.n), rest.torque)
     assert np.abs(a).max() < 1e-8 * np.abs(fallen).max()
 
 
@@ -191,10 +187,7 @@ def test_pinned_shapes_and_joint_springs_are_held_too() -> None:
     for changes in ({"modes": pinned, "tip_mass": 0.0}, {"joint": joint}):
         arm = horizontal(**changes)
         rest = Model(arm).equilibrium(np.zeros(1))
-        chain = Model(arm).chain
-        a = articulated_body.accelerations(
-            chain, floats(rest.q), arm.n * [0.0], floats(rest.torque)
-        )
+        a = accelerations(arm, rest.q, np.zeros(arm.n), rest.torque)
         assert np.abs(a).max() < 1e-8
     assert rest.q[1] == pytest.approx(-rest.torque[0] / 90.0, rel=1e-6)
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from dynamics import Arm, Model
-from dynamics.formulations import articulated_body, gibbs_appell
+from dynamics.formulations import gibbs_appell
 from dynamics.formulations.newton_euler import inverse_dynamics, rigid_links
 from dynamics.types import Array
+from tests.dynamics.agreement import accelerations
 from tests.dynamics.description.urdf.robots import PUBLIC, assert_close, loaded, public
 from tests.dynamics.random_arms import compiled, floats
 
@@ -148,8 +149,7 @@ def test_accelerations_are_pinocchios(pair: tuple[Arm, Other]) -> None:
     rest = tau - friction(other, v)
     expected = pin.aba(other.model, other.data, other.configuration(q), v, rest)
 
-    chain = Model(arm).chain
-    found = articulated_body.accelerations(chain, floats(q), floats(v), floats(tau))
+    found = accelerations(arm, q, v, tau)
 
     M = other.mass_matrix(q)
     assert_close(found, expected)
