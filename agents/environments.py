@@ -1,4 +1,4 @@
-"""Environment keywords that files and command lines may use, and errors of refused keywords."""
+"""Names of environments, keywords that files and command lines may give, and their refusals."""
 
 import inspect
 import json
@@ -19,6 +19,11 @@ ENDLESS = -1  # max_episode_steps of episodes without a time limit
 # Errors with which Gymnasium, an environment or a learner refuses its arguments.
 REFUSALS: tuple[type[Exception], ...] = (TypeError, ValueError, ArithmeticError, AssertionError)
 REFUSALS += (MemoryError, RuntimeError, ImportError, gym.error.Error)
+
+
+def title(env_id: str) -> str:
+    """Short name of a task: its id without the package."""
+    return env_id.removeprefix("FlexArm/")
 
 
 def look_in_present_folder() -> Path:

@@ -16,13 +16,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
+from agents.environments import title
 from agents.figures import COLOURS, MARKERS, look, new_figure, tidy
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.kinds import KINDS
 from agents.leaderboard.replay import OPTIMAL
 from agents.leaderboard.statistics import Entry, Figures, profile
 from dynamics.types import AnyArray
-from flexarm_env import IDS, TASKS
+from flexarm_env import IDS
 
 Results = Mapping[str, Mapping[str, Mapping[str, Entry]]]  # by task, track and controller
 
@@ -91,10 +92,9 @@ def scores(results: Results) -> Figure:
 
 def profiles(results: Results, track: str) -> Figure:
     """Shares of episodes above every score, with 95 % bands, of a track's best controllers."""
-    shown = {env_id: tracks[track] for env_id, tracks in results.items() if track in tracks}
-    figure, axes = panels([title(env_id) for env_id in shown])
+    figure, axes, shown = panels_of(results, track)
     looks = looks_of(results)
-    for axis, found in zip(axes, shown.values(), strict=True):
+    for axis, found in zip(axes, shown, strict=True):
         for k, name in enumerate(best(found)):
             share, low, high = profile(found[name].metrics["score"], LEVELS)
             axis.plot(LEVELS, share, markevery=(2 * k, 10), label=name, **looks[name])
@@ -201,10 +201,9 @@ def spectra(results: Results, track: str) -> Figure:
 
     Only of controllers that reach it in half of the episodes or more.
     """
-    shown = {env_id: tracks[track] for env_id, tracks in results.items() if track in tracks}
-    figure, axes = panels([title(env_id) for env_id in shown])
+    figure, axes, shown = panels_of(results, track)
     looks = looks_of(results)
-    for axis, found in zip(axes, shown.values(), strict=True):
+    for axis, found in zip(axes, shown, strict=True):
         for k, name in enumerate(best(found)):
             frequency, density, share = found[name].spectrum
             axis.set_xlim(0.0, frequency[-1])
@@ -278,7 +277,7 @@ def bounded(results: Results) -> list[tuple[str, str]]:
 
 def resting(results: Results) -> list[str]:
     """Tasks with a resting target."""
-    return [env_id for env_id in results if not TASKS[IDS[env_id]["kwargs"]["task"]].moving]
+    return [env_id for env_id in results if not is_moving(env_id)]
 
 
 def best(found: Mapping[str, Entry]) -> list[str]:
@@ -287,9 +286,10 @@ def best(found: Mapping[str, Entry]) -> list[str]:
     return sorted(names, key=lambda name: -found[name].figures["score_iqm"])[:BEST]
 
 
-def title(env_id: str) -> str:
-    """Short name of a task."""
-    return env_id.removeprefix("FlexArm/")
+def panels_of(results: Results, track: str) -> tuple[Figure, list[Any], list[Mapping[str, Entry]]]:
+    """A figure with a panel per task of a track, and the controllers of each."""
+    shown = {env_id: tracks[track] for env_id, tracks in results.items() if track in tracks}
+    return *panels([title(env_id) for env_id in shown]), list(shown.values())
 
 
 def panels(titles: list[str], height: float = 3.2) -> tuple[Figure, list[Any]]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.environments import title
 from agents.files import atomic_write, pack
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.charts import UNRANKED, Results, pictures
@@ -190,7 +191,7 @@ def places(tables: Tables) -> Iterator[tuple[tuple[str, str], dict[str, Figures]
     """Every task and track, and its ranked controllers, best first."""
     for env_id, tracks in tables.items():
         for track, found in tracks.items():
-            yield (env_id.removeprefix("FlexArm/"), track), ranked(found)
+            yield (title(env_id), track), ranked(found)
 
 
 def ranked(found: Mapping[str, Figures]) -> dict[str, Figures]:

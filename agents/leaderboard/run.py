@@ -62,6 +62,11 @@ def built(name: str, env: Any, env_id: str, track: str) -> Iterator[Controller]:
             yield acting(policy, env)
 
 
+def designed_in(name: str, env_id: str, track: str) -> Any:
+    """An environment in the conditions for which a track's controllers are made."""
+    return make_batch(env_id, 1, keywords(name, TRACKS[track].design))
+
+
 def ranked(
     name: str, env_id: str, track: str, seeds: Sequence[int], bounds: Path | None = None
 ) -> Entry:
@@ -74,7 +79,7 @@ def ranked(
     if name == OPTIMAL:
         seeds = replayed(env_id, track, seeds, bounds)
     with (
-        closing(make_batch(env_id, 1, keywords(name, TRACKS[track].design))) as design,
+        closing(designed_in(name, env_id, track)) as design,
         closing(make_batch(env_id, len(seeds), keywords(name, track))) as envs,
     ):
         if name == OPTIMAL:
@@ -212,12 +217,11 @@ def _time(entries: stored.Entries) -> None:
         for track, found in tracks.items():
             for name, entry in found.items():
                 if name != OPTIMAL and ":" not in name:
-                    design = make_batch(env_id, 1, keywords(name, TRACKS[track].design))
-                    subject, last = next(built(name, design, env_id, track)), entry.seeds[-1]
-                    timed(subject, name, env_id, track, last)  # builds what serves all episodes
-                    times = timed(subject, name, env_id, track, last + 1)
-                    entry.figures.update(decisions(times, design.unwrapped.control_dt))
-                    design.close()
+                    with closing(designed_in(name, env_id, track)) as design:
+                        subject, last = next(built(name, design, env_id, track)), entry.seeds[-1]
+                        timed(subject, name, env_id, track, last)  # builds what serves all episodes
+                        times = timed(subject, name, env_id, track, last + 1)
+                        entry.figures.update(decisions(times, design.unwrapped.control_dt))
             print(f"{env_id}, {track}: decisions timed", flush=True)
 
 
@@ -331,7 +335,7 @@ def _works(name: str, env_id: str, track: str, failures: Failures) -> bool:
     if ":" not in name:
         return True
     try:
-        with closing(make_batch(env_id, 1, keywords(name, TRACKS[track].design))) as env:
+        with closing(designed_in(name, env_id, track)) as env:
             users_controller(name, env, SEED)
     except UsersControllerError as error:
         failures.tell(error)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from agents.controllers import CONTROLLERS
+from agents.environments import title
 from agents.leaderboard.run import built, names
 from agents.leaderboard.tracks import HARDER, designed_for, keywords
 from agents.metrics import Recording, episode_metrics, make_batch, record
@@ -122,11 +123,11 @@ def memories(data: Mapping[str, Any]) -> str:
 def page(data: Mapping[str, Any]) -> str:
     """Markdown page of the tables."""
     parts = [
-        f"## {env_id.removeprefix('FlexArm/')}, {track}\n\n{ordered(found, *COLUMNS)}\n"
+        f"## {title(env_id)}, {track}\n\n{ordered(found, *COLUMNS)}\n"
         for env_id, tracks in data["tasks"].items()
         for track, found in tracks.items()
     ]
-    shares = ((x.removeprefix("FlexArm/"), share) for x, share in data["wait"].items())
+    shares = ((title(x), share) for x, share in data["wait"].items())
     lost = " and ".join(f"{share:.2f} in {x}" for x, share in shares if share)
     return f"""# Harder tasks
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from agents.controllers import CONTROLLERS, controller
+from agents.environments import title
 from agents.leaderboard.bound import best_of
 from agents.leaderboard.output import over_best, score
 from agents.leaderboard.statistics import figures
@@ -24,6 +25,7 @@ from agents.metrics import episode_metrics, make_batch, record
 from agents.signals import workers
 from agents.tuned import parameters_of
 from benchmarks.output import argument_parser, count, provenance, save_results, table
+from benchmarks.ranking.standings import short
 from benchmarks.style import pyplot, series
 from dynamics.types import AnyArray
 from flexarm_env.hardware.sensors import PRESETS
@@ -99,16 +101,16 @@ def cell(env_id: str, column: str, seeds: Sequence[int]) -> dict[str, Any]:
 def page(data: Mapping[str, Any]) -> str:
     """Markdown page of the tables."""
     tables = []
-    for title, value in (
+    for heading, value in (
         ("Score, IQM [95 %]", score),
         ("Regret, IQM [95 %]; excess of the RMS tip error [mm] on paths", over_best),
         ("Success", lambda x: f"{100.0 * x['success_rate']:.0f} %"),
     ):
         rows = [
-            [task.removeprefix("FlexArm/"), *(value(found[column]) for column in COLUMNS)]
+            [title(task), *(value(found[column]) for column in COLUMNS)]
             for task, found in data["tasks"].items()
         ]
-        tables.append(f"## {title}\n\n{table(['task', *COLUMNS], rows, 'lr')}")
+        tables.append(f"## {heading}\n\n{table(['task', *COLUMNS], rows, 'lr')}")
     return f"""# The price of not knowing
 
 Made by `{data["command"]}`.
@@ -134,7 +136,7 @@ def chart(data: Mapping[str, Any]) -> Any:
             np.arange(len(tasks)) + 0.13 * (k - 2), middle, np.abs(ends - middle), label=column,
             linestyle="none", capsize=3, markersize=6, **series(k),
         )  # fmt: skip
-    labels = [task.removeprefix("FlexArm/").removesuffix("-v0") for task in tasks]
+    labels = [short(task) for task in tasks]
     axis.set_xticks(range(len(tasks)), [x.replace("-", "\n") for x in labels], fontsize=8)
     axis.set_ylabel("score, IQM")
     axis.grid(axis="y", alpha=0.3)

@@ -21,6 +21,7 @@ from agents.leaderboard.tracks import RANKED, keywords
 from agents.metrics import episode_metrics, make_batch, record
 from agents.signals import workers
 from benchmarks.output import RESULTS, argument_parser, count, provenance, save_results, table
+from benchmarks.ranking.standings import short
 from benchmarks.style import pyplot, series
 from dynamics.accuracy.same_shape import transferred
 from dynamics.types import AnyArray
@@ -135,7 +136,7 @@ def chart(data: Mapping[str, Any]) -> Any:
     for k, (env_id, found) in enumerate(data["tasks"].items()):
         axis.plot(
             [x["default"] for x in found.values()], [x["reference"] for x in found.values()],
-            label=env_id.removeprefix("FlexArm/").removesuffix("-v0"), linestyle="none",
+            label=short(env_id), linestyle="none",
             markersize=6, **series(k),
         )  # fmt: skip
     axis.plot([0.0, 1.0], [0.0, 1.0], color="grey", linewidth=0.8, zorder=0)

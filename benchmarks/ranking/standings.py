@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from agents.config import load_config
+from agents.environments import title
 from agents.experiments import shipped_experiments
 from agents.leaderboard.bound import AGREED, is_moving
 from agents.leaderboard.bound import stored as stored_bounds
@@ -200,7 +201,7 @@ def bounds(env_ids: Iterable[str]) -> str:
 
 def short(env_id: str) -> str:
     """Task without its package and version."""
-    return env_id.removeprefix("FlexArm/").removesuffix("-v0")
+    return title(env_id).removesuffix("-v0")
 
 
 def main() -> None:
