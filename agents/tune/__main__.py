@@ -22,6 +22,7 @@ from typing import Any
 
 from agents.config import Config, ConfigError, load_config
 from agents.controllers import CONTROLLERS
+from agents.environments import title
 from agents.experiments import find_experiment
 from agents.files import FolderError, check_folder
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
@@ -59,31 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     unused = [name for name in SEARCHED if getattr(options, name) != parser.get_default(name)]
     try:
-        if options.experiments and unused:
-            raise ValueError(
-                f"--experiments name their own tasks, tracks and learners; leave --{unused[0]} out."
-            )
-        for name in options.controllers:
-            validate.known(name, "controller", CONTROLLERS)
-        for track in options.tracks:
-            design = TRACKS[validate.known(track, "track", TRACKS)].design
-            if design != track:
-                raise ValueError(
-                    f"--tracks {track} ranks the controllers of {design}, unchanged, so that what "
-                    f"is found there would act nowhere; tune on --tracks {design}."
-                )
-        for env_id in options.tasks:
-            validate.known(env_id, "task", RANKED)
-        validate.integer(options.trials, "--trials", 1, 100_000)
-        validate.integer(options.episodes, "--episodes", 1, 100_000)
-        experiments = _placed(options.experiments or ())
-        if not experiments and not _searched(options):
-            raise ValueError(
-                f"None of {options.controllers} has parameters to search on these tasks and tracks."
-            )
-        check_folder(options.out.parent)
-        read(options.out)
-        check_folder(options.keep, "--keep")
+        experiments = _check(options, unused)
     except (ValueError, ConfigError) as error:
         return refused(parser.prog, error)
     try:
@@ -98,6 +75,39 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return refused(parser.prog, "interrupted; the same command goes on.", 130)
     return 0
+
+
+def _check(options: argparse.Namespace, unused: Sequence[str]) -> dict[Place, Config]:
+    """Experiments of a command line by their places; a ValueError for what cannot be searched.
+
+    `unused` are options that are given, and of controllers alone.
+    """
+    if options.experiments and unused:
+        raise ValueError(
+            f"--experiments name their own tasks, tracks and learners; leave --{unused[0]} out."
+        )
+    for name in options.controllers:
+        validate.known(name, "controller", CONTROLLERS)
+    for track in options.tracks:
+        design = TRACKS[validate.known(track, "track", TRACKS)].design
+        if design != track:
+            raise ValueError(
+                f"--tracks {track} ranks the controllers of {design}, unchanged, so that what is "
+                f"found there would act nowhere; tune on --tracks {design}."
+            )
+    for env_id in options.tasks:
+        validate.known(env_id, "task", RANKED)
+    validate.integer(options.trials, "--trials", 1, 100_000)
+    validate.integer(options.episodes, "--episodes", 1, 100_000)
+    experiments = _placed(options.experiments or ())
+    if not experiments and not _searched(options):
+        raise ValueError(
+            f"None of {options.controllers} has parameters to search on these tasks and tracks."
+        )
+    check_folder(options.out.parent)
+    read(options.out)
+    check_folder(options.keep, "--keep")
+    return experiments
 
 
 def tune_controllers(options: argparse.Namespace) -> None:
@@ -162,7 +172,7 @@ def _placed(given: Sequence[str]) -> dict[Place, Config]:
 
 def _folder(keep: Path, env_id: str, track: str, name: str) -> Path:
     """Folder of one search."""
-    return keep / env_id.removeprefix("FlexArm/") / track / name
+    return keep / title(env_id) / track / name
 
 
 def _clear(keep: Path, places: Iterable[Place]) -> None:
