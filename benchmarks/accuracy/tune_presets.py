@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 from benchmarks.output import argument_parser
 from dynamics import ARMS, Arm
 from dynamics.arms.measures import alone, hertz
+from dynamics.arms.presets.slim import PRINTED
 
-SLIM = {1: 2.096, 2: 13.989, 4: 81.225, 5: 136.352}  # [Hz] by mode, joint locked, printed
 SHUTTLE = (0.35, 0.46, 3.554, 4.228)  # [Hz] straight, joints locked, unloaded
 
 
@@ -32,7 +32,7 @@ def tuned_slim() -> tuple[float, float, float]:
         turned = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, inertia))
         body = {"tip_mass": mass, "tip_inertia": turned}
         found = hertz(alone(ARMS["slim"], 0, 7, rho_A=rho_A, **body))
-        return np.array([1e6 * (found[k - 1] / printed - 1.0) for k, printed in SLIM.items()])
+        return np.array([1e6 * (found[k - 1] / printed - 1.0) for k, printed in PRINTED.items()])
 
     found = least_squares(error, np.ones(3), diff_step=1e-5).x
     rho_A, mass, inertia = (first * found).tolist()

@@ -70,7 +70,6 @@ WHOLE = (
 CUT = tuple(Level(modes=2, segments=k, foreshortening=f) for k in (2, 4) for f in (False, True))
 DEEP = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (2, 4))  # for one link
 _FINER = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (4, 8))
-_SIX_FINER = tuple(Level(modes=3, segments=k, foreshortening=True) for k in (2, 4))
 SHORT = (  # for an arm of six links
     *(Level(modes=m) for m in (0, 1, 2, 3)),
     *(Level(modes=m, foreshortening=True) for m in (1, 2)),
@@ -182,7 +181,7 @@ SETTINGS = {
     for setting in (
         _of_env("OneLink", "OneLink: SLIM, bang-bang", 4, 48, (*WHOLE, *CUT, *DEEP)),
         _of_env("TwoLink", "TwoLink: after De Luca and Siciliano, bang-bang", 8, 48),
-        _of_env("SixLink", "SixLink: spatial, bang-bang", 4, 40, SHORT, _SIX_FINER),
+        _of_env("SixLink", "SixLink: spatial, bang-bang", 4, 40, SHORT, DEEP),
         Setting(
             name="S1", title="S1: one link, bang-bang", arm=_clamped(S1), period=0.01,
             motion=bang_bang((0.5,), pulse=0.25, t_end=2.0), levels=(*WHOLE, *CUT, *DEEP),

@@ -3,8 +3,7 @@
 import numpy as np
 
 from dynamics.description.arm import FOURTH_ORDER, Arm
-from dynamics.description.deflection import BENDING
-from dynamics.description.mode_shapes import shape
+from dynamics.description.mode_shapes import BENDING, shape
 from dynamics.formulations.link_constants import parts
 from dynamics.types import Array
 

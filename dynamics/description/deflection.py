@@ -6,10 +6,9 @@ from functools import lru_cache
 import numpy as np
 
 from dynamics.description.link import Link
-from dynamics.description.mode_shapes import shape
+from dynamics.description.mode_shapes import BENDING, shape
 from dynamics.types import Array, Vector3
 
-BENDING = ("y", "z")  # directions whose strain is s''; in the others it is s'
 DISPLACEMENT: dict[str, Vector3] = {  # times s
     "x": (0, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "axial": (1, 0, 0),
 }  # fmt: skip

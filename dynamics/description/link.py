@@ -16,11 +16,13 @@ from dynamics.description.beams.sections import Sections
 from dynamics.description.joint import Joint
 from dynamics.description.mode_rule import ModesByRule, RigidLinkWarning, TipLoad
 from dynamics.description.mode_shapes import (
+    BENDING,
     FREE_ROOT,
     STIFFNESS,
     Beam,
     Mode,
     are_independent,
+    in_direction,
     points,
     shape,
 )
@@ -292,7 +294,7 @@ class Link:
                 "not follow the turning of their root."
             )
         for direction in STIFFNESS:
-            count, most = len(self.in_direction(direction)), 2 if direction in "yz" else 1
+            count, most = len(self.in_direction(direction)), 2 if direction in BENDING else 1
             if count > most:
                 raise ValueError(
                     f"Link.modes of a lumped link may hold {most} along {direction!r}, got "
@@ -361,4 +363,4 @@ class Link:
 
     def in_direction(self, direction: str) -> tuple[Mode, ...]:
         """Modes along "x" (torsion), "y" or "z" (bending), or "axial"."""
-        return tuple(mode for mode in self.modes if mode.direction == direction)
+        return in_direction(self.modes, direction)

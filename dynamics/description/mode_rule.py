@@ -31,11 +31,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.description.joint import Joint
-from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, shape
+from dynamics.description.mode_shapes import BENDING, STIFFNESS, Beam, Mode, in_direction, shape
 from dynamics.description.validate import shown
 
 AUTO = "auto"
-BENDING = 2  # modes per bending direction
+PER_PLANE = 2  # modes per bending direction
 LADEN = 0.03  # [-] inertia a tip turns over its link's: above it hierarchical shapes err less
 LIGHT = 0.005  # [-] joint inertia over the link's, up to which pinned shapes suit
 TWISTED = 0.38  # [-] polar inertia at the tip over the link's: from it linear twist errs less
@@ -74,12 +74,12 @@ def modes_by_rule(
     mass is, carries a second mode only if it has an inertia.
     """
     modes: list[Mode] = []
-    for direction in "yz":
+    for direction in BENDING:
         if STIFFNESS[direction] in stiffnesses:
             kind = _bending(beam, joint, direction, segments, bare_root, load)
             axis = "zy".index(direction) + 1  # about which the link bends
             single = lumped and not beam.tip_inertia[axis][axis]
-            modes += _first(1 if single else BENDING, kind, direction)
+            modes += _first(1 if single else PER_PLANE, kind, direction)
     if STIFFNESS["x"] in stiffnesses:
         if segments > 1 and beam.rho_Ip > 0.0:
             modes += _first(2, "torsion-poly", "x")
@@ -119,7 +119,7 @@ def in_words(modes: Collection[Mode], stiffnesses: Collection[str]) -> str:
     """Modes per direction, and the directions that stay rigid in spite of their stiffness."""
     parts = []
     for direction, stiffness in STIFFNESS.items():
-        own = [mode for mode in modes if mode.direction == direction]
+        own = in_direction(modes, direction)
         if own:
             parts.append(f"{len(own)} {own[0].kind} along {direction}")
         elif stiffness in stiffnesses:
@@ -153,7 +153,7 @@ def _is_loose(beam: Beam, joint: Joint) -> bool:
 
 def _clamped(beam: Beam, direction: str) -> str:
     try:
-        shape(Mode(kind="clamped-tip-mass", index=BENDING, direction=direction), beam)
+        shape(Mode(kind="clamped-tip-mass", index=PER_PLANE, direction=direction), beam)
     except ValueError:  # the tip body is too heavy for these shapes
         return "hierarchical"
     return "clamped-tip-mass"

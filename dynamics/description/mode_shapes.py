@@ -24,7 +24,7 @@ force that they have on a uniform link (see `beams.piecewise`).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -64,6 +64,7 @@ KINDS: dict[str, tuple[str, ...]] = {  # kind -> directions it may act in
 FREE_ROOT = {"pinned-free", "unconstrained"}  # kinds whose root a joint lets turn
 # direction of a mode -> rigidity of the link that resists it
 STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy", "axial": "EA"}
+BENDING = ("y", "z")  # directions whose strain is s''; in the others it is s'
 NORMS = ("tip-unit", "mass", "raw")
 MAX_INDEX = 50
 _HEAVIEST = 1e4  # [-] ratio of tip body to beam up to which the shapes keep 11 digits
@@ -91,6 +92,11 @@ class Mode:
                 f"possible: {list(KINDS[kind])}."
             )
         object.__setattr__(self, "index", index)
+
+
+def in_direction(modes: Iterable[Mode], direction: str) -> tuple[Mode, ...]:
+    """Modes along "x" (torsion), "y" or "z" (bending), or "axial"."""
+    return tuple(mode for mode in modes if mode.direction == direction)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +206,7 @@ def _of_sections(mode: Mode, beam: Beam) -> PieceShape:
             'Mode.norm "raw" needs a uniform link: shapes of Link.sections have no formula; take '
             '"tip-unit".'
         )
-    ends, bending = edges(beam.sections), mode.direction in ("y", "z")
+    ends, bending = edges(beam.sections), mode.direction in BENDING
     rigidity, order = partial(beam.rigidity, mode.direction), 2 if bending else 1
     if mode.kind == "hierarchical":
         return piecewise.hierarchical(mode.index, ends, rigidity)

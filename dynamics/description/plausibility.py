@@ -28,10 +28,9 @@ from dynamics.description.beams.piecewise import PieceShape
 from dynamics.description.beams.sections import rate
 from dynamics.description.beams.uniform import BeamShape
 from dynamics.description.carried import carried
-from dynamics.description.deflection import BENDING
 from dynamics.description.link import Link
 from dynamics.description.mode_rule import LADEN, ModesByRule
-from dynamics.description.mode_shapes import STIFFNESS, Mode, points, shape
+from dynamics.description.mode_shapes import BENDING, STIFFNESS, Mode, points, shape
 from dynamics.description.welds import StiffSegmentsWarning, stiff_end
 from dynamics.types import Array, Matrix3
 

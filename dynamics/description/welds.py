@@ -11,7 +11,15 @@ from dataclasses import replace
 import numpy as np
 
 from dynamics.description.beams.sections import cut
-from dynamics.description.mode_shapes import STIFFNESS, Beam, Mode, points, shape
+from dynamics.description.mode_shapes import (
+    BENDING,
+    STIFFNESS,
+    Beam,
+    Mode,
+    in_direction,
+    points,
+    shape,
+)
 from dynamics.description.validate import ZEROS
 
 FREE_TIP = {  # kind -> the load that its tip cannot take
@@ -19,7 +27,6 @@ FREE_TIP = {  # kind -> the load that its tip cannot take
     "torsion-fixed-free": "torque", "axial-fixed-free": "force",
 }  # fmt: skip
 _BEARING = {"moment": "hierarchical", "torque": "torsion-poly", "force": "axial-poly"}
-_BENDING = ("y", "z")
 
 
 class StiffSegmentsWarning(UserWarning):
@@ -45,14 +52,14 @@ def tip_compliance(modes: Sequence[Mode], beam: Beam, segments: int) -> float:
             part = replace(part, tip_mass=0.0, tip_inertia=ZEROS)
         total += _yield(modes, part, beam.length - (k + 1) * size)
     x, weights = points(beam, modes)
-    lever = (beam.length - x) ** 2 if modes[0].direction in _BENDING else np.ones(x.size)
+    lever = (beam.length - x) ** 2 if modes[0].direction in BENDING else np.ones(x.size)
     return total / float(weights @ (lever / beam.rigidity(modes[0].direction, x)))
 
 
 def stiff_segments(name: str, modes: Sequence[Mode], beam: Beam, segments: int) -> str | None:
     """Sentence of the warning about the shapes of a link in segments, or None."""
     for direction in STIFFNESS if segments > 1 else ():
-        own = [mode for mode in modes if mode.direction == direction]
+        own = in_direction(modes, direction)
         load = unloaded(own)
         if load:
             share = tip_compliance(own, beam, segments)
@@ -70,7 +77,7 @@ def stiff_end(name: str, modes: Sequence[Mode], beam: Beam) -> str | None:
     It has the tip's compliance under a moment, torque or force along it over that of the beam.
     """
     for direction in STIFFNESS:
-        own = [mode for mode in modes if mode.direction == direction]
+        own = in_direction(modes, direction)
         load = unloaded(own)
         if load:
             x, weights = points(beam, own)
@@ -96,7 +103,7 @@ def _yield(modes: Sequence[Mode], beam: Beam, lever: float | None) -> float:
     x, weights = points(beam, modes)
     weights = weights * beam.rigidity(modes[0].direction, x)
     shapes = [shape(mode, beam) for mode in modes]
-    bending = modes[0].direction in _BENDING
+    bending = modes[0].direction in BENDING
     bent = np.array([s.curvature(x) if bending else s.slope(x) for s in shapes])
     load = np.array([float(s.value(beam.length)) for s in shapes])
     if bending:

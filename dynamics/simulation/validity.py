@@ -4,7 +4,7 @@ import numpy as np
 
 from dynamics.description import validate
 from dynamics.description.arm import Arm
-from dynamics.description.deflection import BENDING
+from dynamics.description.mode_shapes import BENDING
 from dynamics.model import Model
 from dynamics.simulation.trajectory import Trajectory
 from dynamics.validity import bending

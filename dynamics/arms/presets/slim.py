@@ -36,7 +36,7 @@ ARM = Arm(
 )
 
 _SOURCE = "Yuan, Book and Huggins 1993, analytical column"
-_PRINTED = {1: 2.096, 2: 13.989, 4: 81.225, 5: 136.352}  # [Hz] joint locked
+PRINTED = {1: 2.096, 2: 13.989, 4: 81.225, 5: 136.352}  # [Hz] joint locked
 
 CHECKS = (
     *(
@@ -44,7 +44,7 @@ CHECKS = (
             quantity=f"joint held, mode {k}", unit="Hz", expected=printed, tolerance=1e-3,
             source=_SOURCE, measure=mode_of_link(0, k, 7),
         )
-        for k, printed in _PRINTED.items()
+        for k, printed in PRINTED.items()
     ),
     Check(
         quantity="joint held, mode 3; printed 41.524, a digit error", unit="Hz", expected=40.52,

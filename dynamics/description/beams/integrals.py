@@ -9,9 +9,9 @@ from numpy.polynomial import legendre
 
 from dynamics.description.arm import FOURTH_ORDER
 from dynamics.description.beams.sections import edges
-from dynamics.description.deflection import BENDING, DISPLACEMENT, TWIST
+from dynamics.description.deflection import DISPLACEMENT, TWIST
 from dynamics.description.link import Link
-from dynamics.description.mode_shapes import STIFFNESS, Shape, points, shape
+from dynamics.description.mode_shapes import BENDING, STIFFNESS, Shape, points, shape
 from dynamics.types import Array
 
 _ROUND_OFF = 1e-12  # [-] integrals below this fraction of their natural size are set to zero
