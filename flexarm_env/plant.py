@@ -22,7 +22,12 @@ from flexarm_env import arguments
 from flexarm_env.accuracy.certificates import Entry, alike, by_step, covering, entries, fit
 from flexarm_env.accuracy.conditions import Conditions
 from flexarm_env.compiled.actuation import Actuation, refuse_slopes
-from flexarm_env.hardware.actuators import load_actuators, mounted, refuse_beside_actuators
+from flexarm_env.hardware.actuators import (
+    Actuator,
+    load_actuators,
+    mounted,
+    refuse_beside_actuators,
+)
 from flexarm_env.task.events import EVENTS, met
 from flexarm_env.task.scales import (
     DEFLECTION_LIMIT,
@@ -117,15 +122,8 @@ def plan(
     arguments.check_base(described, base_torque)
     fitted = fit(described, control_dt, fidelity, tolerance)
     own = scales(described)  # torques and tasks do not depend on the fidelity of the model
-    holding = np.array(own.holding)
-    inertia = np.array(own.inertia)
-    if actuators:
-        actuation = Actuation(actuators, fitted.arm, own.torque_limit)
-        limit = actuation.torque_limit
-        full = np.minimum(limit, own.torque_limit)  # a strong motor may exceed what the arm bears
-    else:
-        actuation = None
-        full = limit = arguments.torque_limits(torque_limit, own.torque_limit)
+    holding, inertia = np.array(own.holding), np.array(own.inertia)
+    actuation, limit, full = _drive(actuators, fitted.arm, own.torque_limit, torque_limit)
     _refuse_weak("actuator" if actuators else "torque_limit", limit, holding)
     limits = limit if base_torque is None else np.append(limit, base_torque)
     acceleration = float(np.min((full - holding) / inertia))
@@ -155,19 +153,14 @@ def plan(
         if entry is None or integrator is not None
         else fitted.arm,
     )
-    certificate, uncertified = None, None
-    part = conditions.part(Conditions.from_dict(entry["certificate"]["holds"])) if entry else None
-    if entry and not part and by_step(entry["certificate"], control_dt, name, count):
-        certificate = deepcopy(entry["certificate"])
-    else:
-        uncertified = _uncertified(
-            measured, conditions, entry, part, control_dt, fidelity, chosen=tolerance is not None
-        )
-    fitted_arm = fitted.arm
+    uncertified = _uncertified(
+        measured, conditions, entry, control_dt, name, count, fidelity, tolerance is not None
+    )
+    model = fitted.arm
     if base_torque is not None:
-        fitted_arm = replace(fitted_arm, base=replace(fitted_arm.base, driven=True))
+        model = replace(model, base=replace(model.base, driven=True))
     return Plant(
-        arm=fitted_arm,
+        arm=model,
         scales=scales(fitted.arm),
         actuation=actuation,
         torque_limit=limits,
@@ -177,7 +170,7 @@ def plan(
         integrator=name,
         substeps=count,
         conditions=conditions,
-        certificate=certificate,
+        certificate=deepcopy(entry["certificate"]) if entry and not uncertified else None,
         uncertified=uncertified,
     )
 
@@ -210,6 +203,23 @@ def planned_again(
 
 def _of_keywords(given: Mapping[str, Any], ranges: Ranges) -> Plant:
     return plan(**{name: given[name] for name in KEYWORDS}, ranges=ranges)
+
+
+def _drive(
+    actuators: tuple[Actuator, ...],
+    arm: Arm,
+    usual: tuple[float, ...],
+    torque_limit: float | Sequence[float] | None,
+) -> tuple[Actuation | None, Array, Array]:
+    """Actuation, torque limits (n_joint,) [N m], and what of them an arm of `usual` limits bears.
+
+    A strong motor may exceed that.
+    """
+    if not actuators:
+        limit = arguments.torque_limits(torque_limit, usual)
+        return None, limit, limit
+    actuation = Actuation(actuators, arm, usual)
+    return actuation, actuation.torque_limit, np.minimum(actuation.torque_limit, usual)
 
 
 def _refuse_weak(name: str, limit: Array, holding: Array) -> None:
@@ -254,15 +264,19 @@ def _uncertified(
     measured: Sequence[Entry],
     conditions: Conditions,
     entry: Entry | None,
-    part: str | None,
     control_dt: float,
+    integrator: str,
+    substeps: int,
     fidelity: str,
     chosen: bool,
-) -> str:
-    """Sentence that says why no certificate holds for an environment, and the remedy.
+) -> str | None:
+    """Sentence that says why no certificate holds, and the remedy; None if that of `entry` does.
 
     A model `chosen` for a tolerance has none but that of its choice.
     """
+    part = conditions.part(Conditions.from_dict(entry["certificate"]["holds"])) if entry else None
+    if entry and not part and by_step(entry["certificate"], control_dt, integrator, substeps):
+        return None
     measure = f"{'leave out tolerance and ' if chosen else ''}measure them with `flexarm certify`"
     if not measured and fidelity != "auto":
         return (
