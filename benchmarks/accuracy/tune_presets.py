@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from benchmarks.output import argument_parser
 from dynamics import ARMS, Arm
+from dynamics.arms.inertia import about_axes
 from dynamics.arms.measures import alone, hertz
 from dynamics.arms.presets.slim import PRINTED
 
@@ -29,8 +30,7 @@ def tuned_slim() -> tuple[float, float, float]:
 
     def error(factors: NDArray[np.float64]) -> NDArray[np.float64]:
         rho_A, mass, inertia = (first * factors).tolist()
-        turned = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, inertia))
-        body = {"tip_mass": mass, "tip_inertia": turned}
+        body = {"tip_mass": mass, "tip_inertia": about_axes(z=inertia)}
         found = hertz(alone(ARMS["slim"], 0, 7, rho_A=rho_A, **body))
         return np.array([1e6 * (found[k - 1] / printed - 1.0) for k, printed in PRINTED.items()])
 

@@ -12,19 +12,15 @@ foreshortening, which err by seven times as much.
 from collections.abc import Callable
 
 from dynamics.arms.checks import Check
+from dynamics.arms.inertia import about_axes
 from dynamics.arms.measures import alone, hertz, mode_of_link
 from dynamics.description.arm import FOURTH_ORDER, Arm
 from dynamics.description.joint import Joint
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
-from dynamics.types import Matrix3
 
 _MODES = (Mode(kind="hierarchical", index=1, direction="y"),)
 _HUB = Joint(hub_inertia=0.1)  # [kg m^2] published, both hubs
-
-
-def _about_z(inertia: float) -> Matrix3:
-    return ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, inertia))
 
 
 ARM = Arm(
@@ -49,7 +45,7 @@ ARM = Arm(
             rho_A=0.2,  # published
             EIz=1.0,  # published
             tip_mass=0.1,  # published: the payload
-            tip_inertia=_about_z(5e-4),  # published
+            tip_inertia=about_axes(z=5e-4),  # published
             modes=_MODES,
             damping_ratio=0.005,  # chosen
             joint=_HUB,
@@ -62,7 +58,7 @@ _SOURCE = "De Luca and Siciliano 1991, printed to two decimals"
 
 def _first(mode: int) -> Callable[[Arm], float]:
     """Frequency [Hz] of link 1 alone, with everything beyond it as its tip body."""
-    beyond = _about_z(0.1338)  # [kg m^2] of 1.2 kg: published data, link 2 stretched
+    beyond = about_axes(z=0.1338)  # [kg m^2] of 1.2 kg: published data, link 2 stretched
     return lambda arm: hertz(alone(arm, 0, 6, tip_mass=1.2, tip_inertia=beyond))[mode - 1]
 
 

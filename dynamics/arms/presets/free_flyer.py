@@ -11,6 +11,7 @@ thousandth of the reach in whole episodes at full torque.
 """
 
 from dynamics.arms.checks import Check
+from dynamics.arms.inertia import about_axes
 from dynamics.arms.measures import mode_of_link
 from dynamics.description.arm import FOURTH_ORDER, Arm, Base
 from dynamics.description.joint import Joint
@@ -47,7 +48,7 @@ ARM = Arm(
     base=Base(
         type="planar",
         mass=_MASS,
-        inertia=((_INERTIA, 0.0, 0.0), (0.0, _INERTIA, 0.0), (0.0, 0.0, _INERTIA)),
+        inertia=about_axes(_INERTIA, _INERTIA, _INERTIA),
     ),
     foreshortening=FOURTH_ORDER,
     # [s] damping_beta chosen: 1 % of critical in the first mode of each link, clamped, alone

@@ -10,40 +10,35 @@ printed.
 from math import pi
 
 from dynamics.arms.checks import Check
+from dynamics.arms.inertia import about_axes
 from dynamics.arms.measures import holding_load, mass
 from dynamics.description import denavit_hartenberg
 from dynamics.description.denavit_hartenberg import Row
-from dynamics.types import Matrix3
-
-
-def _about_axes(x: float, y: float, z: float) -> Matrix3:
-    return ((x, 0.0, 0.0), (0.0, y, 0.0), (0.0, 0.0, z))
-
 
 _TABLE = (  # printed
     Row(
         alpha=-pi / 2, mass=10.521, com=(0.0, -0.054, 0.0),
-        inertia=_about_axes(1.612, 0.5091, 1.612),
+        inertia=about_axes(1.612, 0.5091, 1.612),
     ),
     Row(
         a=0.432, d=-0.149, mass=15.781, com=(0.14, 0.0, 0.0),
-        inertia=_about_axes(0.4898, 8.0783, 8.2672),
+        inertia=about_axes(0.4898, 8.0783, 8.2672),
     ),
     Row(
         a=0.02, alpha=pi / 2, mass=8.767, com=(0.0, -0.191, 0.0),
-        inertia=_about_axes(3.3768, 0.3009, 3.3768),
+        inertia=about_axes(3.3768, 0.3009, 3.3768),
     ),
     Row(
         d=-0.432, alpha=-pi / 2, mass=1.052, com=(0.0, 0.0, -0.051),
-        inertia=_about_axes(0.181, 0.181, 0.1273),
+        inertia=about_axes(0.181, 0.181, 0.1273),
     ),
     Row(
         alpha=pi / 2, mass=1.052, com=(0.0, -0.007, 0.0),
-        inertia=_about_axes(0.0735, 0.0735, 0.1273),
+        inertia=about_axes(0.0735, 0.0735, 0.1273),
     ),
     Row(
         d=-0.056, mass=0.351, com=(0.0, 0.0, -0.019),
-        inertia=_about_axes(0.0071, 0.0071, 0.0141),
+        inertia=about_axes(0.0071, 0.0071, 0.0141),
     ),
 )  # fmt: skip
 

@@ -8,12 +8,12 @@ first is 1.69 Hz here. Current limits and encoders are not part of the arm.
 """
 
 from dynamics.arms.checks import Check
+from dynamics.arms.inertia import about_axes
 from dynamics.arms.measures import carried_inertia, tip_spring
 from dynamics.description.arm import Arm
 from dynamics.description.joint import Joint
 from dynamics.description.link import Link
 from dynamics.description.mode_shapes import Mode
-from dynamics.types import Matrix3
 
 _SOURCE = "Quanser set-up script config_2dslf and reference manual 763"
 _INCH = 0.0254  # [m]
@@ -33,10 +33,6 @@ def _strip(width: float, thickness: float) -> tuple[float, float]:
     """rho_A [kg/m] and EI [N m^2] of a steel strip; width and thickness in inches."""
     b, h = width * _INCH, thickness * _INCH
     return _DENSITY * b * h, _YOUNG * b * h**3 / 12.0
-
-
-def _about_z(inertia: float) -> Matrix3:
-    return ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, inertia))
 
 
 def _elbow(rho_A: float) -> tuple[float, float]:
@@ -63,7 +59,7 @@ ARM = Arm(
             rho_A=_FIRST[0],
             EIz=_FIRST[1],
             tip_mass=_ELBOW[0],
-            tip_inertia=_about_z(_ELBOW[1]),
+            tip_inertia=about_axes(z=_ELBOW[1]),
             modes=_MODES,
             damping_ratio=0.005,  # chosen; published as neglected
             joint=_DRIVES[0],
@@ -73,7 +69,7 @@ ARM = Arm(
             rho_A=_SECOND[0],
             EIz=_SECOND[1],
             tip_mass=_END[0],
-            tip_inertia=_about_z(_END[1]),
+            tip_inertia=about_axes(z=_END[1]),
             modes=_MODES,
             damping_ratio=0.005,  # chosen
             joint=_DRIVES[1],

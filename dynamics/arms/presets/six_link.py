@@ -10,6 +10,7 @@ this model for a tip error of 1e-3 of the reach at full torque. Stretched, the l
 from math import pi
 
 from dynamics.arms.checks import Check
+from dynamics.arms.inertia import about_axes
 from dynamics.arms.measures import mode_of_link
 from dynamics.description.arm import FOURTH_ORDER, Arm
 from dynamics.description.joint import Joint
@@ -48,7 +49,7 @@ def _tube(
         EIz=EI,
         EIy=EI,
         tip_mass=tip_mass,
-        tip_inertia=((ball, 0.0, 0.0), (0.0, ball, 0.0), (0.0, 0.0, ball)),
+        tip_inertia=about_axes(ball, ball, ball),
         modes=modes,
         lumped=True,
         damping_beta=damping_beta,

@@ -7,6 +7,7 @@ above the exact 2.096 and 13.989 Hz (measured 2.08 and 13.92 Hz).
 """
 
 from dynamics.arms.checks import Check
+from dynamics.arms.inertia import about_axes
 from dynamics.arms.measures import mode_of_link
 from dynamics.description.arm import FOURTH_ORDER, Arm
 from dynamics.description.joint import Joint
@@ -27,7 +28,7 @@ ARM = Arm(
             # derived from the printed modes 1, 2, 4, 5: benchmarks.accuracy.tune_presets
             rho_A=0.24590,  # 0.24610 is 6061-T6, not printed, in the printed section
             tip_mass=0.04086,  # 0.090 lb
-            tip_inertia=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 2.48e-6)),
+            tip_inertia=about_axes(z=2.48e-6),
             modes=tuple(Mode(kind="unconstrained", index=index, direction="y") for index in (1, 2)),
             damping_ratio=0.005,  # chosen: bare metal in air; none is printed
             joint=Joint(rotor_inertia=0.01),  # chosen: the hub's inertia is not printed

@@ -11,34 +11,29 @@ thesis's d3.
 from math import pi
 
 from dynamics.arms.checks import Check
+from dynamics.arms.inertia import about_axes
 from dynamics.arms.measures import holding_load, mass
 from dynamics.description import denavit_hartenberg
 from dynamics.description.denavit_hartenberg import Row
-from dynamics.types import Matrix3
-
-
-def _about_axes(x: float, y: float, z: float) -> Matrix3:
-    return ((x, 0.0, 0.0), (0.0, y, 0.0), (0.0, 0.0, z))
-
 
 _TABLE = (
     Row(
         alpha=-pi / 2,  # printed
         mass=9.0,  # doubtful: the scan could say 9.6
         com=(0.0, 0.0, -0.1),  # doubtful
-        inertia=_about_axes(0.01, 0.01, 0.02),  # all three doubtful
+        inertia=about_axes(0.01, 0.01, 0.02),  # all three doubtful
     ),
-    Row(d=0.1, alpha=pi / 2, mass=6.0, inertia=_about_axes(0.05, 0.01, 0.06)),  # printed
-    Row(type="prismatic", mass=4.0, inertia=_about_axes(0.4, 0.4, 0.01)),  # printed
+    Row(d=0.1, alpha=pi / 2, mass=6.0, inertia=about_axes(0.05, 0.01, 0.06)),  # printed
+    Row(type="prismatic", mass=4.0, inertia=about_axes(0.4, 0.4, 0.01)),  # printed
     Row(
         d=0.7, alpha=-pi / 2, mass=1.0, com=(0.0, 0.0, -0.1),
-        inertia=_about_axes(0.001, 0.0005, 0.001),
+        inertia=about_axes(0.001, 0.0005, 0.001),
     ),  # printed
     Row(
         alpha=pi / 2, mass=0.6, com=(0.0, -0.06, 0.0),
-        inertia=_about_axes(0.0005, 0.0002, 0.0005),
+        inertia=about_axes(0.0005, 0.0002, 0.0005),
     ),  # printed
-    Row(mass=0.5, com=(0.0, 0.0, 0.02), inertia=_about_axes(0.003, 0.001, 0.002)),  # printed
+    Row(mass=0.5, com=(0.0, 0.0, 0.02), inertia=about_axes(0.003, 0.001, 0.002)),  # printed
 )  # fmt: skip
 
 ARM = denavit_hartenberg.arm(
