@@ -185,15 +185,19 @@ class Arm:
             if self.payload is not None:
                 raise ValueError(f"Arm.payload ({self.payload!r}) needs a link to be fixed to.")
             return
+        self._check_inertia()
+
+    def _check_inertia(self) -> None:
+        """Refuse links that move without inertia: the mass matrix would be singular."""
         last = self.links[-1]
         if not _joint_inertia(self.links, self.payload) > 0.0:
             raise ValueError(
                 "The last link has no inertia about its joint axis (the mass matrix would be "
                 f"singular), got Link.body = {last.body!r}; give mass off the axis or inertia."
             )
-        for i, link in enumerate(links):
-            if link.in_direction("x") and not _twists_inertia(links[i:], self.payload):
-                which = "The last link" if i == len(links) - 1 else f"Link {i + 1}"
+        for i, link in enumerate(self.links):
+            if link.in_direction("x") and not _twists_inertia(self.links[i:], self.payload):
+                which = "The last link" if i == len(self.links) - 1 else f"Link {i + 1}"
                 raise ValueError(
                     f"{which} has a torsion mode but no inertia about x, nor has what it carries "
                     "in line (the mass matrix would be singular), got Link.rho_Ip = 0.0 and "
@@ -202,7 +206,7 @@ class Arm:
                 )
             for direction, axis in (("y", 2), ("z", 1)):
                 several = link.lumped and len(link.in_direction(direction)) > 1
-                if several and not _bends_inertia(links[i:], self.payload, axis):
+                if several and not _bends_inertia(self.links[i:], self.payload, axis):
                     raise ValueError(
                         f"Link {i + 1} is lumped and has two modes along {direction!r}, but "
                         "nothing that its tip turns (the mass matrix would be singular), got "
