@@ -67,6 +67,18 @@ def assert_eliminated(arm: Arm, q: Array, v: Array) -> None:
     assert brute_force.imbalance(M, a, torque_matrix(arm) @ tau - h) < 1e-13
 
 
+def gibbs_residual(arm: Arm, M: Array, h: Array, a: Array) -> float:
+    """Largest error of M a + h against the gradient of the energy of acceleration [-].
+
+    M and h belong to `random_state(arm)`. Relative to the largest possible force on a coordinate,
+    sqrt(M_kk 2 S).
+    """
+    q, v = random_state(arm)
+    expected = brute_force.inertial_forces(arm, q, v, a) + brute_force.resisting_forces(arm, q, v)
+    size = np.diag(composite(arm, q, v)[0]) * 2.0 * brute_force.acceleration_energy(arm, q, v, a)
+    return float(np.abs((M @ a + h - expected) / np.sqrt(size)).max())
+
+
 def assert_compiled(
     model: Model,
     lanes: int,

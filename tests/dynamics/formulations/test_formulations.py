@@ -18,6 +18,7 @@ from dynamics.formulations.kinematics import Chain
 from dynamics.formulations.table import FORMULATIONS
 from dynamics.types import Array
 from tests.dynamics import brute_force
+from tests.dynamics.agreement import gibbs_residual
 from tests.dynamics.random_arms import (
     compiled,
     floats,
@@ -101,17 +102,10 @@ def brute_mass_matrix(arm: Arm) -> Array:
     return brute_force.mass_matrix(arm, random_state(arm)[0])
 
 
-def gibbs_residual(name: str, arm: Arm) -> float:
-    """Largest error of M a + h against the gradient of the energy of acceleration [-].
-
-    Relative to the largest possible force on a coordinate, sqrt(M_kk 2 S).
-    """
-    q, v = random_state(arm)
-    formed = Formed.of(name, arm)
-    M, h, a = formed.M(q), formed.h(q, v), formed.a(q, v, random_torque(arm))
-    expected = brute_force.inertial_forces(arm, q, v, a) + brute_force.resisting_forces(arm, q, v)
-    size = np.sqrt(np.diag(M) * 2.0 * brute_force.acceleration_energy(arm, q, v, a))
-    return float(np.abs((M @ a + h - expected) / size).max())
+def residual(name: str, arm: Arm) -> float:
+    """`gibbs_residual` of a formulation."""
+    (q, v), formed = random_state(arm), Formed.of(name, arm)
+    return gibbs_residual(arm, formed.M(q), formed.h(q, v), formed.a(q, v, random_torque(arm)))
 
 
 @sibling
@@ -119,7 +113,7 @@ def gibbs_residual(name: str, arm: Arm) -> float:
 def test_equations_are_the_gradient_of_the_energy_of_acceleration(
     name: str, case: tuple[int, int, int]
 ) -> None:
-    assert gibbs_residual(name, random_arm(*case)) < 1e-10
+    assert residual(name, random_arm(*case)) < 1e-10
 
 
 def twisting_arm(n_link: int, n_mode: int) -> Arm:
@@ -143,7 +137,7 @@ def test_the_recursion_holds_for_one_to_six_links_with_up_to_three_modes(
     assert arm.n_joint == n_link
     assert len(arm.links[0].modes) == n_mode
     assert any(link.in_direction("x") for link in arm.links) == (n_mode > 0)
-    assert gibbs_residual("gibbs_appell", arm) < 1e-10
+    assert residual("gibbs_appell", arm) < 1e-10
 
 
 # ---- against its own equations -------------------------------------------------------------------
