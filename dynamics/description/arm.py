@@ -13,6 +13,7 @@ from dynamics.description import parallel_drive, validate
 from dynamics.description.carried import tip_loads
 from dynamics.description.link import Body, Link, Payload, about_origin
 from dynamics.description.mode_rule import AUTO, ModesByRule
+from dynamics.description.mode_shapes import BENDING_AXIS
 from dynamics.description.rotations import Quaternion, to_rotation_vector
 from dynamics.description.validate import ZEROS, clean
 from dynamics.types import Matrix3, Vector3
@@ -204,7 +205,7 @@ class Arm:
                     "Link.tip_inertia[0][0] = 0.0; give rho_Ip [kg m], of a round bar "
                     "rho_A r^2 / 2, or leave torsion modes out."
                 )
-            for direction, axis in (("y", 2), ("z", 1)):
+            for direction, axis in BENDING_AXIS.items():
                 several = link.lumped and len(link.in_direction(direction)) > 1
                 if several and not _bends_inertia(self.links[i:], self.payload, axis):
                     raise ValueError(

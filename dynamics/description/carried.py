@@ -14,9 +14,8 @@ import numpy as np
 from dynamics.description.joint import Joint
 from dynamics.description.link import Link, Payload, about_origin
 from dynamics.description.mode_rule import TipLoad
+from dynamics.description.mode_shapes import BENDING_AXIS
 from dynamics.types import Array, Matrix3, Vector3
-
-BENDING_AXIS = {"y": 2, "z": 1}  # direction of bending -> axis about which the tip turns
 
 
 class Carried(NamedTuple):

@@ -17,6 +17,7 @@ from dynamics.description.joint import Joint
 from dynamics.description.mode_rule import ModesByRule, RigidLinkWarning, TipLoad
 from dynamics.description.mode_shapes import (
     BENDING,
+    BENDING_AXIS,
     FREE_ROOT,
     STIFFNESS,
     Beam,
@@ -300,7 +301,7 @@ class Link:
                     f"Link.modes of a lumped link may hold {most} along {direction!r}, got "
                     f"{count}: the tip body moves in no more; leave out modes or lumped."
                 )
-        for direction, axis in (("y", 2), ("z", 1)):
+        for direction, axis in BENDING_AXIS.items():
             two = len(self.in_direction(direction)) > 1
             if self.damping_ratio and two and not self.tip_inertia[axis][axis]:
                 raise ValueError(

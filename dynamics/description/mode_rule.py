@@ -31,7 +31,14 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.description.joint import Joint
-from dynamics.description.mode_shapes import BENDING, STIFFNESS, Beam, Mode, in_direction, shape
+from dynamics.description.mode_shapes import (
+    BENDING_AXIS,
+    STIFFNESS,
+    Beam,
+    Mode,
+    in_direction,
+    shape,
+)
 from dynamics.description.validate import shown
 
 AUTO = "auto"
@@ -74,10 +81,9 @@ def modes_by_rule(
     mass is, carries a second mode only if it has an inertia.
     """
     modes: list[Mode] = []
-    for direction in BENDING:
+    for direction, axis in BENDING_AXIS.items():
         if STIFFNESS[direction] in stiffnesses:
             kind = _bending(beam, joint, direction, segments, bare_root, load)
-            axis = "zy".index(direction) + 1  # about which the link bends
             single = lumped and not beam.tip_inertia[axis][axis]
             modes += _first(1 if single else PER_PLANE, kind, direction)
     if STIFFNESS["x"] in stiffnesses:

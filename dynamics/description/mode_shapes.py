@@ -64,7 +64,8 @@ KINDS: dict[str, tuple[str, ...]] = {  # kind -> directions it may act in
 FREE_ROOT = {"pinned-free", "unconstrained"}  # kinds whose root a joint lets turn
 # direction of a mode -> rigidity of the link that resists it
 STIFFNESS = {"x": "GJ", "y": "EIz", "z": "EIy", "axial": "EA"}
-BENDING = ("y", "z")  # directions whose strain is s''; in the others it is s'
+BENDING_AXIS = {"y": 2, "z": 1}  # direction of bending -> axis about which the tip turns
+BENDING = tuple(BENDING_AXIS)  # directions whose strain is s''; in the others it is s'
 NORMS = ("tip-unit", "mass", "raw")
 MAX_INDEX = 50
 _HEAVIEST = 1e4  # [-] ratio of tip body to beam up to which the shapes keep 11 digits
@@ -231,7 +232,7 @@ def _of_sections(mode: Mode, beam: Beam) -> PieceShape:
 
 def _tip_ratios(mode: Mode, beam: Beam) -> tuple[float, float]:
     """Tip mass over rho_A l and tip inertia over rho_A l^3 [-]."""
-    axis = {"y": 2, "z": 1}[mode.direction]
+    axis = BENDING_AXIS[mode.direction]
     mass = beam.rho_A * beam.length
     ratios = (beam.tip_mass / mass, beam.tip_inertia[axis][axis] / (mass * beam.length**2))
     if max(ratios) > _HEAVIEST:
@@ -256,7 +257,7 @@ def _modal_mass(raw: Shape, mode: Mode, beam: Beam) -> float:
         return beam.rho_Ip * square + beam.tip_inertia[0][0] * tip**2
     total = beam.rho_A * square
     if mode.kind == "clamped-tip-mass":
-        axis = {"y": 2, "z": 1}[mode.direction]
+        axis = BENDING_AXIS[mode.direction]
         total += beam.tip_mass * tip**2 + beam.tip_inertia[axis][axis] * slope**2
     return total
 
