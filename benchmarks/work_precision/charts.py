@@ -18,6 +18,14 @@ STORED = RESULTS / "work_precision.json.bz2"
 TARGETS = (1e-2, 1e-3, 1e-4)  # [reach]
 SMALL = 0.3  # largest integration error over model error of a run that shows the model error
 LOST = "every run diverged"  # of a model, at the cost of the costliest
+LOOKS = {  # kind of a model: its colour and marker
+    "rigid": ("k", "P"),
+    "linear": (style.BLUE, "o"),
+    "linear, in segments": (style.BLUE, "D"),
+    "foreshortened": (style.VERMILLION, "o"),
+    "foreshortened, in segments": (style.VERMILLION, "D"),
+    LOST: ("k", "x"),
+}
 LOWEST, HIGHEST = 3e-8, 2.0  # errors drawn; diverged runs lie at 1
 NEAR = 2.5  # models within this ratio of costs and of errors share one label
 APART = 2.0  # least ratio of the errors of neighbouring points of a line
@@ -170,14 +178,9 @@ def draw_models(axis: Any, scene: Row) -> None:
         runs = [p for p in scene["points"] if p["model"] == name and "rtol" not in p]
         good = [p["cpu"] for p in runs if p["integration"] <= SMALL * error < math.inf]
         place = min(good) if good else max(p["cpu"] for p in runs)
-        kind = "foreshortened" if "foreshortened" in name else "linear"
-        kind = f"{kind}, in segments" if "segments" in name else kind
-        kind = "rigid" if name == "rigid" else kind if good else LOST
-        groups.setdefault(kind, []).append((place, _drawn(error), name))
+        groups.setdefault(_kind(name, not good), []).append((place, _drawn(error), name))
     for kind, points in groups.items():
-        colour = style.BLUE if "linear" in kind else style.VERMILLION
-        colour = {"rigid": "k", LOST: "k"}.get(kind, colour)
-        marker = {"rigid": "P", LOST: "x"}.get(kind, "D" if "segments" in kind else "o")
+        colour, marker = LOOKS[kind]
         x, y, _ = zip(*points, strict=True)
         axis.plot(x, y, marker, color=colour, markersize=9, label=kind)
         own = [p[:2] for p in points if p[2] == scene["default"]["model"]]
@@ -185,6 +188,16 @@ def draw_models(axis: Any, scene: Row) -> None:
             axis.plot(*own[0], "*", label="default", **STAR)
         _label(axis, points, own[0] if own else (math.inf, math.inf))
     axis.legend(title=CODE, **BELOW)
+
+
+def _kind(model: str, lost: bool) -> str:
+    """Key of LOOKS of a model; `lost` if no run has a small integration error."""
+    if model == "rigid":
+        return model
+    if lost:
+        return LOST
+    form = "foreshortened" if "foreshortened" in model else "linear"
+    return f"{form}, in segments" if "segments" in model else form
 
 
 def _draw_runs(axis: Any, scene: Row, theirs: Lines) -> None:
