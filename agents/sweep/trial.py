@@ -17,8 +17,7 @@ POLICY = "policy"  # folder in a checkpoint
 
 
 def train_trial(settings: dict[str, Any]) -> None:
-    """Train the experiment in `settings["planned"]`, from the trial's checkpoint if it has an
-    intact one.
+    """Train the experiment of `settings["planned"]`, from an intact checkpoint if there is one.
 
     Reports the mean score of the tuning episodes, the objective by which trials are ranked, the
     steps, how often the trial was restarted, and Ray's name of the machine, each time with a

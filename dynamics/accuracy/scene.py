@@ -7,17 +7,14 @@ models of an arm on a scene.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dynamics.description import validate
 from dynamics.description.arm import Arm
 from dynamics.simulation.case_file import Numbers, PiecewiseConstant, Torque, jump_times
-
-TorqueSignal = Callable[[float], ArrayLike]  # (n_joint,) [N m], [N]; jumps listed in `.breakpoints`
+from dynamics.types import TorqueSignal
 
 
 @dataclass(frozen=True, kw_only=True)

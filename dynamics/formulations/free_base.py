@@ -52,13 +52,12 @@ from dynamics.formulations.algebra import (
     tmatvec,
 )
 from dynamics.formulations.gibbs_appell import mass_matrix
-from dynamics.formulations.kinematics import Chain, outward, poses, series, tip_rotation
+from dynamics.formulations.kinematics import Chain, Scalars, outward, poses, series, tip_rotation
 from dynamics.formulations.link_constants import LinkConstants
 from dynamics.types import Vector3
 
 SIZE = 6  # coordinates of a free base
 NODES = 6  # of the quadrature in `carried`: error below 1e-9 rad for moves of a radian
-Scalars = Sequence[Scalar]
 
 _O: Vector3 = (0.0, 0.0, 0.0)
 _BODY = LinkConstants(

@@ -17,10 +17,9 @@ from dynamics.simulation.case_file import jump_times
 from dynamics.simulation.stepper import Stepper
 from dynamics.simulation.trajectory import Trajectory
 from dynamics.simulation.validity import FARTHEST, limits
-from dynamics.types import Array
+from dynamics.types import Array, TorqueSignal
 from dynamics.validity import ValidityWarning
 
-TorqueSignal = Callable[[float], ArrayLike]
 Signal = Callable[[float], Array]  # a torque signal whose values are validated
 
 REFERENCES = {"dop853": DOP853, "radau": Radau, "bdf": BDF}
