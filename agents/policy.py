@@ -149,7 +149,12 @@ class Policy:
         episode_start: AnyArray | None = None,
         deterministic: bool = True,
     ) -> tuple[AnyArray, Any]:
-        """Return the mean action (..., n_action), and the state (..., n_state) of the next call."""
+        """Return the mean action (..., n_action), and the state (..., n_state) of the next call.
+
+        Raises
+        ------
+        ValueError : for observations of another size, or with deterministic=False.
+        """
         if not deterministic:
             raise ValueError(
                 "A stored policy holds the mean action only; call predict(deterministic=True)."
@@ -246,6 +251,10 @@ def load_policy(folder: str | Path) -> Policy:
     """Load a policy from its folder, or from the folder of its run.
 
     The files need not be trusted: sizes and types are checked before memory is allocated.
+
+    Raises
+    ------
+    PolicyError : for a folder without a policy, or files that are damaged or of another format.
     """
     folder = Path(folder)
     try:

@@ -28,6 +28,11 @@ def load_arm(source: ArmSource, *, flexible: Flexible | None = None, tip: str | 
 
     Of a URDF file, `flexible` and `tip` choose the links that bend and the end of the chain, see
     `dynamics.description.urdf.convert`; an UrdfWarning says what the arm does not take over.
+
+    Raises
+    ------
+    ValueError : for an unknown preset, a file that cannot be read, or the description of no arm;
+        one sentence with the file, the field and its value.
     """
     if _is_urdf(source):
         return _from_urdf(user_path(source), flexible, tip)  # type: ignore[arg-type]

@@ -43,7 +43,12 @@ class Log:
             raise ValueError("Log.command must be finite; repeat the value that a motor holds.")
 
     def since(self, first: float, last: float = math.inf) -> "Log":
-        """The samples from a time [s] on, such as the release of a plucked arm, up to another."""
+        """The samples from a time [s] on, such as the release of a plucked arm, up to another.
+
+        Raises
+        ------
+        ValueError : for times that are no numbers, or between which there are too few samples.
+        """
         for time, noun in ((first, "first time"), (last, "last time")):
             validate.number(0.0 if math.isinf(time) else time, noun, "s")
         there = (self.time >= first) & (self.time <= last)

@@ -110,7 +110,12 @@ class Stepper:
     measured = property(lambda self: self._measured)
 
     def advance(self) -> None:
-        """Step every environment `substeps` times, then measure. Allocates nothing."""
+        """Step every environment `substeps` times, then measure. Allocates nothing.
+
+        Raises
+        ------
+        RuntimeError : while another thread steps the batch.
+        """
         if not self._lock.acquire(blocking=False):
             raise in_use()
         try:

@@ -221,7 +221,13 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Advance by one control step."""
+        """Advance by one control step under an action (n_torque,), clipped to [-1, 1].
+
+        Raises
+        ------
+        ValueError : for an action of another shape or with numbers that are not finite.
+        RuntimeError : while another thread steps the environment.
+        """
         core = self.core
         if core.busy:  # `core.claim`, without the cost of a call
             raise in_use()

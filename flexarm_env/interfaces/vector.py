@@ -258,6 +258,11 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         """Advance all by one control step; ended episodes restart by `autoreset_mode`.
 
         Later steps do not overwrite a returned array while the caller keeps a reference to it.
+
+        Raises
+        ------
+        ValueError : for actions of another shape than (N, n_torque) or that are not finite.
+        RuntimeError : while another thread steps the batch.
         """
         array = self._actions(actions)
         self.core.claim()
