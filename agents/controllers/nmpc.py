@@ -96,6 +96,7 @@ class Nonlinear:
         self.blocks = np.array(blocks_of(self.steps))
         self._terms = kept(self._made, KEPT)
 
+    @np.errstate(over="ignore", invalid="ignore")  # motions that diverge cost infinitely much
     def __call__(self, estimates: list[Estimate]) -> Array:
         """(N, m) [N m] torques."""
         torques = np.empty((len(estimates), self.limit.size))
@@ -167,28 +168,27 @@ class Nonlinear:
         return _Motions(q=q[:-1], v=v[:-1], x=scene.modal(q, v), action=action, whole=whole)
 
     def _costs(self, scene: _Scene, moved: _Motions) -> Array:
-        """(N, L) costs of motions; infinite where one has diverged."""
+        """(N, L) costs of motions; infinite where one has diverged, or its cost overflows."""
         x, r = moved.x[1:], scene.modes.shape[2]
         costs = self.cost.effort * np.sum(moved.action**2, axis=(0, 3))
         costs += np.sum((x[:-1] @ scene.Q) * x[:-1], axis=(0, 3))
         costs += np.sum((x[-1] @ scene.P) * x[-1], axis=2)
         beyond = np.abs(x[..., :r] @ scene.bend) - self.margin
         costs += PRICE * np.sum(np.maximum(beyond, 0.0) ** 2, axis=(0, 3))
-        return np.where(moved.whole, costs, np.inf)
+        return np.where(moved.whole & np.isfinite(costs), costs, np.inf)
 
     def _changes(self, scene: _Scene, moved: _Motions) -> Array:
         """Changes (T, N, 1, m) of the actions; none where a motion is beyond linearization."""
         changes = np.zeros_like(moved.action)
         for i in range(len(scene.x)):
             A, B = self._linearized(scene, moved, i)
-            if not (np.all(np.isfinite(A)) and np.all(np.isfinite(B))):
-                continue
             program = _program(
                 A, B, moved.x[1:, i, 0].copy(), moved.action[:, i, 0].copy(), self.blocks,
                 scene.Q[i], scene.P[i], self.cost.effort, scene.bend[i],
             )  # fmt: skip
-            found = _solved(self.margin, *program)
-            changes[:, i, 0] = found.reshape(-1, self.limit.size)[self.blocks]
+            if all(np.isfinite(part).all() for part in program):
+                found = _solved(self.margin, *program)
+                changes[:, i, 0] = found.reshape(-1, self.limit.size)[self.blocks]
         return changes
 
     def _linearized(self, scene: _Scene, moved: _Motions, i: int) -> tuple[Array, Array]:

@@ -158,6 +158,23 @@ def test_where_every_motion_diverges_the_torque_is_that_of_lqr() -> None:
     np.testing.assert_allclose(law(estimates), expected)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_where_costs_overflow_nothing_warns() -> None:
+    law = law_of(make_batch(AGILE, 1, {"obs": "state"}))
+    assert np.isfinite(law(about(law, np.zeros(1), 1e158, 2))).all()
+
+
+def test_motions_that_overflow_cost_infinitely_much_and_are_not_changed() -> None:
+    """Terms of both signs add up to infinity less infinity; the solver gets no such program."""
+    law = law_of(make_batch(AGILE, 1, {"obs": "state"}))
+    scene = law._scene(about(law, np.zeros(1), 0.1, 1))
+    moved = law._closed_loop(scene)
+    moved.x = 1e308 * np.random.default_rng(0).choice([-1.0, 1.0], moved.x.shape)
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert law._costs(scene, moved) == np.inf
+        np.testing.assert_array_equal(law._changes(scene, moved), 0.0)
+
+
 def test_links_bend_no_further_than_the_share_of_their_limit() -> None:
     """At three times the torque the blind law breaks the limit, and the plan stays within it."""
     envs = make_batch(AGILE, 16, {"obs": "state"})
