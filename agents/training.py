@@ -148,7 +148,8 @@ def prepare(config: Config, warm: bool = False) -> None:
 def begin_warm(model: Any, config: Config) -> None:
     """Give a new model the weights of its experiment's warm start, if there is one."""
     if config.agent.warm_start:
-        begin_with(model, named_policy(config.agent.warm_start, config.seed))
+        first = named_policy(config.agent.warm_start, config.seed)
+        begin_with(model, first, about_policy(config))
 
 
 def learn(run: RunFolder, config: Config) -> int:
@@ -198,7 +199,7 @@ def begin(run: RunFolder, config: Config, model: Any, about: dict[str, Any]) -> 
         begin_warm(model, config)
         return export_policy(model, about | {"steps": 0})
     if config.agent.warm_start:
-        begin_with(model, first)
+        begin_with(model, first, about)
     return None
 
 

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 
+from agents.environments import check_keywords
 from agents.learners.algorithms import CRITICS, DAGGER, algorithms, name_of
 from agents.learners.wrapped import lost_normalization, other_actions
 from agents.policy import (
@@ -22,6 +24,9 @@ from agents.policy import (
 from agents.sentences import one_line
 from dynamics.description import validate
 from dynamics.types import AnyArray
+from flexarm_env import IDS
+from flexarm_env.hardware.sensors import load_hardware
+from flexarm_env.task.tasks import find_task
 
 # Algorithms of zips by the module of their policy; TD3 and DDPG share theirs.
 ZIPPED = {
@@ -37,6 +42,8 @@ LOADED = sorted({*ZIPPED.values(), *CRITICS, DAGGER, "ddpg"})  # algorithms of z
 ON_POLICY = ("agents.learners.privileged", "stable_baselines3.common.policies")  # a2c, ppo, trpo
 COLD = ("ars", "crossq")  # algorithms without a warm start
 LAYOUT = {  # what a policy and a model it begins share, and the remedy otherwise
+    "observation": "change env, or take a policy of this observation",
+    "stack": "change env.stack",
     "recurrent": "change agent.policy, or agent.kwargs.policy_kwargs.n_lstm_layers",
     "layer_sizes": "change agent.kwargs.policy_kwargs.net_arch, or env",
     "activation": "change agent.kwargs.policy_kwargs.activation_fn",
@@ -177,27 +184,29 @@ def refuse_extractor(model: Any) -> None:
         )
 
 
-def begin_with(model: Any, policy: Policy) -> None:
-    """Give a model's actor the weights of a policy with the same layers.
+def begin_with(model: Any, policy: Policy, about: Mapping[str, Any]) -> None:
+    """Give a model's actor the weights of a policy with the same layers and observations.
+
+    `about` is the origin of the model's own policy.
 
     Raises
     ------
-    PolicyError : for an algorithm of COLD, other layers, or normalized observations.
+    PolicyError : for an algorithm of COLD, another layout, or normalized observations.
     """
     import torch
 
-    algorithm, own = name_of(type(model)), export_policy(model, {"stack": policy.stack})
+    algorithm, own = name_of(type(model)), export_policy(model, dict(about))
     if algorithm in COLD or policy.normalization or own.normalization:
         raise PolicyError(
             f"agent.warm_start is not for {list(COLD)} or env.normalize, got a policy of "
             f"{policy.about.get('algorithm')} for {algorithm}; take others."
         )
+    theirs, ours = layout(policy), layout(own)
     for what, remedy in LAYOUT.items():
-        theirs, ours = getattr(policy, what), getattr(own, what)
-        if theirs != ours:
+        if theirs[what] != ours[what] and theirs[what] is not None and ours[what] is not None:
             raise PolicyError(
-                f"agent.warm_start: {what} of the policy is {validate.shown(theirs)}, that of the "
-                f"experiment {validate.shown(ours)}; {remedy}."
+                f"agent.warm_start: {what} of the policy is {validate.shown(theirs[what])}, that "
+                f"of the experiment {validate.shown(ours[what])}; {remedy}."
             )
     lstm, modules = actor(model)
     for k in range(policy.recurrent):
@@ -211,6 +220,28 @@ def begin_with(model: Any, policy: Policy) -> None:
         layer.bias.data.copy_(torch.as_tensor(bias))
     if hasattr(model, "actor_target"):
         model.actor_target.load_state_dict(model.actor.state_dict())
+
+
+def layout(policy: Policy) -> dict[str, Any]:
+    """Values of LAYOUT; None for an observation of which the policy's origin tells nothing."""
+    try:
+        observed = observation(policy.about)
+    except ValueError as error:
+        raise PolicyError(f"agent.warm_start: {error}") from None
+    own = {name: getattr(policy, name) for name in LAYOUT if name != "observation"}
+    return {"observation": observed} | own
+
+
+def observation(about: Mapping[str, Any]) -> str | None:
+    """Kind of an observation, with a path if it shows one; None for no id of this package."""
+    env_id = about.get("env_id")
+    if env_id not in IDS:
+        return None
+    own = check_keywords(about.get("env_kwargs", {}), "about.env_kwargs")
+    keywords = IDS[env_id]["kwargs"] | own
+    exact = load_hardware(keywords.get("hardware")) is None
+    kind = keywords.get("obs") or ("state" if exact else "sensors")
+    return f"{kind} with a path" if find_task(keywords["task"]).moving else kind
 
 
 def normalization(envs: Any) -> Normalization | None:

@@ -113,7 +113,7 @@ def test_policies_begin_with_those_of_other_critics() -> None:
     for mine, other in ({"privileged": False}, {}), ({}, {"privileged": False}):
         learner = model(**mine)
         first = export_policy(model(seed=1, **other), {})
-        begin_with(learner, first)
+        begin_with(learner, first, {})
         for ours, theirs in zip(export_policy(learner, {}).weights, first.weights, strict=True):
             np.testing.assert_array_equal(ours, theirs)
 

@@ -76,7 +76,7 @@ def test_cells_begin_with_those_of_another_library() -> None:
         config_from_dict({"env": {"id": ENV_ID, "n_envs": 8}, "agent": agent, "total_steps": 256})
     )
     learner, memory = remembering(), None
-    begin_with(learner, export_policy(theirs, {}))
+    begin_with(learner, export_policy(theirs, {}), {})
     for _ in range(5):
         seen = 2.0 * torch.rand(8, learner.observation_space.shape[0]) - 1.0
         action = learner.policy["actor"](grouped({"observation": seen})).clamp(-1.0, 1.0)

@@ -1,6 +1,7 @@
 """Trainings that begin with the weights of a stored policy."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,10 @@ from agents.policy import PolicyError, load_policy
 from agents.run_folder.folder import RunFolder
 from agents.training import begin, build_model
 from agents.training import main as train
-from tests.agents.tiny import one_sentence, write_config
+from tests.agents.tiny import ENV_ID, one_sentence, write_config
 from tests.agents.toys import KWARGS, NETWORK, build
 
+TRACK = "FlexArm/OneLink-Track-v0"
 LEARNED = [name for name in sorted(KWARGS) if name not in COLD]
 
 
@@ -26,7 +28,7 @@ def test_a_model_acts_as_the_policy_that_it_begins_with(name: str) -> None:
     observations = np.random.default_rng(0).uniform(-5.0, 5.0, (9, 3)).astype(np.float32)
     expected = policy.predict(observations)[0]
     assert np.abs(model.predict(observations, deterministic=True)[0] - expected).max() > 1e-3
-    begin_with(model, policy)
+    begin_with(model, policy, {})
     actions = model.predict(observations, deterministic=True)[0]
     np.testing.assert_allclose(actions, expected, atol=5e-6)
     if hasattr(model, "actor_target"):
@@ -56,7 +58,27 @@ def test_a_model_acts_as_the_policy_that_it_begins_with(name: str) -> None:
 )
 def test_another_network_is_refused(name: str, kwargs: dict, sentence: str) -> None:
     with pytest.raises(PolicyError, match=rf"agent\.warm_start.*{sentence}"):
-        begin_with(build(name, **kwargs), export_policy(build("ppo"), {}))
+        begin_with(build(name, **kwargs), export_policy(build("ppo"), {}), {})
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours", "sentence"),
+    [
+        ({}, {"env_kwargs": {"hardware": "laboratory"}}, "observation .* 'state', .* 'sensors'"),
+        ({"env_kwargs": {"obs": "sensors"}}, {}, "observation .* 'sensors', .* 'state'; change"),
+        ({}, {"env_id": TRACK}, "observation .* 'state', .* 'state with a path'"),
+        ({}, {"stack": 3}, "stack of the policy is 1, .* 3; change env.stack"),
+        ({"env_kwargs": {"obj": "state"}}, {}, "Unknown key 'obj' in about.env_kwargs"),
+    ],
+)
+def test_a_policy_of_other_observations_as_many_is_refused(
+    theirs: dict, ours: dict, sentence: str
+) -> None:
+    """Two frames of four readings are as many numbers as one exact state of one link."""
+    policy = export_policy(build("ppo"), {"env_id": ENV_ID} | theirs)
+    with pytest.raises(PolicyError, match=rf"agent\.warm_start: {sentence}"):
+        begin_with(build("ppo"), policy, {"env_id": ENV_ID} | ours)
+    begin_with(build("ppo"), replace(policy, about={"stack": policy.stack}), {"env_id": ENV_ID})
 
 
 def test_a_run_keeps_its_warm_start(
