@@ -32,7 +32,8 @@ class Cost:
         base = env.unwrapped
         self.models, self.reach = models, base.reach
         self.limit = np.asarray(base.torque_limit, dtype=np.float64)
-        self.effort, self.lead = effort, lead * base.core.move_time
+        self.move_time = base.core.move_time
+        self.effort, self.lead = effort, lead * self.move_time
 
     def of(self, model: LinearModel) -> tuple[Array, Array]:
         """Q (2r, 2r) of x'Qx and R (m, m) of tau'R tau."""
@@ -43,6 +44,17 @@ class Cost:
         Q = np.zeros((2 * r, 2 * r))
         Q[:r, :r], Q[r:, r:] = place, self.lead**2 * place
         return Q, np.diag(self.effort / self.limit**2)
+
+    def refuse_unsolvable(self) -> None:
+        """Raise a LinAlgError where the weights allow no gain."""
+        model = self.models.at(np.zeros(len(self.models.joints)))
+        try:
+            riccati(model.A, model.B, *self.of(model))
+        except np.linalg.LinAlgError:
+            raise np.linalg.LinAlgError(
+                f"effort ({self.effort:g}) and lead ({self.lead / self.move_time:g}) leave LQR's "
+                "Riccati equation without a solution; take values nearer to 1 and 0.1."
+            ) from None
 
 
 class Gain:
@@ -153,7 +165,9 @@ def model_based(
         if disturbance is None
         else filters(env, name, disturbance, **observing)
     )
-    return kind(env, observer, law(Cost(env, observer.models, effort=effort, lead=lead)))
+    cost = Cost(env, observer.models, effort=effort, lead=lead)
+    cost.refuse_unsolvable()
+    return kind(env, observer, law(cost))
 
 
 def regulator(env: Any, name: str, *, clip: float = np.inf, **parameters: Any) -> ModelBased:

@@ -28,6 +28,7 @@ BLOCKS = (1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4)  # control steps that share a torque;
 PROGRAMS = 512  # kept; one of six links takes more than a megabyte
 PRICE = 1e7  # of bending beyond the share, over that of a tip error as wide as the settled band
 CAUTION = 4.0  # surprise by which a heavier plant may exceed the likeliest: seven times less likely
+MOST_STEPS = 10_000  # of a horizon
 ABSURD = 1e12  # modal coordinates and rates; far larger ones the solver refuses without a word
 
 
@@ -135,8 +136,14 @@ def quadratic_programs() -> Any:
 
 
 def steps_of(core: Any, horizon: float) -> int:
-    """Control steps of a horizon over the move time."""
-    return max(2, round(horizon * core.move_time / core.control_dt))
+    """Control steps of a horizon over the move time; a longer one than MOST_STEPS is refused."""
+    steps = max(2, round(horizon * core.move_time / core.control_dt))
+    if steps > MOST_STEPS:
+        raise ValueError(
+            f"horizon must be at most {MOST_STEPS * core.control_dt / core.move_time:.4g} here, "
+            f"which is {MOST_STEPS:_} control steps, got {horizon:g}. Unit: [-], of the move time."
+        )
+    return steps
 
 
 def blocks_of(steps: int) -> list[int]:

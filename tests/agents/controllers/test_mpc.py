@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from agents.controllers import mpc
+from agents.controllers import controller, mpc
 from agents.controllers.lqr import Cost, Gain, riccati
 from agents.controllers.models.linear_model import LinearModel, LinearModels
 from agents.controllers.observers.exact import Estimate
@@ -25,6 +25,23 @@ def laws(env_id: str, margin: float = 0.9) -> tuple[Any, Any, LinearModels]:
 def steady(plan: Any, model: LinearModel, x: Any, forward: Any) -> Estimate:
     """Estimate with a torque of the reference that stays as it is."""
     return Estimate(model, x, forward, np.tile(forward, (plan.blocks[-1], 1)))
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"lead": 1e30}, r"effort \(1\) and lead \(1e\+30\) leave .* without a solution; take"),
+        ({"effort": 1e30}, r"effort \(1e\+30\) and lead \(0.1\) leave"),
+        ({"horizon": 1e9}, r"horizon must be at most \d+(\.\d)? here, .* got 1e\+09"),
+    ],
+)
+@pytest.mark.parametrize("name", ["mpc", "nmpc"])
+def test_parameters_with_which_nothing_can_be_computed_are_refused_at_once(
+    name: str, given: dict[str, float], sentence: str
+) -> None:
+    usual = {"effort": 1.0, "lead": 0.1, "horizon": 0.5, "margin": 0.9}
+    with pytest.raises(ValueError, match=sentence):
+        controller(name, make_batch(REACH, 1, {"obs": "state"}), usual | given)
 
 
 def test_without_active_limits_the_plan_begins_as_lqr(monkeypatch: pytest.MonkeyPatch) -> None:
