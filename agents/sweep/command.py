@@ -25,7 +25,7 @@ from agents.policy import PolicyError, load_policy
 from agents.run_folder.folder import refuse_other_arm, refuse_used
 from agents.run_folder.lock import folder_lock
 from agents.sentences import one_line, refused
-from agents.sweep.trial import POLICY, REPORTS, train_trial
+from agents.sweep.trial import DIVERGED, POLICY, REPORTS, train_trial
 from agents.training import prepare
 from agents.tune.learners import ranges_of
 from dynamics.arms import ARMS
@@ -272,7 +272,10 @@ def new_tuner(out: Path, trials: list[Config], keep_all: bool, ranking: Any) -> 
 
 def finish(out: Path, results: Any) -> None:
     """Write the best trial as an experiment, and copy its policy."""
-    done = [result for result in results if result.metrics and "objective" in result.metrics]
+    reported = [result for result in results if result.metrics and "objective" in result.metrics]
+    done = [result for result in reported if DIVERGED not in result.metrics]
+    if not done and reported:
+        raise SweepError(f"all trials of {out} have diverged; take smaller learning rates.")
     if not done:
         raise SweepError(f"no trial of {out} has reported; the errors are below {out / TUNE}.")
     best = max(done, key=lambda result: result.metrics["objective"])

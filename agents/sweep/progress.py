@@ -7,6 +7,7 @@ from ray.tune import Callback
 
 from agents.metrics import write_json
 from agents.run_folder.folder import versions
+from agents.sweep.trial import DIVERGED
 
 SHOWN = ("score", "success", "objective", "steps", "restarts", "node")
 
@@ -25,7 +26,8 @@ class Ranking(Callback):
     ) -> None:
         """Print one line, and write the ranking."""
         number, score, steps = number_of(trial), result["score"], result["steps"]
-        print(f"trial {number}: score {score:.3f} after {steps:,} steps", flush=True)
+        what = DIVERGED if DIVERGED in result else f"score {score:.3f}"
+        print(f"trial {number}: {what} after {steps:,} steps", flush=True)
         self.write(trials)
 
     def on_experiment_end(self, trials: list[Any], **info: Any) -> None:
@@ -55,7 +57,9 @@ def row(trial: Any) -> dict[str, Any]:
     """Number, state, keywords and latest results of a trial."""
     experiment, latest = trial.config["planned"]["experiment"], trial.last_result or {}
     state = {"TERMINATED": "done", "ERROR": "lost"}.get(trial.status, "unfinished")
-    if state == "done" and latest.get("steps", 0) < experiment["total_steps"]:
+    if DIVERGED in latest:
+        state = DIVERGED
+    elif state == "done" and latest.get("steps", 0) < experiment["total_steps"]:
         state = "stopped early"
     shown = {name: latest[name] for name in SHOWN if name in latest}
     kwargs = experiment["agent"]["kwargs"]

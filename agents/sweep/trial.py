@@ -8,12 +8,19 @@ from agents.config import config_from_dict
 from agents.learners.export import export_policy
 from agents.policy import save_policy
 from agents.run_folder.checkpoints import newest_intact, restore_checkpoint, save_checkpoint
-from agents.training import about_policy, begin_warm, build_model
-from agents.tune.learners import judged
+from agents.training import (
+    TrainingError,
+    about_policy,
+    begin_warm,
+    build_model,
+    refuse_divergence,
+)
+from agents.tune.learners import LOST, judged
 
 REPORTS = 9  # of a trial that is not stopped early
 EPISODES = 32  # judged at every report, other ones than those of an evaluation
 POLICY = "policy"  # folder in a checkpoint
+DIVERGED = "diverged"  # in the last report of a trial whose weights are not finite
 
 
 def train_trial(settings: dict[str, Any]) -> None:
@@ -21,7 +28,7 @@ def train_trial(settings: dict[str, Any]) -> None:
 
     Reports the mean score of the tuning episodes, the objective by which trials are ranked, the
     steps, how often the trial was restarted, and Ray's name of the machine, each time with a
-    checkpoint.
+    checkpoint. A trial that diverges ends with a report that says so.
     """
     import ray
     from ray import tune
@@ -42,14 +49,16 @@ def train_trial(settings: dict[str, Any]) -> None:
     node = ray.get_runtime_context().get_node_id()
     interval = -(-config.total_steps // REPORTS)
 
+    def place() -> dict[str, Any]:
+        return {"steps": model.num_timesteps, "restarts": progress["session"], "node": node}
+
     def report() -> None:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             save_checkpoint(model, folder, progress)
             policy = export_policy(model, about | {"steps": model.num_timesteps})
             save_policy(policy, folder / POLICY)
-            entry = judged(config, policy, EPISODES)
-            entry |= {"steps": model.num_timesteps, "restarts": progress["session"], "node": node}
+            entry = judged(config, policy, EPISODES) | place()
             tune.report(entry, checkpoint=tune.Checkpoint.from_directory(folder))
 
     class Reports(BaseCallback):
@@ -65,7 +74,16 @@ def train_trial(settings: dict[str, Any]) -> None:
                 report()
 
     remaining = config.total_steps - model.num_timesteps
-    if remaining > 0:
-        model.learn(remaining, Reports(), log_interval=None, reset_num_timesteps=found is None)
+    try:
+        if remaining > 0:
+            model.learn(remaining, Reports(), log_interval=None, reset_num_timesteps=found is None)
+        refuse_divergence(model)
+    except ValueError:
+        try:
+            refuse_divergence(model)
+        except TrainingError:  # as it would from its checkpoint
+            tune.report(LOST | {DIVERGED: True} | place())
+            return
+        raise
     report()
     model.env.close()

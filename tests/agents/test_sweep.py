@@ -15,16 +15,18 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
-from agents.config import load_config
+from agents.config import Config, load_config
 from agents.learners.export import export_policy
 from agents.policy import load_policy, save_policy
 from agents.run_folder.folder import ARM, arm_digest
-from agents.sweep.command import located, main, run
-from agents.sweep.trial import train_trial
+from agents.sweep.command import SweepError, finish, located, main, run
+from agents.sweep.trial import DIVERGED, train_trial
 from agents.training import about_policy, build_model
+from agents.tune.learners import LOST
 from tests.agents.tiny import one_sentence, write_config
 from tests.paths import ROOT
 
@@ -232,6 +234,23 @@ def test_without_an_address_a_sweep_joins_no_cluster_that_happens_to_run_here(
     assert joined == ["local", "cluster:6379", "job:6379"]
 
 
+def reports_of(
+    config: Config, monkeypatch: pytest.MonkeyPatch, checkpoint: Any = None
+) -> list[dict[str, Any]]:
+    """Reports of a trial to Ray, which need not be installed."""
+    entries: list[dict[str, Any]] = []
+    tune = SimpleNamespace(
+        get_checkpoint=lambda: checkpoint,
+        report=lambda entry, checkpoint=None: entries.append(entry),
+        Checkpoint=SimpleNamespace(from_directory=lambda folder: None),
+    )
+    context = SimpleNamespace(get_node_id=lambda: "here")
+    ray = SimpleNamespace(tune=tune, get_runtime_context=lambda: context)
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    train_trial({"planned": {"experiment": config.to_dict()}})
+    return entries
+
+
 def test_a_trial_whose_checkpoint_is_damaged_begins_anew_with_its_warm_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -242,21 +261,25 @@ def test_a_trial_whose_checkpoint_is_damaged_begins_anew_with_its_warm_start(
     config = replace(config, agent=replace(config.agent, warm_start=str(tmp_path)))
     (tmp_path / "damaged" / "step_000000000128").mkdir(parents=True)
     damaged = SimpleNamespace(as_directory=lambda: nullcontext(tmp_path / "damaged"))
-    context = SimpleNamespace(get_node_id=lambda: "here")
+    assert reports_of(config, monkeypatch, damaged) == reports_of(config, monkeypatch)
 
-    def reported(checkpoint: Any) -> list[dict[str, Any]]:
-        entries: list[dict[str, Any]] = []
-        tune = SimpleNamespace(
-            get_checkpoint=lambda: checkpoint,
-            report=lambda entry, checkpoint: entries.append(entry),
-            Checkpoint=SimpleNamespace(from_directory=lambda folder: None),
-        )
-        ray = SimpleNamespace(tune=tune, get_runtime_context=lambda: context)
-        monkeypatch.setitem(sys.modules, "ray", ray)
-        train_trial({"planned": {"experiment": config.to_dict()}})
-        return entries
 
-    assert reported(damaged) == reported(None)
+def test_a_trial_that_diverges_ends_with_a_report_and_is_not_trained_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ray would repeat a trial that raises, which diverges again."""
+
+    def diverging(config: Config) -> Any:
+        model = build_model(config)
+        model.policy.value_net.bias.data.fill_(np.nan)
+        return model
+
+    monkeypatch.setattr("agents.sweep.trial.build_model", diverging)
+    (entry,) = reports_of(load_config(write_config(tmp_path, "ppo", 128)), monkeypatch)
+    assert entry == LOST | {DIVERGED: True, "steps": 128, "restarts": 0, "node": "here"}
+    only = SimpleNamespace(metrics=entry)
+    with pytest.raises(SweepError, match=r"all trials of .* have diverged"):
+        finish(tmp_path, [only])
 
 
 def test_a_sweep_that_has_moved_is_ranked_where_it_lies(
@@ -269,14 +292,19 @@ def test_a_sweep_that_has_moved_is_ranked_where_it_lies(
     progress = import_module("agents.sweep.progress")
     ranked = progress.Ranking("sweep.json")
     experiment = {"agent": {"kwargs": {"gamma": 0.9}}, "total_steps": 64}
-    trial = SimpleNamespace(
-        config={"planned": {"number": 3, "experiment": experiment}},
-        status="TERMINATED",
-        last_result={"steps": 64, "objective": 0.5},
-        storage=SimpleNamespace(experiment_fs_path=str(tmp_path / "tune")),
-    )
-    ranked.write([trial])
-    assert [(t["trial"], t["state"]) for t in ranking(tmp_path)] == [(3, "done")]
+    results = {3: {"steps": 64, "objective": 0.5}, 4: {"steps": 64} | LOST | {DIVERGED: True}}
+    trials = [
+        SimpleNamespace(
+            config={"planned": {"number": number, "experiment": experiment}},
+            status="TERMINATED",
+            last_result=result,
+            storage=SimpleNamespace(experiment_fs_path=str(tmp_path / "tune")),
+        )
+        for number, result in results.items()
+    ]
+    ranked.write(trials)
+    states = [(t["trial"], t["state"]) for t in ranking(tmp_path)]
+    assert states == [(3, "done"), (4, DIVERGED)]
 
 
 @pytest.mark.slow
