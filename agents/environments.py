@@ -3,13 +3,17 @@
 import inspect
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 
 from dynamics.description import validate
+from flexarm_env import IDS
 from flexarm_env.core import Core
+from flexarm_env.hardware.sensors import load_hardware
+from flexarm_env.task.tasks import find_task
 
 SET_BY_ID = {"self", "task", "n_env", "single", "max_steps"}  # set by the id and the batch
 KEYWORDS = sorted(
@@ -53,3 +57,18 @@ def check_keywords(kwargs: Any, where: str) -> dict[str, Any]:
             f"{validate.shown(kwargs)}."
         ) from None
     return keywords
+
+
+def observation_kind(about: Mapping[str, Any]) -> str | None:
+    """Kind of the observations of a policy's origin, and whether they show a path.
+
+    None for an id that is not of this package. A ValueError for keywords that are not allowed.
+    """
+    env_id = about.get("env_id")
+    if env_id not in IDS:
+        return None
+    own = check_keywords(about.get("env_kwargs", {}), "about.env_kwargs")
+    keywords = IDS[env_id]["kwargs"] | own
+    exact = load_hardware(keywords.get("hardware")) is None
+    kind = keywords.get("obs") or ("state" if exact else "sensors")
+    return f"{kind} with a path" if find_task(keywords["task"]).moving else kind

@@ -12,7 +12,12 @@ import yaml
 
 from agents.comparison import compare
 from agents.controllers import CONTROLLERS, controller, joint_pd, tune_pd
-from agents.environments import REFUSALS, check_keywords, look_in_present_folder
+from agents.environments import (
+    REFUSALS,
+    check_keywords,
+    look_in_present_folder,
+    observation_kind,
+)
 from agents.files import FolderError, check_folder
 from agents.hybrid.controller import acting
 from agents.leaderboard.replay import OPTIMAL, optimal
@@ -215,7 +220,25 @@ def make_controller(
                 f"{subject}: takes {wanted[0][0]} observations and gives {wanted[1][0]} actions, "
                 f"but {env_id} has {shapes[0][0]} and {shapes[1][0]}.{remedy}"
             )
+        refuse_other_observations(subject, policy, env_id, kwargs)
         return one_line(os.path.basename(os.path.abspath(subject))), acting_policy
+
+
+def refuse_other_observations(
+    subject: str, policy: Policy, env_id: str, kwargs: Mapping[str, Any]
+) -> None:
+    """Raise a UsageError where as many numbers mean other quantities than in the training."""
+    try:
+        trained = observation_kind(policy.about)
+    except ValueError as error:
+        raise UsageError(f"{subject}: {error}") from None
+    given = observation_kind({"env_id": env_id, "env_kwargs": kwargs})
+    if trained != given and trained is not None and given is not None:
+        raise UsageError(
+            f"{subject}: its training had observations of the kind {trained!r}, but {env_id} with "
+            f"{validate.shown(dict(kwargs))} has as many of the kind {given!r}; change --env or "
+            "--env-kwargs."
+        )
 
 
 def bounds_of(env_id: str, kwargs: dict[str, Any], seeds: Sequence[int]) -> Controller:

@@ -1,11 +1,19 @@
-"""Atomic file writes, packed texts, and checks of folders to write to."""
+"""Atomic file writes, strict JSON, packed texts, and checks of folders to write to."""
 
 import bz2
 import hashlib
+import json
+import math
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+NUMBERS = re.compile(r'\[\n([^][{}"]*)\n *\]')  # a list without lists, objects and texts
 
 
 class FolderError(ValueError):
@@ -28,6 +36,25 @@ def atomic_write(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
         raise
     sync(path.parent)
+
+
+def without_infinities(value: Any) -> Any:
+    """A copy of the tree with None for every infinity and NaN, as strict JSON requires."""
+    if isinstance(value, Mapping):
+        return {str(k): without_infinities(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [without_infinities(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write strict JSON, without NaN and Infinity; a list of numbers is one line."""
+    text = json.dumps(without_infinities(data), indent=1, allow_nan=False)
+    text = NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", text)
+    with atomic_write(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def sync(path: Path) -> None:

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from agents.figures import COLOURS, new_figure, save_figure, tidy
-from agents.files import FolderError, check_folder
-from agents.metrics import write_json
+from agents.files import FolderError, check_folder, write_json
 from agents.sentences import refused
 from dynamics.command import completed
 from dynamics.description import validate

@@ -1,9 +1,7 @@
 """Metrics of controllers: episodes recorded in one batch, evaluated, summarised and written."""
 
 import csv
-import json
 import math
-import re
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 from tqdm import tqdm
 
-from agents.files import atomic_write
+from agents.files import atomic_write, write_json
 from agents.learners.wrapped import refuse_wrapped
 from agents.policy import Controller
 from dynamics.types import AnyArray
@@ -24,7 +22,6 @@ from flexarm_env.task.tasks import SETTLED_BAND
 HOLD = 0.25  # [s] least time in the band at the end of a settled episode
 RESIDUAL_WINDOW = 1.0  # [s] at the end of the episode
 MOST_REGRET = 4.0  # [-]
-NUMBERS = re.compile(r'\[\n([^][{}"]*)\n *\]')  # a list without lists, objects and texts
 SATURATED = 0.999  # [-] an action of this magnitude or more is saturated
 
 METRICS = {  # name: (unit, meaning)
@@ -217,25 +214,6 @@ def summarise(metrics: Mapping[str, AnyArray]) -> dict[str, float]:
         if name != "success":
             summary[name] = float(np.median(values))
     return summary
-
-
-def without_infinities(value: Any) -> Any:
-    """A copy of the tree with None for every infinity and NaN, as strict JSON requires."""
-    if isinstance(value, Mapping):
-        return {str(k): without_infinities(v) for k, v in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [without_infinities(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
-
-
-def write_json(path: Path, data: Any) -> None:
-    """Write strict JSON, without NaN and Infinity; a list of numbers is one line."""
-    text = json.dumps(without_infinities(data), indent=1, allow_nan=False)
-    text = NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", text)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def write_results(

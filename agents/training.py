@@ -17,7 +17,7 @@ from agents.controllers import controller, joint_pd, tune_pd
 from agents.environments import REFUSALS
 from agents.experiments import find_experiment, shipped_experiments
 from agents.figures import plot_learning_curve
-from agents.files import FolderError
+from agents.files import FolderError, write_json
 from agents.hybrid.controller import EXPERT, KEY, acting, base_of, description
 from agents.hybrid.informed import is_told
 from agents.leaderboard.bound import best_of
@@ -33,7 +33,7 @@ from agents.learners.algorithms import (
 from agents.learners.export import begin_with, export_policy
 from agents.learners.limits import LIMITS
 from agents.learners.normalization import normalized
-from agents.metrics import make_batch, write_json
+from agents.metrics import make_batch
 from agents.policy import Controller, Policy, PolicyError, load_policy, save_policy
 from agents.run_folder.callback import Progress, make_callback, silent_disk_errors
 from agents.run_folder.checkpoints import CheckpointError, newest_intact, restore_checkpoint

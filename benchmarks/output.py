@@ -13,8 +13,7 @@ from typing import Any
 from llvmlite.binding import get_host_cpu_name
 
 from agents import figures
-from agents.files import FolderError, check_folder
-from agents.metrics import write_json
+from agents.files import FolderError, check_folder, write_json
 from agents.run_folder.folder import revision
 from agents.sentences import one_line, speaker
 from flexarm_env.accuracy.table import table as table

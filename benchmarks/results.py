@@ -20,8 +20,8 @@ from pathlib import Path
 
 from agents.config import load_config
 from agents.experiments import shipped_experiments
+from agents.files import write_json
 from agents.learners.algorithms import ON_TENSORS
-from agents.metrics import write_json
 from benchmarks.output import ROOT, argument_parser, count, table
 from benchmarks.ranking.harder import REACH as WIDE
 from benchmarks.training.experiments import stored_seconds

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from agents.environments import title
-from agents.files import atomic_write, pack
+from agents.files import atomic_write, pack, without_infinities
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.charts import UNRANKED, Results, pictures
 from agents.leaderboard.kinds import CLASSICAL, KINDS, LEARNED, ON_MODEL
 from agents.leaderboard.replay import OPTIMAL
 from agents.leaderboard.statistics import DIGITS, Entry, Figures, Spectrum
 from agents.leaderboard.tracks import TRACKS
-from agents.metrics import METRICS, without_infinities
+from agents.metrics import METRICS
 from agents.sentences import plain
 from flexarm_env.accuracy.table import table
 

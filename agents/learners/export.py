@@ -10,7 +10,7 @@ from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 
-from agents.environments import check_keywords
+from agents.environments import observation_kind
 from agents.learners.algorithms import CRITICS, DAGGER, algorithms, name_of
 from agents.learners.wrapped import lost_normalization, other_actions
 from agents.policy import (
@@ -24,9 +24,6 @@ from agents.policy import (
 from agents.sentences import one_line
 from dynamics.description import validate
 from dynamics.types import AnyArray
-from flexarm_env import IDS
-from flexarm_env.hardware.sensors import load_hardware
-from flexarm_env.task.tasks import find_task
 
 # Algorithms of zips by the module of their policy; TD3 and DDPG share theirs.
 ZIPPED = {
@@ -225,23 +222,11 @@ def begin_with(model: Any, policy: Policy, about: Mapping[str, Any]) -> None:
 def layout(policy: Policy) -> dict[str, Any]:
     """Values of LAYOUT; None for an observation of which the policy's origin tells nothing."""
     try:
-        observed = observation(policy.about)
+        observed = observation_kind(policy.about)
     except ValueError as error:
         raise PolicyError(f"agent.warm_start: {error}") from None
     own = {name: getattr(policy, name) for name in LAYOUT if name != "observation"}
     return {"observation": observed} | own
-
-
-def observation(about: Mapping[str, Any]) -> str | None:
-    """Kind of an observation, with a path if it shows one; None for no id of this package."""
-    env_id = about.get("env_id")
-    if env_id not in IDS:
-        return None
-    own = check_keywords(about.get("env_kwargs", {}), "about.env_kwargs")
-    keywords = IDS[env_id]["kwargs"] | own
-    exact = load_hardware(keywords.get("hardware")) is None
-    kind = keywords.get("obs") or ("state" if exact else "sensors")
-    return f"{kind} with a path" if find_task(keywords["task"]).moving else kind
 
 
 def normalization(envs: Any) -> Normalization | None:

@@ -9,8 +9,7 @@ import numpy as np
 from scipy import signal
 
 from agents.figures import COLOURS, Film, bending
-from agents.files import atomic_write
-from agents.metrics import without_infinities
+from agents.files import atomic_write, without_infinities
 from dynamics.types import AnyArray
 from flexarm_env.task.tasks import SETTLED_BAND
 

@@ -17,8 +17,14 @@ from typing import Any
 import yaml
 
 from agents.config import Config, load_config
-from agents.files import FolderError, atomic_write, check_folder, digest
-from agents.metrics import without_infinities, write_json
+from agents.files import (
+    FolderError,
+    atomic_write,
+    check_folder,
+    digest,
+    without_infinities,
+    write_json,
+)
 from agents.policy import PolicyError, load_policy
 from agents.run_folder.log import append_row, is_count, read_rows, repair_log
 from dynamics.description.data_file import read_mapping

@@ -5,7 +5,7 @@ from typing import Any
 
 from ray.tune import Callback
 
-from agents.metrics import write_json
+from agents.files import write_json
 from agents.run_folder.folder import versions
 from agents.sweep.trial import DIVERGED
 

@@ -24,6 +24,7 @@ from agents.config import Config, ConfigError, config_from_dict, load_config
 from agents.controllers import joint_pd, tune_pd
 from agents.controllers.pd import TunedPD
 from agents.figures import film, plot_recordings, write_gif
+from agents.files import write_json
 from agents.hybrid.controller import acting
 from agents.leaderboard.shipped import ship, shipped_policies
 from agents.leaderboard.tracks import track_of
@@ -34,7 +35,6 @@ from agents.metrics import (
     make_batch,
     record,
     summarise,
-    write_json,
 )
 from agents.policy import Controller, load_policy
 from agents.run_folder.folder import RunFolder, versions

@@ -10,8 +10,10 @@ from agents.comparison import compare, titled
 from agents.controllers.simple import Zero
 from agents.evaluate import make_controller
 from agents.metrics import make_batch, record
+from agents.policy import load_policy
 from flexarm_env import IDS
 from tests.agents.export.kinds import ENV_ID, policy_of
+from tests.paths import ROOT
 
 
 @pytest.mark.parametrize(
@@ -64,6 +66,17 @@ def test_a_policy_is_named_as_its_folder(
     monkeypatch.chdir(tmp_path / "here")
     keywords = {"hardware": "laboratory"}
     assert make_controller(subject, policy_of("tanh"), ENV_ID, keywords)[0] == name
+
+
+def test_observations_that_are_as_many_but_other_quantities_are_refused() -> None:
+    """Exact states of two links, and sensors with a path: sixteen numbers each."""
+    two, path = "FlexArm/TwoLink-Reach-v0", "FlexArm/TwoLink-Track-v0"
+    policy = load_policy(ROOT / "agents/policies/TwoLink-Reach-v0/state/dagger-of-mpc/seed0")
+    make_controller("reach", policy, two, {})
+    with pytest.raises(
+        ValueError, match=r"'state', but .*Track.* as many .* 'sensors with a path'"
+    ):
+        make_controller("reach", policy, path, {"hardware": "laboratory"})
 
 
 def test_charts_show_names_and_titles_as_they_are(
