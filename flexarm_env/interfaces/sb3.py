@@ -187,7 +187,7 @@ class SB3VecEnv(Changeable, VecEnv):
 
     def step_wait(self) -> Any:
         """Advance all by one control step."""
-        self.core.claim()
+        self.envs.claim_step()
         try:
             return self._stepped()
         finally:

@@ -262,10 +262,11 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         Raises
         ------
         ValueError : for actions of another shape than (N, n_torque) or that are not finite.
+        ResetNeeded : before the first reset.
         RuntimeError : while another thread steps the batch.
         """
         array = self._actions(actions)
-        self.core.claim()
+        self.claim_step()
         try:
             result = self._stepped(array)
         finally:
@@ -275,6 +276,12 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
         if self.render_mode == "human":
             self.render()
         return result
+
+    def claim_step(self) -> None:
+        """Mark the batch as busy for a step; a ResetNeeded before the first reset."""
+        if not self._seeded:
+            raise gym.error.ResetNeeded("Call reset() before step().")
+        self.core.claim()
 
     def _actions(self, actions: Any) -> NDArray[np.float32]:
         try:

@@ -273,6 +273,27 @@ def test_the_refusal_of_a_large_batch_names_the_limit() -> None:
         gym.make_vec(ONE, num_envs=10**10)
 
 
+def test_a_step_before_the_first_reset_is_refused() -> None:
+    """In every form of an environment that has no episode yet."""
+    import torch
+
+    from flexarm_env import SB3VecEnv, TorchVecEnv
+
+    actions = np.zeros((2, 1), np.float32)
+    sb3, tensors = SB3VecEnv(ONE, 2), TorchVecEnv(ONE, 2)
+    single, batch = gym.make(ONE), gym.make_vec(ONE, num_envs=2)
+    for env, step in (
+        (single, lambda: single.step(actions[0])),
+        (batch, lambda: batch.step(actions)),
+        (sb3, lambda: sb3.step(actions)),
+        (tensors, lambda: tensors.step(torch.from_numpy(actions))),
+    ):
+        with pytest.raises(gym.error.ResetNeeded):
+            step()
+        env.reset()
+        step()
+
+
 # ---- threads -------------------------------------------------------------------------------------
 
 

@@ -129,7 +129,7 @@ class TorchVecEnv(Changeable):
         bool; info, tensors of N rows by name.
         """
         given = self._checked(actions)
-        self.core.claim()
+        self.envs.claim_step()
         try:
             obs, last, reward, terminated, truncated, info = self._batch.step(given)
         finally:
