@@ -142,8 +142,8 @@ def find_policy(subject: str, trust: bool) -> Policy | None:
         raise UsageError(f"{subject}: cannot be read ({error.strerror}).") from None
     if not there:
         raise UsageError(
-            f"{subject!r} is neither a run's folder nor a controller; "
-            f"controllers: {', '.join(KNOWN)}."
+            f"{validate.unknown(subject, 'run or controller', KNOWN)} Give a run's folder, or one "
+            f"of {', '.join(KNOWN)}."
         )
     if is_file and path.name not in STORED:
         return load_zip(path, trust=trust)

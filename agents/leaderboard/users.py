@@ -102,5 +102,5 @@ class Checked:
 
 
 def reason(error: BaseException) -> str:
-    """The last line that a traceback of the error would have."""
-    return format_exception_only(error)[-1].strip()
+    """The last line that a traceback of the error would have, without a full stop."""
+    return format_exception_only(error)[-1].strip().rstrip(".")

@@ -64,7 +64,8 @@ def test_evaluation_is_deterministic(run: RunFolder, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["nothing", "--env", ENV_ID], "neither a run's folder nor a controller"),
+        (["nothing", "--env", ENV_ID], "Unknown run or controller 'nothing'. Give a run's folder"),
+        (["pdd", "--env", ENV_ID], "did you mean 'pd'?"),
         (["x" * 300, "--env", ENV_ID], "x" * 300),  # as without permission: no fault of --out
         (["pd", "--env", "FlexArm/NoSuch-Reach-v0"], "NoSuch"),
         (["pd"], "--env is needed, such as --env FlexArm/"),

@@ -125,7 +125,7 @@ class Leaving(Still):
     """Ends the process."""
 
     def predict(self, *given: Any, **more: Any) -> Any:
-        sys.exit("enough")
+        sys.exit("enough.")
 
 
 @pytest.mark.parametrize(
