@@ -13,6 +13,7 @@ from dynamics.description import validate
 from flexarm_env import IDS
 from flexarm_env.core import Core
 from flexarm_env.hardware.sensors import load_hardware
+from flexarm_env.task.observations import observation_mode
 from flexarm_env.task.tasks import find_task
 
 SET_BY_ID = {"self", "task", "n_env", "single", "max_steps"}  # set by the id and the batch
@@ -69,6 +70,7 @@ def observation_kind(about: Mapping[str, Any]) -> str | None:
         return None
     own = check_keywords(about.get("env_kwargs", {}), "about.env_kwargs")
     keywords = IDS[env_id]["kwargs"] | own
-    exact = load_hardware(keywords.get("hardware")) is None
-    kind = keywords.get("obs") or ("state" if exact else "sensors")
+    kind = observation_mode(
+        keywords.get("obs"), load_hardware(keywords.get("hardware")) is not None
+    )
     return f"{kind} with a path" if find_task(keywords["task"]).moving else kind

@@ -30,6 +30,7 @@ from agents.learners.algorithms import (
     algorithms,
     learner_kwargs,
 )
+from agents.learners.divergence import TrainingError, divergence_told, refuse_divergence
 from agents.learners.export import begin_with, export_policy
 from agents.learners.limits import LIMITS
 from agents.learners.normalization import normalized
@@ -57,10 +58,6 @@ from dynamics.description.data_file import user_path
 BESIDE = ("pd-zv", "lqr", "lqg")  # tuned controllers that a policy is compared with
 SESSION_STRIDE = 1_000_003  # seed increment per resumed session
 DEFAULT = "one_link_reach_ppo"  # experiment without --config
-
-
-class TrainingError(ValueError):
-    """A training that cannot continue; the message is one sentence for the user."""
 
 
 def build_model(config: Config) -> Any:
@@ -237,22 +234,10 @@ def run_session(run: RunFolder, config: Config, model: Any, progress: dict[str, 
     ):
         model.set_logger(configure(str(run.path / "tensorboard"), ["tensorboard"]))
         callback = make_callback(run, config, session, progress, bar, stop)
-        try:
+        with divergence_told(model):
             model.learn(remaining, callback, log_interval=None, reset_num_timesteps=fresh)
-        except ValueError:
-            refuse_divergence(model)
-            raise
         model.logger.close()
     stop.now()
-
-
-def refuse_divergence(model: Any) -> None:
-    """Raise TrainingError if weights are not finite, which torch reports in various ways."""
-    if not all(parameter.isfinite().all() for parameter in model.policy.parameters()):
-        raise TrainingError(
-            "the training has diverged: weights of the network are not finite; start again with a "
-            "smaller agent.kwargs.learning_rate."
-        ) from None
 
 
 def judge(run: RunFolder, config: Config) -> None:

@@ -35,6 +35,7 @@ from flexarm_env.task.observations import (
     curvature_columns,
     curvature_scale,
     observation_layout,
+    observation_mode,
     sensed_axes,
 )
 from flexarm_env.task.scales import DEFLECTION_LIMIT
@@ -141,7 +142,7 @@ class Core:
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
         self._rate_limit, self._impulse = plant.rate_limit, plant.impulse
         torques = tuple(self.actuation.torque_limit.tolist()) if self.actuation else ()
-        obs = ("sensors" if fitted else "state") if obs is None else obs
+        obs = observation_mode(obs, fitted is not None)
         refuse_exact_state(obs, fitted)
         self.layout = observation_layout(
             self.arm, self.task, obs, self.scales, self.rate_scale, torques,

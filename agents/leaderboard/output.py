@@ -275,8 +275,8 @@ def over_best(x: Figures) -> str:
         return middle if middle == "failed" else f"{middle} [{', '.join(ends)}]"
     if x["regret_iqm"] is None:
         return "-"
-    least, most = x["regret_ci"]
-    return f"{100.0 * x['regret_iqm']:.0f} % [{100.0 * least:.0f}, {100.0 * most:.0f}]"
+    middle, least, most = (round(100.0 * value) for value in (x["regret_iqm"], *x["regret_ci"]))
+    return f"{middle} % [{least}, {most}]"
 
 
 def _spectrum(found: Spectrum) -> Figures:

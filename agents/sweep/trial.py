@@ -5,16 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from agents.config import config_from_dict
+from agents.learners.divergence import TrainingError, divergence_told
 from agents.learners.export import export_policy
 from agents.policy import save_policy
 from agents.run_folder.checkpoints import newest_intact, restore_checkpoint, save_checkpoint
-from agents.training import (
-    TrainingError,
-    about_policy,
-    begin_warm,
-    build_model,
-    refuse_divergence,
-)
+from agents.training import about_policy, begin_warm, build_model
 from agents.tune.learners import LOST, judged
 
 REPORTS = 9  # of a trial that is not stopped early
@@ -75,15 +70,12 @@ def train_trial(settings: dict[str, Any]) -> None:
 
     remaining = config.total_steps - model.num_timesteps
     try:
-        if remaining > 0:
-            model.learn(remaining, Reports(), log_interval=None, reset_num_timesteps=found is None)
-        refuse_divergence(model)
-    except ValueError:
-        try:
-            refuse_divergence(model)
-        except TrainingError:  # as it would from its checkpoint
-            tune.report(LOST | {DIVERGED: True} | place())
-            return
-        raise
-    report()
+        with divergence_told(model):
+            if remaining > 0:
+                fresh = found is None
+                model.learn(remaining, Reports(), log_interval=None, reset_num_timesteps=fresh)
+    except TrainingError:  # as it would again from its checkpoint
+        tune.report(LOST | {DIVERGED: True} | place())
+    else:
+        report()
     model.env.close()

@@ -26,9 +26,9 @@ from agents.environments import title
 from agents.experiments import find_experiment
 from agents.files import FolderError, check_folder
 from agents.leaderboard.tracks import RANKED, TRACKS, keywords, takes_part
+from agents.learners.divergence import TrainingError
 from agents.policy import PolicyError
 from agents.sentences import one_line, refused
-from agents.training import TrainingError
 from agents.tune.controllers import tune
 from agents.tune.search import EPISODES, TRIALS
 from agents.tuned import STORE, read, store

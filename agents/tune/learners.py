@@ -15,12 +15,13 @@ from agents.hybrid.controller import acting
 from agents.leaderboard.shipped import name_made_by
 from agents.leaderboard.tracks import track_of
 from agents.learners.algorithms import settings
+from agents.learners.divergence import TrainingError, divergence_told
 from agents.learners.export import export_policy
 from agents.learners.ranges import DEFAULTS, drawn, suggested
 from agents.metrics import episode_metrics, make_batch, record
 from agents.policy import Policy, PolicyError
 from agents.sentences import one_line
-from agents.training import TrainingError, about_policy, begin_warm, build_model, refuse_divergence
+from agents.training import about_policy, begin_warm, build_model
 from agents.tune.search import EPISODES, SEED, TRIALS, kept_study, objective, searched
 
 REDUCTION = 3  # of so many trials one goes on
@@ -203,13 +204,9 @@ def trained(
 
     halving = Halving()
     with closing(model.env):
-        try:
+        with divergence_told(model):
             model.learn(config.total_steps, halving, log_interval=None)
-            refuse_divergence(model)
-            return None if halving.ended else policy()
-        except ValueError:
-            refuse_divergence(model)
-            raise
+        return None if halving.ended else policy()
 
 
 def judged(config: Config, policy: Policy, episodes: int, seed: int = SEED) -> dict[str, float]:

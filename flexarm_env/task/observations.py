@@ -27,6 +27,11 @@ ACCELERATION = (
 )
 
 
+def observation_mode(obs: str | None, sensing: bool) -> str:
+    """One of MODES: as asked for, else "sensors" with imperfect hardware and "state" without."""
+    return ("sensors" if sensing else "state") if obs is None else obs
+
+
 @dataclass(frozen=True)
 class Part:
     """Consecutive elements of an observation with one name."""

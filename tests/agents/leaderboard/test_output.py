@@ -346,6 +346,8 @@ def test_an_excess_ends_at_a_ten_thousandth_of_a_millimetre_or_in_failures() -> 
     figures = {"excess_iqm": -1e-19, "excess_ci": [-2e-19, 1e-5]}
     assert over_best(figures) == "0 [0, 0.01]"
     assert over_best({"excess_iqm": 0.1134, "excess_ci": [0.05, np.inf]}) == "113 [50, failed]"
+    regret = {"excess_iqm": None, "regret_iqm": -1e-4, "regret_ci": [-2e-3, 0.126]}
+    assert over_best(regret) == "0 % [0, 13]"
     failing = entry([[0.002, 0.002, 0.002, 0.0]], best=PATH)
     low, high = failing.figures["excess_ci"]
     assert low < 0.01

@@ -14,9 +14,10 @@ from agents.config import Config, load_config
 from agents.controllers import CONTROLLERS
 from agents.experiments import shipped_experiments
 from agents.leaderboard.tracks import RANKED
+from agents.learners.divergence import TrainingError
 from agents.learners.export import export_policy
 from agents.policy import Policy, save_policy
-from agents.training import TrainingError, build_model
+from agents.training import build_model
 from agents.tune.__main__ import _placed, main
 from agents.tune.learners import NINTHS, judged, place_of, trained, tune_experiment
 from agents.tune.search import SEED
