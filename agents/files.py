@@ -49,6 +49,13 @@ def without_infinities(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
+def shortened(value: Any, digits: int) -> Any:
+    """A copy of the JSON tree whose floats have so many significant digits."""
+    return json.loads(
+        json.dumps(value), parse_float=lambda text: float(f"{float(text):.{digits}g}")
+    )
+
+
 def write_json(path: Path, data: Any) -> None:
     """Write strict JSON, without NaN and Infinity; a list of numbers is one line."""
     text = json.dumps(without_infinities(data), indent=1, allow_nan=False)

@@ -4,7 +4,7 @@ import argparse
 import os
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -13,13 +13,14 @@ from typing import Any
 from llvmlite.binding import get_host_cpu_name
 
 from agents import figures
-from agents.files import FolderError, check_folder, write_json
+from agents.files import FolderError, check_folder, shortened, without_infinities, write_json
 from agents.run_folder.folder import revision
 from agents.sentences import one_line, speaker
 from flexarm_env.accuracy.table import table as table
 
 FOLDERS = ("--out", "--images", "--keep")  # options that say where results go, not what they are
 DPI = 110.0
+DIGITS = 6  # significant ones of a stored figure
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 REFERENCE = ROOT / "tests" / "reference"
@@ -130,13 +131,24 @@ def filled(page: str, blocks: Mapping[str, str]) -> str:
     return page
 
 
-def save_results(results: dict[str, Any], text: str, path: Path, figure: Any = None) -> None:
-    """Write results as strict JSON to `path`, and beside it the Markdown page `text` and a chart.
+def write_results(path: Path, results: dict[str, Any]) -> Any:
+    """Write results as strict JSON whose floats have DIGITS significant digits; what it holds."""
+    stored = shortened(without_infinities(results), DIGITS)
+    write_json(path, stored)
+    return stored
 
-    The page is printed too; the chart is a figure of pyplot.
+
+def save_results(
+    results: dict[str, Any], page: str | Callable[[Any], str], path: Path, figure: Any = None
+) -> None:
+    """Write results as strict JSON to `path`, and beside it their Markdown page and a chart.
+
+    The page is printed too; a function makes it of the results as they are stored. The chart is a
+    figure of pyplot.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, results)
+    stored = write_results(path, results)
+    text = page if isinstance(page, str) else page(stored)
     path.with_suffix(".md").write_text(text, encoding="utf-8")
     print(text)
     if figure is not None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from agents.environments import title
-from agents.files import atomic_write, pack, without_infinities
+from agents.files import atomic_write, pack, shortened, without_infinities
 from agents.leaderboard.bound import is_moving
 from agents.leaderboard.charts import UNRANKED, Results, pictures
 from agents.leaderboard.kinds import CLASSICAL, KINDS, LEARNED, ON_MODEL
@@ -291,8 +291,7 @@ def _json(tables: Tables) -> str:
 
 def _compact(x: Any) -> str:
     """JSON text of figures, whose floats have the digits of the episodes."""
-    short = json.loads(json.dumps(x), parse_float=lambda text: float(f"{float(text):.{DIGITS}g}"))
-    return json.dumps(short, separators=(",", ":"))
+    return json.dumps(shortened(x, DIGITS), separators=(",", ":"))
 
 
 def _number(x: float, style: str, otherwise: str) -> str:

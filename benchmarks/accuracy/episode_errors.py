@@ -202,7 +202,7 @@ def main(arguments: list[str] | None = None) -> None:
     data = {
         **provenance("scipy"), "count": options.episodes, "scenes": scenes, "second path": paths,
     }  # fmt: skip
-    save_results(data, page(data), options.out / "episode_errors.json", chart(data))
+    save_results(data, page, options.out / "episode_errors.json", chart(data))
 
 
 if __name__ == "__main__":

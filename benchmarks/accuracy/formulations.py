@@ -210,7 +210,7 @@ def main() -> None:
         "conventions": list(conventions()),
         "motion": list(motions()),
     }
-    save_results(result, page(result), out)
+    save_results(result, page, out)
 
 
 if __name__ == "__main__":

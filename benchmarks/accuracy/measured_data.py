@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from agents.fit import main as fit_command
-from benchmarks.output import RESULTS, argument_parser, provenance, table
+from benchmarks.output import RESULTS, argument_parser, provenance, table, write_results
 from dynamics import Arm, Model, compile_arm, load_arm, simulate
 from dynamics.measured.fit import Fit, Gauge, fit
 from dynamics.measured.log_file import Log
@@ -205,8 +205,7 @@ def main() -> None:
         "pluck": fitted("measured_data_pluck", PLUCK_COMMAND),
         "cases": cases,
     }
-    text = json.dumps(data, indent=1) + "\n"
-    (RESULTS / "measured_data.json").write_text(text, encoding="utf-8")
+    write_results(RESULTS / "measured_data.json", data)
     print(page_table(cases))
 
 

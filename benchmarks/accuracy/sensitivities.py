@@ -288,7 +288,7 @@ def main() -> None:
         "effects": [effects(scene) for scene in SCENES],
         "provenance": provenance("numpy", "scipy", "numba"),
     }
-    save_results(results, page(results), a.out)
+    save_results(results, page, a.out)
 
 
 if __name__ == "__main__":

@@ -56,7 +56,7 @@ def main() -> None:
         ],
         "scenes": {name: summary(SCENES[name], points) for name, points in everything.items()},
     }
-    save_results(results, page(results), options.out)
+    save_results(results, page, options.out)
     draw_all(results, options.images)
 
 

@@ -184,7 +184,7 @@ def main() -> None:
     data = provenance("numpy", "numba") | {"episodes": options.episodes, "tasks": tasks}
     data["wide"] = widely(seeds)
     data["wait"] = {env_id: wait(env_id) for env_id in HARDER}
-    save_results(data, page(data), RESULTS / "harder.json")
+    save_results(data, page, RESULTS / "harder.json")
 
 
 if __name__ == "__main__":

@@ -165,7 +165,7 @@ def main(arguments: list[str] | None = None) -> None:
             tasks[env_id][column] = job.result()
             print(env_id, column, tasks[env_id][column]["score_iqm"], flush=True)
     data = {**provenance("daqp"), "episodes": options.episodes, "tasks": tasks}
-    save_results(data, page(data), options.out / "knowledge.json", chart(data))
+    save_results(data, page, options.out / "knowledge.json", chart(data))
 
 
 if __name__ == "__main__":

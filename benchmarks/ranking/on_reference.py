@@ -180,7 +180,7 @@ def main(arguments: list[str] | None = None) -> None:
         **provenance(), "tasks": tasks,
         "order": {env_id: order_of(found) for env_id, found in tasks.items()},
     }  # fmt: skip
-    save_results(data, page(data), options.out / "on_reference.json", chart(data))
+    save_results(data, page, options.out / "on_reference.json", chart(data))
 
 
 if __name__ == "__main__":

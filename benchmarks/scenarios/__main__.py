@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks import style
-from benchmarks.output import ROOT, argument_parser, paragraphs, provenance, save_figure, table
+from benchmarks.output import (
+    ROOT,
+    argument_parser,
+    paragraphs,
+    provenance,
+    save_figure,
+    table,
+    write_results,
+)
 from benchmarks.scenarios.file import Scenario, load_scenario
 from benchmarks.scenarios.motions import DEGREE, Run, figures, twins
 from dynamics.description.rotations import to_euler
@@ -200,8 +208,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     rows = {name: stored[name] for name in names() if name in stored}
     results = {**provenance("numpy", "scipy", "casadi", "numba"), "scenarios": rows}
-    target.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    options.out.write_text(page(results), encoding="utf-8")
+    options.out.write_text(page(write_results(target, results)), encoding="utf-8")
     return 0
 
 

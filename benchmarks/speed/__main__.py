@@ -226,7 +226,7 @@ def main() -> None:
             **within_tolerance(f"FlexArm/{family}-Reach-v0", TOLERANCE, most_links),
             **compile_seconds(arm),
         }
-    save_results(results, page(results), options.out)
+    save_results(results, page, options.out)
 
 
 def page(results: dict[str, Any]) -> str:

@@ -260,7 +260,7 @@ def main() -> None:
         return
     sizes = [1, 16, 1024] if options.quick else [4**k for k in range(7)] + [8192]
     results = measure(4 if options.quick else 8, sizes)
-    save_results(results, page(results), options.out)
+    save_results(results, page, options.out)
     draw(results, options.images / "cost")
 
 

@@ -292,7 +292,7 @@ def main(arguments: list[str] | None = None) -> None:
     results = provenance("torch", "cuda-core") | {"gpu": name} | measure("cuda")
     results["multiply_adds"] = {dtype: multiply_adds(dtype) for dtype in DTYPES}
     results["forms"] = forms("cuda")
-    save_results(results, page(results), RESULTS / f"gpu_{slug(name)}.json")
+    save_results(results, page, RESULTS / f"gpu_{slug(name)}.json")
 
 
 if __name__ == "__main__":

@@ -326,7 +326,7 @@ def main() -> None:
         "cases": list(rows()),
         "presets": list(default_rows()),
     }
-    save_results(result, page(result), out)
+    save_results(result, page, out)
 
 
 if __name__ == "__main__":

@@ -132,7 +132,7 @@ def main() -> int:
     counts = {env_id: soak(env_id, each) for env_id in flexarm_env.IDS}
     results = {**provenance("numba", "numpy"), "seconds": time.perf_counter() - begin,
                "counts": counts}  # fmt: skip
-    save_results(results, page(results), options.out)
+    save_results(results, page, options.out)
     return int(any(row[name] for row in counts.values() for name in WRONG))
 
 

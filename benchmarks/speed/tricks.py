@@ -236,7 +236,7 @@ def main() -> None:
             tricks[name] = {"where": TRICKS[name].where, "ratios": ratios}
             print(name, {scene: _range(x) for scene, x in ratios.items()}, flush=True)
     results = {**provenance("numba", "numpy"), "rounds": options.rounds, "tricks": tricks}
-    save_results(results, page(results), options.out)
+    save_results(results, page, options.out)
 
 
 def _neighbour() -> "subprocess.Popen[bytes]":

@@ -24,7 +24,6 @@ from agents.config import Config, ConfigError, config_from_dict, load_config
 from agents.controllers import joint_pd, tune_pd
 from agents.controllers.pd import TunedPD
 from agents.figures import film, plot_recordings, write_gif
-from agents.files import write_json
 from agents.hybrid.controller import acting
 from agents.leaderboard.shipped import ship, shipped_policies
 from agents.leaderboard.tracks import track_of
@@ -41,7 +40,7 @@ from agents.run_folder.folder import RunFolder, versions
 from agents.sentences import one_line
 from agents.signals import workers
 from agents.training import with_overrides
-from benchmarks.output import argument_parser, command, count
+from benchmarks.output import argument_parser, command, count, write_results
 from benchmarks.training.experiments import (
     COLUMNS,
     FASTER,
@@ -138,7 +137,7 @@ def benchmark(
         seeds = dict(zip(trained, coming, strict=True))
         data = results(config, trained, tuned, references, seeds, envs.unwrapped.task)
         out.mkdir(parents=True, exist_ok=True)
-        write_json(out / f"{config.name}.json", data)
+        write_results(out / f"{config.name}.json", data)
         draw(config, references, seeds, out)
         if gif:
             policy = acting(load_policy(folders[0].policy), envs)
@@ -154,7 +153,7 @@ def add(
     seeds = dict(zip(trained, pool.map(partial(recorded, config), folders), strict=True))
     judge(data, trained, seeds)
     data["command"] += f"; {command()}"
-    write_json(out / f"{config.name}.json", data)
+    write_results(out / f"{config.name}.json", data)
 
 
 def results(

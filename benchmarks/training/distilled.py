@@ -217,7 +217,7 @@ def main() -> None:
         parser.error(one_line(error))
     rows = [kept.get(config.name) or row(config, base) for config, base in distilled()]
     results = {"rows": rows, "provenance": provenance("flexarm", "torch", "stable_baselines3")}
-    save_results(results, page(results), a.out)
+    save_results(results, page, a.out)
 
 
 if __name__ == "__main__":

@@ -144,7 +144,7 @@ def main(arguments: list[str] | None = None) -> None:
         results = measure(options.only, options.seconds, "cuda", keep)
     results |= {"gpu": torch.cuda.get_device_name()}
     results["provenance"] = provenance("flexarm", "torch", "rsl-rl-lib")
-    save_results(results, page(results), RESULTS / f"gpu_training_{slug(results['gpu'])}.json")
+    save_results(results, page, RESULTS / f"gpu_training_{slug(results['gpu'])}.json")
 
 
 if __name__ == "__main__":

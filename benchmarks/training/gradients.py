@@ -142,7 +142,7 @@ def main() -> None:
         runs = [trained(config, work) for pair in pairs() for config in pair]
     about = provenance("flexarm", "numba", "torch", "stable_baselines3")
     results = {"costs": costs, "runs": runs, "provenance": about}
-    save_results(results, page(results), a.out)
+    save_results(results, page, a.out)
 
 
 if __name__ == "__main__":

@@ -354,7 +354,7 @@ def main(arguments: list[str] | None = None) -> None:
     found = measured(options.study, config, options, RUNS / f"study_{options.study}")
     data = {**provenance("torch", "stable-baselines3"), **found}
     path = options.out / f"study_{options.study}.json"
-    save_results(data, study.page(data), path, study.chart(data))
+    save_results(data, study.page, path, study.chart(data))
 
 
 if __name__ == "__main__":

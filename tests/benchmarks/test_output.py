@@ -153,6 +153,14 @@ def test_results_are_strict_json(tmp_path: Path) -> None:
         strict(path)
 
 
+def test_results_have_six_digits_and_whole_counts_and_so_has_their_page(tmp_path: Path) -> None:
+    results = {"rate": 1234567.8, "errors": [1.0 / 3.0], "steps": 1234567}
+    save_results(results, lambda stored: f"{stored['errors']}", tmp_path / "x.json")
+    stored = {"rate": 1234570.0, "errors": [0.333333], "steps": 1234567}
+    assert strict(tmp_path / "x.json") == stored
+    assert (tmp_path / "x.md").read_text(encoding="utf-8") == "[0.333333]"
+
+
 def strict(path: Path) -> Any:
     def refused(text: str) -> None:
         raise AssertionError(f"{path} holds {text}")
