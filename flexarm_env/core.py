@@ -88,7 +88,7 @@ class Core:
     dt : [s] integration step.
     rate_scale : [rad/s] peak joint rate of a bang-bang move by `scales.MOVE` at full torque.
     move_time : [s] duration of this move.
-    busy : whether a thread steps or resets, see `claim`.
+    busy : whether a thread steps or resets, see `claim`; `begun` : whether episodes have begun.
     shares : chunk counters of a step, see `dynamics.runtime.work_queue.shares`.
     workspaces : one per thread.
     action : (1, n_torque) action that `alone` takes.
@@ -249,7 +249,7 @@ class Core:
         self.action = np.zeros((1, self.arm.n_torque), np.float32)
         self._no_actions = self.action[:0]
         self.pool = ThreadPool(threads)
-        self.busy = False
+        self.busy = self.begun = False
 
     def _operations(self) -> int:
         """Operations of a control step of one environment, without the integrator's own."""
@@ -326,14 +326,14 @@ class Core:
 
         Refused options leave the environments unchanged.
         """
-        before = self.state[:, rows], self.streams[rows]
+        before = self.state[:, rows], self.streams[rows], self.begun
         placed = self.begin(rows, options)
         w = self.workspaces[0]
         self._control_step(
             rows, 0, 0, self.dt, self._no_actions, self.state, w, out.obs, out.info, out.flags
         )
         if placed and out.flags[DIVERGED, rows].any():
-            self.state[:, rows], self.streams[rows] = before
+            self.state[:, rows], self.streams[rows], self.begun = before
             raise arguments.too_bent(LOST)
 
     def begin(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None) -> bool:
@@ -347,6 +347,7 @@ class Core:
             self.state[slices["elapsed"], rows] = episode.STRAIGHT
         if self.actuation:
             self.state[slices["actuator"], rows] = self.actuation.at_rest(self.q[rows])
+        self.begun = True
         return bool(placed)
 
     def reset(self, rows: NDArray[np.int64], options: Mapping[str, Any] | None = None) -> Any:
@@ -387,10 +388,11 @@ class Core:
     def __getstate__(self) -> dict[str, Any]:
         arrays = {"state": self.state.copy(), "streams": self.streams.copy()}
         step = {"integrator": self.integrator, "substeps": self.substeps}
-        return {"arguments": self.arguments, "step": step, "arrays": arrays}
+        return {"arguments": self.arguments, "step": step, "arrays": arrays, "begun": self.begun}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Core.__init__(self, **(state["arguments"] | state["step"]))
         self.arguments = state["arguments"]
         self.state[...] = state["arrays"]["state"]
         self.streams[...] = state["arrays"]["streams"]
+        self.begun = state["begun"]

@@ -226,11 +226,14 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
         Raises
         ------
         ValueError : for an action of another shape or with numbers that are not finite.
+        ResetNeeded : before the first reset.
         RuntimeError : while another thread steps the environment.
         """
         core = self.core
         if core.busy:  # `core.claim`, without the cost of a call
             raise in_use()
+        if not core.begun:
+            raise reset_needed()
         core.busy = True
         try:
             advance, out = core.alone
@@ -286,6 +289,11 @@ class FlexArmEnv(CoreAttributes, gym.Env[Observation, NDArray[np.float32]]):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+def reset_needed() -> gym.error.ResetNeeded:
+    """Error for a step before the first reset."""
+    return gym.error.ResetNeeded("Call reset() before step().")
 
 
 class KeywordError(TypeError, ValueError):

@@ -25,6 +25,7 @@ from flexarm_env.interfaces.env import (
     check_render_mode,
     frames_per_second,
     observation_space,
+    reset_needed,
 )
 from flexarm_env.task.observations import GOALS
 from flexarm_env.task.rewards import goal_reward
@@ -279,8 +280,8 @@ class FlexArmVectorEnv(CoreAttributes, gym.vector.VectorEnv[Any, Any, Any]):
 
     def claim_step(self) -> None:
         """Mark the batch as busy for a step; a ResetNeeded before the first reset."""
-        if not self._seeded:
-            raise gym.error.ResetNeeded("Call reset() before step().")
+        if not self.core.begun:
+            raise reset_needed()
         self.core.claim()
 
     def _actions(self, actions: Any) -> NDArray[np.float32]:
