@@ -40,6 +40,7 @@ ON_POLICY = ("agents.learners.privileged", "stable_baselines3.common.policies") 
 COLD = ("ars", "crossq")  # algorithms without a warm start
 LAYOUT = {  # what a policy and a model it begins share, and the remedy otherwise
     "observation": "change env, or take a policy of this observation",
+    "base": "change base, or take a policy that acts on the same one",
     "stack": "change env.stack",
     "recurrent": "change agent.policy, or agent.kwargs.policy_kwargs.n_lstm_layers",
     "layer_sizes": "change agent.kwargs.policy_kwargs.net_arch, or env",
@@ -220,13 +221,20 @@ def begin_with(model: Any, policy: Policy, about: Mapping[str, Any]) -> None:
 
 
 def layout(policy: Policy) -> dict[str, Any]:
-    """Values of LAYOUT; None for an observation of which the policy's origin tells nothing."""
+    """Values of LAYOUT; None for an observation of which the policy's origin tells nothing.
+
+    The base is the controller on which a policy acts and what was learned on it, if there is one.
+    """
     try:
         observed = observation_kind(policy.about)
     except ValueError as error:
         raise PolicyError(f"agent.warm_start: {error}") from None
-    own = {name: getattr(policy, name) for name in LAYOUT if name != "observation"}
-    return {"observation": observed} | own
+    base = policy.about.get("base")
+    acts = "none"
+    if isinstance(base, dict):
+        acts = f"{base.get('learned')} on {base.get('controller')}"
+    origin = {"observation": observed, "base": acts}
+    return origin | {name: getattr(policy, name) for name in LAYOUT if name not in origin}
 
 
 def normalization(envs: Any) -> Normalization | None:

@@ -19,6 +19,7 @@ from tests.agents.tiny import ENV_ID, one_sentence, write_config
 from tests.agents.toys import KWARGS, NETWORK, build
 
 TRACK = "FlexArm/OneLink-Track-v0"
+ON_LQG = {"controller": "lqg", "learned": "residual"}
 LEARNED = [name for name in sorted(KWARGS) if name not in COLD]
 
 
@@ -67,11 +68,13 @@ def test_another_network_is_refused(name: str, kwargs: dict, sentence: str) -> N
         ({}, {"env_kwargs": {"hardware": "laboratory"}}, "observation .* 'state', .* 'sensors'"),
         ({"env_kwargs": {"obs": "sensors"}}, {}, "observation .* 'sensors', .* 'state'; change"),
         ({}, {"env_id": TRACK}, "observation .* 'state', .* 'state with a path'"),
+        ({}, {"base": ON_LQG}, "base of the policy is 'none', .* 'residual on lqg'; change base"),
+        ({"base": ON_LQG}, {}, "base of the policy is 'residual on lqg', .* 'none'"),
         ({}, {"stack": 3}, "stack of the policy is 1, .* 3; change env.stack"),
         ({"env_kwargs": {"obj": "state"}}, {}, "Unknown key 'obj' in about.env_kwargs"),
     ],
 )
-def test_a_policy_of_other_observations_as_many_is_refused(
+def test_a_policy_of_other_observations_or_on_another_base_is_refused(
     theirs: dict, ours: dict, sentence: str
 ) -> None:
     """Two frames of four readings are as many numbers as one exact state of one link."""
