@@ -73,6 +73,10 @@ def nonnegative(value: object, name: str, unit: str) -> float:
     result = number(value, name, unit)
     if not result >= 0.0:
         raise ValueError(f"{name} must not be negative, got {result!r}. Unit: [{unit}].")
+    if 0.0 < result < 1.0 / _LARGEST:
+        raise ValueError(
+            f"{name} [{unit}] must be 0 or at least {1.0 / _LARGEST:g}, got {result!r}."
+        )
     return result
 
 
