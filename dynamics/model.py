@@ -57,6 +57,8 @@ def compile_arm(
     names = validate.sequence(free_parameters, "free_parameters")
     free = [validate.known(name, "free parameter", FREE_PARAMETERS) for name in names]
     model = Model(load_arm(arm), tuple(dict.fromkeys(free)), dtype, formulation)
+    if "payload_mass" in free and not model.arm.links:
+        raise ValueError("payload_mass needs a link to be fixed to, but this arm has none.")
     for parameter in map(FREE_PARAMETERS.__getitem__, free):
         parameter.apply(model.chain, parameter.nominal)  # refuses one that the arm does not have
     return model

@@ -157,3 +157,10 @@ def test_free_friction_acts_on_its_joint_also_where_the_base_is_driven(
     np.testing.assert_allclose(ends[1], ends[0], rtol=1e-12)
     with pytest.raises(ValueError, match=f"{name}_3 is of no joint: this arm has 2 joints"):
         Stepper(compile_arm(arm(), free_parameters=[f"{name}_3"]), 1, dt=1e-3, substeps=1)
+
+
+def test_a_free_payload_without_a_link_is_refused() -> None:
+    """It was added to the base."""
+    base = Base(type="planar", mass=1.0, inertia=((0, 0, 0), (0, 0, 0), (0, 0, 0.1)))
+    with pytest.raises(ValueError, match="payload_mass needs a link"):
+        compile_arm(Arm(links=(), base=base), free_parameters=("stiffness", "payload_mass"))
