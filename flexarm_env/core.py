@@ -125,8 +125,8 @@ class Core:
     ) -> None:
         given = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.task_name, self.task = task, find_task(task)
-        self.n_env = validate.integer(n_env, "num_envs", 1, MOST_ENVIRONMENTS)
-        self.threads = validate.integer(threads, "threads", 1, MOST_THREADS)
+        self._n_env = validate.integer(n_env, "num_envs", 1, MOST_ENVIRONMENTS)
+        self._threads = validate.integer(threads, "threads", 1, MOST_THREADS)
         given["arm"] = described = load_arm(arm)  # a copy does not read a file again
         fitted = load_hardware(hardware)
         check_event(event, described)
@@ -136,7 +136,7 @@ class Core:
         plant = planned(given, self.randomize)
         refuse_floating(self.task, plant.arm)
         self.arm, self.scales, self.actuation = plant.arm, plant.scales, plant.actuation
-        self.integrator, self.control_dt = plant.integrator, plant.control_dt
+        self._integrator, self.control_dt = plant.integrator, plant.control_dt
         self.torque_limit = plant.torque_limit
         self._take_step(plant)
         self.rate_scale, self.move_time = plant.rate_scale, plant.move_time
@@ -164,6 +164,10 @@ class Core:
         self._allocate()
         self.arguments = copy.deepcopy(given)
 
+    # read-only: the step is compiled for them
+    n_env = property(lambda self: self._n_env)
+    threads = property(lambda self: self._threads)
+    integrator = property(lambda self: self._integrator)
     randomize = property(lambda self: self.settings.ranges)
     max_steps = property(lambda self: self.settings.max_steps)
 

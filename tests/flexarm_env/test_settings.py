@@ -195,6 +195,13 @@ def test_what_is_read_may_be_set_again_and_changes_nothing() -> None:
         np.testing.assert_array_equal(env.core.constants, before[1])
 
 
+@pytest.mark.parametrize("name", ["n_env", "threads", "integrator"])
+def test_what_a_core_is_compiled_for_cannot_be_changed_without_effect(name: str) -> None:
+    core = batch().unwrapped.core
+    with pytest.raises(AttributeError):
+        setattr(core, name, getattr(core, name))
+
+
 def test_a_dict_that_its_owner_changes_later_changes_no_environment() -> None:
     weights, ranges = {"tracking": 1.0}, {"stiffness": (1.0, 2.0)}
     env = single(reward=weights, randomize=ranges).unwrapped

@@ -137,6 +137,11 @@ class DeviceBatch:
         self._streams = torch.zeros(core.n_env, dtype=torch.int64, device=device)
         self._seeds = core.streams.copy()
         self._no_actions = torch.zeros((core.n_env, core.arm.n_torque), device=device)
+        close_copies(core)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        close_copies(self._core)
 
     def reset(self, options: Mapping[str, Any] | None) -> tuple[torch.Tensor, Info]:
         """Start episodes in all environments, drawn on the processor: observations, info."""
@@ -216,6 +221,12 @@ class DeviceDerivatives:
         mirrors |= {"state_mirror": before, "actions_mirror": by}
         self._program.run(PULL_BACK, state=state, actions=actions, stack=stack, **mirrors)
         return before.masked_fill_(lost, 0.0), by.masked_fill_(lost[:, None], 0.0)
+
+
+def close_copies(core: Core) -> None:
+    """Make the states of a core, which are not those that tensors hold, read-only."""
+    for copied in (core.q, core.v, core.parameters):
+        copied.flags.writeable = False
 
 
 def kernel_source(core: Core, names: Collection[str] = (STEP, START)) -> KernelSource:

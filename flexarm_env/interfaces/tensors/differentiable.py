@@ -7,7 +7,12 @@ import torch
 
 from dynamics.backends.cuda.kernel_text import RESTART, START
 from flexarm_env.core import DIVERGED, Core
-from flexarm_env.interfaces.tensors.device import DeviceBatch, DeviceDerivatives, Launcher
+from flexarm_env.interfaces.tensors.device import (
+    DeviceBatch,
+    DeviceDerivatives,
+    Launcher,
+    close_copies,
+)
 from flexarm_env.interfaces.tensors.host import HostBatch, HostDerivatives
 from flexarm_env.interfaces.tensors.results import Info, Results, named_info, ordinary
 from flexarm_env.interfaces.vector import FlexArmVectorEnv
@@ -39,7 +44,7 @@ class DifferentiableBatch:
         self._n, self._names = core.n_env, core.signals.info
         self._padded = batch.padded()
         self.detach()
-        self._close_copies()
+        close_copies(self._core)
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"_padded": self._padded.detach()}
@@ -47,12 +52,7 @@ class DifferentiableBatch:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self.detach()
-        self._close_copies()
-
-    def _close_copies(self) -> None:
-        """Make the core's states, which only follow those of the graph, read-only."""
-        for copied in (self._core.q, self._core.v, self._core.parameters):
-            copied.flags.writeable = False
+        close_copies(self._core)
 
     @property
     def state(self) -> torch.Tensor:

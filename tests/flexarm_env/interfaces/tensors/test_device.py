@@ -178,3 +178,6 @@ def test_a_batch_of_tensors_runs_on_kernels() -> None:
     assert reward.shape == (N,)
     assert envs.privileged().shape[0] == N
     assert flexarm_env.TorchVecEnv is TorchVecEnv
+    for copied in (envs.core.q, envs.core.v, envs.core.parameters):
+        with pytest.raises(ValueError, match="read-only"):
+            copied[...] = 0.1  # which the kernels would not see
