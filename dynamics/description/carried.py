@@ -45,8 +45,17 @@ class Carried(NamedTuple):
         """[kg m^2] that turns with the tip, by the direction along which its link bends."""
         return {direction: self._turned(axis) for direction, axis in BENDING_AXIS.items()}
 
+    def welded_inertia(self) -> dict[str, float]:
+        """[kg m^2] welded to the tip about the axis that a mode along a direction turns it about.
+
+        Along "axial", which moves the tip, their mass [kg].
+        """
+        axes = BENDING_AXIS | {"x": 0}
+        turned = {direction: _about(self.welded, axis) for direction, axis in axes.items()}
+        return turned | {"axial": float(self.welded[3, 3])}
+
     def _turned(self, axis: int) -> float:
-        whole, welded = (float(np.trace(m[:3, :3]) - m[axis, axis]) for m in self[:2])
+        whole, welded = (_about(masses, axis) for masses in self[:2])
         if self.joint is None or self.joint.parallel:
             return welded
         behind, rotor = whole - welded, self.joint.rotor_inertia
@@ -54,6 +63,11 @@ class Carried(NamedTuple):
         series = rotor * driven / (rotor + driven) if rotor else 0.0
         about = 0.0 if self.joint.type == "prismatic" else float(self.axis[axis]) ** 2
         return welded + (1.0 - about) * behind + about * series
+
+
+def _about(masses: Array, axis: int) -> float:
+    """[kg m^2] inertia of masses (4, 4) about an axis of their frame."""
+    return float(np.trace(masses[:3, :3]) - masses[axis, axis])
 
 
 def carried(links: Sequence[Link], payload: Payload | None = None) -> list[Carried]:
@@ -81,6 +95,8 @@ def _masses(link: Link) -> Array:
     """(4, 4) masses of a link about its root, in its frame."""
     line = link.beam.line_mass
     result = _of_body(link.tip_mass, (link.length, 0.0, 0.0), link.tip_inertia)
+    polar = link.mean("rho_Ip") * link.length  # [kg m^2]
+    result[range(3), range(3)] += 0.5 * polar * np.array((-1.0, 1.0, 1.0))  # about x alone
     result[np.ix_([0, 3], [0, 3])] += [[line.second, line.first], [line.first, line.mass]]
     if link.body is not None:
         result += _of_body(link.body.mass, link.body.com, link.body.inertia)

@@ -27,9 +27,9 @@ from dynamics.description.arm import Arm
 from dynamics.description.beams.piecewise import PieceShape
 from dynamics.description.beams.sections import rate
 from dynamics.description.beams.uniform import BeamShape
-from dynamics.description.carried import carried
+from dynamics.description.carried import Carried, carried
 from dynamics.description.link import Link
-from dynamics.description.mode_rule import LADEN, ModesByRule
+from dynamics.description.mode_rule import LADEN, TWISTED, ModesByRule
 from dynamics.description.mode_shapes import BENDING, STIFFNESS, Mode, points, shape
 from dynamics.description.welds import StiffSegmentsWarning, stiff_end
 from dynamics.types import Array, Matrix3
@@ -84,14 +84,21 @@ def warn_if_implausible(arm: Arm, stacklevel: int) -> None:
 
 
 def _warn_of_welds(arm: Arm, stacklevel: int) -> None:
-    """Warn of listed shapes that are too stiff for the links welded to their tip."""
-    for i, (link, beyond) in enumerate(zip(arm.links, carried(arm.links), strict=True), 1):
-        listed = link.segments == 1 and not isinstance(link.modes, ModesByRule)
-        turned = np.trace(beyond.welded[:3, :3])  # int r^2 dm
-        if listed and turned > LADEN * link.beam.line_mass.second:
-            stiff = stiff_end(f"Link {i}", link.modes, link.beam)
+    """Warn of listed shapes that are too stiff for what is welded to their tip."""
+    beyond = carried(arm.links, arm.payload)
+    for i, (link, bodies) in enumerate(zip(arm.links, beyond, strict=True), 1):
+        if link.segments == 1 and not isinstance(link.modes, ModesByRule):
+            stiff = stiff_end(f"Link {i}", link.modes, link.beam, _laden(link, bodies))
             if stiff:
                 warnings.warn(stiff, StiffSegmentsWarning, stacklevel=stacklevel + 1)
+
+
+def _laden(link: Link, beyond: Carried) -> set[str]:
+    """Directions along which the inertia welded to a link's tip is not small beside its own."""
+    own, turned = link.beam.line_mass, beyond.welded_inertia()
+    polar = TWISTED * link.mean("rho_Ip") * link.length
+    least = {"x": polar, "axial": LADEN * own.mass} | dict.fromkeys(BENDING, LADEN * own.second)
+    return {direction for direction, most in least.items() if turned[direction] > most}
 
 
 def _warn_of_inertias(arm: Arm, stacklevel: int) -> None:

@@ -2,10 +2,10 @@
 
 A weld carries moment and shear. A shape whose own tip is free of them leaves every segment
 straight at its end, so that a link of such shapes is too stiff in any number of segments; so is one
-to whose tip others are welded.
+to whose tip others or a payload are welded.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +30,7 @@ _BEARING = {"moment": "hierarchical", "torque": "torsion-poly", "force": "axial-
 
 
 class StiffSegmentsWarning(UserWarning):
-    """A link in segments, or with others welded to its tip, has shapes that leave it too stiff."""
+    """A link in segments, or with bodies welded to its tip, has shapes that leave it too stiff."""
 
 
 def unloaded(modes: Sequence[Mode]) -> str | None:
@@ -71,22 +71,26 @@ def stiff_segments(name: str, modes: Sequence[Mode], beam: Beam, segments: int) 
     return None
 
 
-def stiff_end(name: str, modes: Sequence[Mode], beam: Beam) -> str | None:
-    """Sentence of the warning about the shapes of a link to whose tip others are welded, or None.
+def stiff_end(name: str, modes: Sequence[Mode], beam: Beam, laden: Collection[str]) -> str | None:
+    """Sentence of the warning about the shapes of a link to whose tip bodies are welded, or None.
 
     It has the tip's compliance under a moment, torque or force along it over that of the beam.
+
+    Parameters
+    ----------
+    laden : directions along which those bodies load the tip.
     """
     for direction in STIFFNESS:
         own = in_direction(modes, direction)
         load = unloaded(own)
-        if load:
+        if load and direction in laden:
             x, weights = points(beam, own)
             whole = float(weights @ (1.0 / beam.rigidity(direction, x)))
             share = _yield(own, beam, None) / whole
             return (
                 f"{name} has {_kinds(own)} modes along {direction!r}, which bear no {load} at a "
-                f"weld, as to the next link: under it the tip yields only {share:.3g} of what the "
-                f"beam's does; take {_BEARING[load]} modes, or modes: auto."
+                f"weld, as to the next link or a payload: under it the tip yields only {share:.3g} "
+                f"of what the beam's does; take {_BEARING[load]} modes, or modes: auto."
             )
     return None
 

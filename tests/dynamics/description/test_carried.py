@@ -18,6 +18,7 @@ def random_links(rng: np.random.Generator, types: list[str]) -> tuple[Link, ...]
         Link(
             length=rng.uniform(0.3, 1.0),
             rho_A=rng.uniform(0.5, 4.0),
+            rho_Ip=rng.uniform(0.1, 0.4),
             tip_mass=rng.uniform(0.1, 1.0),
             tip_inertia=np.diag(rng.uniform(0.1, 0.15, 3)).tolist(),
             body=random_body(rng) if rng.random() < 0.7 else None,
