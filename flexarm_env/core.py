@@ -86,11 +86,9 @@ class Core:
         `certify.certificate`; None where none holds; `uncertified` says why, and the remedy.
     q, v : (N, n) coordinates and rates, writable views.
     dt : [s] integration step.
-    rate_scale : [rad/s] peak joint rate of a bang-bang move by `scales.MOVE` at full torque.
-    move_time : [s] duration of this move.
+    rate_scale, move_time : peak joint rate [rad/s] and duration [s] of the move `scales.MOVE`.
     busy : whether a thread steps or resets, see `claim`; `begun` : whether episodes have begun.
-    shares : chunk counters of a step, see `dynamics.runtime.work_queue.shares`.
-    workspaces : one per thread.
+    shares, workspaces : chunk counters of `dynamics.runtime.work_queue`; one per thread.
     action : (1, n_torque) action that `alone` takes.
     parameters : (N, n_free) values of the randomized parameters, a view.
     settings, arguments : keywords that may change, and all, by which a copy is built.

@@ -24,6 +24,7 @@ FLYING = {
     "base": {"type": "free", "mass": 2.0, "inertia": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]},
 }
 ALL_IDS = [i for i in flexarm_env.IDS if "Goal" not in i]  # test_goals.py has the others
+ONE = "FlexArm/OneLink-Reach-v0"
 ONE_PER_TASK = [env_id for env_id in ALL_IDS if "OneLink" in env_id]
 
 
@@ -268,3 +269,30 @@ def test_without_numbas_compiler_an_environment_is_refused_when_it_is_made(
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
     with pytest.raises(ValueError, match="unset the environment variable NUMBA_DISABLE_JIT"):
         make("FlexArm/OneLink-Reach-v0")
+
+
+def test_a_step_before_the_first_reset_is_refused() -> None:
+    """In every form of an environment that has no episode yet; a refused reset begins none."""
+    import torch
+
+    actions = np.zeros((2, 1), np.float32)
+    own = flexarm_env.FlexArmEnv(**gym.spec(ONE).kwargs)
+    sb3, tensors = flexarm_env.SB3VecEnv(ONE, 2), flexarm_env.TorchVecEnv(ONE, 2)
+    single, batch = gym.make(ONE), gym.make_vec(ONE, num_envs=2)
+    for env, step in (
+        (own, lambda: own.step(actions[0])),
+        (single, lambda: single.step(actions[0])),
+        (batch, lambda: batch.step(actions)),
+        (sb3, lambda: sb3.step(actions)),
+        (tensors, lambda: tensors.step(torch.from_numpy(actions))),
+    ):
+        with pytest.raises(gym.error.ResetNeeded):
+            step()
+        env.reset()
+        step()
+    for unused in (flexarm_env.FlexArmEnv(**gym.spec(ONE).kwargs), gym.make_vec(ONE, num_envs=2)):
+        for options in ({"state": {"q": [9.0]}}, {"state": {"q": np.full(own.core.arm.n, 9.0)}}):
+            with pytest.raises(ValueError, match=r"options\['state'\]"):
+                unused.reset(options=options)
+            with pytest.raises(gym.error.ResetNeeded):
+                unused.step(actions[: unused.core.n_env])

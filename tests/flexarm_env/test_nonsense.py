@@ -273,35 +273,6 @@ def test_the_refusal_of_a_large_batch_names_the_limit() -> None:
         gym.make_vec(ONE, num_envs=10**10)
 
 
-def test_a_step_before_the_first_reset_is_refused() -> None:
-    """In every form of an environment that has no episode yet; a refused reset begins none."""
-    import torch
-
-    from flexarm_env import FlexArmEnv, SB3VecEnv, TorchVecEnv
-
-    actions = np.zeros((2, 1), np.float32)
-    own = FlexArmEnv(**gym.spec(ONE).kwargs)
-    sb3, tensors = SB3VecEnv(ONE, 2), TorchVecEnv(ONE, 2)
-    single, batch = gym.make(ONE), gym.make_vec(ONE, num_envs=2)
-    for env, step in (
-        (own, lambda: own.step(actions[0])),
-        (single, lambda: single.step(actions[0])),
-        (batch, lambda: batch.step(actions)),
-        (sb3, lambda: sb3.step(actions)),
-        (tensors, lambda: tensors.step(torch.from_numpy(actions))),
-    ):
-        with pytest.raises(gym.error.ResetNeeded):
-            step()
-        env.reset()
-        step()
-    for unused in (FlexArmEnv(**gym.spec(ONE).kwargs), gym.make_vec(ONE, num_envs=2)):
-        for options in ({"state": {"q": [9.0]}}, {"state": {"q": np.full(own.core.arm.n, 9.0)}}):
-            with pytest.raises(ValueError, match=r"options\['state'\]"):
-                unused.reset(options=options)
-            with pytest.raises(gym.error.ResetNeeded):
-                unused.step(actions[: unused.core.n_env])
-
-
 # ---- threads -------------------------------------------------------------------------------------
 
 
