@@ -164,14 +164,14 @@ class SB3VecEnv(Changeable, VecEnv):
         given = any(seed is not None for seed in seeds)
         self.core.claim()
         try:
-            before = self.core.state.copy(), self.core.streams.copy()
+            before = self.core.state.copy(), self.core.streams.copy(), self.core.begun
             self.envs.seed_streams(seeds if given else None)
             out = self.core.reset(np.flatnonzero([not options for options in self._options]))
             for i, options in enumerate(self._options):
                 if options:
                     self.core.restart(np.array([i]), out, options)
         except ValueError:
-            self.core.state[...], self.core.streams[...] = before
+            self.core.state[...], self.core.streams[...], self.core.begun = before
             raise
         finally:
             self.core.busy = False

@@ -290,6 +290,12 @@ def test_a_step_before_the_first_reset_is_refused() -> None:
             step()
         env.reset()
         step()
+    unused = flexarm_env.SB3VecEnv(ONE, 2)
+    unused.set_options([{}, {"state": {"q": np.full(own.core.arm.n, 9.0)}}])
+    with pytest.raises(ValueError, match=r"options\['state'\]"):
+        unused.reset()
+    with pytest.raises(gym.error.ResetNeeded):
+        unused.step(actions)
     for unused in (flexarm_env.FlexArmEnv(**gym.spec(ONE).kwargs), gym.make_vec(ONE, num_envs=2)):
         for options in ({"state": {"q": [9.0]}}, {"state": {"q": np.full(own.core.arm.n, 9.0)}}):
             with pytest.raises(ValueError, match=r"options\['state'\]"):
